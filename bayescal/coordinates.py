@@ -1,0 +1,113 @@
+"""Coordinates in which the ridges of the posterior are straight, so that simple proposals follow them.
+
+Two shears of unit Jacobian take the curvature u_z = sqrt(1 - u_x² - u_y²) out of the ridges:
+
+- in place of the attachment point a, the joint at the initial actuator position, c = a + ρ^0 u, which is what the poses
+  determine;
+- in place of κ, the gain of the actuator along the leg, κ' = κ - u_z - (z_x u_x + z_y u_y) / z_z with z the nominal leg
+  direction (RR-8096 eqs. 38 to 40), which is what κ and u together can tell.
+
+Every coordinate is then scaled by the prior's standard deviation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from bayescal.geometry import Array
+from bayescal.models.six_pus import actuator_directions
+from bayescal.parameters import ParameterLayout
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """Bijection between sampling coordinates y, shape (..., n), and full parameter vectors θ, shape (..., D).
+
+    Attributes
+    ----------
+    layout : ParameterLayout
+        Layout of θ.
+    start : ndarray, shape (D,)
+        Values of the parameters that are fixed, and the origin of the coordinates.
+    free : ndarray of int, shape (n,)
+        Positions of the free parameters in θ.
+    scale : ndarray, shape (n,)
+        Unit of each coordinate.
+    leg_slope : ndarray, shape (N, 2)
+        z_x / z_z and z_y / z_z of the nominal legs.
+    """
+
+    layout: ParameterLayout
+    start: Array
+    free: np.ndarray
+    scale: Array
+    leg_slope: Array
+
+    @cached_property
+    def _mask(self) -> np.ndarray:
+        mask = np.zeros(self.layout.size, dtype=bool)
+        mask[self.free] = True
+        return mask
+
+    @cached_property
+    def log_scale(self) -> float:
+        """Logarithm of dθ/dy, the same everywhere."""
+        return float(np.log(self.scale).sum())
+
+    def _shifts(self, theta: Array) -> dict[str, Array]:
+        """Return what the shears add to each sheared symbol, shapes (..., N)."""
+        if "rho0" not in self.layout.index:
+            return {}
+        direction = actuator_directions(self.layout, theta)
+        rho0 = self.layout.take(theta, "rho0")
+        shifts = {f"a_{axis}": rho0 * direction[..., k] for k, axis in enumerate("xyz")}
+        if "kappa" in self.layout.index:
+            shifts["kappa"] = -direction[..., 2] - np.sum(self.leg_slope * direction[..., :2], axis=-1)
+        return shifts
+
+    @cached_property
+    def _origin(self) -> Array:
+        """Sheared start values of the free parameters."""
+        return self._shear(self.start, self.start, 1.0)[self.free]
+
+    def _shear(self, theta: Array, source: Array, sign: float) -> Array:
+        result = theta.copy()
+        for symbol, shift in self._shifts(source).items():
+            index = self.layout.index[symbol]
+            result[..., index] += sign * np.where(self._mask[index], shift, 0.0)
+        return result
+
+    def theta_from_y(self, y: Array) -> Array:
+        """Return full parameter vectors (..., D); NaN where a direction leaves the unit sphere."""
+        theta = np.broadcast_to(self.start, (*y.shape[:-1], self.layout.size)).copy()
+        theta[..., self.free] = self._origin + y * self.scale
+        return self._shear(theta, theta, -1.0)
+
+    def y_from_theta(self, theta: Array) -> Array:
+        """Return the coordinates (..., n) of full parameter vectors (..., D)."""
+        return (self._shear(theta, theta, 1.0)[..., self.free] - self._origin) / self.scale
+
+    def jacobian(self, theta: Array) -> Array:
+        """Return dθ/dy, shape (D, n), at one parameter vector (D,)."""
+        index = self.layout.index
+        change = np.eye(self.layout.size)
+        if "rho0" in index:
+            direction = actuator_directions(self.layout, theta)
+            rho0 = self.layout.take(theta, "rho0")
+            fall = direction[:, :2] / direction[:, 2:]  # -du_z / du_x, -du_z / du_y
+            for k, axis in enumerate("xyz"):
+                rows = index[f"a_{axis}"]
+                change[rows, index["rho0"]] -= direction[:, k]
+                for m, other in enumerate("xy"):
+                    slope = -fall[:, m] if k == 2 else np.full(len(rows), float(k == m))
+                    change[rows, index[f"u_{other}"]] -= rho0 * slope
+            if "kappa" in index:
+                for m, other in enumerate("xy"):
+                    change[index["kappa"], index[f"u_{other}"]] += self.leg_slope[:, m] - fall[:, m]
+            sheared = np.concatenate([index[s] for s in ("a_x", "a_y", "a_z", "kappa") if s in index])
+            fixed = sheared[~self._mask[sheared]]
+            change[fixed] = np.eye(self.layout.size)[fixed]
+        return change[:, self.free] * self.scale

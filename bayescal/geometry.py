@@ -1,0 +1,69 @@
+"""Poses as arrays: small rotations, pose errors and covariances, batch axes first.
+
+A pose is a pair of a position, shape (..., 3) in mm, and a rotation matrix, shape (..., 3, 3), from the body to the
+reference frame. A pose error is six numbers, position error in mm and rotation vector in radians, both expressed in the
+reference frame, with the convention ``R_true = Exp(w) R_estimated``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+type Array = NDArray[np.float64]
+
+
+def skew_matrix(vector: Array) -> Array:
+    """Return the matrix of ``vector × ·``, shape (..., 3) to (..., 3, 3)."""
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def matrix_from_rotation_vector(rotation_vector: Array) -> Array:
+    """Return the rotation matrices of rotation vectors in radians, shape (..., 3) to (..., 3, 3)."""
+    flat = Rotation.from_rotvec(rotation_vector.reshape(-1, 3)).as_matrix()
+    return flat.reshape(*rotation_vector.shape, 3)
+
+
+def rotation_vector_from_matrix(rotation: Array) -> Array:
+    """Return the rotation vectors in radians of rotation matrices, shape (..., 3, 3) to (..., 3)."""
+    flat = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec()
+    return flat.reshape(rotation.shape[:-1])
+
+
+def compute_pose_error(position: Array, rotation: Array, position_ref: Array, rotation_ref: Array) -> Array:
+    """Return the error of a pose against a reference pose, shape (..., 6): mm, then radians (axis times angle)."""
+    delta = rotation @ np.swapaxes(rotation_ref, -1, -2)
+    return np.concatenate([position - position_ref, rotation_vector_from_matrix(delta)], axis=-1)
+
+
+def compute_relative_pose(
+    base: tuple[Array, Array, Array], platform: tuple[Array, Array, Array]
+) -> tuple[Array, Array, Array]:
+    """Return the platform's pose in the base frame, with its covariance.
+
+    Parameters
+    ----------
+    base, platform : tuple of arrays
+        Position (..., 3) in mm, rotation (..., 3, 3) and covariance (..., 6, 6) of each body in the measurement frame.
+
+    Returns
+    -------
+    position, rotation, covariance
+        Pose of the platform frame in the base frame; to first order in the two independent errors, whose leverage is the
+        distance from the base to the platform origin.
+    """
+    (position_b, rotation_b, covariance_b), (position_p, rotation_p, covariance_p) = base, platform
+    to_base = np.swapaxes(rotation_b, -1, -2)
+    offset = position_p - position_b
+    position = np.einsum("...ij,...j->...i", to_base, offset)
+    rotation = to_base @ rotation_p
+    zero = np.zeros_like(to_base)
+    jacobian_p = np.block([[to_base, zero], [zero, to_base]])
+    jacobian_b = np.block([[-to_base, to_base @ skew_matrix(offset)], [zero, -to_base]])
+    covariance = jacobian_p @ covariance_p @ np.swapaxes(jacobian_p, -1, -2)
+    covariance = covariance + jacobian_b @ covariance_b @ np.swapaxes(jacobian_b, -1, -2)
+    return position, rotation, 0.5 * (covariance + np.swapaxes(covariance, -1, -2))

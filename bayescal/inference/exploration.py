@@ -1,0 +1,115 @@
+"""Finding a proposal that is nearly the posterior: Laplace first, then short pilot runs where that is not enough.
+
+Everything after this stage (ensembles, both evidences) is exact whatever the proposal; a good one makes it fast.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayescal.errors import NumericalError
+from bayescal.geometry import Array
+from bayescal.inference.ensemble import run_ensemble
+from bayescal.inference.importance import estimate_by_importance
+from bayescal.inference.mode import Mode, find_modes
+from bayescal.inference.proposal import MixtureProposal, proposal_from_draws, proposal_from_modes
+from bayescal.inference.straightening import Straightening, straighten
+from bayescal.posterior import Posterior
+
+DOF = 50.0
+GOOD_ENOUGH = 0.3
+TRIAL_DRAWS = 2000
+PILOT_STEPS = 100
+PILOT_BURN_IN = 40
+MAX_PILOTS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Exploration:
+    """What exploring a posterior found.
+
+    Attributes
+    ----------
+    straight : Straightening
+        Coordinates in which the proposal lives.
+    proposal : MixtureProposal
+        Nearly the posterior.
+    modes : list of Mode
+        Best first.
+    efficiency : float
+        Importance sampling efficiency of the proposal, from a short trial.
+    """
+
+    straight: Straightening
+    proposal: MixtureProposal
+    modes: list[Mode]
+    efficiency: float
+
+
+def count_walkers(n_parameters: int, n_walkers: int) -> int:
+    """Return an even number of walkers, at least as many as asked for and as the moves need."""
+    return max(n_walkers, 2 * n_parameters + 2) // 2 * 2
+
+
+def explore(posterior: Posterior, seed: np.random.SeedSequence, n_walkers: int = 128) -> Exploration:
+    """Find the modes, straighten the coordinates and fit a proposal.
+
+    Raises
+    ------
+    NumericalError
+        Where no mode is found or no proposal draw has a finite density.
+    """
+    modes = find_modes(posterior)
+    straight = straighten(posterior, modes[0])
+    proposal = proposal_from_modes([_mode_in(straight, mode) for mode in modes], DOF)
+    trial_seed, *pilot_seeds = seed.spawn(1 + MAX_PILOTS)
+    trial_rng = np.random.default_rng(trial_seed)
+    efficiency = _try_out(straight, proposal, trial_rng)
+    best = Exploration(straight, proposal, modes, efficiency)
+    walkers = count_walkers(posterior.n_parameters, n_walkers)
+    for pilot_seed in pilot_seeds:
+        if best.efficiency >= GOOD_ENOUGH:
+            break
+        pilot = run_ensemble(straight.log_density, proposal, pilot_seed, walkers, PILOT_BURN_IN, PILOT_STEPS)
+        draws = pilot.draws.reshape(-1, posterior.n_parameters)
+        bent = straight.with_bend(draws)
+        draws = bent.x_from_y(straight.y_from_x(draws))
+        straight, proposal = bent, _refit(bent, draws, modes)
+        efficiency = _try_out(straight, proposal, trial_rng)
+        if efficiency > best.efficiency:
+            best = Exploration(straight, proposal, modes, efficiency)
+    return best
+
+
+def _try_out(straight: Straightening, proposal: MixtureProposal, rng: np.random.Generator) -> float:
+    try:
+        return estimate_by_importance(straight.log_density, proposal, rng, TRIAL_DRAWS).efficiency
+    except NumericalError:
+        return 0.0
+
+
+def _mode_in(straight: Straightening, mode: Mode) -> Mode:
+    """Return a mode in straight coordinates; its covariance is close enough as it is."""
+    return Mode(straight.x_from_y(mode.y[None])[0], mode.log_density, mode.covariance, mode.converged)
+
+
+def _refit(straight: Straightening, draws: Array, modes: list[Mode]) -> MixtureProposal:
+    """Return a mixture with the moments of the draws (B, n) around each mode.
+
+    A mode with too few draws for a covariance keeps Laplace's approximation, with the weight its evidence gives it.
+    """
+    n = draws.shape[1]
+    start = proposal_from_modes([_mode_in(straight, mode) for mode in modes], DOF)
+    if len(modes) == 1:
+        return proposal_from_draws(draws, DOF)
+    nearest = np.argmax(start.component_log_densities(draws), axis=0)
+    means, factors, weights = start.means.copy(), start.factors.copy(), start.weights.copy()
+    for k in range(len(modes)):
+        own = draws[nearest == k]
+        if len(own) > 20 * n:
+            part = proposal_from_draws(own, DOF)
+            means[k], factors[k] = part.means[0], part.factors[0]
+            weights[k] = max(weights[k], len(own) / len(draws))
+    return MixtureProposal(weights / weights.sum(), means, factors, DOF)

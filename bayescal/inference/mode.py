@@ -1,0 +1,167 @@
+"""The maximum a posteriori point: least squares with exact Jacobians, then the model errors with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares, minimize
+
+from bayescal.errors import NumericalError
+from bayescal.geometry import Array
+from bayescal.models.six_pus import actuator_directions
+from bayescal.posterior import Posterior
+from bayescal.priors import NormalPrior
+
+GRADIENT_TOLERANCE = 1e-4
+WORTH_KEEPING = 12.0  # a mode this many nats below the best holds no mass that matters
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A local maximum of the posterior density in sampling coordinates.
+
+    Attributes
+    ----------
+    y : ndarray, shape (n,)
+        Where it is.
+    log_density : float
+        Unnormalised log-density there.
+    covariance : ndarray, shape (n, n)
+        Inverse of the negative Hessian.
+    converged : bool
+        Whether the gradient vanished there.
+    """
+
+    y: Array
+    log_density: float
+    covariance: Array
+    converged: bool
+
+    @property
+    def log_evidence(self) -> float:
+        """Laplace's approximation of the mass of this mode."""
+        _, log_det = np.linalg.slogdet(self.covariance)
+        return self.log_density + 0.5 * log_det + 0.5 * len(self.y) * np.log(2 * np.pi)
+
+
+def find_modes(posterior: Posterior) -> list[Mode]:
+    """Return the posterior's modes, best first: the one found from the nominal machine and its mirror images.
+
+    With u_x free and κ fixed the actuator gain u_z + (z_x / z_z) u_x has two solutions for u_x in every leg; each is tried.
+    """
+    best = find_mode(posterior, np.zeros(posterior.n_parameters))
+    others: list[Mode] = []
+    for start in _mirror_starts(posterior, best.y):
+        mode = find_mode(posterior, start)
+        if np.allclose(mode.y, best.y, atol=1e-3):
+            continue
+        if mode.log_density > best.log_density:
+            best, mode = mode, best
+        others.append(mode)
+    kept = [m for m in others if m.converged and m.log_evidence > best.log_evidence - WORTH_KEEPING]
+    return [best, *kept]
+
+
+def find_mode(posterior: Posterior, start: Array) -> Mode:
+    """Climb to a mode from a start in sampling coordinates, shape (n,).
+
+    Raises
+    ------
+    NumericalError
+        Where the density is not finite at the start or the Hessian at the end is not that of a maximum.
+    """
+    y = start.copy()
+    y[: posterior.n_geometry] = _fit_geometry(posterior, start)
+    result = minimize(
+        lambda x: -float(posterior.log_density(x[None])[0]),
+        y,
+        jac=lambda x: -posterior.gradient(x)[0],
+        hess=lambda x: -posterior.gradient(x)[1],
+        method="trust-exact",
+        options={"gtol": 1e-7, "maxiter": 200},
+    )
+    if not np.isfinite(result.fun):
+        raise NumericalError("mode search: the posterior density is not finite, expected a machine near nominal")
+    gradient, curvature = posterior.gradient(result.x)
+    hessian = _compute_hessian(posterior, result.x, curvature)
+    covariance = _invert_negative(hessian, curvature)
+    newton = covariance @ gradient
+    converged = bool(newton @ gradient < GRADIENT_TOLERANCE)
+    return Mode(result.x, float(-result.fun), covariance, converged)
+
+
+def _fit_geometry(posterior: Posterior, start: Array) -> Array:
+    """Return the geometry of least squares, whitened errors and priors together, at the start's model errors."""
+    n = posterior.n_geometry
+    tau = np.broadcast_to(posterior.tau(start[None]), (1, posterior.likelihood.n_legs))[0]
+    whitening = np.linalg.inv(np.linalg.cholesky(posterior.likelihood.leg_covariance(tau)))
+    coordinates = posterior.coordinates
+    priors = list(posterior.all_priors().values())[:n]
+    scale = np.array([p.sd for p in priors])
+    centre = np.array([p.mean for p in priors])
+    # a uniform prior pulls nowhere, but a whisper of its width keeps the fit determined
+    pull = np.array([1.0 if isinstance(p, NormalPrior) else 1e-3 for p in priors])
+
+    def residual(y: Array) -> Array:
+        theta = coordinates.theta_from_y(y[None])
+        errors = posterior.likelihood.leg_errors(theta)[0]
+        white = np.einsum("pij,pj->pi", whitening, errors).ravel()
+        value = np.concatenate([white, pull * (theta[0, coordinates.free] - centre) / scale])
+        return np.where(np.isfinite(value), value, 1e6)
+
+    def jacobian(y: Array) -> Array:
+        theta = coordinates.theta_from_y(y[None])[0]
+        change = coordinates.jacobian(theta)
+        _, slope = posterior.likelihood.leg_error_jacobian(theta)
+        white = np.einsum("pij,pjk->pik", whitening, slope @ change).reshape(-1, n)
+        return np.concatenate([white, (pull / scale)[:, None] * change[coordinates.free]])
+
+    return least_squares(residual, start[:n], jacobian, method="lm", xtol=1e-10, ftol=1e-10).x
+
+
+def _compute_hessian(posterior: Posterior, y: Array, curvature: Array) -> Array:
+    """Return the Hessian by central differences of the exact gradient, steps of a hundredth of a posterior sd."""
+    hessian = np.empty_like(curvature)
+    for k in range(len(y)):
+        step = np.zeros(len(y))
+        step[k] = 1e-2 / np.sqrt(-curvature[k, k])
+        hessian[k] = (posterior.gradient(y + step)[0] - posterior.gradient(y - step)[0]) / (2 * step[k])
+    return 0.5 * (hessian + hessian.T)
+
+
+def _invert_negative(hessian: Array, fallback: Array) -> Array:
+    """Return the inverse of minus the Hessian; of the Gauss-Newton one where the exact one is no maximum's."""
+    for candidate in (hessian, fallback):
+        try:
+            factor = np.linalg.cholesky(-candidate)
+        except np.linalg.LinAlgError:
+            continue
+        inverse = np.linalg.inv(factor)
+        return inverse.T @ inverse
+    raise NumericalError("mode search: the Hessian at the mode is not negative definite")
+
+
+def _mirror_starts(posterior: Posterior, y: Array) -> list[Array]:
+    """Return the coordinates with the direction of one leg mirrored to the other solution of the same gain."""
+    coordinates, layout = posterior.coordinates, posterior.coordinates.layout
+    if "u_x" not in layout.index:
+        return []
+    kappa_free = np.isin(layout.index["kappa"], coordinates.free) if "kappa" in layout.index else None
+    starts = []
+    for leg, position in enumerate(layout.index["u_x"]):
+        if position not in coordinates.free or (kappa_free is not None and kappa_free[leg]):
+            continue
+        theta = coordinates.theta_from_y(y[None, : posterior.n_geometry])[0]
+        joint = [layout.index[f"a_{axis}"][leg] for axis in "xyz"]
+        rho0 = layout.take(theta, "rho0")[leg]
+        before = actuator_directions(layout, theta)[leg]
+        angle = np.arctan2(before[0], before[2])
+        theta[position] = np.hypot(before[0], before[2]) * np.sin(2 * np.arctan(coordinates.leg_slope[leg, 0]) - angle)
+        after = actuator_directions(layout, theta)[leg]
+        free = np.isin(joint, coordinates.free)
+        theta[joint] += np.where(free, rho0 * (before - after), 0.0)
+        start = y.copy()
+        start[: posterior.n_geometry] = coordinates.y_from_theta(theta)
+        starts.append(start)
+    return starts

@@ -1,0 +1,74 @@
+"""Proposals close to the posterior: Laplace's approximation, sharpened by adaptive importance sampling."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import gammaln, logsumexp
+
+from bayescal.geometry import Array
+from bayescal.inference.mode import Mode
+
+
+@dataclass(frozen=True, eq=False)
+class MixtureProposal:
+    """A mixture of multivariate Student t densities.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (M,)
+    means : ndarray, shape (M, n)
+    factors : ndarray, shape (M, n, n)
+        Lower Cholesky factors of the scale matrices.
+    dof : float
+        Degrees of freedom of every component.
+    """
+
+    weights: Array
+    means: Array
+    factors: Array
+    dof: float
+
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """Return n independent draws, shape (n, n_parameters)."""
+        component = rng.choice(len(self.weights), n, p=self.weights)
+        normal = rng.standard_normal((n, self.means.shape[1]))
+        stretch = np.sqrt(self.dof / rng.chisquare(self.dof, n))
+        draws = np.empty_like(normal)
+        for m in range(len(self.weights)):
+            chosen = component == m
+            draws[chosen] = self.means[m] + (normal[chosen] @ self.factors[m].T) * stretch[chosen, None]
+        return draws
+
+    def component_log_densities(self, y: Array) -> Array:
+        """Return the weighted log-density of each component, shape (M, B), for vectors (B, n)."""
+        n = y.shape[1]
+        constant = gammaln(0.5 * (self.dof + n)) - gammaln(0.5 * self.dof) - 0.5 * n * np.log(self.dof * np.pi)
+        terms = np.empty((len(self.weights), len(y)))
+        for m, (weight, mean, factor) in enumerate(zip(self.weights, self.means, self.factors, strict=True)):
+            white = solve_triangular(factor, (y - mean).T, lower=True)
+            square = np.einsum("ib,ib->b", white, white)
+            terms[m] = np.log(weight) + constant - np.log(np.diag(factor)).sum()
+            terms[m] -= 0.5 * (self.dof + n) * np.log1p(square / self.dof)
+        return terms
+
+    def log_density(self, y: Array) -> Array:
+        """Return the normalised log-density, shape (B, n) to (B,)."""
+        return logsumexp(self.component_log_densities(y), axis=0)
+
+
+def proposal_from_modes(modes: list[Mode], dof: float) -> MixtureProposal:
+    """Return a mixture over the modes, weighted by their Laplace evidence."""
+    log_weights = np.array([mode.log_evidence for mode in modes])
+    weights = np.exp(log_weights - logsumexp(log_weights))
+    factors = np.stack([np.linalg.cholesky(mode.covariance) for mode in modes])
+    return MixtureProposal(weights / weights.sum(), np.stack([mode.y for mode in modes]), factors, dof)
+
+
+def proposal_from_draws(draws: Array, dof: float) -> MixtureProposal:
+    """Return a single component with the mean and covariance of draws (B, n)."""
+    covariance = np.atleast_2d(np.cov(draws.T))
+    return MixtureProposal(np.ones(1), draws.mean(axis=0)[None], np.linalg.cholesky(covariance)[None], dof)

@@ -1,0 +1,161 @@
+"""Coordinates around a mode in which the posterior with free model errors is close to a Gaussian.
+
+Two things keep it from being one. The posterior of a leg's geometry is the wider the larger the leg's model error: a
+funnel. Around a mode the information of leg i is close to P + q B, with P the prior precision, B the information of the
+data at the mode and q = (m + τ̂²) / (m + τ²), m the rest of the leg's variance. In the basis that makes both diagonal each
+direction is stretched by sqrt((1 + λ) / (1 + q λ)): in the stretched coordinates the funnel is a cylinder. And the
+coordinate ζ of a model error is skewed, the more the smaller the model error: ζ = c + A η + B sqrt(1 + η²) takes three
+quantiles of its draws to those of a standard normal η.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.special import ndtri
+
+from bayescal.geometry import Array
+from bayescal.inference.mode import Mode
+from bayescal.posterior import Posterior
+
+TAIL = float(ndtri(0.95))
+STEEPEST = 0.95  # |B| / A; the bend stays invertible with a slope that is not lost to rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Bend:
+    """The monotone map ζ = c + A η + B sqrt(1 + η²), its three coefficients of shape (k,)."""
+
+    c: Array
+    a: Array
+    b: Array
+
+    def forward(self, eta: Array) -> Array:
+        """Return ζ."""
+        return self.c + self.a * eta + self.b * np.sqrt(1.0 + eta * eta)
+
+    def inverse(self, zeta: Array) -> Array:
+        """Return η."""
+        shifted, square = zeta - self.c, self.a**2 - self.b**2
+        return (self.a * shifted - self.b * np.sqrt(shifted**2 + square)) / square
+
+    def log_slope(self, eta: Array) -> Array:
+        """Return log dζ/dη summed over the coordinates."""
+        return np.log(self.a + self.b * eta / np.sqrt(1.0 + eta * eta)).sum(axis=-1)
+
+
+def fit_bend(zeta: Array) -> Bend:
+    """Return the bend that maps the 5, 50 and 95 % quantiles of draws (B, k) to those of a standard normal."""
+    low, middle, high = np.quantile(zeta, [0.05, 0.5, 0.95], axis=0)
+    a = (high - low) / (2 * TAIL)
+    b = 0.5 * (high + low - 2 * middle) / (np.sqrt(1 + TAIL**2) - 1)
+    b = np.clip(b, -STEEPEST * a, STEEPEST * a)
+    return Bend(middle - b, a, b)
+
+
+@dataclass(frozen=True, eq=False)
+class LegBlock:
+    """One leg's coordinates and the generalised eigenbasis of its information against its prior."""
+
+    leg: int
+    index: np.ndarray
+    basis: Array
+    inverse: Array
+    eigenvalues: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Straightening:
+    """Bijection between straight coordinates x and the sampling coordinates y of a posterior, both (B, n).
+
+    Attributes
+    ----------
+    posterior : Posterior
+    centre : ndarray, shape (n,)
+        The mode.
+    blocks : tuple of LegBlock
+        Empty without free model errors: then x is y.
+    rest, tau : ndarray, shape (N,)
+        m in mm² and τ̂ in mm of each leg.
+    bend : Bend or None
+        Bend of the model errors' coordinates.
+    """
+
+    posterior: Posterior
+    centre: Array
+    blocks: tuple[LegBlock, ...]
+    rest: Array
+    tau: Array
+    bend: Bend | None = None
+
+    def _stretches(self, y: Array) -> list[Array]:
+        """Return the stretch of every block; needs only the model errors of y."""
+        tau = self.posterior.tau(y)
+        q = (self.rest + self.tau**2) / (self.rest + tau**2)
+        return [np.sqrt((1.0 + b.eigenvalues) / (1.0 + q[:, b.leg, None] * b.eigenvalues)) for b in self.blocks]
+
+    def _stretch(self, result: Array, stretches: list[Array]) -> Array:
+        for block, stretch in zip(self.blocks, stretches, strict=True):
+            centre = self.centre[block.index]
+            local = (result[:, block.index] - centre) @ block.inverse.T
+            result[:, block.index] = centre + (local * stretch) @ block.basis.T
+        return result
+
+    def _unbend(self, x: Array) -> Array:
+        y, n = x.copy(), self.posterior.n_geometry
+        if self.bend is not None:
+            y[:, n:] = self.bend.forward(x[:, n:])
+        return y
+
+    def y_from_x(self, x: Array) -> Array:
+        """Return sampling coordinates."""
+        if not self.blocks:
+            return x
+        y = self._unbend(x)
+        return self._stretch(y, self._stretches(y))
+
+    def x_from_y(self, y: Array) -> Array:
+        """Return straight coordinates."""
+        if not self.blocks:
+            return y
+        x, n = y.copy(), self.posterior.n_geometry
+        x = self._stretch(x, [1.0 / s for s in self._stretches(y)])
+        if self.bend is not None:
+            x[:, n:] = self.bend.inverse(y[:, n:])
+        return x
+
+    def log_density(self, x: Array) -> Array:
+        """Return the posterior log-density in x, shape (B,): that in y plus log |dy/dx|."""
+        if not self.blocks:
+            return self.posterior.log_density(x)
+        y = self._unbend(x)
+        stretches = self._stretches(y)
+        total = np.sum([np.log(s).sum(axis=-1) for s in stretches], axis=0)
+        if self.bend is not None:
+            total = total + self.bend.log_slope(x[:, self.posterior.n_geometry :])
+        return total + self.posterior.log_density(self._stretch(y, stretches))
+
+    def with_bend(self, x: Array) -> Straightening:
+        """Return the straightening with a bend fitted to draws (B, n) in these straight coordinates."""
+        if not self.blocks:
+            return self
+        return replace(self, bend=fit_bend(self._unbend(x)[:, self.posterior.n_geometry :]))
+
+
+def straighten(posterior: Posterior, mode: Mode) -> Straightening:
+    """Return the stretch that belongs to a mode; the identity where there is no model error to stretch for."""
+    likelihood = posterior.likelihood
+    tau = np.broadcast_to(posterior.tau(mode.y[None]), (1, likelihood.n_legs))[0]
+    variance = 1.0 / np.diagonal(np.linalg.inv(likelihood.leg_covariance(tau)), axis1=-2, axis2=-1).mean(axis=0)
+    rest = np.maximum(variance / likelihood.actuator_weight.mean(axis=0) - tau**2, 1e-12)
+    if posterior.model_error.scale is None:
+        return Straightening(posterior, mode.y, (), rest, tau)
+    information, prior = posterior.information(mode.y)
+    blocks = []
+    for leg, index in enumerate(posterior.leg_coordinates()):
+        local = np.ix_(index, index)
+        eigenvalues, basis = eigh(information[local], prior[local])
+        blocks.append(LegBlock(leg, index, basis, np.linalg.inv(basis), np.maximum(eigenvalues, 0.0)))
+    return Straightening(posterior, mode.y, tuple(blocks), rest, tau)

@@ -1,0 +1,158 @@
+"""Forward kinematics of any model by Newton's method, batched, and the home pose it starts from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayescal.deformations.base import Deformation, DeformationBasis
+from bayescal.errors import InputError, NumericalError
+from bayescal.geometry import Array, matrix_from_rotation_vector
+from bayescal.mechanism import Mechanism
+from bayescal.models.base import KinematicModel, Linearisation
+from bayescal.parameters import ParameterLayout
+
+STEP_TOLERANCE = 1e-10
+SINGULAR_CONDITION = 1e8
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """A mechanism seen through a kinematic model and a deformation, with the layout of their parameters."""
+
+    mechanism: Mechanism
+    model: KinematicModel
+    deformation: Deformation
+
+    @property
+    def layout(self) -> ParameterLayout:
+        """Layout of the model's and the deformation's parameters."""
+        return ParameterLayout(
+            self.model.blocks(self.mechanism) + self.deformation.blocks(self.mechanism.n_legs)
+        )
+
+    def basis(self, actuators: Array) -> DeformationBasis:
+        """Return displacements from the nominal initial positions with their deflections, for positions (..., N) in mm."""
+        return self.deformation.basis(actuators - self.mechanism.initial_actuator_positions)
+
+    def linearise(self, theta: Array, position: Array, rotation: Array, actuators: Array) -> Linearisation:
+        """Return the closure and its derivatives at poses (..., 3), (..., 3, 3) and actuator positions (..., N)."""
+        return self.model.linearise(self.layout, theta, position, rotation, self.basis(actuators))
+
+
+@dataclass(frozen=True)
+class ForwardKinematics:
+    """Poses found by Newton's method, with how it ended."""
+
+    position: Array
+    rotation: Array
+    converged: np.ndarray
+    n_iterations: int
+
+
+def guess_home_pose(mechanism: Mechanism) -> tuple[Array, Array]:
+    """Return a level pose above the base from which Newton's method finds the home pose."""
+    horizontal = (mechanism.home_joints - mechanism.platform_points)[:, :2]
+    centre = horizontal.mean(axis=0)
+    reach = mechanism.leg_lengths**2 - np.sum((horizontal - centre) ** 2, axis=1)
+    if np.any(reach <= 0):
+        leg = int(np.argmin(reach)) + 1
+        raise InputError(
+            f"mechanism {mechanism.name!r}: leg {leg} of {mechanism.leg_lengths[leg - 1]:g} mm cannot span its joints"
+        )
+    height = np.mean(mechanism.home_joints[:, 2] + np.sqrt(reach) - mechanism.platform_points[:, 2])
+    return np.array([*centre, height]), np.eye(3)
+
+
+def solve_forward_kinematics(
+    machine: Machine, theta: Array, actuators: Array, max_iterations: int = 30, check: bool = True
+) -> ForwardKinematics:
+    """Find the poses in which the closure vanishes.
+
+    Parameters
+    ----------
+    machine : Machine
+        Mechanism, model and deformation.
+    theta : ndarray, shape (D,) or (..., D)
+        Parameter vectors, broadcast against the leading axes of ``actuators``.
+    actuators : ndarray, shape (..., N)
+        Actuator positions ρ, mm.
+    max_iterations : int
+        Bound on the Newton steps.
+    check : bool
+        Raise where a pose is not found; otherwise the result's ``converged`` says so.
+
+    Returns
+    -------
+    ForwardKinematics
+        Positions (..., 3) in mm and rotations (..., 3, 3) in the base frame. For more than six legs the step is the
+        least-squares one.
+
+    Raises
+    ------
+    NumericalError
+        Where Newton's method does not converge, naming the first such pose.
+    """
+    position, rotation = guess_home_pose(machine.mechanism)
+    shape = np.broadcast_shapes(theta.shape[:-1], actuators.shape[:-1])
+    position = np.broadcast_to(position, (*shape, 3))
+    rotation = np.broadcast_to(rotation, (*shape, 3, 3))
+    layout, basis = machine.layout, machine.basis(np.broadcast_to(actuators, (*shape, actuators.shape[-1])))
+    converged = np.zeros(shape, dtype=bool)
+    iteration = 0
+    while iteration < max_iterations and not converged.all():
+        step = _newton_step(machine.model.linearise(layout, theta, position, rotation, basis))
+        position = position + step[..., :3]
+        rotation = matrix_from_rotation_vector(step[..., 3:]) @ rotation
+        converged = np.max(np.abs(step), axis=-1, initial=0.0) < STEP_TOLERANCE
+        iteration += 1
+    if check and not converged.all():
+        index = int(np.argmin(converged.ravel()))
+        raise NumericalError(
+            f"forward kinematics: pose {index + 1} of {converged.size} not found in {max_iterations} Newton steps"
+        )
+    return ForwardKinematics(position, rotation, converged, iteration)
+
+
+def _newton_step(linearisation: Linearisation) -> Array:
+    """Return the step (..., 6) that makes the linearised closure vanish; NaN steps are kept out of the solver."""
+    jacobian, residual = linearisation.pose, linearisation.residual
+    good = np.isfinite(residual).all(axis=-1) & np.isfinite(jacobian).all(axis=(-1, -2))
+    jacobian = np.where(good[..., None, None], jacobian, np.eye(*jacobian.shape[-2:]))
+    normal = np.swapaxes(jacobian, -1, -2)
+    square = jacobian if jacobian.shape[-2] == jacobian.shape[-1] else normal @ jacobian
+    right = residual if square is jacobian else np.einsum("...ij,...j->...i", normal, residual)
+    try:
+        step = -np.linalg.solve(square, right[..., None])[..., 0]
+    except np.linalg.LinAlgError as error:
+        raise NumericalError("forward kinematics: singular pose Jacobian") from error
+    return np.where(good[..., None], np.clip(step, -100.0, 100.0), np.nan)
+
+
+def check_home_pose(machine: Machine) -> ForwardKinematics:
+    """Return the nominal home pose; InputError where it does not exist or is singular.
+
+    The condition number is taken with lengths scaled by the platform's size, so that it does not depend on units.
+    """
+    mechanism = machine.mechanism
+    theta, actuators = machine.layout.nominal, mechanism.initial_actuator_positions
+    try:
+        home = solve_forward_kinematics(machine, theta, actuators)
+    except NumericalError as error:
+        raise InputError(f"mechanism {mechanism.name!r}: no home pose found, expected legs that close ({error})") from error
+    jacobian = machine.linearise(theta, home.position, home.rotation, actuators).pose
+    size = float(np.linalg.norm(mechanism.platform_points, axis=1).max())
+    condition = float(np.linalg.cond(jacobian / np.array([1, 1, 1, size, size, size])))
+    if not condition < SINGULAR_CONDITION:
+        raise InputError(
+            f"mechanism {mechanism.name!r}: singular geometry, the home pose Jacobian has condition {condition:.1e}, "
+            f"expected below {SINGULAR_CONDITION:.0e}"
+        )
+    return home
+
+
+def compute_home_legs(machine: Machine) -> Array:
+    """Return the nominal vectors from lower to upper joint at the home pose, shape (N, 3), base frame, mm."""
+    home, mechanism = check_home_pose(machine), machine.mechanism
+    return home.position + mechanism.platform_points @ home.rotation.T - mechanism.home_joints

@@ -1,0 +1,226 @@
+"""The density of the measured poses, given a machine: every model and deformation is a density of the same data.
+
+The measured pose differs from the pose the machine predicts for its actuator positions by e_n ~ N(0, C_n) with
+
+    C_n = Σ_n + J_n diag(σ_ρ² + τ_i² + v_ni) J_nᵀ,
+
+Σ_n the covariance of the measured pose, J_n the pose per actuator position, σ_ρ the actuator noise, τ_i the model error of
+leg i and v_ni what is known to be uncertain in the deformation. J_n is taken once, at the nominal machine, so that C_n does
+not depend on the geometry and the density is normalised as it stands.
+
+e_n is the forward-kinematic error, found without forward kinematics: the closure residual f at the measured pose
+vanishes at the predicted one, A(θ) e = f, and A changes so little that with G the inverse of the nominal A the iteration
+e ← G (f - (A(θ) - A⁰) e) gains two digits a step. Carried along is r = A⁰ e, the same error seen by the legs, in which
+the model error is diagonal; with more than six legs r has N entries and holds the closure of the redundant legs too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayescal.errors import InputError
+from bayescal.geometry import Array, matrix_from_rotation_vector
+from bayescal.kinematics import Machine
+
+REFINEMENTS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredPoses:
+    """Measured poses of the platform in the base frame with the actuator positions at which they were taken.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the P poses.
+    position, rotation : ndarray, shapes (P, 3) and (P, 3, 3)
+        Pose of the platform frame, base frame, mm.
+    covariance : ndarray, shape (P, 6, 6)
+        Covariance of position (mm) and rotation vector (rad), base frame.
+    actuators : ndarray, shape (P, N)
+        Actuator positions ρ, mm.
+    """
+
+    names: tuple[str, ...]
+    position: Array
+    rotation: Array
+    covariance: Array
+    actuators: Array
+
+    @property
+    def n_poses(self) -> int:
+        """Number of poses P."""
+        return len(self.names)
+
+    def select(self, index: np.ndarray) -> MeasuredPoses:
+        """Return some of the poses."""
+        names = tuple(np.asarray(self.names)[index])
+        return MeasuredPoses(
+            names, self.position[index], self.rotation[index], self.covariance[index], self.actuators[index]
+        )
+
+
+class PoseLikelihood:
+    """Log-density of measured poses for batches of machines and of model errors.
+
+    Parameters
+    ----------
+    machine : Machine
+        Mechanism, model and deformation.
+    poses : MeasuredPoses
+        The data.
+    actuator_noise : float
+        σ_ρ, mm.
+    actuator_variance : ndarray, shape (P, N), optional
+        v_ni, known extra variance of each leg, mm².
+    """
+
+    def __init__(
+        self, machine: Machine, poses: MeasuredPoses, actuator_noise: float, actuator_variance: Array | None = None
+    ) -> None:
+        self.machine, self.poses = machine, poses
+        layout = machine.layout
+        self._basis = machine.basis(poses.actuators)
+        self._bound = machine.model.bind(layout, poses.position, poses.rotation, self._basis)
+        self._nominal = machine.linearise(layout.nominal, poses.position, poses.rotation, poses.actuators)
+        pose, actuators = self._nominal.pose, self._nominal.actuators
+        self._pose_jacobian = pose
+        try:
+            self._gain = np.linalg.pinv(pose)
+        except np.linalg.LinAlgError as error:
+            raise InputError("likelihood: singular pose Jacobian at a measured pose") from error
+        noise = actuators @ np.swapaxes(actuators, -1, -2) * actuator_noise**2
+        measured = pose @ poses.covariance @ np.swapaxes(pose, -1, -2)
+        self.actuator_weight = np.diagonal(actuators, axis1=-2, axis2=-1) ** 2
+        known = measured + noise
+        if actuator_variance is not None:
+            known = known + np.eye(pose.shape[-2]) * (self.actuator_weight * actuator_variance)[:, None, :]
+        self._known = 0.5 * (known + np.swapaxes(known, -1, -2))
+        _, log_volume = np.linalg.slogdet(np.swapaxes(pose, -1, -2) @ pose)
+        self._constant = 0.5 * log_volume - 0.5 * pose.shape[-2] * np.log(2 * np.pi)
+        self._projection = pose @ self._gain if pose.shape[-2] != 6 else None
+
+    @property
+    def n_legs(self) -> int:
+        """Number of legs N."""
+        return self.actuator_weight.shape[1]
+
+    # --- residuals -----------------------------------------------------------------------------------------------
+
+    def _leg_errors(self, theta: Array) -> Array:
+        """Return r for parameter vectors (B, D), as an array (N, P, B)."""
+        closure = self._bound.evaluate(theta)
+        seen = closure
+        for _ in range(REFINEMENTS):
+            error = np.matmul(self._gain, seen.transpose(1, 0, 2)).transpose(1, 0, 2)
+            change = self._bound.along(error)  # (A⁰ - A(θ)) e is what a step adds to the closure
+            change -= seen if self._projection is None else self._project(seen)
+            seen = closure - change
+        return seen
+
+    def _project(self, seen: Array) -> Array:
+        """Return A⁰ G r: the part of r that a pose error explains, all of it with six legs."""
+        return np.matmul(self._projection, seen.transpose(1, 0, 2)).transpose(1, 0, 2)
+
+    def leg_errors(self, theta: Array) -> Array:
+        """Return r = A⁰ e, the pose errors seen by the legs in mm, for (B, D) parameter vectors, shape (B, P, N)."""
+        return self._leg_errors(theta).transpose(2, 1, 0)
+
+    def pose_errors(self, theta: Array) -> Array:
+        """Return e, measured minus predicted pose (mm, rad; base frame), for (B, D) vectors, shape (B, P, 6)."""
+        return np.einsum("pij,jpb->bpi", self._gain, self._leg_errors(theta))
+
+    def leg_error_jacobian(self, theta: Array) -> tuple[Array, Array]:
+        """Return r, shape (P, N), and its exact derivative, shape (P, N, D), for one parameter vector (D,).
+
+        The derivative is that of the implicit function: the closure is differentiated at the predicted pose.
+        """
+        seen = self.leg_errors(theta[None])[0]
+        error = np.einsum("pij,pj->pi", self._gain, seen)
+        position = self.poses.position - error[:, :3]
+        rotation = matrix_from_rotation_vector(-error[:, 3:]) @ self.poses.rotation
+        layout = self.machine.layout
+        here = self.machine.model.linearise(layout, theta, position, rotation, self._basis)
+        pose_change = np.linalg.solve(self._gain @ here.pose, self._gain @ here.parameters)
+        return seen, here.parameters + (self._pose_jacobian - here.pose) @ pose_change
+
+    # --- covariance ----------------------------------------------------------------------------------------------
+
+    def leg_covariance(self, model_error: Array) -> Array:
+        """Return the covariance of r in mm², shape (P, N, N), for model errors τ in mm, shape (N,)."""
+        return self._known + np.eye(self.n_legs) * (self.actuator_weight * model_error**2)[:, None, :]
+
+    def pose_covariance(self, model_error: Array) -> Array:
+        """Return C_n, the covariance of e (mm, rad), shape (..., P, 6, 6), for model errors (..., N) in mm."""
+        added = self.actuator_weight * model_error[..., None, :] ** 2
+        covariance = self._known + np.eye(self.n_legs) * added[..., None, :]
+        return self._gain @ covariance @ np.swapaxes(self._gain, -1, -2)
+
+    # --- density -------------------------------------------------------------------------------------------------
+
+    def pointwise(self, theta: Array, model_error: Array) -> Array:
+        """Return the log-density of each pose.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (B, D)
+            Parameter vectors.
+        model_error : ndarray, shape (B, N) or (N,)
+            τ of each leg, mm; one vector for all is much faster.
+
+        Returns
+        -------
+        ndarray, shape (B, P)
+            In units of mm and rad; -inf where a parameter vector is no machine (NaN closure).
+        """
+        errors = self._leg_errors(theta)
+        if model_error.ndim == 1:
+            density = self._density_fixed(errors, model_error)
+        else:
+            density = self._density_varying(errors, model_error)
+        density += self._constant[:, None]
+        density[~np.isfinite(density)] = -np.inf
+        return density.T
+
+    def __call__(self, theta: Array, model_error: Array) -> Array:
+        """Return the log-likelihood, shape (B,); arguments as in `pointwise`."""
+        return self.pointwise(theta, model_error).sum(axis=1)
+
+    def _density_fixed(self, errors: Array, model_error: Array) -> Array:
+        factor = np.linalg.cholesky(self.leg_covariance(model_error))
+        whitening = np.linalg.inv(factor)
+        white = np.matmul(whitening, errors.transpose(1, 0, 2))
+        square = np.einsum("pib,pib->pb", white, white)
+        half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+        return -0.5 * square - half_log_det[:, None]
+
+    def _density_varying(self, errors: Array, model_error: Array) -> Array:
+        """Cholesky factors of all poses and batch entries at once, by columns, solved as they come."""
+        n = self.n_legs
+        variance = model_error.T**2
+        known = self._known.transpose(1, 2, 0)[..., None]
+        shape = errors.shape[1:]
+        factor: dict[tuple[int, int], Array] = {}
+        white: list[Array] = []
+        square, determinant = np.zeros(shape), np.ones(shape)
+        for j in range(n):
+            pivot = known[j, j] + self.actuator_weight[:, j, None] * variance[j]
+            remainder = errors[j].copy()
+            for k in range(j):
+                pivot -= factor[j, k] * factor[j, k]
+                remainder -= factor[j, k] * white[k]
+            inverse = 1.0 / np.sqrt(pivot)
+            for i in range(j + 1, n):
+                column = -np.multiply(factor[i, 0], factor[j, 0]) if j else np.zeros(shape)
+                for k in range(1, j):
+                    column -= factor[i, k] * factor[j, k]
+                column += known[i, j]
+                column *= inverse
+                factor[i, j] = column
+            remainder *= inverse
+            white.append(remainder)
+            square += remainder * remainder
+            determinant *= inverse
+        return -0.5 * square + np.log(determinant)

@@ -1,0 +1,243 @@
+"""The posterior density of one variant in sampling coordinates, with its gradient and least-squares form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from bayescal.coordinates import Coordinates
+from bayescal.errors import InputError
+from bayescal.geometry import Array
+from bayescal.kinematics import compute_home_legs
+from bayescal.likelihood import PoseLikelihood
+from bayescal.parameters import ParameterLayout
+from bayescal.priors import HalfNormalPrior, NormalPrior, Prior
+
+HALF_LOG_TWO_PI = 0.5 * np.log(2 * np.pi)
+
+
+@dataclass(frozen=True)
+class ModelError:
+    """The model error τ per leg: free with a half-normal prior of the given scale in mm, or none at all (scale None).
+
+    Its sampling coordinate ζ is standard normal under the prior: Φ(ζ) is the prior probability of a smaller τ.
+    """
+
+    scale: float | None
+    shared: bool = False
+
+    def n_parameters(self, n_legs: int) -> int:
+        """Number of free model errors."""
+        if self.scale is None:
+            return 0
+        return 1 if self.shared else n_legs
+
+    def names(self, n_legs: int) -> tuple[str, ...]:
+        """Names of the free model errors."""
+        if self.n_parameters(n_legs) == 1:
+            return ("tau",)
+        return tuple(f"tau[{leg}]" for leg in range(1, self.n_parameters(n_legs) + 1))
+
+    def tau_from_zeta(self, zeta: Array) -> Array:
+        """Return τ in mm."""
+        assert self.scale is not None
+        return self.scale * np.where(zeta > 0, -ndtri(0.5 * ndtr(-zeta)), ndtri(0.5 + 0.5 * ndtr(zeta)))
+
+    def slope(self, zeta: Array, tau: Array) -> Array:
+        """Return dτ/dζ in mm."""
+        assert self.scale is not None
+        return 0.5 * self.scale * np.exp(0.5 * ((tau / self.scale) ** 2 - zeta**2))
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Posterior of the free parameters and model errors of one variant.
+
+    Attributes
+    ----------
+    likelihood : PoseLikelihood
+        Density of the calibration poses.
+    priors : mapping of parameter name to Prior
+        Priors of the free parameters.
+    fixed : mapping of parameter name to float
+        Values of fixed parameters that are not nominal.
+    model_error : ModelError
+        Free model error, or none.
+    """
+
+    likelihood: PoseLikelihood
+    priors: Mapping[str, Prior]
+    model_error: ModelError
+    fixed: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check that every name exists."""
+        unknown = [name for name in (*self.priors, *self.fixed) if name not in self._layout.names]
+        if unknown:
+            raise InputError(f"parameter {unknown[0]!r}: unknown here, expected one of {', '.join(self._layout.symbols)}")
+
+    @property
+    def _layout(self) -> ParameterLayout:
+        return self.likelihood.machine.layout
+
+    @cached_property
+    def coordinates(self) -> Coordinates:
+        """Coordinates of the geometry."""
+        layout = self._layout
+        start = layout.nominal.copy()
+        position = {name: k for k, name in enumerate(layout.names)}
+        for name, value in self.fixed.items():
+            start[position[name]] = value
+        free = np.array(sorted(position[name] for name in self.priors), dtype=int)
+        ordered = [self.priors[layout.names[k]] for k in free]
+        start[free] = [prior.mean for prior in ordered]
+        legs = compute_home_legs(self.likelihood.machine)
+        return Coordinates(layout, start, free, np.array([p.sd for p in ordered]), legs[:, :2] / legs[:, 2:])
+
+    @cached_property
+    def _ordered_priors(self) -> tuple[Prior, ...]:
+        return tuple(self.priors[self._layout.names[k]] for k in self.coordinates.free)
+
+    @cached_property
+    def _normal(self) -> tuple[np.ndarray, Array, Array]:
+        """Which free parameters have a normal prior, with centres and scales."""
+        which = np.array([isinstance(p, NormalPrior) for p in self._ordered_priors])
+        return which, np.array([p.mean for p in self._ordered_priors]), np.array([p.sd for p in self._ordered_priors])
+
+    @property
+    def n_geometry(self) -> int:
+        """Number of free geometric parameters."""
+        return len(self.priors)
+
+    @cached_property
+    def n_parameters(self) -> int:
+        """Number n of sampling coordinates: free parameters and model errors."""
+        return self.n_geometry + self.model_error.n_parameters(self.likelihood.n_legs)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters and model errors."""
+        names = tuple(self._layout.names[k] for k in self.coordinates.free)
+        return names + self.model_error.names(self.likelihood.n_legs)
+
+    def all_priors(self) -> dict[str, Prior]:
+        """Return the priors of the free parameters and of the model errors by name, in order."""
+        result = dict(zip(self.names, self._ordered_priors, strict=False))
+        for name in self.names[self.n_geometry :]:
+            assert self.model_error.scale is not None
+            result[name] = HalfNormalPrior(self.model_error.scale)
+        return result
+
+    # --- transformations -----------------------------------------------------------------------------------------
+
+    def theta(self, y: Array) -> Array:
+        """Return full parameter vectors (B, D) of coordinates (B, n)."""
+        return self.coordinates.theta_from_y(y[..., : self.n_geometry])
+
+    def tau(self, y: Array) -> Array:
+        """Return the model error of each leg in mm, shape (B, N), or zeros (N,) if there is none."""
+        n_legs = self.likelihood.n_legs
+        if self.model_error.scale is None:
+            return np.zeros(n_legs)
+        tau = self.model_error.tau_from_zeta(y[..., self.n_geometry :])
+        return np.broadcast_to(tau, (*tau.shape[:-1], n_legs))
+
+    def natural(self, y: Array) -> Array:
+        """Return the free parameters and model errors in their own units, shape (B, n)."""
+        free = self.theta(y)[..., self.coordinates.free]
+        if self.model_error.scale is None:
+            return free
+        return np.concatenate([free, self.model_error.tau_from_zeta(y[..., self.n_geometry :])], axis=-1)
+
+    # --- density -------------------------------------------------------------------------------------------------
+
+    def log_prior(self, y: Array) -> Array:
+        """Return the log-prior in the coordinates, shape (B,), normalised over y."""
+        return self._log_prior(y, self.theta(y))
+
+    def _log_prior(self, y: Array, theta: Array) -> Array:
+        free = theta[..., self.coordinates.free]
+        normal, centre, scale = self._normal
+        z = (free[..., normal] - centre[normal]) / scale[normal]
+        total = -0.5 * np.einsum("...i,...i->...", z, z) - normal.sum() * HALF_LOG_TWO_PI
+        total = total + self.coordinates.log_scale - np.log(scale[normal]).sum()
+        for k in np.flatnonzero(~normal):
+            total = total + self._ordered_priors[k].log_density(free[..., k])
+        zeta = y[..., self.n_geometry :]
+        return total - 0.5 * np.sum(zeta * zeta, axis=-1) - zeta.shape[-1] * HALF_LOG_TWO_PI
+
+    def log_density(self, y: Array) -> Array:
+        """Return log-likelihood plus log-prior, shape (B,), for coordinates (B, n); -inf where there is no machine."""
+        theta = self.theta(y)
+        total = self._log_prior(y, theta)
+        total = total + self.likelihood(theta, self.tau(y))
+        return np.where(np.isnan(total), -np.inf, total)
+
+    def pointwise(self, y: Array) -> Array:
+        """Return the log-likelihood of each pose, shape (B, P)."""
+        return self.likelihood.pointwise(self.theta(y), self.tau(y))
+
+    # --- derivatives ---------------------------------------------------------------------------------------------
+
+    def information(self, y: Array) -> tuple[Array, Array]:
+        """Return the information of the data and the precision of the prior on the geometry at y, shapes (m, m)."""
+        _, _, slope, precision, change = self._linearise(y)
+        data = np.einsum("pik,pij,pjm->km", slope, precision, slope, optimize=True)
+        local = change[self.coordinates.free]
+        # a uniform prior has no precision; a whisper of its width stands in for it
+        _, _, scale = self._normal
+        return data, (local.T / scale**2) @ local
+
+    def leg_coordinates(self) -> list[np.ndarray]:
+        """Return which geometric coordinates belong to each leg."""
+        layout, free = self._layout, self.coordinates.free
+        per_leg = [block.symbol for block in layout.blocks if block.per_leg]
+        legs = [[layout.index[s][leg] for s in per_leg] for leg in range(self.likelihood.n_legs)]
+        return [np.flatnonzero(np.isin(free, leg)) for leg in legs]
+
+    def _linearise(self, y: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Return θ, r, dr/dy, the precision of r and dθ/dy at y, shape (n,)."""
+        theta = self.theta(y[None])[0]
+        tau = np.broadcast_to(self.tau(y[None]), (1, self.likelihood.n_legs))[0]
+        errors, slope = self.likelihood.leg_error_jacobian(theta)
+        change = self.coordinates.jacobian(theta)
+        return theta, errors, slope @ change, np.linalg.inv(self.likelihood.leg_covariance(tau)), change
+
+    def gradient(self, y: Array) -> tuple[Array, Array]:
+        """Return the exact gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
+        theta, errors, slope, precision, change = self._linearise(y)
+        weighted = np.einsum("pij,pj->pi", precision, errors)
+        gradient = np.zeros(self.n_parameters)
+        hessian = np.zeros((self.n_parameters, self.n_parameters))
+        n = self.n_geometry
+        free = theta[self.coordinates.free]
+        prior_slope = np.array([p.slope(x) for p, x in zip(self._ordered_priors, free, strict=True)])
+        local = change[self.coordinates.free]
+        gradient[:n] = -np.einsum("pik,pi->k", slope, weighted) + local.T @ prior_slope
+        hessian[:n, :n] = -np.einsum("pik,pij,pjm->km", slope, precision, slope, optimize=True)
+        normal, _, scale = self._normal
+        hessian[:n, :n] -= (local[normal].T / scale[normal] ** 2) @ local[normal]
+        if self.model_error.scale is not None:
+            self._add_model_error(y, weighted, precision, gradient, hessian)
+        return gradient, hessian
+
+    def _add_model_error(
+        self, y: Array, weighted: Array, precision: Array, gradient: Array, hessian: Array
+    ) -> None:
+        """Add the model errors' part; their expected curvature stands in for the exact one."""
+        n, weight = self.n_geometry, self.likelihood.actuator_weight
+        zeta = y[n:]
+        tau = np.broadcast_to(self.tau(y[None]), (1, self.likelihood.n_legs))[0]
+        speed = self.model_error.slope(zeta, self.model_error.tau_from_zeta(zeta))
+        diagonal = np.diagonal(precision, axis1=1, axis2=2)
+        per_leg = np.sum(weight * tau * (weighted**2 - diagonal), axis=0)
+        scaled = weight * tau
+        curvature = 2.0 * np.einsum("pi,pij,pj->ij", scaled, precision**2, scaled)
+        if self.model_error.shared:
+            per_leg, curvature = per_leg.sum(keepdims=True), curvature.sum(keepdims=True)
+        gradient[n:] = per_leg * speed - zeta
+        hessian[n:, n:] = -curvature * np.outer(speed, speed) - np.eye(len(zeta))

@@ -1,0 +1,128 @@
+"""Priors of single parameters: what is known of a machine before it is measured."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from bayescal.geometry import Array
+
+
+class Prior(ABC):
+    """A proper density of one free parameter."""
+
+    @abstractmethod
+    def log_density(self, value: Array) -> Array:
+        """Return the normalised log-density, -inf outside the support."""
+
+    @abstractmethod
+    def slope(self, value: Array) -> Array:
+        """Return the derivative of the log-density inside the support."""
+
+    @abstractmethod
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """Return n independent draws."""
+
+    @property
+    @abstractmethod
+    def mean(self) -> float:
+        """Mean of the prior."""
+
+    @property
+    @abstractmethod
+    def sd(self) -> float:
+        """Standard deviation of the prior."""
+
+
+@dataclass(frozen=True)
+class NormalPrior(Prior):
+    """A manufacturing tolerance: normal about ``centre`` with standard deviation ``scale``."""
+
+    centre: float
+    scale: float
+
+    def log_density(self, value: Array) -> Array:
+        """Return the normal log-density."""
+        return -0.5 * ((value - self.centre) / self.scale) ** 2 - np.log(self.scale) - 0.5 * np.log(2 * np.pi)
+
+    def slope(self, value: Array) -> Array:
+        """Return -(x - centre) / scale²."""
+        return -(value - self.centre) / self.scale**2
+
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """Return normal draws."""
+        return rng.normal(self.centre, self.scale, n)
+
+    @property
+    def mean(self) -> float:
+        """The centre."""
+        return self.centre
+
+    @property
+    def sd(self) -> float:
+        """The scale."""
+        return self.scale
+
+
+@dataclass(frozen=True)
+class UniformPrior(Prior):
+    """All values between two bounds alike."""
+
+    lower: float
+    upper: float
+
+    def log_density(self, value: Array) -> Array:
+        """Return -log(upper - lower) inside, -inf outside."""
+        inside = (value >= self.lower) & (value <= self.upper)
+        return np.where(inside, -np.log(self.upper - self.lower), -np.inf)
+
+    def slope(self, value: Array) -> Array:
+        """Return zero."""
+        return np.zeros_like(value)
+
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """Return uniform draws."""
+        return rng.uniform(self.lower, self.upper, n)
+
+    @property
+    def mean(self) -> float:
+        """The middle."""
+        return 0.5 * (self.lower + self.upper)
+
+    @property
+    def sd(self) -> float:
+        """Width over the square root of twelve."""
+        return (self.upper - self.lower) / np.sqrt(12.0)
+
+
+@dataclass(frozen=True)
+class HalfNormalPrior(Prior):
+    """A scale parameter that may well be zero: the right half of a normal density about zero."""
+
+    scale: float
+
+    def log_density(self, value: Array) -> Array:
+        """Return the half-normal log-density."""
+        inside = 0.5 * np.log(2 / np.pi) - np.log(self.scale) - 0.5 * (value / self.scale) ** 2
+        return np.where(value >= 0, inside, -np.inf)
+
+    def slope(self, value: Array) -> Array:
+        """Return -x / scale²."""
+        return -value / self.scale**2
+
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """Return half-normal draws."""
+        return np.abs(rng.normal(0.0, self.scale, n))
+
+    @property
+    def mean(self) -> float:
+        """scale · sqrt(2 / pi)."""
+        return self.scale * float(np.sqrt(2 / np.pi))
+
+    @property
+    def sd(self) -> float:
+        """scale · sqrt(1 - 2 / pi)."""
+        return float(stats.halfnorm.std(scale=self.scale))

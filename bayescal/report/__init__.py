@@ -1,0 +1,1 @@
+"""Figures and tables of results; nothing computes with them."""
