@@ -73,10 +73,9 @@ def explore(posterior: Posterior, seed: np.random.SeedSequence, n_walkers: int =
         if best.efficiency >= GOOD_ENOUGH:
             break
         pilot = run_ensemble(straight.log_density, proposal, pilot_seed, walkers, PILOT_BURN_IN, PILOT_STEPS)
-        draws = pilot.draws.reshape(-1, posterior.n_parameters)
-        bent = straight.with_bend(draws)
-        draws = bent.x_from_y(straight.y_from_x(draws))
-        straight, proposal = bent, _refit(bent, draws, modes)
+        draws = straight.y_from_x(pilot.draws.reshape(-1, posterior.n_parameters))
+        straight = straight.fitted_to(draws)
+        proposal = _refit(straight, straight.x_from_y(draws), modes)
         efficiency = _try_out(straight, proposal, trial_rng)
         if efficiency > best.efficiency:
             best = Exploration(straight, proposal, modes, efficiency)

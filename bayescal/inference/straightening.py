@@ -1,11 +1,12 @@
 """Coordinates around a mode in which the posterior with free model errors is close to a Gaussian.
 
-Two things keep it from being one. The posterior of a leg's geometry is the wider the larger the leg's model error: a
+Three things keep it from being one. The posterior of a leg's geometry is the wider the larger the leg's model error: a
 funnel. Around a mode the information of leg i is close to P + q B, with P the prior precision, B the information of the
 data at the mode and q = (m + τ̂²) / (m + τ²), m the rest of the leg's variance. In the basis that makes both diagonal each
 direction is stretched by sqrt((1 + λ) / (1 + q λ)): in the stretched coordinates the funnel is a cylinder. And the
 coordinate ζ of a model error is skewed, the more the smaller the model error: ζ = c + A η + B sqrt(1 + η²) takes three
-quantiles of its draws to those of a standard normal η.
+quantiles of its draws to those of a standard normal η. Last, where κ is fixed the actuator gain is a quadratic of u_x that
+the other parameters of the leg have to follow: a shear by β (u - u_0)² of unit volume straightens this ridge too.
 """
 
 from __future__ import annotations
@@ -56,6 +57,29 @@ def fit_bend(zeta: Array) -> Bend:
 
 
 @dataclass(frozen=True, eq=False)
+class Curve:
+    """The shear y_others = w_others + β (w_u - u_0)² of one leg, w_u unchanged."""
+
+    base: int
+    others: np.ndarray
+    origin: float
+    beta: Array
+
+    def add_to(self, w: Array, sign: float) -> None:
+        """Add the shear to vectors (B, n) in place, or take it away."""
+        w[:, self.others] += sign * ((w[:, self.base] - self.origin) ** 2)[:, None] * self.beta
+
+
+def fit_curve(y: Array, base: int, others: np.ndarray) -> Curve:
+    """Return the shear from a quadratic regression of draws (B, n) on the coordinate ``base``."""
+    origin = float(y[:, base].mean())
+    u = y[:, base] - origin
+    design = np.stack([np.ones_like(u), u, u * u], axis=1)
+    coefficients = np.linalg.lstsq(design, y[:, others], rcond=None)[0]
+    return Curve(base, others, origin, coefficients[2])
+
+
+@dataclass(frozen=True, eq=False)
 class LegBlock:
     """One leg's coordinates and the generalised eigenbasis of its information against its prior."""
 
@@ -81,6 +105,8 @@ class Straightening:
         m in mm² and τ̂ in mm of each leg.
     bend : Bend or None
         Bend of the model errors' coordinates.
+    curves : tuple of Curve
+        Shears along the free u_x.
     """
 
     posterior: Posterior
@@ -89,9 +115,12 @@ class Straightening:
     rest: Array
     tau: Array
     bend: Bend | None = None
+    curves: tuple[Curve, ...] = ()
 
     def _stretches(self, y: Array) -> list[Array]:
         """Return the stretch of every block; needs only the model errors of y."""
+        if not self.blocks:
+            return []
         tau = self.posterior.tau(y)
         q = (self.rest + self.tau**2) / (self.rest + tau**2)
         return [np.sqrt((1.0 + b.eigenvalues) / (1.0 + q[:, b.leg, None] * b.eigenvalues)) for b in self.blocks]
@@ -109,18 +138,19 @@ class Straightening:
             y[:, n:] = self.bend.forward(x[:, n:])
         return y
 
+    def _curve(self, y: Array, sign: float) -> Array:
+        for curve in self.curves:
+            curve.add_to(y, sign)
+        return y
+
     def y_from_x(self, x: Array) -> Array:
         """Return sampling coordinates."""
-        if not self.blocks:
-            return x
         y = self._unbend(x)
-        return self._stretch(y, self._stretches(y))
+        return self._curve(self._stretch(y, self._stretches(y)), 1.0)
 
     def x_from_y(self, y: Array) -> Array:
         """Return straight coordinates."""
-        if not self.blocks:
-            return y
-        x, n = y.copy(), self.posterior.n_geometry
+        x, n = self._curve(y.copy(), -1.0), self.posterior.n_geometry
         x = self._stretch(x, [1.0 / s for s in self._stretches(y)])
         if self.bend is not None:
             x[:, n:] = self.bend.inverse(y[:, n:])
@@ -128,20 +158,24 @@ class Straightening:
 
     def log_density(self, x: Array) -> Array:
         """Return the posterior log-density in x, shape (B,): that in y plus log |dy/dx|."""
-        if not self.blocks:
-            return self.posterior.log_density(x)
         y = self._unbend(x)
         stretches = self._stretches(y)
-        total = np.sum([np.log(s).sum(axis=-1) for s in stretches], axis=0)
+        total = np.zeros(len(x))
+        for stretch in stretches:
+            total += np.log(stretch).sum(axis=-1)
         if self.bend is not None:
-            total = total + self.bend.log_slope(x[:, self.posterior.n_geometry :])
-        return total + self.posterior.log_density(self._stretch(y, stretches))
+            total += self.bend.log_slope(x[:, self.posterior.n_geometry :])
+        return total + self.posterior.log_density(self._curve(self._stretch(y, stretches), 1.0))
 
-    def with_bend(self, x: Array) -> Straightening:
-        """Return the straightening with a bend fitted to draws (B, n) in these straight coordinates."""
-        if not self.blocks:
-            return self
-        return replace(self, bend=fit_bend(self._unbend(x)[:, self.posterior.n_geometry :]))
+    def fitted_to(self, y: Array) -> Straightening:
+        """Return the straightening with bend and curves fitted to draws (B, n) in sampling coordinates."""
+        bend = fit_bend(y[:, self.posterior.n_geometry :]) if self.blocks else None
+        legs = {int(k): index for index in self.posterior.leg_coordinates() for k in index}
+        curves = []
+        for k, name in enumerate(self.posterior.names[: self.posterior.n_geometry]):
+            if name.startswith("u_x["):
+                curves.append(fit_curve(y, k, legs[k][legs[k] != k]))
+        return replace(self, bend=bend, curves=tuple(curves))
 
 
 def straighten(posterior: Posterior, mode: Mode) -> Straightening:
