@@ -1,1 +1,1 @@
-"""x"""
+"""From a posterior to its draws and its evidence."""

@@ -102,7 +102,7 @@ def compute_variance_factor(n_targets: ArrayLike) -> Array:
     return 1 + share * (1 / compute_efficiency(TUNING_CONSTANT) - 1)
 
 
-def weighted_rigid_transform(reference: Array, measured: Array, weights: Array) -> tuple[Array, Array]:
+def weighted_rigid_transform(reference: Array, measured: Array, weights: Array | NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return the rigid displacement of least weighted squares, in closed form.
 
     Parameters
@@ -215,8 +215,8 @@ def _choose_triples(reference: Array, noise: float) -> NDArray[np.int64]:
     return triples[wide] if wide.any() else triples
 
 
-def _start_weights(reference: Array, measured: Array, noise: float) -> Array:
-    """Return weights 0 or 1, shape (P, n), of the targets closest to the triple fit of least median of squares.
+def _find_closest(reference: Array, measured: Array, noise: float) -> NDArray[np.bool_]:
+    """Return the targets (P, n) closest to the triple fit of least median of squares, and the triple's own.
 
     The quantile of the squared residuals is above the median by the three targets of the triple, whose own residuals
     are too small, and never above what remains when just under a third of the targets are wrong. A few fits to that
@@ -229,45 +229,45 @@ def _start_weights(reference: Array, measured: Array, noise: float) -> Array:
     fit = weighted_rigid_transform(reference[triples], corners, np.ones(corners.shape[:-1]))
     residuals = compute_rigid_residuals(reference, measured[:, None], *fit)
     score = np.partition(np.einsum("ptni,ptni->ptn", residuals, residuals), n_close - 1, axis=-1)[..., n_close - 1]
-    best = np.argmin(score, axis=1)[:, None, None]
-    position = np.take_along_axis(fit[0], best, axis=1)[:, 0]
-    rotation = np.take_along_axis(fit[1], best[..., None], axis=1)[:, 0]
+    best = np.argmin(score, axis=1)
+    position, rotation = (part[np.arange(len(best)), best] for part in fit)
+    close = np.zeros(measured.shape[:-1], dtype=bool)
+    np.put_along_axis(close, triples[best], True, axis=1)
+    triple = close
     for _ in range(4):
         distance = np.linalg.norm(compute_rigid_residuals(reference, measured, position, rotation), axis=-1)
-        rank = np.argsort(np.argsort(distance, axis=-1), axis=-1)
-        close = rank < n_close
+        close = triple | (np.argsort(np.argsort(distance, axis=-1), axis=-1) < n_close)
         position, rotation = weighted_rigid_transform(reference, measured, close)
-    return _admit_compatible(reference, measured, close, noise)
+    return close
 
 
 def _admit_compatible(reference: Array, measured: Array, close: NDArray[np.bool_], noise: float) -> Array:
     """Return weights 0 or 1, shape (P, n), of all targets that the closest ones do not contradict.
 
-    A target left out of a fit to few others may lie far from its prediction because the prediction is uncertain. Without
-    this step the biweight, whose minima are many for few targets, would often settle on the closest targets alone.
+    A target left out of a fit to few others may lie far from its prediction because the prediction is uncertain.
+    Without this step the biweight, whose minima are many for few targets, would often settle on the closest targets alone.
     """
-    for _ in range(2):
-        position, rotation = weighted_rigid_transform(reference, measured, close)
-        residuals = compute_rigid_residuals(reference, measured, position, rotation)
-        covariance = compute_rigid_covariance(reference, rotation, close, noise)[:, None]
-        jacobian = _compute_jacobian(reference, rotation)
-        spread = jacobian @ covariance @ np.swapaxes(jacobian, -1, -2) + noise**2 * np.eye(3)
-        distance = np.sum(residuals * np.linalg.solve(spread, residuals[..., None])[..., 0], axis=-1)
-        close = distance < TUNING_CONSTANT**2
-        _check_spread(reference, close, noise, "consistent")
-    return close.astype(float)
+    position, rotation = weighted_rigid_transform(reference, measured, close)
+    residuals = compute_rigid_residuals(reference, measured, position, rotation)
+    covariance = compute_rigid_covariance(reference, rotation, close, noise)[:, None]
+    jacobian = _compute_jacobian(reference, rotation)
+    spread = jacobian @ covariance @ np.swapaxes(jacobian, -1, -2) + noise**2 * np.eye(3)
+    distance = np.sum(residuals * np.linalg.solve(spread, residuals[..., None])[..., 0], axis=-1)
+    return (distance < TUNING_CONSTANT**2).astype(float)
 
 
 def _robust_start(reference: Array, measured: Array, seen: NDArray[np.bool_], noise: float) -> Array:
-    """Return start weights (P, n), fits with the same seen targets together."""
-    weights = np.zeros(seen.shape)
+    """Return start weights (P, n), after a search that takes fits with the same seen targets together."""
+    close = np.zeros(seen.shape, dtype=bool)
     patterns, member = np.unique(seen, axis=0, return_inverse=True)
     size = max(1, CHUNK // (MAX_TRIPLES * len(reference)))
     for k, pattern in enumerate(patterns):
         rows, columns = np.flatnonzero(member == k), np.flatnonzero(pattern)
         for part in np.split(rows, range(size, len(rows), size)):
             cell = np.ix_(part, columns)
-            weights[cell] = _start_weights(reference[columns], measured[cell], noise)
+            close[cell] = _find_closest(reference[columns], measured[cell], noise)
+    weights = _admit_compatible(reference, measured, close, noise)
+    _check_spread(reference, weights > 0, noise, "consistent")
     return weights
 
 

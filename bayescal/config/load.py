@@ -1,0 +1,193 @@
+"""Reading configs: TOML to checked sections, every fault as one line with file, line, field, found and expected."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from bayescal.config.schema import (
+    MechanismConfig,
+    PointsConfig,
+    PoseMethodsConfig,
+    Section,
+    SimulationConfig,
+    StudyConfig,
+)
+from bayescal.errors import InputError
+from bayescal.geometry import Array
+from bayescal.mechanism import Mechanism
+
+EXPERIMENTS: dict[str, type[Section]] = {"study": StudyConfig, "pose_methods": PoseMethodsConfig}
+
+
+def load_experiment(path: Path) -> StudyConfig | PoseMethodsConfig:
+    """Return the checked config of an experiment; its ``kind`` says which schema holds."""
+    content, text = _read_toml(path)
+    kind = content.get("kind")
+    if not isinstance(kind, str) or kind not in EXPERIMENTS:
+        raise InputError(f"{path}: kind: found {kind!r}, expected {_one_of(EXPERIMENTS)}{_suggest(str(kind), EXPERIMENTS)}")
+    return _check(EXPERIMENTS[kind], content, path, text)
+
+
+def load_simulation(path: Path) -> SimulationConfig:
+    """Return the checked config of a simulation."""
+    return _check(SimulationConfig, *_swap(path))
+
+
+def load_mechanism(path: Path) -> Mechanism:
+    """Return the mechanism that a TOML file describes, lengths in mm.
+
+    Raises
+    ------
+    InputError
+        Where the file is not a mechanism, or its lists do not have one entry per leg.
+    """
+    config = _check(MechanismConfig, *_swap(path))
+    base, platform = _points(config.base), _points(config.platform)
+    n_legs = len(base)
+    directions = np.atleast_2d(np.array(config.legs.direction, dtype=np.float64))
+    columns = {
+        "platform": platform,
+        "legs.length_mm": np.atleast_1d(np.array(config.legs.length_mm)),
+        "legs.direction": directions,
+        "legs.initial_actuator_position_mm": np.atleast_1d(np.array(config.legs.initial_actuator_position_mm)),
+    }
+    for field, values in columns.items():
+        if len(values) not in ((1, n_legs) if field != "platform" else (n_legs,)):
+            raise InputError(f"{path}: {field}: found {len(values)} legs, expected {n_legs} as in base")
+    norms = np.linalg.norm(directions, axis=1, keepdims=True)
+    if np.any(norms == 0):
+        raise InputError(f"{path}: legs.direction: found a zero vector, expected a direction")
+    full = {field: np.broadcast_to(v, (n_legs, *v.shape[1:])) for field, v in columns.items()}
+    try:
+        return Mechanism(
+            name=config.name,
+            base_points=base,
+            platform_points=platform,
+            directions=np.broadcast_to(directions / norms, (n_legs, 3)),
+            leg_lengths=full["legs.length_mm"],
+            initial_actuator_positions=full["legs.initial_actuator_position_mm"],
+            actuator_range=config.legs.actuator_range_mm,
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _points(config: PointsConfig) -> Array:
+    if config.points_mm is not None:
+        return np.array(config.points_mm, dtype=np.float64)
+    azimuth = np.radians(config.azimuth_deg or [])
+    radius = config.radius_mm or 0.0
+    height = np.full_like(azimuth, config.height_mm)
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), height], axis=1)
+
+
+def _read_toml(path: Path) -> tuple[dict[str, Any], str]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file, expected a TOML config") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as UTF-8 text ({type(error).__name__})") from error
+    try:
+        return tomllib.loads(text), text
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from error
+
+
+def _swap(path: Path) -> tuple[dict[str, Any], Path, str]:
+    content, text = _read_toml(path)
+    return content, path, text
+
+
+def _check[S: Section](schema: type[S], content: dict[str, Any], path: Path, text: str) -> S:
+    try:
+        return schema.model_validate(content)
+    except ValidationError as error:
+        raise InputError(_describe(error, schema, path, text)) from error
+
+
+def _describe(error: ValidationError, schema: type[Section], path: Path, text: str) -> str:
+    """Return the first fault as one line; unknown keys first, since they explain the missing ones."""
+    faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
+    fault = faults[0]
+    location = [part for part in fault["loc"] if not str(part).startswith(("function-", "list["))]
+    tags = {"normal", "uniform", "fixed", "float", "constrained-float"}
+    field = ".".join(str(part) for part in location if part not in tags) or "the file"
+    line = _find_line(text, location)
+    where = f"{path}, line {line}: {field}" if line else f"{path}: {field}"
+    if fault["type"] == "extra_forbidden":
+        known = _known_keys(schema, location[:-1])
+        return f"{where}: unknown key{_suggest(str(location[-1]), known)}, expected {_one_of(known)}"
+    message = fault["msg"].removeprefix("Value error, ")
+    if fault["type"] == "missing":
+        return f"{where}: missing, expected a value"
+    if fault["type"] == "value_error":
+        return f"{where}: {message}"
+    return f"{where}: found {_short(fault['input'])}, expected: {message[0].lower()}{message[1:]}"
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) < 60 else text[:57] + "..."
+
+
+def _known_keys(schema: Any, location: list[Any]) -> list[str]:
+    """Return the keys of the section at a location, looking through lists, unions and dictionaries."""
+    found = [schema]
+    for part in location:
+        found = [inner for kind in found for inner in _step(kind, part)]
+    keys = {key for kind in found for model in _models(kind) for key in model.model_fields}
+    return sorted(keys)
+
+
+def _step(kind: Any, part: Any) -> list[Any]:
+    models = _models(kind)
+    hits = [m.model_fields[part].annotation for m in models if part in m.model_fields]
+    return hits or models
+
+
+def _models(kind: Any) -> list[type[BaseModel]]:
+    """Return all pydantic models inside a type."""
+    kind = getattr(kind, "__value__", kind)
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        return [kind]
+    return [model for inner in get_args(kind) for model in _models(inner)]
+
+
+def _find_line(text: str, location: list[Any]) -> int | None:
+    """Return the line of the last named key of a location, searched table by table; None where it is not certain."""
+    keys = [str(part) for part in location if isinstance(part, str)]
+    for depth in range(len(keys), 0, -1):
+        pattern = re.compile(rf"^\s*\[*\s*(?:[\w.]+\.)?{re.escape(keys[depth - 1])}\s*(?:=|\]|\.)|[{{,]\s*{re.escape(keys[depth - 1])}\s*=")
+        hits = [number for number, row in enumerate(text.splitlines(), start=1) if pattern.search(row)]
+        if len(hits) == 1:
+            return hits[0]
+    return None
+
+
+def _suggest(name: str, known: Any) -> str:
+    close = difflib.get_close_matches(name, list(known), n=1)
+    return f", did you mean {close[0]!r}?" if close else ""
+
+
+def _one_of(names: Any) -> str:
+    return "one of " + ", ".join(sorted(names))
+
+
+def look_up[T](registry: dict[str, T], name: str, what: str, where: Path) -> T:
+    """Return the entry of a registry; InputError with the nearest name where there is none."""
+    if name not in registry:
+        raise InputError(f"{where}: {what}: found {name!r}{_suggest(name, registry)}, expected {_one_of(registry)}")
+    return registry[name]
+
+
+def dump_config(config: Section) -> dict[str, Any]:
+    """Return a config as plain JSON-ready values."""
+    return TypeAdapter(type(config)).dump_python(config, mode="json")

@@ -1,0 +1,147 @@
+"""The benchmarks' problem: a telescope's hexapod, 40 simulated poses, 60 free parameters.
+
+Geometry and deformation matrix are those of RR-8096 (section 2.2, eq. 4); the true machine is a draw of the priors and
+the poses are simulated, so that both sides of a benchmark work on the same well-posed posterior. Import this module
+before NumPy: it keeps linear algebra on one core.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[_variable] = "1"
+
+import numpy as np  # noqa: E402 - after the number of threads is set
+
+from bayescal.deformations.matrix import MatrixDeformation  # noqa: E402
+from bayescal.geometry import Array, matrix_from_rotation_vector  # noqa: E402
+from bayescal.kinematics import Machine, solve_forward_kinematics  # noqa: E402
+from bayescal.likelihood import MeasuredPoses, PoseLikelihood  # noqa: E402
+from bayescal.mechanism import Mechanism  # noqa: E402
+from bayescal.models.six_pus import SixPus  # noqa: E402
+from bayescal.posterior import ModelError, Posterior  # noqa: E402
+from bayescal.priors import NormalPrior  # noqa: E402
+
+RESULTS = Path(__file__).parent / "results"
+SEED = 20240519
+N_POSES = 40
+ACTUATOR_NOISE = 1e-3  # mm
+POSE_NOISE = np.array([3e-3, 3e-3, 1e-3, 1e-5, 1e-5, 1e-5])  # mm, rad
+MODEL_ERROR_SCALE = 1e-2  # mm
+FREE = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "u_x", "u_y", "l", "kappa")
+PRIOR_SD = {"u_x": 0.05, "u_y": 0.05, "kappa": 0.01}  # everything else: 2 mm
+LENGTH_SD = 2.0
+DEFORMATION = 1e-3 * np.array(
+    [
+        [16, 0, -8, 12, -2, -20],
+        [0, 20, -17, -1, 13, -13],
+        [-2, -15, 14, 2, -9, 9],
+        [6, -12, 4, 14, -16, 2],
+        [-12, 7, 0, -15, 14, 4],
+        [-20, -1, 10, -10, 2, 19],
+    ]
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Simulated data and the truth behind them."""
+
+    machine: Machine
+    poses: MeasuredPoses
+    theta: Array
+
+    def likelihood(self) -> PoseLikelihood:
+        """Return the density of the simulated poses."""
+        return PoseLikelihood(self.machine, self.poses, ACTUATOR_NOISE)
+
+    def priors(self) -> dict[str, NormalPrior]:
+        """Return normal priors about the nominal values for all 60 parameters of `FREE`."""
+        layout = self.machine.layout
+        free = [(name, k) for block, names in _names_of(layout) if block in FREE for name, k in names]
+        return {name: NormalPrior(float(layout.nominal[k]), PRIOR_SD.get(name[:-3], LENGTH_SD)) for name, k in free}
+
+    def posterior(self, model_error: bool = False) -> Posterior:
+        """Return the posterior, without model error or with one per leg."""
+        return Posterior(self.likelihood(), self.priors(), ModelError(MODEL_ERROR_SCALE if model_error else None))
+
+
+def _names_of(layout):  # noqa: ANN001, ANN202 - a pair of a symbol and its (name, position) pairs
+    return [(b.symbol, list(zip(b.names, layout.index[b.symbol].tolist(), strict=True))) for b in layout.blocks]
+
+
+def telescope_mechanism() -> Mechanism:
+    """Return the nominal mechanism, mm."""
+    return Mechanism(
+        name="telescope",
+        base_points=_ring(155.0, (220, 320, 340, 80, 100, 200)),
+        platform_points=_ring(130.0, (265, 275, 25, 35, 145, 155)),
+        directions=np.tile([0.0, 0.0, 1.0], (6, 1)),
+        leg_lengths=np.full(6, 500.0),
+        initial_actuator_positions=np.full(6, 10.0),
+        actuator_range=1.3,
+    )
+
+
+def _ring(radius: float, azimuths_deg: tuple[float, ...]) -> Array:
+    azimuth = np.radians(azimuths_deg)
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.zeros(len(azimuth))], axis=1)
+
+
+def simulate(seed: int = SEED) -> Problem:
+    """Draw a machine from the priors and measure it in 40 poses, every actuator at an end or in the middle."""
+    rng = np.random.default_rng(seed)
+    mechanism = telescope_mechanism()
+    machine = Machine(mechanism, SixPus(), MatrixDeformation(DEFORMATION))
+    layout = machine.layout
+    theta = layout.nominal.copy()
+    for symbol in FREE:
+        theta[layout.index[symbol]] += rng.normal(size=6) * PRIOR_SD.get(symbol, LENGTH_SD)
+    levels = rng.integers(-1, 2, size=(N_POSES, 6))
+    actuators = mechanism.initial_actuator_positions + mechanism.actuator_range * levels
+    reached = solve_forward_kinematics(machine, theta, actuators + rng.normal(size=levels.shape) * ACTUATOR_NOISE)
+    noise = rng.normal(size=(N_POSES, 6)) * POSE_NOISE
+    poses = MeasuredPoses(
+        names=tuple(f"pose {k + 1}" for k in range(N_POSES)),
+        position=reached.position + noise[:, :3],
+        rotation=matrix_from_rotation_vector(noise[:, 3:]) @ reached.rotation,
+        covariance=np.tile(np.diag(POSE_NOISE**2), (N_POSES, 1, 1)),
+        actuators=actuators,
+    )
+    return Problem(machine, poses, theta)
+
+
+def time_interleaved(functions: dict[str, Callable[[], object]], n_repeats: int) -> dict[str, list[float]]:
+    """Return the seconds of each repeat of each function, the functions taking turns."""
+    for function in functions.values():
+        function()
+    seconds: dict[str, list[float]] = {name: [] for name in functions}
+    for _ in range(n_repeats):
+        for name, function in functions.items():
+            start = time.perf_counter()
+            function()
+            seconds[name].append(time.perf_counter() - start)
+    return seconds
+
+
+def write_results(name: str, figures: dict[str, object], packages: tuple[str, ...]) -> Path:
+    """Write figures with the versions they belong to; return the file."""
+    versions = {package: metadata.version(package) for package in packages}
+    context = {
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, one used",
+        "versions": {"python": platform.python_version(), **versions},
+    }
+    RESULTS.mkdir(exist_ok=True)
+    path = RESULTS / f"{name}.json"
+    path.write_text(json.dumps({**context, **figures}, indent=2) + "\n")
+    return path
