@@ -1,157 +1,104 @@
-"""Time of the batched NumPy likelihood against a compiled loop of the same formula, one core.
+"""Time of the batched NumPy likelihood against compiled loops of the same formula, one core.
 
     python benchmarks/likelihood.py [--repeats 200]
 
-128 machines, 60 free parameters, 40 poses; without model error (one covariance for all) and with free model errors per
-leg (a 6 x 6 Cholesky factor per machine and pose). Both sides get what depends only on the data ready-made. The two
-results are compared before anything is timed.
+128 machines, 60 free parameters, 40 poses; without model error (one covariance for all machines) and with free model
+errors per leg (a 6 x 6 Cholesky factor per machine and pose). The loops get what depends only on the data ready-made.
+Results are compared before anything is timed; then all sides take turns, and medians count.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
-from dataclasses import dataclass
+from collections.abc import Callable
 
-from telescope_problem import Problem, simulate, time_interleaved, write_results  # before NumPy: sets one thread
+from telescope_problem import SEED, Problem, simulate, time_interleaved, write_results  # first: sets one thread
 
-import numba
 import numpy as np
+from numba_loops import STYLES, LoopData
 
 from bayescal.geometry import Array
-from bayescal.likelihood import REFINEMENTS
 
 N_MACHINES = 128
 AGREEMENT = 1e-9
-POSTERIOR_SPREAD = 1e-3  # machines within a thousandth of a prior sd of the truth: the likelihood is alive there
-TAU_SPREAD = 5e-3  # mm
+SPREAD = 1e-3  # of the machines about the truth, in prior standard deviations
+TAU = 5e-3  # mm
 
 
-@dataclass(frozen=True)
-class LoopData:
-    """What the compiled loop reads, all C-contiguous; shapes over poses P and legs N = 6."""
-
-    position: Array  # (P, 3)
-    rotation: Array  # (P, 3, 3)
-    displacement: Array  # (P, N)
-    constant: Array  # (P, N), the part of the deflection that no parameter moves
-    gain: Array  # (P, 6, N)
-    known: Array  # (P, N, N)
-    weight: Array  # (P, N)
-    log_constant: Array  # (P,)
-
-    @classmethod
-    def of(cls, problem: Problem) -> LoopData:
-        """Return the loop's view of a problem; reads the likelihood's precomputed arrays."""
-        likelihood, poses = problem.likelihood(), problem.poses
-        basis = problem.machine.basis(poses.actuators)
-        arrays = (poses.position, poses.rotation, basis.displacement, basis.constant, likelihood._gain)
-        arrays += (likelihood._known, likelihood.actuator_weight, likelihood._constant)
-        return cls(*(np.ascontiguousarray(array) for array in arrays))
+def loop_data(problem: Problem) -> LoopData:
+    """Return the loops' view of a problem; reads what the likelihood has precomputed."""
+    likelihood, poses = problem.likelihood(), problem.poses
+    basis = problem.machine.basis(poses.actuators)
+    arrays = (poses.position, poses.rotation, basis.displacement, basis.constant, likelihood._gain)
+    arrays += (likelihood._known, likelihood.actuator_weight, likelihood._constant)
+    return LoopData(*(np.ascontiguousarray(array) for array in arrays))
 
 
-def _leg_errors(theta, rho0, p, position, rotation, displacement, constant, gain, work, errors):
-    """Fill ``errors`` (N,) with r = A⁰ e of one machine (N, 10: a, b, u_x, u_y, l, kappa; plus u_z) in pose p."""
-    r00, r01, r02 = rotation[p, 0, 0], rotation[p, 0, 1], rotation[p, 0, 2]
-    r10, r11, r12 = rotation[p, 1, 0], rotation[p, 1, 1], rotation[p, 1, 2]
-    r20, r21, r22 = rotation[p, 2, 0], rotation[p, 2, 1], rotation[p, 2, 2]
-    px, py, pz = position[p, 0], position[p, 1], position[p, 2]
-    for i in range(6):
-        move = displacement[p, i]
-        travel = rho0[i] + move
-        bx, by = theta[i, 3], theta[i, 4]
-        bz = theta[i, 5] + constant[p, i] + theta[i, 9] * move
-        mx = r00 * bx + r01 * by + r02 * bz
-        my = r10 * bx + r11 * by + r12 * bz
-        mz = r20 * bx + r21 * by + r22 * bz
-        gx = px + mx - theta[i, 0] - travel * theta[i, 6]
-        gy = py + my - theta[i, 1] - travel * theta[i, 7]
-        gz = pz + mz - theta[i, 2] - travel * theta[i, 10]
-        length = np.sqrt(gx * gx + gy * gy + gz * gz)
-        inverse = -1.0 / length
-        work[i, 0] = gx * inverse
-        work[i, 1] = gy * inverse
-        work[i, 2] = gz * inverse
-        work[i, 3] = (my * gz - mz * gy) * inverse
-        work[i, 4] = (mz * gx - mx * gz) * inverse
-        work[i, 5] = (mx * gy - my * gx) * inverse
-        work[i, 6] = theta[i, 8] - length
-        errors[i] = work[i, 6]
-    for _ in range(REFINEMENTS):
-        e0 = e1 = e2 = e3 = e4 = e5 = 0.0
-        for i in range(6):
-            seen = errors[i]
-            e0 += gain[p, i, 0] * seen  # gain comes transposed: (P, N, 6)
-            e1 += gain[p, i, 1] * seen
-            e2 += gain[p, i, 2] * seen
-            e3 += gain[p, i, 3] * seen
-            e4 += gain[p, i, 4] * seen
-            e5 += gain[p, i, 5] * seen
-        for i in range(6):
-            along = work[i, 0] * e0 + work[i, 1] * e1 + work[i, 2] * e2
-            along += work[i, 3] * e3 + work[i, 4] * e4 + work[i, 5] * e5
-            errors[i] += work[i, 6] - along
+def draw_machines(problem: Problem) -> tuple[Array, Array]:
+    """Return parameter vectors (B, 66) near the truth and model errors (B, 6) in mm."""
+    rng = np.random.default_rng(SEED)
+    coordinates = problem.posterior().coordinates
+    theta = np.tile(problem.theta, (N_MACHINES, 1))
+    theta[:, coordinates.free] += SPREAD * coordinates.scale * rng.normal(size=(N_MACHINES, len(coordinates.free)))
+    return theta, TAU * np.abs(rng.normal(size=(N_MACHINES, problem.likelihood().n_legs)))
 
 
-def _fixed(leg_errors):
-    def loop(theta, rho0, position, rotation, displacement, constant, gain, whitening, log_constant, result):
-        work, errors = np.empty((6, 7)), np.empty(6)
-        for b in range(theta.shape[0]):
-            total = 0.0
-            for p in range(position.shape[0]):
-                leg_errors(theta[b], rho0, p, position, rotation, displacement, constant, gain, work, errors)
-                square = 0.0
-                for i in range(6):
-                    white = 0.0
-                    for j in range(i + 1):
-                        white += whitening[p, i, j] * errors[j]
-                    square += white * white
-                total += log_constant[p] - 0.5 * square
-            result[b] = total
+def build_contestants(problem: Problem) -> dict[str, dict[str, Callable[[], Array]]]:
+    """Return the functions to time: case, then contestant; each returns the log-likelihoods (B,)."""
+    likelihood, data = problem.likelihood(), loop_data(problem)
+    theta, tau = draw_machines(problem)
+    none = np.zeros(likelihood.n_legs)
+    factor = np.linalg.cholesky(data.known)
+    whitening = np.linalg.inv(factor)
+    constant = data.log_constant - np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+    pose = (data.position, data.rotation, data.displacement, data.constant, data.gain)
+    fixed: dict[str, Callable[[], Array]] = {"numpy": lambda: likelihood(theta, none)}
+    varying: dict[str, Callable[[], Array]] = {"numpy": lambda: likelihood(theta, tau)}
+    for style, build in STYLES.items():
+        for fastmath in (False, True):
+            loop_fixed, loop_varying = build(fastmath)
+            result = np.empty(N_MACHINES)
 
-    return loop
+            def run_fixed(loop=loop_fixed, result=result):
+                loop(theta, *pose, whitening, constant, result)
+                return result
 
+            def run_varying(loop=loop_varying, result=result):
+                loop(theta, tau, *pose, data.known, data.weight, data.log_constant, result)
+                return result
 
-def _varying(leg_errors):
-    def loop(theta, tau, rho0, position, rotation, displacement, constant, gain, known, weight, log_constant, result):
-        work, errors, factor, white = np.empty((6, 7)), np.empty(6), np.empty((6, 6)), np.empty(6)
-        for b in range(theta.shape[0]):
-            total = 0.0
-            for p in range(position.shape[0]):
-                leg_errors(theta[b], rho0, p, position, rotation, displacement, constant, gain, work, errors)
-                square, determinant = 0.0, 1.0
-                for j in range(6):
-                    pivot = known[p, j, j] + weight[p, j] * tau[b, j] * tau[b, j]
-                    remainder = errors[j]
-                    for k in range(j):
-                        pivot -= factor[j, k] * factor[j, k]
-                        remainder -= factor[j, k] * white[k]
-                    inverse = 1.0 / np.sqrt(pivot)
-                    white[j] = remainder * inverse
-                    square += white[j] * white[j]
-                    determinant *= inverse
-                    for i in range(j + 1, 6):
-                        column = known[p, i, j]
-                        for k in range(j):
-                            column -= factor[i, k] * factor[j, k]
-                        factor[i, j] = column * inverse
-                total += log_constant[p] + np.log(determinant) - 0.5 * square
-            result[b] = total
-
-    return loop
+            name = f"numba {style}" + (" fastmath" if fastmath else "")
+            fixed[name], varying[name] = run_fixed, run_varying
+    return {"no model error": fixed, "model error per leg": varying}
 
 
-def compile_loops(fastmath: bool):
-    """Return the two compiled loops: fixed covariance, varying covariance."""
-    compiled = numba.njit(fastmath=fastmath, error_model="numpy", inline="never")
-    leg_errors = compiled(_leg_errors)
-    return compiled(_fixed(leg_errors)), compiled(_varying(leg_errors))
+def main() -> None:
+    """Compare, time, print a table and write the results."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=200)
+    arguments = parser.parse_args()
+    figures: dict[str, object] = {"n_machines": N_MACHINES, "repeats": arguments.repeats}
+    for case, contestants in build_contestants(simulate()).items():
+        expected = contestants["numpy"]()
+        agreement = max(float(np.max(np.abs(f() / expected - 1.0))) for f in contestants.values())
+        if not agreement < AGREEMENT:
+            raise SystemExit(f"{case}: log-likelihoods differ by {agreement:.2g} (relative), expected < {AGREEMENT:g}")
+        seconds = time_interleaved(contestants, arguments.repeats)
+        time_us = {name: 1e6 * float(np.median(s)) / N_MACHINES for name, s in seconds.items()}
+        # medians of the ratio within each round: what disturbs the machine disturbs both
+        ratio = {
+            name: float(np.median(np.array(seconds["numpy"]) / np.array(s))) for name, s in seconds.items()
+        }
+        print(f"{case:32}{'µs / machine':>14}{'NumPy / this':>14}")
+        for name in time_us:
+            print(f"  {name:30}{time_us[name]:14.2f}{ratio[name]:14.2f}")
+        figures[case] = {
+            "microseconds_per_machine": time_us,
+            "numpy_over_numba": {name: value for name, value in ratio.items() if name != "numpy"},
+            "largest_relative_difference": agreement,
+        }
+    print(write_results("likelihood", figures, ("numpy", "numba")).name)
 
 
-def _per_leg(problem: Problem, theta: Array) -> Array:
-    """Return parameters by leg, shape (B, N, 11): a, b, u_x, u_y, l, kappa, u_z."""
-    layout = problem.machine.layout
-    symbols = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "u_x", "u_y", "l", "kappa")
-    columns = [layout.take(theta, symbol) for symbol in symbols]
-    columns.append(np.sqrt(1.0 - columns[6] ** 2 - columns[7] ** 2))
-    return np.ascontiguousarray(np.stack(columns, axis=-1))
+if __name__ == "__main__":
+    main()

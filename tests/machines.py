@@ -7,17 +7,12 @@ were recovered from its tables. Whatever is simulated here is a twin, never a me
 from __future__ import annotations
 
 import numpy as np
-from bayescal import deformations, models
-from bayescal.deformations.base import Deformation
-from bayescal.deformations.linear import LinearDeformation
-from bayescal.deformations.matrix import MatrixDeformation
-from bayescal.deformations.none import NoDeformation
+from bayescal.deformations import DEFORMATIONS, Deformation, LinearDeformation, MatrixDeformation
 from bayescal.geometry import matrix_from_rotation_vector
 from bayescal.kinematics import Machine, solve_forward_kinematics
 from bayescal.likelihood import MeasuredPoses, PoseLikelihood
 from bayescal.mechanism import Mechanism
-from bayescal.models.base import KinematicModel
-from bayescal.models.six_pus import SixPus
+from bayescal.models import MODELS, KinematicModel
 from bayescal.posterior import ModelError, Posterior
 from bayescal.priors import NormalPrior
 
@@ -102,29 +97,30 @@ def build_random_mechanism(n_legs: int, seed: int) -> Mechanism:
 
 def model_names() -> list[str]:
     """Return the names of all registered models."""
-    return list(getattr(models, "MODELS", {"six_pus": SixPus}))
+    return list(MODELS)
 
 
 def deformation_names() -> list[str]:
     """Return the names of all registered deformations."""
-    return list(getattr(deformations, "DEFORMATIONS", {"none": None, "linear": None, "matrix": None}))
+    return list(DEFORMATIONS)
 
 
 def build_model(name: str) -> KinematicModel:
-    """Return a registered model; one that cannot be built without arguments needs a recipe here."""
-    entry = getattr(models, "MODELS", {"six_pus": SixPus})[name]
-    return entry() if isinstance(entry, type) else entry
+    """Return a registered model."""
+    return MODELS[name]()
 
 
 def build_deformation(name: str, n_legs: int = 6) -> Deformation:
-    """Return a registered deformation with the telescope's figures, or random ones for other numbers of legs."""
+    """Return a registered deformation with the telescope's figures, or random ones for other numbers of legs.
+
+    A deformation that takes arguments needs a recipe here; one without is built as it stands.
+    """
     matrix = TELESCOPE_MATRIX if n_legs == 6 else np.random.default_rng(n_legs).normal(0, 0.012, (n_legs, n_legs))
     recipes = {
-        "none": NoDeformation,
-        "linear": lambda: LinearDeformation(0.011),
-        "matrix": lambda: MatrixDeformation(matrix),
+        LinearDeformation.name: lambda: LinearDeformation(0.011),
+        MatrixDeformation.name: lambda: MatrixDeformation(matrix),
     }
-    return recipes[name]()
+    return recipes.get(name, DEFORMATIONS[name])()
 
 
 def build_machine(deformation: str = "matrix", mechanism: Mechanism | None = None, model: str = "six_pus") -> Machine:

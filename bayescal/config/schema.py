@@ -132,7 +132,7 @@ class SamplerConfig(Section):
     ensembles: Annotated[int, Field(ge=4, le=64)] = 4
     walkers: Annotated[int, Field(ge=8, le=4096)] = 128
     burn_in: Annotated[int, Field(ge=0)] = 40
-    steps: Annotated[int, Field(ge=2)] = 120
+    steps: Annotated[int, Field(ge=2)] = 80
 
 
 class EvidenceConfig(Section):

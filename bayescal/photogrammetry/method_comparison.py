@@ -103,5 +103,5 @@ def summarise_comparison(comparison: pd.DataFrame) -> pd.DataFrame:
     ``<error>_mean`` and ``<error>_sd``.
     """
     errors = comparison.drop(columns="repeat").groupby(["method", "n_targets"]).agg(["mean", "std"])
-    errors.columns = [f"{name}_{'sd' if kind == 'std' else kind}" for name, kind in errors.columns.to_list()]
+    errors.columns = ["_".join(column).replace("_std", "_sd") for column in errors.columns]
     return errors.reset_index()

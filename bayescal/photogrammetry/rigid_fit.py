@@ -99,10 +99,13 @@ def compute_variance_factor(n_targets: ArrayLike) -> Array:
     value for many. That share as the rate of fading is empirical; simulations with 3 to 84 targets agree to 1 %.
     """
     share = 1 - 2 / np.maximum(np.asarray(n_targets, dtype=float), 3.0)
-    return 1 + share * (1 / compute_efficiency(TUNING_CONSTANT) - 1)
+    factor: Array = 1 + share * (1 / compute_efficiency(TUNING_CONSTANT) - 1)
+    return factor
 
 
-def weighted_rigid_transform(reference: Array, measured: Array, weights: Array | NDArray[np.bool_]) -> tuple[Array, Array]:
+def weighted_rigid_transform(
+    reference: Array, measured: Array, weights: Array | NDArray[np.bool_]
+) -> tuple[Array, Array]:
     """Return the rigid displacement of least weighted squares, in closed form.
 
     Parameters
@@ -245,7 +248,8 @@ def _admit_compatible(reference: Array, measured: Array, close: NDArray[np.bool_
     """Return weights 0 or 1, shape (P, n), of all targets that the closest ones do not contradict.
 
     A target left out of a fit to few others may lie far from its prediction because the prediction is uncertain.
-    Without this step the biweight, whose minima are many for few targets, would often settle on the closest targets alone.
+    Without this step the biweight, whose minima are many for few targets, would often settle on the closest targets
+    alone.
     """
     position, rotation = weighted_rigid_transform(reference, measured, close)
     residuals = compute_rigid_residuals(reference, measured, position, rotation)

@@ -39,7 +39,7 @@ class RingDeformation:
 
 
 @dataclass(frozen=True, eq=False)
-class LinearDeformation:
+class KappaEstimate:
     """Posterior of ``Δb_z,i = κ_i Δρ_i`` (RR-8096 eq. 1): independent Student t distributions.
 
     Attributes
@@ -61,7 +61,7 @@ class LinearDeformation:
 
 
 @dataclass(frozen=True, eq=False)
-class MatrixDeformation:
+class MatrixEstimate:
     """Posterior of ``Δb_z = K Δρ`` (RR-8096 eqs. 2 and 3): a Gaussian.
 
     Attributes
@@ -182,7 +182,7 @@ def _check_actuators(ring: RingDeformation, actuator_displacement: ArrayLike) ->
     return actuator
 
 
-def fit_linear_deformation(ring: RingDeformation, actuator_displacement: ArrayLike) -> LinearDeformation:
+def fit_linear_deformation(ring: RingDeformation, actuator_displacement: ArrayLike) -> KappaEstimate:
     """Return the coefficient of each leg in ``Δb_z,i = κ_i Δρ_i + ε`` (RR-8096 eq. 1).
 
     The residuals are mostly what the model leaves out, so their variance is taken as unknown, one per leg, with the
@@ -211,10 +211,10 @@ def fit_linear_deformation(ring: RingDeformation, actuator_displacement: ArrayLi
         raise InputError(f"linear deformation: found no movement of actuator {np.argmin(power) + 1}, expected some")
     kappa = np.sum(actuator * ring.displacement, axis=0) / power
     residual_sd = np.sqrt(np.sum((ring.displacement - kappa * actuator) ** 2, axis=0) / dof)
-    return LinearDeformation(kappa, residual_sd / np.sqrt(power) * np.sqrt(dof / (dof - 2)), residual_sd, dof)
+    return KappaEstimate(kappa, residual_sd / np.sqrt(power) * np.sqrt(dof / (dof - 2)), residual_sd, dof)
 
 
-def fit_matrix_deformation(ring: RingDeformation, actuator_displacement: ArrayLike) -> MatrixDeformation:
+def fit_matrix_deformation(ring: RingDeformation, actuator_displacement: ArrayLike) -> MatrixEstimate:
     """Return the coefficient matrix in ``Δb_z = K Δρ`` (RR-8096 eqs. 2 and 3) by generalised least squares.
 
     Where RR-8096 fits each leg by itself with equal weights, here the legs are fitted together with the known
@@ -248,7 +248,7 @@ def fit_matrix_deformation(ring: RingDeformation, actuator_displacement: ArrayLi
     covariance = 0.5 * (covariance + covariance.T)
     matrix = (covariance @ target.ravel()).reshape(n_legs, n_legs)
     residuals = ring.displacement - actuator @ matrix.T
-    return MatrixDeformation(
+    return MatrixEstimate(
         matrix=matrix,
         covariance=covariance,
         sd=np.sqrt(np.diagonal(covariance)).reshape(n_legs, n_legs),

@@ -83,7 +83,7 @@ def test_a_wrong_target_moves_the_line_but_not_the_robust_fit():
     for fit_pose, moved in ((fit_line, True), (fit_rigid_body, False)):
         fit = fit_pose(reference, measured, NOISE)
         shift = np.linalg.norm(fit.position + fit.rotation @ barycentre - position - rotation @ barycentre)
-        assert (shift > 1.0) is moved
+        assert bool(shift > 1.0) is moved
         assert shift < 0.02 or moved
 
 

@@ -119,7 +119,8 @@ def test_errors_have_the_stated_covariance(n_targets, shape):
     fit = fit_rigid_body(reference, measured, NOISE)
     square = whiten(compute_pose_error(position, rotation, fit.position, fit.rotation), fit.covariance)
     assert abs(square.mean() - 6) < 3.5 * np.sqrt(12 / n_poses)
-    assert fit.chi2.mean() / (3 * n_targets - 6) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (3 * n_targets - 6) / n_poses))
+    dof = 3 * n_targets - 6
+    assert fit.chi2.mean() / dof == pytest.approx(1.0, abs=4 * np.sqrt(2 / dof / n_poses))
     assert fit.converged.mean() > 0.995
 
 
@@ -162,7 +163,8 @@ def test_unseen_targets_are_as_good_as_absent():
     measured[:, 4] = np.nan
     measured[:, 9, 1] = np.nan  # one missing coordinate makes the target unseen
     keep = np.setdiff1d(np.arange(15), [4, 9])
-    fit, expected = fit_rigid_body(reference, measured, NOISE), fit_rigid_body(reference[keep], measured[:, keep], NOISE)
+    fit = fit_rigid_body(reference, measured, NOISE)
+    expected = fit_rigid_body(reference[keep], measured[:, keep], NOISE)
     np.testing.assert_allclose(fit.position, expected.position, atol=1e-9)
     np.testing.assert_allclose(fit.covariance, expected.covariance, rtol=1e-6, atol=1e-15)
     assert np.all(fit.weights[:, [4, 9]] == 0)

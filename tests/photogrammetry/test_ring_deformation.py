@@ -136,7 +136,8 @@ def test_matrix_deformation_is_least_squares_for_equal_covariances():
     expected = np.linalg.lstsq(actuator, displacement)[0].T
     residuals = displacement - actuator @ expected.T
     np.testing.assert_allclose(fit.matrix, expected, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(fit.covariance, np.kron(np.eye(6), 4e-6 * np.linalg.inv(actuator.T @ actuator)), atol=1e-15)
+    per_leg = 4e-6 * np.linalg.inv(actuator.T @ actuator)
+    np.testing.assert_allclose(fit.covariance, np.kron(np.eye(6), per_leg), atol=1e-15)
     assert fit.chi2 == pytest.approx(np.sum(residuals**2) / 4e-6)
     assert fit.dof == 15 * 6 - 36
     assert fit.max_error_mm == pytest.approx(np.abs(residuals).max())

@@ -1,0 +1,40 @@
+"""Convergence of ensembles: a chain is an ensemble, never a walker."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from arviz_stats.base import array_stats
+
+from bayescal.geometry import Array
+
+RHAT_LIMIT = 1.01
+ESS_BULK_LIMIT = 1000.0
+ESS_TAIL_LIMIT = 400.0
+PARETO_K_LIMIT = 0.7
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnostics:
+    """Rank-normalised R-hat and effective sample sizes of each parameter, shape (n,)."""
+
+    rhat: Array
+    ess_bulk: Array
+    ess_tail: Array
+
+
+def diagnose(draws: Array) -> Diagnostics:
+    """Return the diagnostics of draws, shape (ensembles, walkers, steps, n).
+
+    R-hat splits every ensemble in time, so that a drift of all walkers shows. The effective sizes take the draws walker by
+    walker: then the autocorrelation along the chain is that of the walkers in time.
+    """
+    n_ensembles, n_walkers, n_steps, _ = draws.shape
+    walker_by_walker = np.moveaxis(draws.reshape(n_ensembles, n_walkers * n_steps, -1), -1, 0)
+    step_by_step = np.moveaxis(np.swapaxes(draws, 1, 2).reshape(n_ensembles, n_walkers * n_steps, -1), -1, 0)
+    return Diagnostics(
+        rhat=np.array([float(array_stats.rhat(chains)) for chains in step_by_step]),
+        ess_bulk=np.array([float(array_stats.ess(chains)) for chains in walker_by_walker]),
+        ess_tail=np.array([float(array_stats.ess(chains, method="tail", prob=(0.05, 0.95))) for chains in walker_by_walker]),
+    )

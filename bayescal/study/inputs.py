@@ -1,0 +1,247 @@
+"""Everything a study computes with, read from its files once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayescal.config.load import dump_config, load_mechanism, look_up
+from bayescal.config.schema import FixedConfig, NormalConfig, StudyConfig, VariantConfig
+from bayescal.deformations import DEFORMATIONS, Deformation, LinearDeformation, MatrixDeformation
+from bayescal.errors import InputError
+from bayescal.geometry import Array
+from bayescal.kinematics import Machine, check_home_pose
+from bayescal.likelihood import MeasuredPoses, PoseLikelihood
+from bayescal.mechanism import Mechanism
+from bayescal.models import MODELS
+from bayescal.photogrammetry import ring_deformation as ring
+from bayescal.photogrammetry.poses import PoseExtraction, extract_poses
+from bayescal.photogrammetry.survey import Survey, read_survey
+from bayescal.posterior import ModelError, Posterior
+from bayescal.priors import NormalPrior, Prior, UniformPrior
+from bayescal.tables import read_matrix
+
+MICROMETRE = 1e-3
+LENGTHS = "mm"
+
+
+@dataclass(frozen=True, eq=False)
+class StudyInputs:
+    """Config and data of a study, with the poses extracted.
+
+    Attributes
+    ----------
+    config : StudyConfig
+    folder : Path
+        Where the config's file names start.
+    mechanism : Mechanism
+    survey : Survey
+    extraction : PoseExtraction
+    """
+
+    config: StudyConfig
+    folder: Path
+    mechanism: Mechanism
+    survey: Survey
+    extraction: PoseExtraction
+
+    # --- data ----------------------------------------------------------------------------------------------------
+
+    @property
+    def target_noise(self) -> float:
+        """Standard deviation of a target coordinate, mm."""
+        return self.config.data.target_noise_um * MICROMETRE
+
+    @property
+    def displacement(self) -> Array:
+        """Actuator displacements from the nominal initial positions, shape (P, N), mm."""
+        return self.survey.actuators - self.mechanism.initial_actuator_positions
+
+    def poses(self, verification: bool) -> MeasuredPoses:
+        """Return the poses of one use."""
+        return self.extraction.poses.select(self.survey.verification == verification)
+
+    @cached_property
+    def ring(self) -> ring.RingDeformation | None:
+        """Deflection of every leg's joint at every pose from the targets on the pads; None without such targets."""
+        platform = self.survey.platform
+        pads = platform.leg > 0
+        if not pads.any():
+            return None
+        return ring.measure_ring_deformation(
+            self.extraction.platform,
+            platform.reference[pads],
+            platform.measured[:, pads],
+            platform.leg[pads],
+            self.target_noise,
+            self.mechanism.n_legs,
+        )
+
+    @cached_property
+    def ring_matrix(self) -> ring.MatrixEstimate | None:
+        """K from the calibration poses' ring targets (RR-8096 eqs. 2 to 4)."""
+        return None if self.ring is None else ring.fit_matrix_deformation(self._calibration_ring, self._calibration_travel)
+
+    @cached_property
+    def ring_linear(self) -> ring.KappaEstimate | None:
+        """κ from the calibration poses' ring targets (RR-8096 eq. 1)."""
+        return None if self.ring is None else ring.fit_linear_deformation(self._calibration_ring, self._calibration_travel)
+
+    @property
+    def _calibration_ring(self) -> ring.RingDeformation:
+        assert self.ring is not None
+        chosen = ~self.survey.verification
+        return ring.RingDeformation(self.ring.displacement[chosen], self.ring.covariance[chosen])
+
+    @property
+    def _calibration_travel(self) -> Array:
+        return self.displacement[~self.survey.verification]
+
+    # --- variants ------------------------------------------------------------------------------------------------
+
+    def variant(self, name: str) -> VariantConfig:
+        """Return the variant of a name."""
+        return next(v for v in self.config.variants if v.name == name)
+
+    def machine(self, variant: VariantConfig) -> Machine:
+        """Return the mechanism seen through a variant."""
+        where = self.folder / "study"
+        model = look_up(MODELS, variant.model, "variants.model", where)()
+        kind = look_up(DEFORMATIONS, variant.deformation, "variants.deformation", where)
+        return Machine(self.mechanism, model, self._deformation(kind))
+
+    def _deformation(self, kind: type[Deformation]) -> Deformation:
+        if kind is LinearDeformation:
+            return LinearDeformation(self.config.deformation.kappa)
+        if kind is MatrixDeformation:
+            return MatrixDeformation(self.matrix)
+        return kind()
+
+    @property
+    def matrix_from_targets(self) -> bool:
+        """Whether K comes from the ring targets."""
+        return self.config.deformation.matrix == "targets"
+
+    @cached_property
+    def matrix(self) -> Array:
+        """K in mm per mm, from the ring targets or from a file in 1e-3."""
+        if not self.matrix_from_targets:
+            return 1e-3 * read_matrix(self.folder / self.config.deformation.matrix, self.mechanism.n_legs)
+        if self.ring_matrix is None:
+            raise InputError(
+                f"{self.folder / self.config.data.reference}: found no target on a leg's pad, "
+                "expected some, since deformation.matrix is 'targets'"
+            )
+        return self.ring_matrix.matrix
+
+    def likelihood(self, variant: VariantConfig, verification: bool) -> PoseLikelihood:
+        """Return the density of the poses of one use under a variant."""
+        poses = self.poses(verification)
+        extra = None
+        if variant.deformation == MatrixDeformation.name and self.matrix_from_targets:
+            extra = self._matrix_variance(poses.actuators - self.mechanism.initial_actuator_positions)
+        noise = self.config.data.actuator_noise_um * MICROMETRE
+        return PoseLikelihood(self.machine(variant), poses, noise, extra)
+
+    def _matrix_variance(self, displacement: Array) -> Array:
+        """Return the variance of Δb_z (P, N) in mm² that the uncertainty of the rest of K leaves.
+
+        Between poses the error is correlated; its variance enters pose by pose, which is the larger part of it.
+        """
+        assert self.ring_matrix is not None
+        n = self.mechanism.n_legs
+        blocks = self.ring_matrix.covariance.reshape(n, n, n, n)
+        variance = np.empty((len(displacement), n))
+        for leg in range(n):
+            travel = displacement.copy()
+            travel[:, leg] = 0.0  # the diagonal is free or nominal
+            variance[:, leg] = np.einsum("pj,jk,pk->p", travel, blocks[leg, :, leg, :], travel)
+        return variance
+
+    def posterior(self, variant: VariantConfig, with_model_error: bool, tolerance: float | None = None) -> Posterior:
+        """Return the posterior of a variant; ``tolerance`` replaces the sd of all lengths, mm."""
+        machine = self.machine(variant)
+        priors: dict[str, Prior] = {}
+        fixed: dict[str, float] = {}
+        blocks = {block.symbol: block for block in machine.layout.blocks}
+        for symbol, config in self.config.parameters.items():
+            if symbol not in blocks:
+                if symbol in variant.free:
+                    raise InputError(
+                        f"variant {variant.name!r} frees {symbol!r}, expected one of {', '.join(blocks)}"
+                    )
+                continue
+            block = blocks[symbol]
+            if isinstance(config, FixedConfig):
+                offsets = _per_leg(config.offset, len(block.nominal), symbol)
+                fixed |= {n: v + o for n, v, o in zip(block.names, block.nominal, offsets, strict=True)}
+            elif symbol in variant.free:
+                widths = config.sd if isinstance(config, NormalConfig) else config.half_width
+                if tolerance is not None and block.unit == LENGTHS and isinstance(config, NormalConfig):
+                    widths = tolerance
+                spread = _per_leg(widths, len(block.nominal), symbol)
+                normal = isinstance(config, NormalConfig)
+                for name, value, width in zip(block.names, block.nominal, spread, strict=True):
+                    priors[name] = NormalPrior(value, width) if normal else UniformPrior(value - width, value + width)
+        error = ModelError(None)
+        if with_model_error:
+            scale = self.config.model_error.scale_um * MICROMETRE
+            error = ModelError(scale, shared=not self.config.model_error.per_leg)
+        return Posterior(self.likelihood(variant, verification=False), priors, error, fixed)
+
+    # --- identity ------------------------------------------------------------------------------------------------
+
+    def identity(self) -> dict[str, Any]:
+        """Return what determines the results: config without its title, and the hashes of all input files."""
+        config = dump_config(self.config)
+        for cosmetic in ("title",):
+            config.pop(cosmetic)
+        names = {self.config.mechanism, self.config.data.targets, self.config.data.actuators, self.config.data.reference}
+        names |= {v.published for v in self.config.variants if v.published}
+        if not self.matrix_from_targets:
+            names.add(self.config.deformation.matrix)
+        files = {name: hashlib.sha256((self.folder / name).read_bytes()).hexdigest() for name in sorted(names)}
+        return {"config": config, "files": files}
+
+
+def hash_identity(identity: dict[str, Any]) -> str:
+    """Return the SHA-256 of an identity in canonical JSON."""
+    return hashlib.sha256(json.dumps(identity, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def _per_leg(value: float | list[float], n: int, symbol: str) -> list[float]:
+    values = value if isinstance(value, list) else [value] * n
+    if len(values) != n:
+        raise InputError(f"parameters.{symbol}: found {len(values)} values, expected 1 or {n}, one per leg")
+    return values
+
+
+def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
+    """Read all files of a study, extract the poses and check that every variant can be built.
+
+    Raises
+    ------
+    InputError
+        For anything at fault in the config's files, before any long computation.
+    """
+    mechanism = load_mechanism(folder / config.mechanism)
+    data = config.data
+    survey = read_survey(folder / data.targets, folder / data.actuators, folder / data.reference, mechanism.n_legs)
+    extraction = extract_poses(survey, data.target_noise_um * MICROMETRE, data.pose_method)
+    inputs = StudyInputs(config, folder, mechanism, survey, extraction)
+    for variant in config.variants:
+        check_home_pose(inputs.machine(variant))
+        inputs.posterior(variant, with_model_error=True)
+        if variant.published is not None and not (folder / variant.published).is_file():
+            raise InputError(f"{folder / variant.published}: no such file, expected a published table")
+    known = {block.symbol for variant in config.variants for block in inputs.machine(variant).layout.blocks}
+    for symbol in config.parameters:
+        if symbol not in known:
+            look_up(dict.fromkeys(known), symbol, "parameters", folder)
+    return inputs

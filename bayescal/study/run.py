@@ -1,0 +1,199 @@
+"""Running a study: tasks side by side, finished ones kept, results put in place at the end."""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import joblib
+import pandas as pd
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from threadpoolctl import threadpool_limits
+
+from bayescal.config.schema import StudyConfig
+from bayescal.report.write import write_report
+from bayescal.study.fit import Arrays, Task, list_tasks, run_task
+from bayescal.study.inputs import StudyInputs, hash_identity, load_inputs
+from bayescal.study.store import PROVENANCE_FILE, Store
+from bayescal.study.summary import build_tree, compute_loo, rank_variants, summarise_fit
+from bayescal.study.tables import (
+    tabulate_deformation,
+    tabulate_least_squares,
+    tabulate_parameters,
+    tabulate_predictions,
+    tabulate_ranking,
+    tabulate_ring,
+    tabulate_sensitivity,
+)
+
+PACKAGES = ("bayescal", "numpy", "scipy", "emcee", "arviz", "arviz-stats", "pandas", "matplotlib", "h5netcdf", "xarray")
+
+
+@dataclass(frozen=True, eq=False)
+class StudyResult:
+    """A finished study.
+
+    Attributes
+    ----------
+    out : Path
+        The results directory.
+    summary : dict
+        What ``summary.json`` holds.
+    """
+
+    out: Path
+    summary: dict[str, Any]
+
+    @property
+    def converged(self) -> bool:
+        """Whether every posterior, with and without model error, converged."""
+        variants = self.summary["variants"].values()
+        return all(v["converged"] and v["without_model_error"]["converged"] for v in variants)
+
+
+def run_study(config: StudyConfig, folder: Path, out: Path, workers: int = 1, resume: bool = False) -> StudyResult:
+    """Run a study and put its results in ``out``.
+
+    Parameters
+    ----------
+    config : StudyConfig
+        From `bayescal.config.load_experiment`.
+    folder : Path
+        Where the config's file names start.
+    out : Path
+        Results directory; replaced as a whole when everything is done.
+    workers : int
+        Processes side by side; the numbers do not depend on it.
+    resume : bool
+        Take up an interrupted run of the same config.
+
+    Raises
+    ------
+    InputError
+        For input at fault, results of another config in ``out``, or nothing to resume. Nothing is written then.
+    NumericalError
+        Where a computation fails; the finished tasks are kept for ``resume``.
+    """
+    with threadpool_limits(1):
+        inputs = load_inputs(config, folder)
+        identity = inputs.identity()
+        store = Store(out)
+        store.check_results(identity)
+        store.begin(identity, resume)
+        fits = _run_tasks(inputs, store, list_tasks(config), workers)
+        summary = _write_results(inputs, identity, fits, store.stage())
+        store.publish()
+    return StudyResult(out, summary)
+
+
+def _run_tasks(inputs: StudyInputs, store: Store, tasks: list[Task], workers: int) -> dict[Task, Arrays]:
+    found = {task: store.load_task(task.key) for task in tasks}
+    missing = [task for task in tasks if found[task] is None]
+    for task, arrays in _track(_compute(inputs, missing, workers), len(tasks), len(tasks) - len(missing)):
+        store.save_task(task.key, arrays)
+        found[task] = arrays
+    return {task: arrays for task, arrays in found.items() if arrays is not None}
+
+
+def _compute(inputs: StudyInputs, tasks: list[Task], workers: int) -> Iterator[tuple[Task, Arrays]]:
+    if workers == 1 or len(tasks) < 2:
+        for task in tasks:
+            yield task, run_task(inputs, task)
+        return
+    parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", inner_max_num_threads=1)
+    yield from parallel(joblib.delayed(_run_capped)(inputs, task) for task in tasks)
+
+
+def _run_capped(inputs: StudyInputs, task: Task) -> tuple[Task, Arrays]:
+    with threadpool_limits(1):
+        return task, run_task(inputs, task)
+
+
+def _track(items: Iterator[tuple[Task, Arrays]], total: int, done: int) -> Iterator[tuple[Task, Arrays]]:
+    """Show progress with the time left on a terminal; stay silent in a pipe."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console, disable=not console.is_terminal) as bar:
+        line = bar.add_task("sampling", total=total, completed=done)
+        for item in items:
+            bar.update(line, advance=1, description=item[0].variant)
+            yield item
+
+
+def _write_results(inputs: StudyInputs, identity: dict[str, Any], fits: dict[Task, Arrays], folder: Path) -> dict[str, Any]:
+    posteriors = {task: arrays for task, arrays in fits.items() if task.tolerance is None}
+    summary = _summarise(inputs, identity, posteriors, folder)
+    (folder / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
+    tables = {
+        "ranking": tabulate_ranking(summary),
+        "parameters": tabulate_parameters(summary),
+        "predictions": tabulate_predictions(inputs, posteriors),
+        "sensitivity": tabulate_sensitivity({t: a for t, a in fits.items() if t.tolerance is not None}),
+        "least_squares": tabulate_least_squares(inputs),
+        "ring": tabulate_ring(inputs),
+        "deformation": tabulate_deformation(inputs),
+    }
+    write_tables(tables, folder / "tables")
+    (folder / PROVENANCE_FILE).write_text(json.dumps(_describe_provenance(inputs, identity), indent=1) + "\n")
+    write_report(folder)
+    return summary
+
+
+def _summarise(
+    inputs: StudyInputs, identity: dict[str, Any], posteriors: dict[Task, Arrays], folder: Path
+) -> dict[str, Any]:
+    variants: dict[str, dict[str, Any]] = {}
+    (folder / "posterior").mkdir()
+    for task, arrays in posteriors.items():
+        tree = build_tree(inputs, task.variant, task.with_model_error, arrays)
+        fit = summarise_fit(inputs, task.variant, task.with_model_error, arrays, compute_loo(tree))
+        if task.with_model_error:
+            variants[task.variant] = fit
+            tree.to_netcdf(folder / "posterior" / f"{task.variant.replace('/', '-')}.nc", engine="h5netcdf")
+        else:
+            variants[task.variant]["without_model_error"] = fit
+    return {
+        "experiment": inputs.config.name,
+        "title": inputs.config.title,
+        "data_origin": inputs.config.data.origin,
+        "seed": inputs.config.seed,
+        "config_sha256": hash_identity(identity),
+        "n_poses": {
+            "calibration": int((~inputs.survey.verification).sum()),
+            "verification": int(inputs.survey.verification.sum()),
+        },
+        "pose_extraction": {
+            "method": inputs.config.data.pose_method,
+            "chi2_per_dof": inputs.extraction.chi2_per_dof,
+            "rejected_targets": ["/".join(target) for target in inputs.extraction.rejected],
+        },
+        "variants": variants,
+        "ranking": rank_variants(variants),
+    }
+
+
+def write_tables(tables: dict[str, pd.DataFrame], folder: Path) -> None:
+    """Write tables as CSV, nine significant digits."""
+    folder.mkdir()
+    for name, table in tables.items():
+        if not table.empty:
+            table.to_csv(folder / f"{name}.csv", index=False, float_format="%.9g", lineterminator="\n")
+
+
+def _describe_provenance(inputs: StudyInputs, identity: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "config_sha256": hash_identity(identity),
+        **identity,
+        "title": inputs.config.title,
+        "seed": inputs.config.seed,
+        "python": platform.python_version(),
+        "platform": sys.platform,
+        "versions": {name: version(name) for name in PACKAGES},
+    }

@@ -1,0 +1,190 @@
+"""The tables of a study's results as pandas frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from bayescal.least_squares import identify
+from bayescal.study.fit import Arrays, Task
+from bayescal.study.inputs import StudyInputs
+from bayescal.tables import read_table
+
+COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+
+
+def tabulate_ranking(summary: dict[str, Any]) -> pd.DataFrame:
+    """Return one row per variant, the best first."""
+    best = summary["variants"][summary["ranking"][0]]["log_evidence"]
+    rows = []
+    for rank, name in enumerate(summary["ranking"], start=1):
+        variant = summary["variants"][name]
+        held = variant["verification"] or {}
+        rows.append(
+            {
+                "rank": rank,
+                "variant": name,
+                "n_parameters": variant["n_parameters"],
+                "log_evidence": variant["log_evidence"],
+                "log_evidence_se": variant["log_evidence_se"],
+                "log_evidence_difference": variant["log_evidence"] - best,
+                "log_evidence_without_model_error": variant["without_model_error"]["log_evidence"],
+                "elpd_loo": variant["elpd_loo"],
+                "elpd_loo_se": variant["elpd_loo_se"],
+                "elpd_verification": held.get("elpd", np.nan),
+                **_error_columns("calibration", variant["calibration"]),
+                **(_error_columns("verification", held) if held else {}),
+                "distance_from_nominal_mm": variant["distance_from_nominal"]["rms_mm"],
+                "distance_from_nominal_prior_sd": variant["distance_from_nominal"]["rms_prior_sd"],
+                "converged": variant["converged"],
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _error_columns(use: str, errors: dict[str, Any]) -> dict[str, float]:
+    return {
+        f"{use}_position_error_mean_mm": errors["position_error_mm"]["mean"],
+        f"{use}_position_error_max_mm": errors["position_error_mm"]["max"],
+        f"{use}_orientation_error_mean_deg": errors["orientation_error_deg"]["mean"],
+        f"{use}_orientation_error_max_deg": errors["orientation_error_deg"]["max"],
+    }
+
+
+def tabulate_parameters(summary: dict[str, Any]) -> pd.DataFrame:
+    """Return one row per variant, setting of the model error and parameter."""
+    rows = []
+    for name, variant in summary["variants"].items():
+        for setting, fit in (("free", variant), ("zero", variant["without_model_error"])):
+            for parameter, values in fit["parameters"].items():
+                rows.append({"variant": name, "model_error": setting, "parameter": parameter, **values})
+    return pd.DataFrame(rows)
+
+
+def tabulate_predictions(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.DataFrame:
+    """Return one row per variant, setting and pose: errors, predictive intervals and bounds (mm, degrees)."""
+    scale = np.array([1.0, 1.0, 1.0, *[np.degrees(1.0)] * 3])
+    units = ("mm", "mm", "mm", "deg", "deg", "deg")
+    frames = []
+    for task, arrays in fits.items():
+        error, low, high = (arrays[name] * scale for name in ("error", "low", "high"))
+        frame = pd.DataFrame(
+            {
+                "variant": task.variant,
+                "model_error": "free" if task.with_model_error else "zero",
+                "pose": inputs.survey.poses,
+                "use": np.where(inputs.survey.verification, "verification", "calibration"),
+                "position_error_mm": np.linalg.norm(error[:, :3], axis=1),
+                "position_bound_95_mm": arrays["position_bound"],
+                "orientation_error_deg": np.linalg.norm(error[:, 3:], axis=1),
+                "orientation_bound_95_deg": np.degrees(arrays["orientation_bound"]),
+            }
+        )
+        for k, (component, unit) in enumerate(zip(COMPONENTS, units, strict=True)):
+            frame[f"{component}_error_{unit}"] = error[:, k]
+            frame[f"{component}_low_{unit}"] = low[:, k]
+            frame[f"{component}_high_{unit}"] = high[:, k]
+        frames.append(frame)
+    return pd.concat(frames, ignore_index=True)
+
+
+def tabulate_sensitivity(fits: dict[Task, Arrays]) -> pd.DataFrame:
+    """Return the log-evidence of every variant for every tolerance of the lengths."""
+    rows = [
+        {
+            "variant": task.variant,
+            "tolerance_mm": task.tolerance,
+            "log_evidence": arrays["importance"][0],
+            "log_evidence_se": arrays["importance"][1],
+            "efficiency": arrays["importance_quality"][0],
+            "pareto_k": arrays["importance_quality"][1],
+        }
+        for task, arrays in fits.items()
+    ]
+    return pd.DataFrame(rows).sort_values(["tolerance_mm", "log_evidence"], ascending=[True, False], ignore_index=True)
+
+
+def tabulate_least_squares(inputs: StudyInputs) -> pd.DataFrame:
+    """Return the least-squares identification of every variant (RR-8096 section 7), beside the published values."""
+    rows = []
+    for variant in inputs.config.variants:
+        machine = inputs.machine(variant)
+        fit = identify(machine, inputs.poses(verification=False), tuple(variant.free))
+        published = _read_published(inputs, variant.published)
+        for symbol in variant.free:
+            index = machine.layout.index[symbol]
+            for leg, k in enumerate(index, start=1):
+                offset = fit.theta[k] - machine.layout.nominal[k]
+                known = published.get((symbol, leg), np.nan)
+                rows.append(
+                    {
+                        "variant": variant.name,
+                        "parameter": symbol,
+                        "leg": leg,
+                        "unit": machine.layout.units[k],
+                        "nominal": machine.layout.nominal[k],
+                        "offset": offset,
+                        "published_offset": known,
+                        "difference": offset - known,
+                        "leg_residual_rms_um": 1e3 * fit.residual_rms[leg - 1],
+                        "converged": fit.converged,
+                    }
+                )
+    return pd.DataFrame(rows)
+
+
+def _read_published(inputs: StudyInputs, name: str | None) -> dict[tuple[str, int], float]:
+    if name is None:
+        return {}
+    legs = [f"leg{k}" for k in range(1, inputs.mechanism.n_legs + 1)]
+    table = read_table(inputs.folder / name, ("parameter", "unit", *legs))
+    factor = {"mm": 1.0, "1": 1.0, "1e-3": 1e-3}
+    values = table.numbers(legs)
+    return {
+        (symbol, leg): float(values[row, leg - 1] * factor[unit])
+        for row, (symbol, unit) in enumerate(zip(table.text("parameter"), table.text("unit"), strict=True))
+        for leg in range(1, len(legs) + 1)
+    }
+
+
+def tabulate_ring(inputs: StudyInputs) -> pd.DataFrame:
+    """Return the measured deflection of every joint at every pose, µm, with its standard deviation."""
+    if inputs.ring is None:
+        return pd.DataFrame()
+    sd = np.sqrt(np.diagonal(inputs.ring.covariance, axis1=-2, axis2=-1))
+    n_poses, n_legs = inputs.displacement.shape
+    return pd.DataFrame(
+        {
+            "pose": np.repeat(inputs.survey.poses, n_legs),
+            "use": np.repeat(np.where(inputs.survey.verification, "verification", "calibration"), n_legs),
+            "leg": np.tile(np.arange(1, n_legs + 1), n_poses),
+            "actuator_displacement_mm": inputs.displacement.ravel(),
+            "deflection_um": 1e3 * inputs.ring.displacement.ravel(),
+            "deflection_sd_um": 1e3 * sd.ravel(),
+        }
+    )
+
+
+def tabulate_deformation(inputs: StudyInputs) -> pd.DataFrame:
+    """Return κ and K from the targets with posterior standard deviations, in 1e-3."""
+    if inputs.ring_matrix is None or inputs.ring_linear is None:
+        return pd.DataFrame()
+    n = inputs.mechanism.n_legs
+    rows = [
+        {"quantity": "kappa", "leg": i + 1, "actuator": i + 1, "mean_1e-3": 1e3 * k, "sd_1e-3": 1e3 * s}
+        for i, (k, s) in enumerate(zip(inputs.ring_linear.kappa, inputs.ring_linear.sd, strict=True))
+    ]
+    rows += [
+        {
+            "quantity": "K",
+            "leg": i + 1,
+            "actuator": j + 1,
+            "mean_1e-3": 1e3 * inputs.ring_matrix.matrix[i, j],
+            "sd_1e-3": 1e3 * inputs.ring_matrix.sd[i, j],
+        }
+        for i in range(n)
+        for j in range(n)
+    ]
+    return pd.DataFrame(rows)

@@ -1,0 +1,168 @@
+"""Effective draws per second of bayescal's sampler and of NumPyro's NUTS on the same posterior, one core each.
+
+    python benchmarks/sampling.py [--dense-mass]
+
+60 free parameters, 40 poses, no model error. bayescal: exploration, burn-in and four ensembles, all of it timed. NUTS:
+standardised parameters, diagonal mass matrix, default settings, four chains one after the other, compilation not timed,
+started at draws of bayescal's proposal (which spares it the search for the mode). Both are measured by the smallest bulk
+effective sample size over the same 60 natural parameters.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+
+os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+
+from jax_density import build_log_likelihood  # first: sets one thread and 64-bit JAX
+from telescope_problem import SEED, Problem, simulate, write_results
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from arviz_stats.base import array_stats
+from numpyro.infer import NUTS
+
+from bayescal.geometry import Array
+from bayescal.inference.ensemble import run_ensemble
+from bayescal.inference.exploration import Exploration, count_walkers, explore
+from bayescal.posterior import Posterior
+
+N_CHAINS = 4
+N_WALKERS, N_BURN_IN, N_STEPS = 128, 40, 120  # the package's defaults
+N_WARM_UP, N_DRAWS, CHUNK = 500, 500, 25
+TIME_LIMIT = 420.0  # s for all chains; draws are cut where it does not suffice
+AGREEMENT = 1e-3
+SEED_EXPLORE, SEED_ENSEMBLES, SEED_NUTS = SEED + 1, SEED + 2, SEED + 3
+
+
+def measure(draws: Array) -> dict[str, float]:
+    """Return the worst bulk effective sample size and R-hat of draws (chains, draws, 60)."""
+    columns = [draws[..., k] for k in range(draws.shape[-1])]
+    return {
+        "min_bulk_ess": float(min(array_stats.ess(column, method="bulk") for column in columns)),
+        "max_rhat": float(max(array_stats.rhat(column) for column in columns)),
+        "n_draws": int(draws.shape[0] * draws.shape[1]),
+    }
+
+
+def run_bayescal(posterior: Posterior) -> tuple[dict[str, float], Exploration, Array]:
+    """Return the figures of bayescal's sampler, its exploration and its draws (ensembles, walkers · steps, 60)."""
+    start = time.perf_counter()
+    found = explore(posterior, np.random.SeedSequence(SEED_EXPLORE), N_WALKERS)
+    explored = time.perf_counter()
+    walkers = count_walkers(posterior.n_parameters, N_WALKERS)
+    seeds = np.random.SeedSequence(SEED_ENSEMBLES).spawn(N_CHAINS)
+    density = found.straight.log_density
+    ensembles = [run_ensemble(density, found.proposal, seed, walkers, N_BURN_IN, N_STEPS) for seed in seeds]
+    flat = [found.straight.y_from_x(e.draws.reshape(-1, posterior.n_parameters)) for e in ensembles]
+    draws = np.stack([posterior.natural(y) for y in flat])
+    seconds = time.perf_counter() - start
+    figures = measure(draws) | {"seconds": seconds, "seconds_exploration": explored - start}
+    figures["acceptance"] = float(np.mean([e.acceptance for e in ensembles]))
+    figures["ess_per_second"] = figures["min_bulk_ess"] / seconds
+    figures["ess_per_second_after_exploration"] = figures["min_bulk_ess"] / (seconds - figures["seconds_exploration"])
+    return figures, found, draws
+
+
+def run_nuts(log_density, starts: Array, dense_mass: bool) -> tuple[dict[str, float], Array]:
+    """Return the figures of NUTS and its draws (chains, draws, 60) in z; one compiled block of steps, chain after chain."""
+    kernel = NUTS(potential_fn=lambda z: -log_density(z), dense_mass=dense_mass)
+    keys = jax.random.split(jax.random.PRNGKey(SEED_NUTS), N_CHAINS)
+
+    def advance(state):
+        def step(state, _):
+            state = kernel.sample(state, (), {})
+            return state, (state.z, state.num_steps, state.diverging)
+
+        return jax.lax.scan(step, state, None, length=CHUNK)
+
+    states = [kernel.init(k, N_WARM_UP, jnp.asarray(z), (), {}) for k, z in zip(keys, starts, strict=True)]
+    compiled = jax.jit(advance).lower(states[0]).compile()
+    chains, leapfrogs, divergences, warm_up, total = [], 0, 0, 0.0, 0.0
+    for state in states:
+        start = time.perf_counter()
+        for _ in range(N_WARM_UP // CHUNK):
+            state, _ = jax.block_until_ready(compiled(state))
+        warm = time.perf_counter()
+        blocks = []
+        for _ in range(N_DRAWS // CHUNK):
+            state, (z, n_steps, diverging) = jax.block_until_ready(compiled(state))
+            blocks.append(np.asarray(z))
+            leapfrogs, divergences = leapfrogs + int(n_steps.sum()), divergences + int(diverging.sum())
+            if time.perf_counter() - start > TIME_LIMIT / N_CHAINS:
+                break
+        chains.append(np.concatenate(blocks))
+        warm_up, total = warm_up + warm - start, total + time.perf_counter() - start
+    length = min(len(chain) for chain in chains)
+    draws = np.stack([chain[:length] for chain in chains])
+    figures = measure(draws) | {"seconds": total, "seconds_warm_up": warm_up, "divergences": divergences}
+    figures["leapfrog_steps_per_draw"] = leapfrogs / sum(len(chain) for chain in chains)
+    figures["ess_per_second"] = figures["min_bulk_ess"] / total
+    figures["ess_per_second_after_warm_up"] = figures["min_bulk_ess"] / (total - warm_up)
+    return figures, draws
+
+
+def choose_density(problem: Problem, posterior: Posterior, z: Array):
+    """Return the faster of the two JAX log-densities, its name and the times of one gradient in µs.
+
+    Both are compared with bayescal's density at z, shape (n, 60), first; AssertionError where they differ by more than a
+    constant.
+    """
+    start, scale, free = posterior.coordinates.start, posterior.coordinates.scale, posterior.coordinates.free
+    theta = np.tile(start, (len(z), 1))
+    theta[:, free] += scale * z
+    expected = posterior.log_density(posterior.coordinates.y_from_theta(theta))
+    densities, times, differences = {}, {}, {}
+    for name, exact in (("solve", True), ("iteration", False)):
+        likelihood = build_log_likelihood(problem, posterior, exact)
+        densities[name] = lambda x, f=likelihood: f(x) - 0.5 * jnp.sum(x**2)
+        offset = expected - np.array([densities[name](jnp.asarray(x)) for x in z])
+        differences[name] = float(np.ptp(offset))
+        assert differences[name] < AGREEMENT, f"log densities ({name}) differ by {differences[name]:.2g}"
+        gradient = jax.jit(jax.value_and_grad(densities[name])).lower(jnp.asarray(z[0])).compile()
+        seconds = []
+        for k in range(500):
+            begin = time.perf_counter()
+            jax.block_until_ready(gradient(jnp.asarray(z[k % len(z)])))
+            seconds.append(time.perf_counter() - begin)
+        times[name] = 1e6 * float(np.median(seconds))
+    best = min(times, key=times.__getitem__)
+    return densities[best], {"used": best, "gradient_us": times, "largest_difference": differences}
+
+
+def main() -> None:
+    """Run both, print a table and write the results."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--dense-mass", action="store_true", help="NUTS adapts a full mass matrix")
+    arguments = parser.parse_args()
+    problem = simulate()
+    posterior = problem.posterior()
+    ours, found, draws = run_bayescal(posterior)
+    centre, scale = posterior.coordinates.start[posterior.coordinates.free], posterior.coordinates.scale
+    z = (draws - centre) / scale
+    starts = np.stack([chain[len(chain) // 2] for chain in z])
+    density, comparison = choose_density(problem, posterior, z[:, :: z.shape[1] // 10].reshape(-1, z.shape[-1]))
+    theirs, z_nuts = run_nuts(density, starts, arguments.dense_mass)
+    spread = z.reshape(-1, z.shape[-1]).std(axis=0)
+    shift = np.abs(z_nuts.reshape(-1, z.shape[-1]).mean(axis=0) - z.reshape(-1, z.shape[-1]).mean(axis=0)) / spread
+    figures = {
+        "bayescal": ours | {"importance_efficiency": found.efficiency},
+        "nuts": theirs | {"mass_matrix": "dense" if arguments.dense_mass else "diagonal", "starts": "posterior draws"},
+        "densities": comparison,
+        "largest_shift_of_means_in_posterior_sd": float(shift.max()),
+        "ratio_everything_counted": ours["ess_per_second"] / theirs["ess_per_second"],
+        "ratio_nuts_warm_up_free": ours["ess_per_second"] / theirs["ess_per_second_after_warm_up"],
+    }
+    print(f"{'':10}{'min ESS':>9}{'max R-hat':>11}{'seconds':>9}{'ESS / s':>9}")
+    for name, row in (("bayescal", ours), ("NUTS", theirs)):
+        print(f"{name:10}{row['min_bulk_ess']:9.0f}{row['max_rhat']:11.4f}{row['seconds']:9.1f}{row['ess_per_second']:9.2f}")
+    print(f"ratio {figures['ratio_everything_counted']:.0f}, {figures['ratio_nuts_warm_up_free']:.0f} with NUTS' warm-up free")
+    name = "sampling_dense_mass" if arguments.dense_mass else "sampling"
+    print(write_results(name, figures, ("numpy", "emcee", "arviz-stats", "jax", "numpyro")).name)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,152 @@
+"""Draws against known moments, in error bars from their own effective sizes, with a broken sampler as control."""
+
+from __future__ import annotations
+
+import emcee
+import numpy as np
+import pytest
+from arviz_stats.base import array_stats
+from bayescal.errors import NumericalError
+from bayescal.inference.ensemble import run_ensemble
+from bayescal.inference.proposal import MixtureProposal
+
+N_ENSEMBLES, N_WALKERS, N_BURN_IN, N_STEPS = 4, 40, 100, 500
+LIMIT = 4.0
+PRECISION = np.linalg.inv(np.array([[1.0, 0.9, 0.0], [0.9, 1.0, -0.3], [0.0, -0.3, 4.0]]))
+BEND = 0.5
+
+
+def gaussian(y):
+    """Return a correlated normal log-density, centred on (1, 2, 3)."""
+    shifted = y - np.array([1.0, 2.0, 3.0])
+    return -0.5 * np.einsum("bi,ij,bj->b", shifted, PRECISION, shifted)
+
+
+def banana(y):
+    """Return a normal density sheared by BEND (y_0² - 1) in its second coordinate."""
+    straight = y[:, 1] - BEND * (y[:, 0] ** 2 - 1.0)
+    return -0.5 * (y[:, 0] ** 2 + straight**2 + y[:, 2] ** 2)
+
+
+def moments_of_gaussian():
+    covariance = np.linalg.inv(PRECISION)
+    return np.array([1.0, 2.0, 3.0]), covariance
+
+
+def moments_of_banana():
+    return np.zeros(3), np.diag([1.0, 1.0 + 2 * BEND**2, 1.0])
+
+
+TARGETS = {"gaussian": (gaussian, *moments_of_gaussian()), "banana": (banana, *moments_of_banana())}
+
+
+@pytest.fixture
+def proposal():
+    """Return a proposal that is wide and off centre: the sampler has to do the work."""
+    return MixtureProposal(np.ones(1), np.array([[0.5, 1.0, 1.5]]), 2.0 * np.eye(3)[None], 6.0)
+
+
+def z_scores(chains, mean, covariance):
+    """Return the errors of means and second moments in their own standard errors; chains (ensembles, draws, n)."""
+    shifted = chains - mean
+    products = [shifted[..., i] * shifted[..., j] - covariance[i, j] for i in range(3) for j in range(i + 1)]
+    scores = []
+    for values in [*np.moveaxis(shifted, -1, 0), *products]:
+        effective = array_stats.ess(values, method="mean")
+        assert effective > 200
+        scores.append(values.mean() / (values.std() / np.sqrt(effective)))
+    return np.array(scores)
+
+
+def draw(log_density, proposal, seed):
+    """Return the chains of several ensembles, (ensembles, draws, n)."""
+    seeds = np.random.SeedSequence(seed).spawn(N_ENSEMBLES)
+    runs = [run_ensemble(log_density, proposal, s, N_WALKERS, N_BURN_IN, N_STEPS) for s in seeds]
+    return np.stack([run.draws.reshape(-1, 3) for run in runs])
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_moments(name, proposal):
+    log_density, mean, covariance = TARGETS[name]
+    assert np.abs(z_scores(draw(log_density, proposal, seed=11), mean, covariance)).max() < LIMIT
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_a_jump_without_its_hastings_factor_is_found_out(name, proposal):
+    """Negative control: the same proposal, its density left out, samples another distribution, and the scores show it."""
+    log_density, mean, covariance = TARGETS[name]
+    chains = []
+    for seed in range(N_ENSEMBLES):
+        stream = np.random.default_rng(seed)
+
+        def jump(coordinates, random, stream=stream):
+            del random
+            return proposal.draw(len(coordinates), stream), np.zeros(len(coordinates))
+
+        moves = [(emcee.moves.MHMove(jump), 0.7), (emcee.moves.DEMove(), 0.3)]
+        sampler = emcee.EnsembleSampler(N_WALKERS, 3, log_density, moves=moves, vectorize=True)
+        sampler.random_state = np.random.RandomState(seed).get_state()
+        sampler.run_mcmc(proposal.draw(N_WALKERS, stream), N_BURN_IN + N_STEPS)
+        chains.append(np.swapaxes(sampler.get_chain(discard=N_BURN_IN), 0, 1).reshape(-1, 3))
+    assert np.abs(z_scores(np.stack(chains), mean, covariance)).max() > 2 * LIMIT
+
+
+def test_a_wrong_moment_is_found_out(proposal):
+    """Negative control: the scores see a variance that is ten per cent off."""
+    chains = draw(gaussian, proposal, seed=11)
+    mean, covariance = moments_of_gaussian()
+    assert np.abs(z_scores(chains, mean, covariance * (1 + 0.1 * np.eye(3)))).max() > LIMIT
+
+
+def test_same_seed_gives_the_same_bits(proposal):
+    first, second = (run_ensemble(gaussian, proposal, np.random.SeedSequence(5), 20, 10, 15) for _ in range(2))
+    np.testing.assert_array_equal(first.draws, second.draws)
+    np.testing.assert_array_equal(first.log_density, second.log_density)
+    assert first.acceptance == second.acceptance
+
+
+def test_other_runs_in_between_change_nothing(proposal):
+    first = run_ensemble(gaussian, proposal, np.random.SeedSequence(5), 20, 10, 15)
+    np.random.seed(1)  # noqa: NPY002, the legacy global state is what must not matter
+    run_ensemble(gaussian, proposal, np.random.SeedSequence(6), 20, 3, 4)
+    second = run_ensemble(gaussian, proposal, np.random.SeedSequence(5), 20, 10, 15)
+    np.testing.assert_array_equal(first.draws, second.draws)
+
+
+def test_other_seeds_give_other_draws(proposal):
+    first, second = (run_ensemble(gaussian, proposal, s, 20, 10, 15) for s in np.random.SeedSequence(5).spawn(2))
+    assert not np.any(first.draws[:, 0] == second.draws[:, 0])
+
+
+def test_draws_are_ordered_by_walker_and_then_time(proposal):
+    run = run_ensemble(gaussian, proposal, np.random.SeedSequence(5), 20, 10, 300)
+    assert run.draws.shape == (20, 300, 3)
+    np.testing.assert_allclose(gaussian(run.draws.reshape(-1, 3)).reshape(20, 300), run.log_density, rtol=1e-12)
+    stays = np.mean(np.all(run.draws[:, 1:] == run.draws[:, :-1], axis=-1))  # a refused move leaves a walker in place
+    assert stays == pytest.approx(1 - run.acceptance, abs=0.02)
+    assert not np.any(np.all(run.draws[1:] == run.draws[:-1], axis=-1))
+    series = run.draws[..., 0] - 1.0
+    in_time, across = np.mean(series[:, 1:] * series[:, :-1]), np.mean(series[1:] * series[:-1])
+    assert in_time > 0.4
+    assert abs(across) < 0.2
+
+
+def test_walkers_are_in_their_stationary_state_after_burn_in(proposal):
+    """The first kept step of many walkers has the target's moments: burn-in is thrown away."""
+    run = run_ensemble(gaussian, proposal, np.random.SeedSequence(5), 2000, 60, 1)
+    mean, covariance = moments_of_gaussian()
+    z = (run.draws[:, 0].mean(axis=0) - mean) / np.sqrt(np.diag(covariance) / 2000)
+    assert np.abs(z).max() < LIMIT
+    start = run_ensemble(gaussian, proposal, np.random.SeedSequence(5), 2000, 0, 1)
+    wrong = (start.draws[:, 0].mean(axis=0) - mean) / np.sqrt(np.diag(covariance) / 2000)
+    assert np.abs(wrong).max() > LIMIT
+
+
+def test_walkers_start_where_the_density_is_finite(proposal):
+    def half(y):
+        return np.where(y[:, 0] > 1.0, gaussian(y), -np.inf)
+
+    run = run_ensemble(half, proposal, np.random.SeedSequence(5), 20, 0, 20)
+    assert run.draws[..., 0].min() > 1.0
+    with pytest.raises(NumericalError, match="only 0 of 20 walkers"):
+        run_ensemble(lambda y: np.full(len(y), -np.inf), proposal, np.random.SeedSequence(5), 20, 0, 20)
