@@ -35,7 +35,7 @@ def rotation_vector_from_matrix(rotation: Array) -> Array:
 
 
 def compute_pose_error(position: Array, rotation: Array, position_ref: Array, rotation_ref: Array) -> Array:
-    """Return the error of a pose against a reference pose, shape (..., 6): mm, then radians (axis times angle)."""
+    """Return the error of a pose against a reference pose, shape (..., 6): mm, then rotation vector in radians."""
     delta = rotation @ np.swapaxes(rotation_ref, -1, -2)
     return np.concatenate([position - position_ref, rotation_vector_from_matrix(delta)], axis=-1)
 
@@ -53,8 +53,8 @@ def compute_relative_pose(
     Returns
     -------
     position, rotation, covariance
-        Pose of the platform frame in the base frame; to first order in the two independent errors, whose leverage is the
-        distance from the base to the platform origin.
+        Pose of the platform frame in the base frame; to first order in the two independent errors, whose leverage is
+        the distance from the base to the platform origin.
     """
     (position_b, rotation_b, covariance_b), (position_p, rotation_p, covariance_p) = base, platform
     to_base = np.swapaxes(rotation_b, -1, -2)

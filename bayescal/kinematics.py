@@ -28,12 +28,10 @@ class Machine:
     @property
     def layout(self) -> ParameterLayout:
         """Layout of the model's and the deformation's parameters."""
-        return ParameterLayout(
-            self.model.blocks(self.mechanism) + self.deformation.blocks(self.mechanism.n_legs)
-        )
+        return ParameterLayout(self.model.blocks(self.mechanism) + self.deformation.blocks(self.mechanism.n_legs))
 
     def basis(self, actuators: Array) -> DeformationBasis:
-        """Return displacements from the nominal initial positions with their deflections, for positions (..., N) in mm."""
+        """Return displacements from the nominal initial positions with their deflections, positions (..., N) in mm."""
         return self.deformation.basis(actuators - self.mechanism.initial_actuator_positions)
 
     def linearise(self, theta: Array, position: Array, rotation: Array, actuators: Array) -> Linearisation:
@@ -140,7 +138,9 @@ def check_home_pose(machine: Machine) -> ForwardKinematics:
     try:
         home = solve_forward_kinematics(machine, theta, actuators)
     except NumericalError as error:
-        raise InputError(f"mechanism {mechanism.name!r}: no home pose found, expected legs that close ({error})") from error
+        raise InputError(
+            f"mechanism {mechanism.name!r}: no home pose found, expected legs that close ({error})"
+        ) from error
     jacobian = machine.linearise(theta, home.position, home.rotation, actuators).pose
     size = float(np.linalg.norm(mechanism.platform_points, axis=1).max())
     condition = float(np.linalg.cond(jacobian / np.array([1, 1, 1, size, size, size])))

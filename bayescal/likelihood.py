@@ -4,14 +4,15 @@ The measured pose differs from the pose the machine predicts for its actuator po
 
     C_n = Σ_n + J_n diag(σ_ρ² + τ_i² + v_ni) J_nᵀ,
 
-Σ_n the covariance of the measured pose, J_n the pose per actuator position, σ_ρ the actuator noise, τ_i the model error of
-leg i and v_ni what is known to be uncertain in the deformation. J_n is taken once, at the nominal machine, so that C_n does
-not depend on the geometry and the density is normalised as it stands.
+Σ_n the covariance of the measured pose, J_n the pose per actuator position, σ_ρ the actuator noise, τ_i the model
+error of leg i and v_ni what is known to be uncertain in the deformation. J_n is taken once, at the nominal machine, so
+that C_n does not depend on the geometry and the density is normalised as it stands.
 
 e_n is the forward-kinematic error, found without forward kinematics: the closure residual f at the measured pose
-vanishes at the predicted one, A(θ) e = f, and A changes so little that with G the inverse of the nominal A the iteration
-e ← G (f - (A(θ) - A⁰) e) gains two digits a step. Carried along is r = A⁰ e, the same error seen by the legs, in which
-the model error is diagonal; with more than six legs r has N entries and holds the closure of the redundant legs too.
+vanishes at the predicted one, A(θ) e = f, and A changes so little that with G the inverse of the nominal A the
+iteration e ← G (f - (A(θ) - A⁰) e) gains two digits a step. Carried along is r = A⁰ e, the same error seen by the
+legs, in which the model error is diagonal; with more than six legs r has N entries and holds the closure of the
+redundant legs too.
 """
 
 from __future__ import annotations
@@ -116,12 +117,14 @@ class PoseLikelihood:
         for _ in range(REFINEMENTS):
             error = np.matmul(self._gain, seen.transpose(1, 0, 2)).transpose(1, 0, 2)
             change = self._bound.along(error)  # (A⁰ - A(θ)) e is what a step adds to the closure
-            change -= seen if self._projection is None else self._project(seen)
+            change -= self._project(seen)
             seen = closure - change
         return seen
 
     def _project(self, seen: Array) -> Array:
         """Return A⁰ G r: the part of r that a pose error explains, all of it with six legs."""
+        if self._projection is None:
+            return seen
         return np.matmul(self._projection, seen.transpose(1, 0, 2)).transpose(1, 0, 2)
 
     def leg_errors(self, theta: Array) -> Array:

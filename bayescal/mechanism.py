@@ -48,7 +48,9 @@ class Mechanism:
             raise InputError(f"mechanism {self.name!r}: found {self.n_legs} legs, expected at least {MIN_LEGS}")
         if np.any(self.directions[:, 2] <= 0):
             leg = int(np.argmin(self.directions[:, 2])) + 1
-            raise InputError(f"mechanism {self.name!r}: direction of leg {leg} has z <= 0, expected an upward direction")
+            raise InputError(
+                f"mechanism {self.name!r}: direction of leg {leg} has z <= 0, expected it to point upwards"
+            )
 
     @property
     def n_legs(self) -> int:

@@ -31,7 +31,7 @@ class ModelError:
     shared: bool = False
 
     def n_parameters(self, n_legs: int) -> int:
-        """Number of free model errors."""
+        """Return the number of free model errors."""
         if self.scale is None:
             return 0
         return 1 if self.shared else n_legs
@@ -78,7 +78,8 @@ class Posterior:
         """Check that every name exists."""
         unknown = [name for name in (*self.priors, *self.fixed) if name not in self._layout.names]
         if unknown:
-            raise InputError(f"parameter {unknown[0]!r}: unknown here, expected one of {', '.join(self._layout.symbols)}")
+            known = ", ".join(self._layout.symbols)
+            raise InputError(f"parameter {unknown[0]!r}: unknown here, expected one of {known}")
 
     @property
     def _layout(self) -> ParameterLayout:
@@ -225,9 +226,7 @@ class Posterior:
             self._add_model_error(y, weighted, precision, gradient, hessian)
         return gradient, hessian
 
-    def _add_model_error(
-        self, y: Array, weighted: Array, precision: Array, gradient: Array, hessian: Array
-    ) -> None:
+    def _add_model_error(self, y: Array, weighted: Array, precision: Array, gradient: Array, hessian: Array) -> None:
         """Add the model errors' part; their expected curvature stands in for the exact one."""
         n, weight = self.n_geometry, self.likelihood.actuator_weight
         zeta = y[n:]

@@ -119,10 +119,10 @@ class HalfNormalPrior(Prior):
 
     @property
     def mean(self) -> float:
-        """scale · sqrt(2 / pi)."""
+        """The scale times sqrt(2 / π)."""
         return self.scale * float(np.sqrt(2 / np.pi))
 
     @property
     def sd(self) -> float:
-        """scale · sqrt(1 - 2 / pi)."""
+        """The scale times sqrt(1 - 2 / π)."""
         return float(stats.halfnorm.std(scale=self.scale))

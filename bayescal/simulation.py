@@ -1,8 +1,8 @@
 """Simulated photogrammetry: a twin of a machine whose true parameters are known.
 
 The twin of the telescope is reconstructed from RR-8096's tables: nobody measured it. Its true kinematics is that of a
-model with offsets from nominal and a deformation matrix K; the targets on the leg pads follow K alone. An offset of κ acts
-in the kinematics only: by eqs. (39) and (40) it is an error of the actuator's gain, which poses cannot tell from a
+model with offsets from nominal and a deformation matrix K; the targets on the leg pads follow K alone. An offset of κ
+acts in the kinematics only: by eqs. (39) and (40) it is an error of the actuator's gain, which poses cannot tell from a
 deformation and which leaves the ring as it is. So targets give back K, and a calibration K plus the offset.
 """
 
@@ -145,7 +145,9 @@ def make_targets(config: SimulationConfig, mechanism: Mechanism) -> tuple[BodyTa
         circle = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=1)
         pads.append(joint + config.targets.pad_radius_mm * circle)
     reference = np.round(np.concatenate([rigid, *pads]), DECIMALS)
-    leg = np.concatenate([np.zeros(len(rigid), int), np.repeat(np.arange(1, mechanism.n_legs + 1), config.targets.per_pad)])
+    leg = np.concatenate(
+        [np.zeros(len(rigid), int), np.repeat(np.arange(1, mechanism.n_legs + 1), config.targets.per_pad)]
+    )
     names = [f"P{k:02d}" for k in range(1, len(rigid) + 1)]
     names += [f"L{i}{k}" for i in range(1, mechanism.n_legs + 1) for k in range(1, config.targets.per_pad + 1)]
     return (
@@ -190,7 +192,10 @@ def format_survey(survey: Survey, origin: str) -> dict[str, str]:
             rows,
         ),
         "actuators.csv": format_table(
-            [origin, "Actuator positions rho in mm; displacements are counted from the initial positions of the mechanism."],
+            [
+                origin,
+                "Actuator positions rho in mm; displacements are counted from the initial positions of the mechanism.",
+            ],
             columns,
             actuators,
         ),

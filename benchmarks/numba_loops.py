@@ -2,8 +2,8 @@
 
 Two ways to write it. The plain loop goes machine by machine and pose by pose with scalar locals. The blocked loop runs
 every statement over a block of machines that lie side by side in memory, which the compiler turns into vector
-instructions. Neither allocates inside. Parameters come as θ itself, shape (B, 66), viewed as (B, 11, 6): a, b, u_x, u_y,
-l, ρ^0, κ of the six legs.
+instructions. Neither allocates inside. Parameters come as θ itself, shape (B, 66): a, b, u_x, u_y, l, ρ^0, κ, each
+for six legs.
 """
 
 from __future__ import annotations
@@ -34,36 +34,46 @@ class LoopData:
     log_constant: Array  # (P,)
 
 
-def _close(th, i, v, rotation, position, move, constant, slope, closure):
-    """Write f and its pose derivative of leg i, machine v, at one pose; th (11, 6, lanes), slope (6, 6, lanes)."""
-    bx, by, bz = th[3, i, v], th[4, i, v], th[5, i, v] + constant + th[10, i, v] * move
-    ux, uy = th[6, i, v], th[7, i, v]
-    uz, travel = np.sqrt(1.0 - ux * ux - uy * uy), th[9, i, v] + move
+def _gather(theta, row):
+    """Copy one machine's parameters θ (66,) to row (6, 11): by leg b, κ, l, joint c = a + ρ^0 u, u."""
+    for i in range(6):
+        ux, uy, rho0 = theta[36 + i], theta[42 + i], theta[54 + i]
+        uz = np.sqrt(1.0 - ux * ux - uy * uy)
+        row[i, 0], row[i, 1], row[i, 2] = theta[18 + i], theta[24 + i], theta[30 + i]
+        row[i, 3], row[i, 4] = theta[60 + i], theta[48 + i]
+        row[i, 5], row[i, 6], row[i, 7] = theta[i] + rho0 * ux, theta[6 + i] + rho0 * uy, theta[12 + i] + rho0 * uz
+        row[i, 8], row[i, 9], row[i, 10] = ux, uy, uz
+
+
+def _close(rotation, position, move, constant, bx, by, bz, kappa, length, cx, cy, cz, ux, uy, uz):
+    """Return f of one leg in one pose and its six pose derivatives."""
+    bz += constant + kappa * move
     mx = rotation[0, 0] * bx + rotation[0, 1] * by + rotation[0, 2] * bz
     my = rotation[1, 0] * bx + rotation[1, 1] * by + rotation[1, 2] * bz
     mz = rotation[2, 0] * bx + rotation[2, 1] * by + rotation[2, 2] * bz
-    gx = position[0] + mx - th[0, i, v] - travel * ux
-    gy = position[1] + my - th[1, i, v] - travel * uy
-    gz = position[2] + mz - th[2, i, v] - travel * uz
-    length = np.sqrt(gx * gx + gy * gy + gz * gz)
-    inverse = -1.0 / length
-    slope[i, 0, v], slope[i, 1, v], slope[i, 2, v] = gx * inverse, gy * inverse, gz * inverse
-    slope[i, 3, v] = (my * gz - mz * gy) * inverse
-    slope[i, 4, v] = (mz * gx - mx * gz) * inverse
-    slope[i, 5, v] = (mx * gy - my * gx) * inverse
-    closure[i, v] = th[8, i, v] - length
+    gx = position[0] + mx - cx - move * ux
+    gy = position[1] + my - cy - move * uy
+    gz = position[2] + mz - cz - move * uz
+    found = np.sqrt(gx * gx + gy * gy + gz * gz)
+    inverse = -1.0 / found
+    moment = (my * gz - mz * gy) * inverse, (mz * gx - mx * gz) * inverse, (mx * gy - my * gx) * inverse
+    return length - found, gx * inverse, gy * inverse, gz * inverse, moment[0], moment[1], moment[2]
 
 
 def _plain(fastmath: bool) -> tuple[Callable, Callable]:
     """Return the plain loops: one covariance for all machines, one per machine."""
     compiled = numba.njit(fastmath=fastmath, error_model="numpy")
-    close = compiled(_close)
+    gather, close = compiled(_gather), compiled(_close)
 
     @compiled
     def leg_errors(th, p, position, rotation, displacement, constant, gain, slope, closure, seen):
         for i in range(6):
-            close(th, i, 0, rotation[p], position[p], displacement[p, i], constant[p, i], slope, closure)
-            seen[i] = closure[i, 0]
+            f, s0, s1, s2, s3, s4, s5 = close(
+                rotation[p], position[p], displacement[p, i], constant[p, i], th[i, 0], th[i, 1], th[i, 2], th[i, 3],
+                th[i, 4], th[i, 5], th[i, 6], th[i, 7], th[i, 8], th[i, 9], th[i, 10],
+            )  # fmt: skip
+            closure[i], seen[i] = f, f
+            slope[i, 0], slope[i, 1], slope[i, 2], slope[i, 3], slope[i, 4], slope[i, 5] = s0, s1, s2, s3, s4, s5
         for _ in range(REFINEMENTS):
             s0, s1, s2, s3, s4, s5 = seen[0], seen[1], seen[2], seen[3], seen[4], seen[5]
             g = gain[p]
@@ -74,15 +84,15 @@ def _plain(fastmath: bool) -> tuple[Callable, Callable]:
             e4 = g[4, 0] * s0 + g[4, 1] * s1 + g[4, 2] * s2 + g[4, 3] * s3 + g[4, 4] * s4 + g[4, 5] * s5
             e5 = g[5, 0] * s0 + g[5, 1] * s1 + g[5, 2] * s2 + g[5, 3] * s3 + g[5, 4] * s4 + g[5, 5] * s5
             for i in range(6):
-                along = slope[i, 0, 0] * e0 + slope[i, 1, 0] * e1 + slope[i, 2, 0] * e2
-                along += slope[i, 3, 0] * e3 + slope[i, 4, 0] * e4 + slope[i, 5, 0] * e5
-                seen[i] += closure[i, 0] - along
+                along = slope[i, 0] * e0 + slope[i, 1] * e1 + slope[i, 2] * e2
+                along += slope[i, 3] * e3 + slope[i, 4] * e4 + slope[i, 5] * e5
+                seen[i] += closure[i] - along
 
     @compiled
     def fixed(theta, position, rotation, displacement, constant, gain, whitening, log_constant, result):
-        slope, closure, seen = np.empty((6, 6, 1)), np.empty((6, 1)), np.empty(6)
+        th, slope, closure, seen = np.empty((6, 11)), np.empty((6, 6)), np.empty(6), np.empty(6)
         for b in range(len(theta)):
-            th = theta[b].reshape(11, 6, 1)
+            gather(theta[b], th)
             total = 0.0
             for p in range(len(position)):
                 leg_errors(th, p, position, rotation, displacement, constant, gain, slope, closure, seen)
@@ -97,10 +107,10 @@ def _plain(fastmath: bool) -> tuple[Callable, Callable]:
 
     @compiled
     def varying(theta, tau, position, rotation, displacement, constant, gain, known, weight, log_constant, result):
-        slope, closure, seen = np.empty((6, 6, 1)), np.empty((6, 1)), np.empty(6)
+        th, slope, closure, seen = np.empty((6, 11)), np.empty((6, 6)), np.empty(6), np.empty(6)
         factor = np.empty((7, 6))  # the last row is the whitened error
         for b in range(len(theta)):
-            th = theta[b].reshape(11, 6, 1)
+            gather(theta[b], th)
             total = 0.0
             for p in range(len(position)):
                 leg_errors(th, p, position, rotation, displacement, constant, gain, slope, closure, seen)
@@ -126,21 +136,20 @@ def _plain(fastmath: bool) -> tuple[Callable, Callable]:
 def _blocked(fastmath: bool) -> tuple[Callable, Callable]:
     """Return the blocked loops: one covariance for all machines, one per machine; B a multiple of ``LANES``."""
     compiled = numba.njit(fastmath=fastmath, error_model="numpy")
-    close = compiled(_close)
-
-    @compiled
-    def gather(theta, start, th):
-        for v in range(LANES):
-            for k in range(11):
-                for i in range(6):
-                    th[k, i, v] = theta[start + v, 6 * k + i]
+    gather, close = compiled(_gather), compiled(_close)
 
     @compiled
     def leg_errors(th, p, position, rotation, displacement, constant, gain, slope, closure, e, seen):
         for i in range(6):
             for v in range(LANES):
-                close(th, i, v, rotation[p], position[p], displacement[p, i], constant[p, i], slope, closure)
-                seen[i, v] = closure[i, v]
+                f, s0, s1, s2, s3, s4, s5 = close(
+                    rotation[p], position[p], displacement[p, i], constant[p, i], th[i, 0, v], th[i, 1, v],
+                    th[i, 2, v], th[i, 3, v], th[i, 4, v], th[i, 5, v], th[i, 6, v], th[i, 7, v], th[i, 8, v],
+                    th[i, 9, v], th[i, 10, v],
+                )  # fmt: skip
+                closure[i, v], seen[i, v] = f, f
+                slope[i, 0, v], slope[i, 1, v], slope[i, 2, v] = s0, s1, s2
+                slope[i, 3, v], slope[i, 4, v], slope[i, 5, v] = s3, s4, s5
         for _ in range(REFINEMENTS):
             for k in range(6):
                 g0, g1, g2 = gain[p, k, 0], gain[p, k, 1], gain[p, k, 2]
@@ -156,10 +165,11 @@ def _blocked(fastmath: bool) -> tuple[Callable, Callable]:
 
     @compiled
     def fixed(theta, position, rotation, displacement, constant, gain, whitening, log_constant, result):
-        th, slope, closure = np.empty((11, 6, LANES)), np.empty((6, 6, LANES)), np.empty((6, LANES))
+        th, slope, closure = np.empty((6, 11, LANES)), np.empty((6, 6, LANES)), np.empty((6, LANES))
         e, seen, white = np.empty((6, LANES)), np.empty((6, LANES)), np.empty(LANES)
         for start in range(0, len(theta), LANES):
-            gather(theta, start, th)
+            for v in range(LANES):
+                gather(theta[start + v], th[:, :, v])
             result[start : start + LANES] = 0.0
             for p in range(len(position)):
                 leg_errors(th, p, position, rotation, displacement, constant, gain, slope, closure, e, seen)
@@ -176,11 +186,12 @@ def _blocked(fastmath: bool) -> tuple[Callable, Callable]:
 
     @compiled
     def varying(theta, tau, position, rotation, displacement, constant, gain, known, weight, log_constant, result):
-        th, slope, closure = np.empty((11, 6, LANES)), np.empty((6, 6, LANES)), np.empty((6, LANES))
+        th, slope, closure = np.empty((6, 11, LANES)), np.empty((6, 6, LANES)), np.empty((6, LANES))
         e, seen, factor, determinant = np.empty((6, LANES)), np.empty((6, LANES)), np.empty((7, 6, LANES)), np.empty(LANES)
         inverse, variance = np.empty(LANES), np.empty((6, LANES))
         for start in range(0, len(theta), LANES):
-            gather(theta, start, th)
+            for v in range(LANES):
+                gather(theta[start + v], th[:, :, v])
             result[start : start + LANES] = 0.0
             for v in range(LANES):
                 for i in range(6):

@@ -239,9 +239,10 @@ def test_gradient_near_the_mode(twin, model_error, deformation, rng):
     y = mode.y + np.linalg.cholesky(mode.covariance) @ rng.standard_normal(len(mode.y))
     found, _ = posterior.gradient(y)
     expected = machines.central_difference(lambda x: posterior.log_density(x[None])[0], y, 1e-3 * sd)
-    # left out are terms of second order in the pose errors: relative to the first, half a rotation, a length over 130 mm
-    size = np.abs(posterior.likelihood.pose_errors(posterior.theta(y[None]))[..., :3]).max()
-    np.testing.assert_allclose(found * sd, expected * sd, rtol=0, atol=size / 130.0 * np.abs(found * sd).max())
+    # left out are terms of second order in the pose errors, some 10 µm over 130 mm; without K and without model error
+    # the errors are five times larger and in good part cancel in the gradient
+    tolerance = 1e-4 if deformation == "matrix" else 2e-3
+    np.testing.assert_allclose(found * sd, expected * sd, rtol=0, atol=tolerance * np.abs(found * sd).max())
     assert np.abs(found * sd).max() > 1
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, get_args
 
@@ -23,7 +24,9 @@ from bayescal.errors import InputError
 from bayescal.geometry import Array
 from bayescal.mechanism import Mechanism
 
-EXPERIMENTS: dict[str, type[Section]] = {"study": StudyConfig, "pose_methods": PoseMethodsConfig}
+type Experiment = StudyConfig | PoseMethodsConfig
+
+EXPERIMENTS: dict[str, type[Experiment]] = {"study": StudyConfig, "pose_methods": PoseMethodsConfig}
 
 
 def load_experiment(path: Path) -> StudyConfig | PoseMethodsConfig:
@@ -31,7 +34,8 @@ def load_experiment(path: Path) -> StudyConfig | PoseMethodsConfig:
     content, text = _read_toml(path)
     kind = content.get("kind")
     if not isinstance(kind, str) or kind not in EXPERIMENTS:
-        raise InputError(f"{path}: kind: found {kind!r}, expected {_one_of(EXPERIMENTS)}{_suggest(str(kind), EXPERIMENTS)}")
+        hint = _suggest(str(kind), EXPERIMENTS)
+        raise InputError(f"{path}: kind: found {kind!r}{hint}, expected {_one_of(EXPERIMENTS)}")
     return _check(EXPERIMENTS[kind], content, path, text)
 
 
@@ -165,19 +169,20 @@ def _find_line(text: str, location: list[Any]) -> int | None:
     """Return the line of the last named key of a location, searched table by table; None where it is not certain."""
     keys = [str(part) for part in location if isinstance(part, str)]
     for depth in range(len(keys), 0, -1):
-        pattern = re.compile(rf"^\s*\[*\s*(?:[\w.]+\.)?{re.escape(keys[depth - 1])}\s*(?:=|\]|\.)|[{{,]\s*{re.escape(keys[depth - 1])}\s*=")
+        key = re.escape(keys[depth - 1])
+        pattern = re.compile(rf"^\s*\[*\s*(?:[\w.]+\.)?{key}\s*(?:=|\]|\.)|[{{,]\s*{key}\s*=")
         hits = [number for number, row in enumerate(text.splitlines(), start=1) if pattern.search(row)]
         if len(hits) == 1:
             return hits[0]
     return None
 
 
-def _suggest(name: str, known: Any) -> str:
+def _suggest(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, list(known), n=1)
     return f", did you mean {close[0]!r}?" if close else ""
 
 
-def _one_of(names: Any) -> str:
+def _one_of(names: Iterable[str]) -> str:
     return "one of " + ", ".join(sorted(names))
 
 

@@ -1,7 +1,8 @@
 """Deformation of the platform: a part that any kinematic model can take.
 
-A deformation moves the joint b_i of each leg along the platform's z axis by a deflection that is linear in the actuator
-displacements and linear in its own parameters (RR-8096 eqs. 1 and 2): Δb_z = constant + Σ_k coefficient_k · parameter_k.
+A deformation moves the joint b_i of each leg along the platform's z axis by a deflection that is linear in the
+actuator displacements and linear in its own parameters (RR-8096 eqs. 1 and 2):
+Δb_z = constant + Σ_k coefficient_k · parameter_k.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Evidence by bridge sampling on the chains (Meng and Wong 1996), unrelated to the importance sampler's proposal.
 
-The proposal is fitted to the first half of every ensemble's walkers, the bridge is built on the other half. The relative
-mean squared error is that of Frühwirth-Schnatter (2004), with the chains' own effective sample size.
+The proposal is fitted to the first half of every ensemble's walkers, the bridge is built on the other half. The
+relative mean squared error is that of Frühwirth-Schnatter (2004), with the chains' own effective sample size.
 """
 
 from __future__ import annotations

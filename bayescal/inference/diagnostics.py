@@ -27,8 +27,8 @@ class Diagnostics:
 def diagnose(draws: Array) -> Diagnostics:
     """Return the diagnostics of draws, shape (ensembles, walkers, steps, n).
 
-    R-hat splits every ensemble in time, so that a drift of all walkers shows. The effective sizes take the draws walker by
-    walker: then the autocorrelation along the chain is that of the walkers in time.
+    R-hat splits every ensemble in time, so that a drift of all walkers shows. The effective sizes take the draws walker
+    by walker: then the autocorrelation along the chain is that of the walkers in time.
     """
     n_ensembles, n_walkers, n_steps, _ = draws.shape
     walker_by_walker = np.moveaxis(draws.reshape(n_ensembles, n_walkers * n_steps, -1), -1, 0)
@@ -36,5 +36,5 @@ def diagnose(draws: Array) -> Diagnostics:
     return Diagnostics(
         rhat=np.array([float(array_stats.rhat(chains)) for chains in step_by_step]),
         ess_bulk=np.array([float(array_stats.ess(chains)) for chains in walker_by_walker]),
-        ess_tail=np.array([float(array_stats.ess(chains, method="tail", prob=(0.05, 0.95))) for chains in walker_by_walker]),
+        ess_tail=np.array([float(array_stats.ess(c, method="tail", prob=(0.05, 0.95))) for c in walker_by_walker]),
     )

@@ -1,8 +1,8 @@
 """Posterior draws by emcee: independent ensembles that mix jumps of a global proposal with differential evolution.
 
-An ensemble's walkers depend on each other, so a walker is not a chain: the chains of every diagnostic are the ensembles.
-The draws of an ensemble are ordered walker by walker, in time within a walker, so that autocorrelation seen along the
-chain is that of the walkers.
+An ensemble's walkers depend on each other, so a walker is not a chain: the chains of every diagnostic are the
+ensembles. The draws of an ensemble are ordered walker by walker, in time within a walker, so that autocorrelation seen
+along the chain is that of the walkers.
 """
 
 from __future__ import annotations

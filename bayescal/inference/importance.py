@@ -74,6 +74,4 @@ def estimate_by_importance(
     finite = log_weights[np.isfinite(log_weights)]
     _, pareto_k = array_stats.psislw(-finite)  # takes minus the log-weights, as log-likelihoods for LOO
     efficiency = 1.0 / np.mean(relative**2)
-    return ImportanceEvidence(
-        float(log_evidence), float(error), float(efficiency), float(pareto_k), len(log_weights)
-    )
+    return ImportanceEvidence(float(log_evidence), float(error), float(efficiency), float(pareto_k), len(log_weights))

@@ -48,7 +48,8 @@ class Mode:
 def find_modes(posterior: Posterior) -> list[Mode]:
     """Return the posterior's modes, best first: the one found from the nominal machine and its mirror images.
 
-    With u_x free and κ fixed the actuator gain u_z + (z_x / z_z) u_x has two solutions for u_x in every leg; each is tried.
+    With u_x free and κ fixed the actuator gain u_z + (z_x / z_z) u_x has two solutions for u_x in every leg; each is
+    tried.
     """
     best = find_mode(posterior, np.zeros(posterior.n_parameters))
     others: list[Mode] = []

@@ -1,12 +1,13 @@
 """Coordinates around a mode in which the posterior with free model errors is close to a Gaussian.
 
 Three things keep it from being one. The posterior of a leg's geometry is the wider the larger the leg's model error: a
-funnel. Around a mode the information of leg i is close to P + q B, with P the prior precision, B the information of the
-data at the mode and q = (m + τ̂²) / (m + τ²), m the rest of the leg's variance. In the basis that makes both diagonal each
-direction is stretched by sqrt((1 + λ) / (1 + q λ)): in the stretched coordinates the funnel is a cylinder. And the
-coordinate ζ of a model error is skewed, the more the smaller the model error: ζ = c + A η + B sqrt(1 + η²) takes three
-quantiles of its draws to those of a standard normal η. Last, where κ is fixed the actuator gain is a quadratic of u_x that
-the other parameters of the leg have to follow: a shear by β (u - u_0)² of unit volume straightens this ridge too.
+funnel. Around a mode the information of leg i is close to P + q B, with P the prior precision, B the information of
+the data at the mode and q = (m + τ̂²) / (m + τ²), m the rest of the leg's variance. In the basis that makes both
+diagonal each direction is stretched by sqrt((1 + λ) / (1 + q λ)): in the stretched coordinates the funnel is a
+cylinder. The coordinate ζ of a model error is skewed, the more the smaller the model error:
+ζ = c + A η + B sqrt(1 + η²) takes three quantiles of its draws to those of a standard normal η. Last, where κ is fixed
+the actuator gain is a quadratic of u_x that the other parameters of the leg have to follow: a shear by β (u - u_0)² of
+unit volume straightens this ridge too.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """What a kinematic model has to supply, and what it gets from the frame in return.
 
-A model writes its closure as a residual ``f(pose, actuators; theta)`` with one entry per leg, in mm, that vanishes where
-the machine can stand. It supplies that residual and its first derivatives; forward kinematics, likelihood, posterior,
-prediction and report come from the frame.
+A model writes its closure as a residual ``f(pose, actuators; theta)`` with one entry per leg, in mm, that vanishes
+where the machine can stand. It supplies that residual and its first derivatives; forward kinematics, likelihood,
+posterior, prediction and report come from the frame.
 """
 
 from __future__ import annotations

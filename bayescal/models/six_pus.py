@@ -63,9 +63,7 @@ class SixPus(KinematicModel):
         slope = direction[..., :2] / direction[..., 2:]
         columns = {f"a_{name}": axis[..., k] for k, name in enumerate("xyz")}
         columns |= {f"b_{name}": -local_axis[..., k] for k, name in enumerate("xyz")}
-        columns |= {
-            f"u_{name}": travel * (axis[..., k] - axis[..., 2] * slope[..., k]) for k, name in enumerate("xy")
-        }
+        columns |= {f"u_{name}": travel * (axis[..., k] - axis[..., 2] * slope[..., k]) for k, name in enumerate("xy")}
         columns |= {"l": np.ones_like(length), "rho0": along_actuator}
         columns |= {symbol: -local_axis[..., 2] * c for symbol, c in basis.coefficients.items()}
         parameters = np.zeros((*length.shape, layout.size))

@@ -39,14 +39,16 @@ def _simulate_repeat(
         error = compute_pose_error(position, rotation, fit.position, fit.rotation)
         shift = position + rotation @ barycentre - fit.position - fit.rotation @ barycentre
         tilt = np.cross(rotation[:, 2], fit.rotation[:, 2])
-        rows.append({
-            "method": method,
-            "n_targets": n_targets,
-            "position_error_mm": np.linalg.norm(shift),
-            "orientation_error_deg": np.degrees(np.linalg.norm(error[3:])),
-            "axis_error_deg": np.degrees(np.arctan2(np.linalg.norm(tilt), rotation[:, 2] @ fit.rotation[:, 2])),
-            "whitened_squared_error": error @ np.linalg.solve(fit.covariance, error),
-        })
+        rows.append(
+            {
+                "method": method,
+                "n_targets": n_targets,
+                "position_error_mm": np.linalg.norm(shift),
+                "orientation_error_deg": np.degrees(np.linalg.norm(error[3:])),
+                "axis_error_deg": np.degrees(np.arctan2(np.linalg.norm(tilt), rotation[:, 2] @ fit.rotation[:, 2])),
+                "whitened_squared_error": error @ np.linalg.solve(fit.covariance, error),
+            }
+        )
     return rows
 
 

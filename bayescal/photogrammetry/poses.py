@@ -38,7 +38,8 @@ class PoseExtraction:
     @property
     def chi2_per_dof(self) -> float:
         """Sum of squared residuals over its expectation: one where the stated target noise is right."""
-        return float((self.base.chi2.sum() + self.platform.chi2.sum()) / (self.base.dof.sum() + self.platform.dof.sum()))
+        fits = (self.base, self.platform)
+        return float(sum(fit.chi2.sum() for fit in fits) / sum(fit.dof.sum() for fit in fits))
 
 
 def extract_poses(survey: Survey, noise: float, method: str = "robust") -> PoseExtraction:

@@ -103,7 +103,8 @@ def _check_unique(table: Table, keys: list[tuple[str, ...]], what: str) -> None:
     for row, key in enumerate(keys):
         if key in seen:
             first = table.lines[seen[key]]
-            raise InputError(f"{table.where(row)}: {what} {'/'.join(key)!r} stands already on line {first}, expected once")
+            name = "/".join(key)
+            raise InputError(f"{table.where(row)}: {what} {name!r} stands already on line {first}, expected once")
         seen[key] = row
 
 
@@ -123,7 +124,8 @@ def _read_reference(path: Path, n_legs: int) -> dict[str, tuple[list[str], np.nd
         chosen = np.array([b == body for b in bodies])
         rigid = points[chosen & (legs == 0)]
         if len(rigid) < MIN_TARGETS:
-            raise InputError(f"{path}: found {len(rigid)} rigid targets on the {body}, expected at least {MIN_TARGETS}")
+            found = f"{len(rigid)} rigid targets on the {body}"
+            raise InputError(f"{path}: found {found}, expected at least {MIN_TARGETS}")
         if _is_collinear(rigid):
             raise InputError(f"{path}: the rigid targets of the {body} lie on a line, expected them spread out")
         result[body] = ([n for n, c in zip(names, chosen, strict=True) if c], legs[chosen].astype(int), points[chosen])
@@ -145,11 +147,11 @@ def _read_targets(
     measured = {body: np.full((len(poses), len(known[body][0]), 3), np.nan) for body in BODIES}
     for row, (pose, body, target) in enumerate(zip(*columns, strict=True)):
         if pose not in pose_index:
-            raise InputError(f"{table.where(row)}: pose {pose!r} is not in {actuators}, expected its actuator positions")
+            raise InputError(f"{table.where(row)}: pose {pose!r} is not in {actuators}, expected it there")
         if body not in BODIES:
             raise InputError(f"{table.where(row)}: body: found {body!r}, expected one of {', '.join(BODIES)}")
         if target not in target_index[body]:
-            raise InputError(f"{table.where(row)}: target {target!r} of the {body} is not in {reference}, expected its place")
+            raise InputError(f"{table.where(row)}: {body} target {target!r} is not in {reference}, expected it there")
         measured[body][pose_index[pose], target_index[body][target]] = points[row]
     found = set(columns[0])
     for pose in poses:
@@ -163,11 +165,12 @@ def _check_seen(body: BodyTargets, name: str, poses: list[str], path: Path) -> N
     seen = np.isfinite(body.measured[..., 0]) & rigid
     for pose, visible in zip(poses, seen, strict=True):
         if visible.sum() < MIN_TARGETS:
-            raise InputError(
-                f"{path}: pose {pose!r}: found {visible.sum()} rigid targets on the {name}, expected at least {MIN_TARGETS}"
-            )
+            found = f"{visible.sum()} rigid targets on the {name}"
+            raise InputError(f"{path}: pose {pose!r}: found {found}, expected at least {MIN_TARGETS}")
         if _is_collinear(body.reference[visible]):
-            raise InputError(f"{path}: pose {pose!r}: the seen targets of the {name} lie on a line, expected them spread out")
+            raise InputError(
+                f"{path}: pose {pose!r}: the {name}'s seen targets lie on a line, expected them spread out"
+            )
 
 
 def _is_collinear(points: Array) -> bool:

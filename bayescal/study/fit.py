@@ -15,6 +15,7 @@ from bayescal.inference.diagnostics import diagnose
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import Exploration, count_walkers, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
+from bayescal.likelihood import PoseLikelihood
 from bayescal.posterior import Posterior
 from bayescal.prediction import Prediction, predict
 from bayescal.study.inputs import StudyInputs
@@ -148,7 +149,7 @@ def _evaluate(
     return arrays
 
 
-def _pointwise(likelihood, theta: Array, tau: Array, start: int) -> Array:
+def _pointwise(likelihood: PoseLikelihood, theta: Array, tau: Array, start: int) -> Array:
     part = slice(start, start + 256)
     return likelihood.pointwise(theta[part], tau if tau.ndim == 1 else tau[part])
 

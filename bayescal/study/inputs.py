@@ -20,7 +20,7 @@ from bayescal.kinematics import Machine, check_home_pose
 from bayescal.likelihood import MeasuredPoses, PoseLikelihood
 from bayescal.mechanism import Mechanism
 from bayescal.models import MODELS
-from bayescal.photogrammetry import ring_deformation as ring
+from bayescal.photogrammetry import ring_deformation as pads
 from bayescal.photogrammetry.poses import PoseExtraction, extract_poses
 from bayescal.photogrammetry.survey import Survey, read_survey
 from bayescal.posterior import ModelError, Posterior
@@ -68,36 +68,40 @@ class StudyInputs:
         return self.extraction.poses.select(self.survey.verification == verification)
 
     @cached_property
-    def ring(self) -> ring.RingDeformation | None:
+    def ring(self) -> pads.RingDeformation | None:
         """Deflection of every leg's joint at every pose from the targets on the pads; None without such targets."""
         platform = self.survey.platform
-        pads = platform.leg > 0
-        if not pads.any():
+        on_pad = platform.leg > 0
+        if not on_pad.any():
             return None
-        return ring.measure_ring_deformation(
+        return pads.measure_ring_deformation(
             self.extraction.platform,
-            platform.reference[pads],
-            platform.measured[:, pads],
-            platform.leg[pads],
+            platform.reference[on_pad],
+            platform.measured[:, on_pad],
+            platform.leg[on_pad],
             self.target_noise,
             self.mechanism.n_legs,
         )
 
     @cached_property
-    def ring_matrix(self) -> ring.MatrixEstimate | None:
+    def ring_matrix(self) -> pads.MatrixEstimate | None:
         """K from the calibration poses' ring targets (RR-8096 eqs. 2 to 4)."""
-        return None if self.ring is None else ring.fit_matrix_deformation(self._calibration_ring, self._calibration_travel)
+        return (
+            None if self.ring is None else pads.fit_matrix_deformation(self._calibration_ring, self._calibration_travel)
+        )
 
     @cached_property
-    def ring_linear(self) -> ring.KappaEstimate | None:
+    def ring_linear(self) -> pads.KappaEstimate | None:
         """κ from the calibration poses' ring targets (RR-8096 eq. 1)."""
-        return None if self.ring is None else ring.fit_linear_deformation(self._calibration_ring, self._calibration_travel)
+        return (
+            None if self.ring is None else pads.fit_linear_deformation(self._calibration_ring, self._calibration_travel)
+        )
 
     @property
-    def _calibration_ring(self) -> ring.RingDeformation:
+    def _calibration_ring(self) -> pads.RingDeformation:
         assert self.ring is not None
         chosen = ~self.survey.verification
-        return ring.RingDeformation(self.ring.displacement[chosen], self.ring.covariance[chosen])
+        return pads.RingDeformation(self.ring.displacement[chosen], self.ring.covariance[chosen])
 
     @property
     def _calibration_travel(self) -> Array:
@@ -173,9 +177,7 @@ class StudyInputs:
         for symbol, config in self.config.parameters.items():
             if symbol not in blocks:
                 if symbol in variant.free:
-                    raise InputError(
-                        f"variant {variant.name!r} frees {symbol!r}, expected one of {', '.join(blocks)}"
-                    )
+                    raise InputError(f"variant {variant.name!r} frees {symbol!r}, expected one of {', '.join(blocks)}")
                 continue
             block = blocks[symbol]
             if isinstance(config, FixedConfig):
@@ -202,7 +204,12 @@ class StudyInputs:
         config = dump_config(self.config)
         for cosmetic in ("title",):
             config.pop(cosmetic)
-        names = {self.config.mechanism, self.config.data.targets, self.config.data.actuators, self.config.data.reference}
+        names = {
+            self.config.mechanism,
+            self.config.data.targets,
+            self.config.data.actuators,
+            self.config.data.reference,
+        }
         names |= {v.published for v in self.config.variants if v.published}
         if not self.matrix_from_targets:
             names.add(self.config.deformation.matrix)

@@ -120,14 +120,18 @@ def _track(items: Iterator[tuple[Task, Arrays]], total: int, done: int) -> Itera
     """Show progress with the time left on a terminal; stay silent in a pipe."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console, disable=not console.is_terminal) as bar:
+    with Progress(
+        *columns, TextColumn("left"), TimeRemainingColumn(), console=console, disable=not console.is_terminal
+    ) as bar:
         line = bar.add_task("sampling", total=total, completed=done)
         for item in items:
             bar.update(line, advance=1, description=item[0].variant)
             yield item
 
 
-def _write_results(inputs: StudyInputs, identity: dict[str, Any], fits: dict[Task, Arrays], folder: Path) -> dict[str, Any]:
+def _write_results(
+    inputs: StudyInputs, identity: dict[str, Any], fits: dict[Task, Arrays], folder: Path
+) -> dict[str, Any]:
     posteriors = {task: arrays for task, arrays in fits.items() if task.tolerance is None}
     summary = _summarise(inputs, identity, posteriors, folder)
     (folder / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")

@@ -60,13 +60,15 @@ class Store:
             return
         provenance = self.out / PROVENANCE_FILE
         if not self.out.is_dir() or (not provenance.is_file() and any(self.out.iterdir())):
-            raise InputError(f"{self.out}: exists and holds no results of a study, expected a new or a results directory")
+            raise InputError(
+                f"{self.out}: exists and holds no results of a study, expected a new or a results directory"
+            )
         if provenance.is_file():
             found, wanted = read_json(provenance).get("config_sha256"), hash_identity(identity)
             if found != wanted:
                 raise InputError(
-                    f"{self.out}: holds results of another config (sha256 {str(found)[:12]}), expected those of this one "
-                    f"({wanted[:12]}); choose another --out or remove it"
+                    f"{self.out}: holds results of another config (sha256 {str(found)[:12]}), expected those of "
+                    f"this one ({wanted[:12]}); choose another --out or remove it"
                 )
 
     def begin(self, identity: dict[str, Any], resume: bool) -> None:
@@ -93,7 +95,7 @@ class Store:
     def save_task(self, key: str, arrays: dict[str, Array]) -> None:
         """Keep the arrays of a finished task."""
         buffer = io.BytesIO()
-        np.savez(buffer, **arrays)
+        np.savez(buffer, allow_pickle=False, **arrays)
         write_atomically(self.partial / f"{key}.npz", buffer.getvalue())
 
     def load_task(self, key: str) -> dict[str, Array] | None:

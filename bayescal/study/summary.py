@@ -85,7 +85,9 @@ def compute_loo(tree: xr.DataTree) -> Loo:
     return Loo(float(loo.elpd), float(loo.se), np.asarray(loo.pareto_k, dtype=np.float64))
 
 
-def summarise_fit(inputs: StudyInputs, variant: str, with_model_error: bool, arrays: Arrays, loo: Loo) -> dict[str, Any]:
+def summarise_fit(
+    inputs: StudyInputs, variant: str, with_model_error: bool, arrays: Arrays, loo: Loo
+) -> dict[str, Any]:
     """Return one posterior's summary; lengths in mm, angles in degrees."""
     posterior = inputs.posterior(inputs.variant(variant), with_model_error)
     importance, bridge = arrays["importance"], arrays["bridge"]
@@ -128,7 +130,9 @@ def summarise_fit(inputs: StudyInputs, variant: str, with_model_error: bool, arr
 def list_problems(arrays: Arrays) -> list[str]:
     """Return what speaks against a posterior, in words; empty where it converged."""
     problems = []
-    rhat, bulk, tail = (float(arrays[n].max() if n == "rhat" else arrays[n].min()) for n in ("rhat", "ess_bulk", "ess_tail"))
+    rhat, bulk, tail = (
+        float(arrays[n].max() if n == "rhat" else arrays[n].min()) for n in ("rhat", "ess_bulk", "ess_tail")
+    )
     if not rhat < RHAT_LIMIT:
         problems.append(f"R-hat {rhat:.3f}, limit {RHAT_LIMIT}")
     if not bulk > ESS_BULK_LIMIT:

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from bayescal.geometry import rotation_vector_from_matrix
 from bayescal.least_squares import identify
 from bayescal.study.fit import Arrays, Task
 from bayescal.study.inputs import StudyInputs
-from bayescal.tables import read_table
+from bayescal.tables import format_table, read_table
 
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -188,3 +189,30 @@ def tabulate_deformation(inputs: StudyInputs) -> pd.DataFrame:
         for j in range(n)
     ]
     return pd.DataFrame(rows)
+
+
+def format_poses(inputs: StudyInputs) -> str:
+    """Return the extracted poses as CSV text: position (mm), rotation vector (degrees) and covariance (µm, µrad)."""
+    poses = inputs.extraction.poses
+    pairs = [(i, j) for i in range(6) for j in range(i, 6)]
+    rotation = np.degrees(rotation_vector_from_matrix(poses.rotation))
+    scale = np.array([1e3, 1e3, 1e3, 1e6, 1e6, 1e6])  # mm and rad to µm and µrad
+    covariance = poses.covariance * np.outer(scale, scale)
+    columns = ["pose", "use", "x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"]
+    columns += [f"cov_{COMPONENTS[i]}_{COMPONENTS[j]}" for i, j in pairs]
+    rows = [
+        (
+            name,
+            "verification" if held else "calibration",
+            *(f"{x:.7f}" for x in poses.position[k]),
+            *(f"{x:.8f}" for x in rotation[k]),
+            *(f"{covariance[k, i, j]:.6g}" for i, j in pairs),
+        )
+        for k, (name, held) in enumerate(zip(poses.names, inputs.survey.verification, strict=True))
+    ]
+    comments = [
+        inputs.config.data.origin,
+        "Pose of the platform frame in the base frame; position in mm, rotation vector in degrees.",
+        "cov: covariance of position (µm) and of the rotation vector (µrad) about the base axes.",
+    ]
+    return format_table(comments, columns, rows)

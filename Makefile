@@ -1,0 +1,56 @@
+# Everything a newcomer needs: make study, make test. The environment is made on first use in .venv.
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+
+.PHONY: study test test-slow check data benchmark clean help
+
+help:
+	@echo "make study      the telescope study: environment, run, ranking, report (about a minute)"
+	@echo "make test       environment and the test suite"
+	@echo "make test-slow  the slow statistical suites"
+	@echo "make check      linter, types, import contracts"
+	@echo "make data       simulate the shipped twin again"
+	@echo "make benchmark  speed against a compiled loop and against NUTS (installs numba and numpyro)"
+
+study: $(STAMP)
+	$(THREADS) $(BIN)/bayescal run experiments/telescope/study.toml
+
+test: $(STAMP)
+	$(THREADS) $(BIN)/python -m pytest -q
+
+test-slow: $(STAMP)
+	$(THREADS) $(BIN)/python -m pytest -q -m slow
+
+check: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+
+data: $(STAMP)
+	$(BIN)/bayescal simulate experiments/telescope/simulate.toml --out experiments/telescope/data
+
+benchmark: $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[benchmark]"
+	$(BIN)/python benchmarks/likelihood.py
+	$(BIN)/python benchmarks/sampling.py
+
+clean:
+	rm -rf $(VENV) build *.egg-info
+
+# A Python of at least 3.12, whatever it is called here; a clear word where there is none.
+$(STAMP): pyproject.toml constraints.txt
+	@python=""; \
+	for name in $(PYTHON) python3 python3.12 python3.13 python3.14 python; do \
+	  if command -v $$name >/dev/null 2>&1 && $$name -c 'import sys, venv; sys.exit(sys.version_info < (3, 12))' >/dev/null 2>&1; \
+	  then python=$$name; break; fi; \
+	done; \
+	if [ -z "$$python" ]; then \
+	  echo "bayescal needs Python 3.12 or newer with venv; found: $$(python3 --version 2>&1 || echo none)." >&2; \
+	  echo "Install it, or name it: make PYTHON=/path/to/python3.12 $(MAKECMDGOALS)" >&2; exit 2; \
+	fi; \
+	echo "making the environment in $(VENV) with $$($$python --version)"; \
+	$$python -m venv $(VENV) && \
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]" && \
+	touch $(STAMP)

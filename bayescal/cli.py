@@ -1,0 +1,162 @@
+"""The command line: exit code 0 for success, 2 for bad input, 3 for a numerical failure, 130 for an interrupt."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bayescal.errors import BayescalError, InputError, NumericalError
+
+INTERRUPTED = 130
+
+app = typer.Typer(
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Bayesian identification of parallel-kinematic machines.",
+)
+
+Experiment = Annotated[Path, typer.Argument(metavar="EXPERIMENT.toml", help="Config of the experiment.")]
+Seed = Annotated[int | None, typer.Option(min=0, help="Seed in place of the config's.")]
+
+
+@app.command(epilog="Example: bayescal run experiments/telescope/study.toml --workers 2")
+def run(
+    experiment: Experiment,
+    out: Annotated[Path | None, typer.Option(help="Results directory; default results/NAME.")] = None,
+    seed: Seed = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes side by side; default one per core.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Take up an interrupted run of the same config.")] = False,
+) -> None:
+    """Run an experiment and write its results and its report."""
+    from bayescal.config import PoseMethodsConfig, load_experiment
+
+    config = load_experiment(experiment)
+    if seed is not None:
+        config = config.model_copy(update={"seed": seed})
+    where = out if out is not None else Path("results") / config.name
+    if isinstance(config, PoseMethodsConfig):
+        from bayescal.study.pose_methods import run_pose_methods
+
+        typer.echo(run_pose_methods(config, where))
+        return
+    from bayescal.study.run import run_study
+
+    count = workers if workers is not None else len(os.sched_getaffinity(0))
+    try:
+        result = run_study(config, experiment.parent, where, count, resume)
+    except KeyboardInterrupt:
+        typer.echo(f"bayescal: interrupted; finished work is kept, go on with --resume (in {where}.partial)", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    from bayescal.report.terminal import print_ranking
+
+    print_ranking(result.summary, where)
+    if not result.converged:
+        raise NumericalError(f"{where}: not everything converged, see the report; the results are written all the same")
+
+
+@app.command(epilog="Example: bayescal simulate experiments/telescope/simulate.toml --out data --seed 1")
+def simulate(
+    config: Annotated[Path, typer.Argument(metavar="SIMULATION.toml", help="Config of the simulation.")],
+    out: Annotated[Path, typer.Option(help="Directory for targets.csv, actuators.csv and target_reference.csv.")],
+    seed: Seed = None,
+) -> None:
+    """Simulate the photogrammetry of a machine whose truth the config states."""
+    import numpy as np
+
+    from bayescal.config import load_simulation
+    from bayescal.simulation import build_twin, format_survey, simulate_survey
+    from bayescal.study.store import write_atomically
+
+    loaded = load_simulation(config)
+    twin = build_twin(loaded, config.parent)
+    survey = simulate_survey(twin, np.random.default_rng(loaded.seed if seed is None else seed))
+    texts = format_survey(survey, loaded.origin)
+    make_directory(out)
+    for name, text in texts.items():
+        write_atomically(out / name, text.encode())
+        typer.echo(f"wrote {out / name}")
+
+
+@app.command(
+    "poses-from-targets", epilog="Example: bayescal poses-from-targets experiments/telescope/study.toml --out poses.csv"
+)
+def poses_from_targets(
+    experiment: Experiment,
+    out: Annotated[Path | None, typer.Option(help="CSV file for the poses; default standard output.")] = None,
+    method: Annotated[str | None, typer.Option(help="robust or line, in place of the config's.")] = None,
+) -> None:
+    """Extract the platform's poses in the base frame, with their covariances, from a study's targets."""
+    from bayescal.config import StudyConfig, load_experiment
+    from bayescal.config.load import look_up
+    from bayescal.photogrammetry.poses import METHODS
+    from bayescal.study.inputs import load_inputs
+    from bayescal.study.store import write_atomically
+    from bayescal.study.tables import format_poses
+
+    config = load_experiment(experiment)
+    if not isinstance(config, StudyConfig):
+        raise InputError(f"{experiment}: kind: found {config.kind!r}, expected 'study'")
+    if method is not None:
+        look_up(METHODS, method, "--method", experiment)
+        config = config.model_copy(update={"data": config.data.model_copy(update={"pose_method": method})})
+    text = format_poses(load_inputs(config, experiment.parent))
+    if out is None:
+        typer.echo(text, nl=False)
+    else:
+        make_directory(out.parent)
+        write_atomically(out, text.encode())
+        typer.echo(f"wrote {out}")
+
+
+@app.command(epilog="Example: bayescal report results/telescope")
+def report(results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Results directory of a study.")]) -> None:
+    """Write the report of a results directory anew."""
+    from bayescal.report.write import write_report
+
+    typer.echo(f"wrote {write_report(results)}")
+
+
+@app.command(epilog="Example: bayescal compare results/telescope results/telescope_seed2")
+def compare(
+    results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="Results directories of studies.")],
+) -> None:
+    """Rank the variants of several studies of the same data together."""
+    from bayescal.report.terminal import print_comparison
+    from bayescal.study.compare import compare_results
+
+    print_comparison(compare_results(results))
+
+
+def make_directory(path: Path) -> None:
+    """Make a directory; InputError where a file is in the way or it may not be made."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be made a directory ({error.strerror})") from error
+
+
+def main() -> None:
+    """Run the command line; errors become one line on standard error and an exit code."""
+    try:
+        code = app(standalone_mode=False)
+    except typer.TyperException as error:
+        code = _complain(f"{error} See bayescal --help.", InputError.exit_code)
+    except BayescalError as error:
+        code = _complain(str(error), error.exit_code)
+    except (KeyboardInterrupt, typer.Abort):
+        code = _complain("interrupted", INTERRUPTED)
+    sys.exit(code or 0)
+
+
+def _complain(message: str, code: int) -> int:
+    typer.echo(f"bayescal: {' '.join(message.split())}", err=True)
+    return code
+
+
+if __name__ == "__main__":
+    main()

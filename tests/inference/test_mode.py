@@ -1,0 +1,116 @@
+"""Modes: stationary, with the curvature of the density there, and every mirror image of a direction."""
+
+from __future__ import annotations
+
+import machines
+import numpy as np
+import pytest
+from bayescal.errors import NumericalError
+from bayescal.inference.importance import estimate_by_importance
+from bayescal.inference.mode import find_mode, find_modes
+from bayescal.inference.proposal import proposal_from_modes
+from bayescal.posterior import ModelError
+
+VARIANTS = [(name, error) for name in ("none", "linear", "matrix") for error in (ModelError(0.01), ModelError(None))]
+
+
+@pytest.fixture(params=VARIANTS, ids=lambda v: f"{v[0]}, {'free' if v[1].scale else 'no'} model error")
+def posterior(request, twin):
+    """Return the posterior of a variant of the telescope."""
+    return machines.build_posterior(request.param[0], twin, request.param[1])
+
+
+def test_mode_is_a_maximum(posterior, rng):
+    mode = find_mode(posterior, np.zeros(posterior.n_parameters))
+    assert mode.converged
+    assert mode.log_density == pytest.approx(posterior.log_density(mode.y[None])[0], abs=1e-9)
+    directions = rng.standard_normal((50, len(mode.y))) @ np.linalg.cholesky(mode.covariance).T
+    directions /= np.sqrt(len(mode.y))
+    for side in (0.3, -0.3):
+        around = posterior.log_density(mode.y + side * directions)
+        drop = mode.log_density - around
+        # a step of 0.3 sd costs 0.045 where the density is normal; the funnel of the model errors is the one that is not
+        assert drop.min() > 0
+        np.testing.assert_allclose(drop.mean(), 0.045, rtol=0.15)
+
+
+def test_covariance_is_the_inverse_curvature(posterior, rng):
+    """Second differences of the log-density along whitened directions are minus one, first differences vanish."""
+    mode = find_mode(posterior, np.zeros(posterior.n_parameters))
+    white = np.linalg.cholesky(mode.covariance).T
+    directions = np.concatenate([white, rng.standard_normal((100, len(white))) @ white / np.sqrt(len(white))])
+    size = np.concatenate([np.ones(len(white)), np.sum(np.linalg.solve(white.T, directions[len(white) :].T) ** 2, axis=0)])
+    step = 0.02
+    ahead, behind = (posterior.log_density(mode.y + side * directions) for side in (step, -step))
+    np.testing.assert_allclose((ahead + behind - 2 * mode.log_density) / step**2 / size, -1.0, atol=0.03)
+    # the gradient leaves out second-order terms of the pose errors, so that it vanishes a little off the maximum
+    assert np.abs((ahead - behind) / (2 * step)).max() < 0.1
+
+
+def test_exact_data_return_the_truth():
+    """Without noise in the data, the mode predicts their poses and lies within the prior's pull of the truth."""
+    machine = machines.build_machine("matrix")
+    truth = machines.telescope_truth(machine)
+    poses = machines.place_poses(machine, truth, machines.table_3_actuators(), np.zeros((40, 6)))
+    posterior = machines.build_posterior("matrix", poses, ModelError(None))
+    mode = find_mode(posterior, np.zeros(posterior.n_parameters))
+    error = posterior.likelihood.pose_errors(posterior.theta(mode.y[None]))[0]
+    nominal = posterior.likelihood.pose_errors(machine.layout.nominal[None])[0]
+    assert np.abs(error[:, :3]).max() < 0.5e-3
+    assert np.abs(nominal[:, :3]).max() > 0.1
+    sd = np.sqrt(np.diag(mode.covariance))
+    assert np.abs((posterior.coordinates.y_from_theta(truth) - mode.y) / sd).max() < 1.0
+
+
+def test_laplace_is_close_to_the_evidence_of_a_normal_posterior(twin):
+    posterior = machines.build_posterior("matrix", twin, ModelError(None))
+    modes = find_modes(posterior)
+    assert len(modes) == 1
+    proposal = proposal_from_modes(modes, 50.0)
+    evidence = estimate_by_importance(posterior.log_density, proposal, np.random.default_rng(1), 4000)
+    assert evidence.standard_error < 0.02
+    assert modes[0].log_evidence == pytest.approx(evidence.log_evidence, abs=0.05)
+
+
+def test_mirror_images_of_a_direction_are_found():
+    """With κ fixed the actuator gain u_z + s u_x has two solutions; seen from one of them, the other is found."""
+    machine = machines.build_machine("none")
+    layout = machine.layout
+    slope = machines.build_posterior(
+        "none", machines.place_poses(machine, layout.nominal, machines.table_3_actuators(), np.zeros((40, 6))), ModelError(None)
+    ).coordinates.leg_slope[:, 0]
+    theta = layout.nominal.copy()
+    theta[layout.index["u_x"]] = np.sin(np.arctan(slope)) + 0.03 * np.array([1, -1, 1, -1, 1, -1])
+    rng = np.random.default_rng(5)
+    poses = machines.simulate_poses(machine, theta, machines.table_3_actuators(), np.zeros(6), rng)
+    posterior = machines.build_posterior("none", poses, ModelError(None))
+    modes = find_modes(posterior)
+    assert len(modes) > 1
+    densities = [mode.log_density for mode in modes]
+    assert densities[0] == max(densities)
+    best = posterior.theta(modes[0].y[None])[0]
+    for other in modes[1:]:
+        assert other.converged
+        change = layout.take(posterior.theta(other.y[None])[0] - best, "u_x")
+        *small, large = np.sort(np.abs(change))  # one leg's direction is another, the rest stays about where it was
+        assert large > 0.03
+        assert max(small) < 0.25 * large
+        leg = int(np.argmax(np.abs(change)))
+        angle = 2 * np.arctan(slope[leg]) - np.arcsin(layout.take(best, "u_x")[leg])
+        mirrored = np.sin(angle) - layout.take(best, "u_x")[leg]
+        assert change[leg] == pytest.approx(mirrored, abs=0.25 * abs(mirrored))
+
+
+def test_modes_of_no_weight_are_dropped(twin):
+    modes = find_modes(machines.build_posterior("none", twin, ModelError(None)))
+    assert all(mode.log_evidence > modes[0].log_evidence - 12.0 for mode in modes)
+
+
+@pytest.mark.xfail(strict=True, raises=ValueError, reason="the optimiser meets NaN before the density is looked at")
+def test_start_without_a_machine_is_refused(twin):
+    posterior = machines.build_posterior("none", twin, ModelError(None))
+    start = np.zeros(posterior.n_parameters)
+    start[posterior.names.index("u_x[2]")] = 40.0
+    assert posterior.log_density(start[None])[0] == -np.inf
+    with pytest.raises(NumericalError, match="not finite"):
+        find_mode(posterior, start)
