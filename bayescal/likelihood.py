@@ -24,8 +24,10 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.geometry import Array, matrix_from_rotation_vector
 from bayescal.kinematics import Machine
+from bayescal.workspace import Workspace
 
 REFINEMENTS = 2
+BATCH = 128  # vectors at a time: what the hot loop touches stays in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +104,8 @@ class PoseLikelihood:
         _, log_volume = np.linalg.slogdet(np.swapaxes(pose, -1, -2) @ pose)
         self._constant = 0.5 * log_volume - 0.5 * pose.shape[-2] * np.log(2 * np.pi)
         self._projection = pose @ self._gain if pose.shape[-2] != 6 else None
+        self._workspace = Workspace()
+        self._whitening: tuple[Array, Array, Array] | None = None
 
     @property
     def n_legs(self) -> int:
@@ -111,14 +115,17 @@ class PoseLikelihood:
     # --- residuals -----------------------------------------------------------------------------------------------
 
     def _leg_errors(self, theta: Array) -> Array:
-        """Return r for parameter vectors (B, D), as an array (N, P, B)."""
+        """Return r for parameter vectors (B, D), as an array (N, P, B) that the next call overwrites."""
         closure = self._bound.evaluate(theta)
+        n_legs, n_poses, n_batch = closure.shape
+        error = self._workspace.take("error", 6, n_poses, n_batch)
+        result = self._workspace.take("leg errors", n_legs, n_poses, n_batch)
         seen = closure
         for _ in range(REFINEMENTS):
-            error = np.matmul(self._gain, seen.transpose(1, 0, 2)).transpose(1, 0, 2)
+            np.matmul(self._gain, seen.transpose(1, 0, 2), out=error.transpose(1, 0, 2))
             change = self._bound.along(error)  # (A⁰ - A(θ)) e is what a step adds to the closure
             change -= self._project(seen)
-            seen = closure - change
+            seen = np.subtract(closure, change, out=result)
         return seen
 
     def _project(self, seen: Array) -> Array:
@@ -129,7 +136,7 @@ class PoseLikelihood:
 
     def leg_errors(self, theta: Array) -> Array:
         """Return r = A⁰ e, the pose errors seen by the legs in mm, for (B, D) parameter vectors, shape (B, P, N)."""
-        return self._leg_errors(theta).transpose(2, 1, 0)
+        return self._leg_errors(theta).transpose(2, 1, 0).copy()
 
     def pose_errors(self, theta: Array) -> Array:
         """Return e, measured minus predicted pose (mm, rad; base frame), for (B, D) vectors, shape (B, P, 6)."""
@@ -178,6 +185,18 @@ class PoseLikelihood:
         ndarray, shape (B, P)
             In units of mm and rad; -inf where a parameter vector is no machine (NaN closure).
         """
+        size = len(theta)
+        if size <= BATCH:
+            return self._pointwise(theta, model_error)
+        parts = [slice(k, k + BATCH) for k in range(0, size, BATCH)]
+        return np.concatenate(
+            [
+                self._pointwise(theta[part], model_error if model_error.ndim == 1 else model_error[part])
+                for part in parts
+            ]
+        )
+
+    def _pointwise(self, theta: Array, model_error: Array) -> Array:
         errors = self._leg_errors(theta)
         if model_error.ndim == 1:
             density = self._density_fixed(errors, model_error)
@@ -191,39 +210,41 @@ class PoseLikelihood:
         """Return the log-likelihood, shape (B,); arguments as in `pointwise`."""
         return self.pointwise(theta, model_error).sum(axis=1)
 
+    def _whiten(self, model_error: Array) -> tuple[Array, Array]:
+        """Return the inverse Cholesky factors (P, N, N) and half log-determinants (P,) at τ; kept for the next call."""
+        if self._whitening is None or not np.array_equal(self._whitening[0], model_error):
+            factor = np.linalg.cholesky(self.leg_covariance(model_error))
+            half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+            self._whitening = (model_error.copy(), np.linalg.inv(factor), half_log_det)
+        return self._whitening[1:]
+
     def _density_fixed(self, errors: Array, model_error: Array) -> Array:
-        factor = np.linalg.cholesky(self.leg_covariance(model_error))
-        whitening = np.linalg.inv(factor)
-        white = np.matmul(whitening, errors.transpose(1, 0, 2))
+        whitening, half_log_det = self._whiten(model_error)
+        n_legs, n_poses, n_batch = errors.shape
+        white = self._workspace.take("white", n_poses, n_legs, n_batch)
+        np.matmul(whitening, errors.transpose(1, 0, 2), out=white)
         square = np.einsum("pib,pib->pb", white, white)
-        half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
         return -0.5 * square - half_log_det[:, None]
 
     def _density_varying(self, errors: Array, model_error: Array) -> Array:
-        """Cholesky factors of all poses and batch entries at once, by columns, solved as they come."""
-        n = self.n_legs
-        variance = model_error.T**2
-        known = self._known.transpose(1, 2, 0)[..., None]
-        shape = errors.shape[1:]
-        factor: dict[tuple[int, int], Array] = {}
-        white: list[Array] = []
-        square, determinant = np.zeros(shape), np.ones(shape)
+        """Cholesky factors of all poses and batch entries at once, by columns.
+
+        The errors are carried along as one more row of the matrix; in the factor that row holds the whitened errors.
+        """
+        n, variance = self.n_legs, model_error.T**2
+        factor = self._workspace.take("factor", n + 1, n, *errors.shape[1:])
+        determinant = np.ones(errors.shape[1:])
         for j in range(n):
-            pivot = known[j, j] + self.actuator_weight[:, j, None] * variance[j]
-            remainder = errors[j].copy()
-            for k in range(j):
-                pivot -= factor[j, k] * factor[j, k]
-                remainder -= factor[j, k] * white[k]
-            inverse = 1.0 / np.sqrt(pivot)
-            for i in range(j + 1, n):
-                column = -np.multiply(factor[i, 0], factor[j, 0]) if j else np.zeros(shape)
-                for k in range(1, j):
-                    column -= factor[i, k] * factor[j, k]
-                column += known[i, j]
-                column *= inverse
-                factor[i, j] = column
-            remainder *= inverse
-            white.append(remainder)
-            square += remainder * remainder
+            column = factor[j:, j]
+            known = self._known[:, j:, j].T[..., None]
+            if j:
+                np.einsum("ikpb,kpb->ipb", factor[j:, :j], factor[j, :j], out=column)
+                np.subtract(known, column[:-1], out=column[:-1])
+                np.subtract(errors[j], column[-1], out=column[-1])
+            else:
+                column[:-1], column[-1] = known, errors[j]
+            column[0] += self.actuator_weight[:, j, None] * variance[j]
+            inverse = 1.0 / np.sqrt(column[0])
+            column[1:] *= inverse
             determinant *= inverse
-        return -0.5 * square + np.log(determinant)
+        return np.log(determinant) - 0.5 * np.einsum("kpb,kpb->pb", factor[n], factor[n])

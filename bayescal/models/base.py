@@ -44,7 +44,8 @@ class Linearisation:
 class BoundClosure(ABC):
     """A closure bound to measured poses, for batches of parameter vectors: the hot path of the likelihood.
 
-    Arrays run over (leg, pose, batch), the batch last: there every operation is a long contiguous loop.
+    Arrays run over (leg, pose, batch), the batch last: there every operation is a long contiguous loop. What a method
+    returns is scratch, valid until the method is called again.
     """
 
     @abstractmethod

@@ -15,6 +15,7 @@ from bayescal.geometry import Array
 from bayescal.mechanism import Mechanism
 from bayescal.models.base import BoundClosure, KinematicModel, Linearisation
 from bayescal.parameters import ParameterBlock, ParameterLayout
+from bayescal.workspace import Workspace
 
 
 def actuator_directions(layout: ParameterLayout, theta: Array) -> Array:
@@ -73,7 +74,7 @@ class SixPus(KinematicModel):
         return Linearisation(layout.take(theta, "l") - length, pose, actuators, parameters)
 
     def bind(self, layout: ParameterLayout, position: Array, rotation: Array, basis: DeformationBasis) -> BoundClosure:
-        """Return the closure as one matrix product per leg."""
+        """Return the closure as matrix products per leg."""
         return SixPusClosure(layout, position, rotation, basis)
 
     def inverse_kinematics(
@@ -92,65 +93,59 @@ class SixPus(KinematicModel):
         return h_u - np.sqrt(square)
 
 
-def _cross(left: Array, right: Array) -> tuple[Array, Array, Array]:
-    """Return the components of a cross product of arrays whose first axis is xyz."""
-    return tuple(left[m] * right[n] - left[n] * right[m] for m, n in ((1, 2), (2, 0), (0, 1)))
-
-
 class SixPusClosure(BoundClosure):
-    """Leg vectors of all poses as one product of a fixed design and the parameters of a leg.
+    """Leg vectors and lever arms of all poses as products of a fixed design and the parameters of a leg.
 
-    With c = a + ρ^0 u, g = q + R b + κ φ R e_z - c - Δρ u is linear in (b, κ, c, u): the design of a leg is an array
-    (3 P, F), the parameters (F, B), F = 9 + number of deformation parameters.
+    With c = a + ρ^0 u the leg vector g = q + R b* - c - Δρ u and its lever arm R b* = R b + (constant + κ φ) R e_z are
+    linear in the features (1, b, κ, c, u) of a leg: a design (P, F) for each component times the features (F, B), with
+    F = 10 + number of deformation parameters; the lever arm needs only the first of them. The pose derivative of f is
+    (-g, R b* x -g) / |g|, of which the numerator is kept.
     """
 
     def __init__(self, layout: ParameterLayout, position: Array, rotation: Array, basis: DeformationBasis) -> None:
         self._layout, self._symbols = layout, tuple(basis.coefficients)
         n_poses, n_legs = basis.displacement.shape
-        n_features = 9 + len(self._symbols)
-        z_axis = rotation[:, :, 2]
-        design = np.zeros((n_legs, 3, n_poses, n_features))
-        design[..., 0:3] = np.moveaxis(rotation, 1, 0)
-        design[:, range(3), :, range(3, 6)] = -1.0
-        displacement = basis.displacement.T
-        design[:, range(3), :, range(6, 9)] = -displacement[None]
-        for k, symbol in enumerate(self._symbols):
-            design[..., 9 + k] = basis.coefficients[symbol].T[:, None, :] * z_axis.T[None]
-        offset = position.T[None] + basis.constant.T[:, None, :] * z_axis.T[None]
-        self._design = design.reshape(n_legs, 3 * n_poses, n_features)
-        self._offset = offset.reshape(n_legs, 3 * n_poses, 1)
-        self._displacement = displacement[:, None, :, None]
-        self._position = position.T[:, :, None]
-        self._shape = (n_legs, 3, n_poses)
+        z_axis = rotation[:, :, 2].T[:, None]
+        arm = [basis.constant.T * z_axis]
+        arm += [np.broadcast_to(rotation[:, :, k].T[:, None], (3, n_legs, n_poses)) for k in range(3)]
+        arm += [basis.coefficients[symbol].T * z_axis for symbol in self._symbols]
+        self._arm_design = np.stack(arm, axis=-1)
+        self._design = np.concatenate([-self._arm_design, np.zeros((3, n_legs, n_poses, 6))], axis=-1)
+        self._design[..., 0] -= position.T[:, None]
+        for k in range(3):
+            self._design[k, :, :, len(arm) + k] = 1.0
+            self._design[k, :, :, len(arm) + 3 + k] = basis.displacement.T
+        self._workspace = Workspace()
+
+    def _features(self, theta: Array) -> Array:
+        """Return the features of each leg, shape (N, F, B)."""
+        index, parameters = self._layout.index, np.ascontiguousarray(theta.T)
+        direction = actuator_directions(self._layout, theta).T
+        rho0 = parameters[index["rho0"]]
+        rows = [np.ones_like(rho0), *(parameters[index[s]] for s in ("b_x", "b_y", "b_z", *self._symbols))]
+        rows += [parameters[index[f"a_{axis}"]] + rho0 * u for axis, u in zip("xyz", direction, strict=True)]
+        return np.stack([*rows, *direction], axis=1)
 
     def evaluate(self, theta: Array) -> Array:
         """Return f = l - |g|, shape (N, P, B)."""
-        take = self._layout.take
-        direction = actuator_directions(self._layout, theta)
-        joint = self._layout.take_vector(theta, "a") + take(theta, "rho0")[..., None] * direction
-        parts = [self._layout.take_vector(theta, "b"), joint, direction]
-        parts += [take(theta, symbol)[..., None] for symbol in self._symbols]
-        features = np.ascontiguousarray(np.concatenate(parts, axis=-1).transpose(1, 2, 0))
-        vector = self._design @ features
-        vector += self._offset
-        self._vector = vector.reshape(*self._shape, -1)
-        self._joint, self._direction = features[:, 3:6, None, :], features[:, 6:9, None, :]
-        self._length = np.sqrt(np.einsum("ikpb,ikpb->ipb", self._vector, self._vector))
-        return take(theta, "l").T[:, None, :] - self._length
+        features, take = self._features(theta), self._workspace.take
+        _, n_legs, n_poses, n_arm = self._arm_design.shape
+        shape = (n_legs, n_poses, len(theta))
+        self._slope = take("slope", 6, *shape)
+        vector, moment = self._slope[:3], self._slope[3:]
+        arm, work = take("arm", 3, *shape), take("work", *shape)
+        np.matmul(self._design, features, out=vector)
+        np.matmul(self._arm_design, features[:, :n_arm], out=arm)
+        for k, (m, n) in enumerate(((1, 2), (2, 0), (0, 1))):
+            np.multiply(arm[m], vector[n], out=moment[k])
+            moment[k] -= np.multiply(arm[n], vector[m], out=work)
+        self._length = np.einsum("kipb,kipb->ipb", vector, vector, out=take("length", *shape))
+        np.sqrt(self._length, out=self._length)
+        return np.subtract(self._layout.take(theta, "l").T[:, None], self._length, out=work)
 
     def along(self, pose_error: Array) -> Array:
-        """Return -(z · e_p + z · (e_w x (c - p))); the lever arm c - p serves as well as R b*, since z x g = 0."""
-        e_p, e_w = pose_error[:3], pose_error[3:]
-        level = e_p - np.stack(_cross(e_w, self._position))
-        arm = self._displacement * self._direction
-        arm += self._joint
-        work = np.empty_like(self._length)
-        total = np.zeros_like(self._length)
-        for k, (m, n) in enumerate(((1, 2), (2, 0), (0, 1))):
-            turned = e_w[m] * arm[:, n]
-            turned -= np.multiply(e_w[n], arm[:, m], out=work)
-            turned += level[k]
-            turned *= self._vector[:, k]
-            total += turned
-        total /= self._length
-        return np.negative(total, out=total)
+        """Return the pose derivative times e, shape (N, P, B)."""
+        change = self._workspace.take("change", *self._length.shape)
+        np.einsum("kipb,kpb->ipb", self._slope, pose_error, out=change)
+        change /= self._length
+        return change

@@ -1,0 +1,71 @@
+"""Numbers as text: the rounding of the report stands here and nowhere else."""
+
+from __future__ import annotations
+
+import math
+
+MICROMETRES = 1e3  # in a millimetre
+ARCSECONDS = 3600.0  # in a degree
+PER_MILLE = 1e3  # dimensionless parameters are shown in 1e-3
+
+NOTHING = "–"
+MINUS = "−"
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def format_fixed(value: float | None, decimals: int, sign: bool = False) -> str:
+    """Return a number with fixed decimals and a true minus sign; a dash where there is none."""
+    if value is None or math.isnan(value):
+        return NOTHING
+    if math.isinf(value):
+        return f"{MINUS if value < 0 else ''}∞"
+    text = f"{value:{'+' if sign else ''}.{decimals}f}"
+    if float(text) == 0.0:
+        text = text.lstrip("+-")
+    return text.replace("-", MINUS)
+
+
+def format_significant(value: float | None, digits: int = 3) -> str:
+    """Return a number with significant digits, never fewer than its integer part has."""
+    if value is None or not math.isfinite(value):
+        return format_fixed(value, 0)
+    return format_fixed(value, count_decimals(value, digits))
+
+
+def count_decimals(value: float, digits: int = 2) -> int:
+    """Return how many decimals show that many significant digits of a value; none for zero or infinite ones."""
+    if value == 0.0 or not math.isfinite(value):
+        return 0
+    return min(12, max(0, digits - 1 - math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))))
+
+
+def format_estimate(mean: float | None, sd: float | None, decimals: int | None = None, sign: bool = False) -> str:
+    """Return ``mean ± sd``, by default to the second digit of the sd."""
+    if mean is None or sd is None or not (math.isfinite(mean) and math.isfinite(sd)):
+        return format_fixed(mean, 2)
+    places = count_decimals(sd) if decimals is None else decimals
+    return f"{format_fixed(mean, places, sign)} ± {format_fixed(sd, places)}"
+
+
+def format_pair(first: float | None, second: float | None, digits: int = 3) -> str:
+    """Return ``first / second``."""
+    return f"{format_significant(first, digits)} / {format_significant(second, digits)}"
+
+
+def format_percent(fraction: float | None) -> str:
+    """Return a fraction as whole per cent."""
+    return NOTHING if fraction is None or math.isnan(fraction) else f"{100 * fraction:.0f} %"
+
+
+def format_odds(nats: float) -> str:
+    """Return the odds that a difference of log-evidences stands for."""
+    power = nats / math.log(10.0)
+    if power >= 6.0:
+        return f"10{str(math.floor(power)).translate(SUPERSCRIPTS)} to 1"
+    odds = math.exp(nats)
+    return f"{odds:.1f} to 1" if odds < 10 else f"{float(f'{odds:.1e}'):,.0f} to 1"
+
+
+def join_words(words: list[str]) -> str:
+    """Return ``a, b and c``."""
+    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
