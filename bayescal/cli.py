@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -44,9 +43,11 @@ def run(
 
         typer.echo(run_pose_methods(config, where))
         return
+    import joblib
+
     from bayescal.study.run import run_study
 
-    count = workers if workers is not None else len(os.sched_getaffinity(0))
+    count = workers if workers is not None else joblib.cpu_count()
     try:
         result = run_study(config, experiment.parent, where, count, resume)
     except KeyboardInterrupt:

@@ -13,7 +13,8 @@ from bayescal.models.six_pus import actuator_directions
 from bayescal.posterior import Posterior
 from bayescal.priors import NormalPrior
 
-GRADIENT_TOLERANCE = 1e-4
+GRADIENT_TOLERANCE = 1e-3  # per prior sd: a Newton step would gain below 1e-6
+DECREMENT_TOLERANCE = 1e-4
 WORTH_KEEPING = 12.0  # a mode this many nats below the best holds no mass that matters
 
 
@@ -49,19 +50,21 @@ def find_modes(posterior: Posterior) -> list[Mode]:
     """Return the posterior's modes, best first: the one found from the nominal machine and its mirror images.
 
     With u_x free and κ fixed the actuator gain u_z + (z_x / z_z) u_x has two solutions for u_x in every leg; each is
-    tried.
+    tried. A mirror image is dropped where it holds no mass that matters.
     """
-    best = find_mode(posterior, np.zeros(posterior.n_parameters))
-    others: list[Mode] = []
-    for start in _mirror_starts(posterior, best.y):
-        mode = find_mode(posterior, start)
-        if np.allclose(mode.y, best.y, atol=1e-3):
+    best = _climb(posterior, np.zeros(posterior.n_parameters))
+    others = []
+    for start in _mirror_starts(posterior, best[0]):
+        other = _climb(posterior, start)
+        if np.allclose(other[0], best[0], atol=1e-3):
             continue
-        if mode.log_density > best.log_density:
-            best, mode = mode, best
-        others.append(mode)
-    kept = [m for m in others if m.converged and m.log_evidence > best.log_evidence - WORTH_KEEPING]
-    return [best, *kept]
+        if other[1] > best[1]:
+            best, other = other, best
+        others.append(other)
+    first = _characterise(posterior, *best)
+    worth = [other for other in others if other[1] > best[1] - 2 * WORTH_KEEPING]
+    modes = [_characterise(posterior, *other) for other in worth]
+    return [first, *(m for m in modes if m.converged and m.log_evidence > first.log_evidence - WORTH_KEEPING)]
 
 
 def find_mode(posterior: Posterior, start: Array) -> Mode:
@@ -72,24 +75,41 @@ def find_mode(posterior: Posterior, start: Array) -> Mode:
     NumericalError
         Where the density is not finite at the start or the Hessian at the end is not that of a maximum.
     """
+    return _characterise(posterior, *_climb(posterior, start))
+
+
+def _climb(posterior: Posterior, start: Array) -> tuple[Array, float]:
+    """Return a local maximum and its log-density: geometry by least squares, then everything by a trust region."""
     y = start.copy()
     y[: posterior.n_geometry] = _fit_geometry(posterior, start)
+    known: dict[bytes, tuple[Array, Array]] = {}
+
+    def derivatives(x: Array) -> tuple[Array, Array]:
+        key = x.tobytes()
+        if key not in known:
+            known.clear()
+            known[key] = posterior.gradient(x)
+        return known[key]
+
     result = minimize(
         lambda x: -float(posterior.log_density(x[None])[0]),
         y,
-        jac=lambda x: -posterior.gradient(x)[0],
-        hess=lambda x: -posterior.gradient(x)[1],
+        jac=lambda x: -derivatives(x)[0],
+        hess=lambda x: -derivatives(x)[1],
         method="trust-exact",
-        options={"gtol": 1e-7, "maxiter": 200},
+        options={"gtol": GRADIENT_TOLERANCE, "maxiter": 200},
     )
     if not np.isfinite(result.fun):
         raise NumericalError("mode search: the posterior density is not finite, expected a machine near nominal")
-    gradient, curvature = posterior.gradient(result.x)
-    hessian = _compute_hessian(posterior, result.x, curvature)
-    covariance = _invert_negative(hessian, curvature)
-    newton = covariance @ gradient
-    converged = bool(newton @ gradient < GRADIENT_TOLERANCE)
-    return Mode(result.x, float(-result.fun), covariance, converged)
+    return result.x, float(-result.fun)
+
+
+def _characterise(posterior: Posterior, y: Array, log_density: float) -> Mode:
+    """Return the mode at y with its covariance; converged where a Newton step would gain next to nothing."""
+    gradient, curvature = posterior.gradient(y)
+    covariance = _invert_negative(_compute_hessian(posterior, y, curvature), curvature)
+    converged = bool(gradient @ covariance @ gradient < DECREMENT_TOLERANCE)
+    return Mode(y, log_density, covariance, converged)
 
 
 def _fit_geometry(posterior: Posterior, start: Array) -> Array:

@@ -1,0 +1,193 @@
+"""Small studies on disk for the tests: a simulated survey of the telescope with few poses, targets and parameters."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from bayescal.config import load_experiment, load_simulation
+from bayescal.simulation import build_twin, format_survey, simulate_survey
+from bayescal.study.inputs import StudyInputs, load_inputs
+
+EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+TELESCOPE = EXPERIMENTS / "telescope"
+N_CALIBRATION = 13
+N_VERIFICATION = 3
+SEED = 20
+
+SIMULATION = """
+kind = "simulation"
+name = "tiny_twin"
+title = "Tiny twin"
+origin = "Reconstructed: simulated for the tests, never measured"
+seed = 20
+mechanism = "mechanism.toml"
+model = "six_pus"
+
+[truth]
+deformation_matrix = "deformation_matrix.csv"
+
+[truth.offsets]
+l = [0.37, -0.45, 1.02, 0.25, 0.43, 0.58]
+kappa = [9.58e-3, 1.98e-3, 4.43e-3, 3.33e-3, 0.67e-3, 6.99e-3]
+
+[poses]
+calibration = "calibration_configurations.csv"
+verification = "verification_configurations.csv"
+unit_mm = 1.3
+
+[noise]
+target_um = 3.0
+actuator_um = 1.0
+
+[targets]
+base = [{ count = 5, radius_mm = 190.0, height_mm = 0.0 }, { count = 2, radius_mm = 150.0, height_mm = 60.0 }]
+platform = [{ count = 5, radius_mm = 100.0, height_mm = 20.0 }, { count = 2, radius_mm = 90.0, height_mm = 60.0 }]
+per_pad = 2
+pad_radius_mm = 12.0
+
+[measurement_frame]
+distance_mm = 1500.0
+angle_deg = 60.0
+"""
+
+STUDY = """
+kind = "study"
+name = "tiny"
+title = "Tiny study"
+seed = 11
+mechanism = "mechanism.toml"
+
+[data]
+origin = "Reconstructed: simulated for the tests, never measured"
+targets = "data/targets.csv"
+actuators = "data/actuators.csv"
+reference = "data/target_reference.csv"
+target_noise_um = 3.0
+actuator_noise_um = 1.0
+
+[deformation]
+kappa = 0.011
+matrix = "targets"
+
+[parameters]
+l = { prior = "normal", sd = 2.0 }
+kappa = { prior = "normal", sd = 0.01 }
+b_z = { prior = "fixed", offset = 0.0 }
+
+[model_error]
+scale_um = 10.0
+per_leg = false
+
+[[variants]]
+model = "six_pus"
+deformation = "none"
+free = ["l"]
+
+[[variants]]
+model = "six_pus"
+deformation = "matrix"
+free = ["l", "kappa"]
+published = "published.csv"
+
+[sampler]
+ensembles = 4
+walkers = 8
+burn_in = 5
+steps = 10
+
+[evidence]
+draws = 1000
+max_draws = 1000
+
+[sensitivity]
+tolerance_mm = [2.0]
+"""
+
+PUBLISHED = """# as if somebody had published it
+parameter,unit,leg1,leg2,leg3,leg4,leg5,leg6
+l,mm,0.37,-0.45,1.02,0.25,0.43,0.58
+kappa,1e-3,9.58,1.98,4.43,3.33,0.67,6.99
+"""
+
+
+@cache
+def tiny_texts() -> dict[str, str]:
+    """Return the texts of a tiny study's files by their names; made once."""
+    texts = {
+        "simulate.toml": SIMULATION,
+        "study.toml": STUDY,
+        "published.csv": PUBLISHED,
+        "mechanism.toml": (TELESCOPE / "mechanism.toml").read_text(),
+        "deformation_matrix.csv": (TELESCOPE / "deformation_matrix.csv").read_text(),
+    }
+    for name, n in (("calibration", N_CALIBRATION), ("verification", N_VERIFICATION)):
+        rows = (TELESCOPE / f"{name}_configurations.csv").read_text().splitlines()
+        texts[f"{name}_configurations.csv"] = "\n".join(rows[: 2 + n]) + "\n"
+    return texts
+
+
+@cache
+def tiny_survey_texts() -> dict[str, str]:
+    """Return the texts of the tiny survey's CSV files by their names in the study; simulated once."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_texts(folder, tiny_texts())
+        config = load_simulation(folder / "simulate.toml")
+        survey = simulate_survey(build_twin(config, folder), np.random.default_rng(config.seed))
+    return {f"data/{name}": text for name, text in format_survey(survey, config.origin).items()}
+
+
+def write_texts(folder: Path, texts: dict[str, str]) -> None:
+    """Write files by their names under a folder."""
+    for name, text in texts.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+
+
+def write_tiny_study(folder: Path) -> Path:
+    """Write a tiny study with its data to a folder and return its config."""
+    write_texts(folder, tiny_texts() | tiny_survey_texts())
+    return folder / "study.toml"
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    """Replace the first occurrence of a text in a file; it must be there."""
+    text = path.read_text()
+    assert old in text, f"{path} has no {old!r}"
+    path.write_text(text.replace(old, new, 1))
+
+
+def find_line(path: Path, start: str) -> int:
+    """Return the number of the first line that starts with a text, counted from one."""
+    return next(n for n, line in enumerate(path.read_text().splitlines(), start=1) if line.startswith(start))
+
+
+def load_study(path: Path) -> StudyInputs:
+    """Return the inputs of a study from its config."""
+    return load_inputs(load_experiment(path), path.parent)
+
+
+def copy_small(config: Path, folder: Path) -> Path:
+    """Copy an experiment's folder and shrink the sampler of one of its configs; return the copy."""
+    shutil.copytree(config.parent, folder, dirs_exist_ok=True)
+    small = {"walkers": 8, "burn_in": 5, "steps": 10, "draws": 1000, "max_draws": 1000, "repeats": 2}
+    lists = {"tolerance_mm": "[2.0]", "n_targets": "[6, 8]"}
+    text = config.read_text()
+    for key, value in (small | lists).items():
+        text = re.sub(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)
+    (folder / config.name).write_text(text)
+    return folder / config.name
+
+
+def snapshot(folder: Path) -> dict[str, bytes | None]:
+    """Return everything under a folder: files with their contents, directories with None."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+    }
