@@ -12,7 +12,7 @@ _HOMES = {
     "InputError": "bayescal.errors",
     "NumericalError": "bayescal.errors",
     "Machine": "bayescal.kinematics",
-    "MeasuredPoses": "bayescal.likelihood",
+    "MeasuredPoses": "bayescal.measured_poses",
     "Mechanism": "bayescal.mechanism",
     "PoseLikelihood": "bayescal.likelihood",
     "Posterior": "bayescal.posterior",

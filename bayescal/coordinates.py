@@ -111,3 +111,32 @@ class Coordinates:
             fixed = sheared[~self._mask[sheared]]
             change[fixed] = np.eye(self.layout.size)[fixed]
         return change[:, self.free] * self.scale
+
+
+def mirror_direction(layout: ParameterLayout, theta: Array, leg: int, slope: float, free: np.ndarray) -> Array:
+    """Return θ with one leg's actuator turned to the other direction of the same gain, its home joint kept in place.
+
+    The gain u_z + (z_x / z_z) u_x is that of an angle in the plane of x and z; it is even about arctan(z_x / z_z). Only
+    the free ones of the attachment point's coordinates follow.
+
+    Parameters
+    ----------
+    layout : ParameterLayout
+    theta : ndarray, shape (D,)
+    leg : int
+        Counted from zero.
+    slope : float
+        z_x / z_z of the nominal leg.
+    free : ndarray of int
+        Positions of the free parameters in θ.
+    """
+    mirrored = theta.copy()
+    before = actuator_directions(layout, theta)[leg]
+    angle = 2 * np.arctan(slope) - np.arctan2(before[0], before[2])
+    mirrored[layout.index["u_x"][leg]] = np.hypot(before[0], before[2]) * np.sin(angle)
+    moved = layout.take(theta, "rho0")[leg] * (before - actuator_directions(layout, mirrored)[leg])
+    for shift, axis in zip(moved, "xyz", strict=True):
+        position = layout.index[f"a_{axis}"][leg]
+        if position in free:
+            mirrored[position] += shift
+    return mirrored

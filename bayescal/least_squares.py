@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from bayescal.coordinates import mirror_direction
 from bayescal.geometry import Array
 from bayescal.kinematics import Machine, compute_home_legs
-from bayescal.likelihood import MeasuredPoses
-from bayescal.parameters import ParameterLayout
+from bayescal.measured_poses import MeasuredPoses
 
 START_TILT = 0.05  # where u_x starts: at zero its column vanishes for a leg without slope
 
@@ -48,22 +48,13 @@ def identify(machine: Machine, poses: MeasuredPoses, symbols: tuple[str, ...]) -
         start[layout.index["u_x"]] += START_TILT
     best = _solve(machine, poses, free, start)
     if "u_x" in symbols:
-        slopes = compute_home_legs(machine)
+        legs = compute_home_legs(machine)
+        slopes = legs[:, 0] / legs[:, 2]
         for leg in range(machine.mechanism.n_legs):
-            other = _solve(machine, poses, free, _mirror(layout, best.theta, leg, slopes[leg, 0] / slopes[leg, 2]))
+            other = _solve(machine, poses, free, mirror_direction(layout, best.theta, leg, slopes[leg], free))
             if np.sum(other.residual_rms**2) < np.sum(best.residual_rms**2):
                 best = other
     return best
-
-
-def _mirror(layout: ParameterLayout, theta: Array, leg: int, slope: float) -> Array:
-    """Return θ with the leg's u_x mirrored about the direction of largest gain, its home joint kept in place."""
-    mirrored = theta.copy()
-    tilt = layout.index["u_x"][leg]
-    mirrored[tilt] = np.sin(2 * np.arctan(slope) - np.arcsin(theta[tilt]))
-    rho0 = layout.take(theta, "rho0")[leg]
-    mirrored[layout.index["a_x"][leg]] -= rho0 * (mirrored[tilt] - theta[tilt])
-    return mirrored
 
 
 def _solve(machine: Machine, poses: MeasuredPoses, free: np.ndarray, start: Array) -> LeastSquaresFit:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares, minimize
 
+from bayescal.coordinates import mirror_direction
 from bayescal.errors import NumericalError
 from bayescal.geometry import Array
-from bayescal.models.six_pus import actuator_directions
 from bayescal.posterior import Posterior
 from bayescal.priors import NormalPrior
 
@@ -174,14 +174,7 @@ def _mirror_starts(posterior: Posterior, y: Array) -> list[Array]:
         if position not in coordinates.free or (kappa_free is not None and kappa_free[leg]):
             continue
         theta = coordinates.theta_from_y(y[None, : posterior.n_geometry])[0]
-        joint = [layout.index[f"a_{axis}"][leg] for axis in "xyz"]
-        rho0 = layout.take(theta, "rho0")[leg]
-        before = actuator_directions(layout, theta)[leg]
-        angle = np.arctan2(before[0], before[2])
-        theta[position] = np.hypot(before[0], before[2]) * np.sin(2 * np.arctan(coordinates.leg_slope[leg, 0]) - angle)
-        after = actuator_directions(layout, theta)[leg]
-        free = np.isin(joint, coordinates.free)
-        theta[joint] += np.where(free, rho0 * (before - after), 0.0)
+        theta = mirror_direction(layout, theta, leg, coordinates.leg_slope[leg, 0], coordinates.free)
         start = y.copy()
         start[: posterior.n_geometry] = coordinates.y_from_theta(theta)
         starts.append(start)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.geometry import compute_relative_pose
-from bayescal.likelihood import MeasuredPoses
+from bayescal.measured_poses import MeasuredPoses
 from bayescal.photogrammetry.line_fit import fit_line
 from bayescal.photogrammetry.rigid_fit import RigidFit, fit_rigid_body
 from bayescal.photogrammetry.survey import BodyTargets, Survey

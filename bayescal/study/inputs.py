@@ -17,7 +17,8 @@ from bayescal.deformations import DEFORMATIONS, Deformation, LinearDeformation, 
 from bayescal.errors import InputError
 from bayescal.geometry import Array
 from bayescal.kinematics import Machine, check_home_pose
-from bayescal.likelihood import MeasuredPoses, PoseLikelihood
+from bayescal.likelihood import PoseLikelihood
+from bayescal.measured_poses import MeasuredPoses
 from bayescal.mechanism import Mechanism
 from bayescal.models import MODELS
 from bayescal.photogrammetry import ring_deformation as pads
