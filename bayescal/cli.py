@@ -146,9 +146,11 @@ def main() -> None:
     try:
         code = app(standalone_mode=False)
     except typer.TyperException as error:
-        code = _complain(f"{error} See bayescal --help.", InputError.exit_code)
+        code = _complain(f"{error.format_message()} See bayescal --help.", InputError.exit_code)
     except BayescalError as error:
         code = _complain(str(error), error.exit_code)
+    except OSError as error:  # a file or directory that may not be read or written, a full disk
+        code = _complain(f"{error.filename}: {error.strerror}, expected to read or write there", InputError.exit_code)
     except (KeyboardInterrupt, typer.Abort):
         code = _complain("interrupted", INTERRUPTED)
     sys.exit(code or 0)

@@ -26,7 +26,7 @@ from bayescal.measured_poses import MeasuredPoses
 from bayescal.workspace import Workspace
 
 REFINEMENTS = 2
-BATCH = 128  # vectors at a time: what the hot loop touches stays in the cache
+BATCH = 256  # vectors at a time: what the hot loop touches stays in the cache
 
 
 class PoseLikelihood:

@@ -17,6 +17,9 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.geometry import Array
 
+LARGEST = 1e9
+"""Numbers beyond this size are taken for slips: as millimetres, a thousand kilometres."""
+
 
 @dataclass(frozen=True)
 class Table:
@@ -51,11 +54,13 @@ class Table:
 
     def _number(self, cell: str, row: int, column: str) -> float:
         try:
-            value = float(cell)
+            value = float(cell.replace("_", "?"))  # Python would read 1_0 as ten
         except ValueError as error:
             raise InputError(f"{self.where(row)}: {column}: found {cell.strip()!r}, expected a number") from error
         if not math.isfinite(value):
             raise InputError(f"{self.where(row)}: {column}: found {cell.strip()}, expected a finite number")
+        if abs(value) > LARGEST:
+            raise InputError(f"{self.where(row)}: {column}: found {cell.strip()}, expected at most {LARGEST:g} in size")
         return value
 
 
@@ -68,15 +73,15 @@ def read_table(path: Path, columns: Sequence[str] | None) -> Table:
         For a missing or unreadable file, an unknown or missing column, a row of another length, or no rows.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file, expected a CSV table") from error
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as UTF-8 text ({type(error).__name__})") from error
     numbered = [(n, row) for n, row in enumerate(text.splitlines(), start=1) if row.strip() and not row.startswith("#")]
     if not numbered:
         raise InputError(f"{path}: found no header, expected the columns {', '.join(columns or ['...'])}")
-    parsed = list(csv.reader(row for _, row in numbered))
+    parsed = [_parse_row(path, line, row) for line, row in numbered]
     header = tuple(cell.strip() for cell in parsed[0])
     _check_header(path, numbered[0][0], header, columns)
     for (line, _), row in zip(numbered[1:], parsed[1:], strict=True):
@@ -85,6 +90,14 @@ def read_table(path: Path, columns: Sequence[str] | None) -> Table:
     if len(parsed) == 1:
         raise InputError(f"{path}: found no rows, expected at least one")
     return Table(path, header, tuple(tuple(row) for row in parsed[1:]), tuple(line for line, _ in numbered[1:]))
+
+
+def _parse_row(path: Path, line: int, row: str) -> list[str]:
+    """Return the cells of one line; a quoted cell must end on its line."""
+    try:
+        return next(csv.reader([row], strict=True))
+    except csv.Error as error:
+        raise InputError(f"{path}, line {line}: found no CSV row ({error}), expected cells with commas") from error
 
 
 def _check_header(path: Path, line: int, header: tuple[str, ...], columns: Sequence[str] | None) -> None:

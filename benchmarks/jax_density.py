@@ -1,9 +1,10 @@
 """The benchmark posterior written in JAX, as one would for a gradient-based sampler: same data, same priors.
 
-Standardised parameters z = (θ - mean) / sd have standard normal priors. The likelihood has the same fixed covariances as
-bayescal's; the pose error is found either by solving A(θ) e = f pose by pose or by bayescal's own fixed-point iteration.
+Standardised parameters z = (θ - mean) / sd have standard normal priors. The likelihood has the same fixed covariances
+as bayescal's; the pose error is found either by solving A(θ) e = f pose by pose or by bayescal's own iteration.
 """
 
+# ruff: noqa: I001 - telescope_problem comes before NumPy and JAX: it sets the number of threads
 from __future__ import annotations
 
 from collections.abc import Callable

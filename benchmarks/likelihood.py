@@ -1,12 +1,13 @@
 """Time of the batched NumPy likelihood against compiled loops of the same formula, one core.
 
-    python benchmarks/likelihood.py [--repeats 200]
+    python benchmarks/likelihood.py [--repeats 200] [--name likelihood]
 
 128 machines, 60 free parameters, 40 poses; without model error (one covariance for all machines) and with free model
 errors per leg (a 6 x 6 Cholesky factor per machine and pose). The loops get what depends only on the data ready-made.
 Results are compared before anything is timed; then all sides take turns, and medians count.
 """
 
+# ruff: noqa: I001 - telescope_problem comes before NumPy and JAX: it sets the number of threads
 from __future__ import annotations
 
 import argparse
@@ -76,6 +77,7 @@ def main() -> None:
     """Compare, time, print a table and write the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=200)
+    parser.add_argument("--name", default="likelihood", help="name of the results' file")
     arguments = parser.parse_args()
     figures: dict[str, object] = {"n_machines": N_MACHINES, "repeats": arguments.repeats}
     for case, contestants in build_contestants(simulate()).items():
@@ -86,9 +88,7 @@ def main() -> None:
         seconds = time_interleaved(contestants, arguments.repeats)
         time_us = {name: 1e6 * float(np.median(s)) / N_MACHINES for name, s in seconds.items()}
         # medians of the ratio within each round: what disturbs the machine disturbs both
-        ratio = {
-            name: float(np.median(np.array(seconds["numpy"]) / np.array(s))) for name, s in seconds.items()
-        }
+        ratio = {name: float(np.median(np.array(seconds["numpy"]) / np.array(s))) for name, s in seconds.items()}
         print(f"{case:32}{'µs / machine':>14}{'NumPy / this':>14}")
         for name in time_us:
             print(f"  {name:30}{time_us[name]:14.2f}{ratio[name]:14.2f}")
@@ -97,7 +97,7 @@ def main() -> None:
             "numpy_over_numba": {name: value for name, value in ratio.items() if name != "numpy"},
             "largest_relative_difference": agreement,
         }
-    print(write_results("likelihood", figures, ("numpy", "numba")).name)
+    print(write_results(arguments.name, figures, ("numpy", "numba")).name)
 
 
 if __name__ == "__main__":

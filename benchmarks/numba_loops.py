@@ -187,7 +187,12 @@ def _blocked(fastmath: bool) -> tuple[Callable, Callable]:
     @compiled
     def varying(theta, tau, position, rotation, displacement, constant, gain, known, weight, log_constant, result):
         th, slope, closure = np.empty((6, 11, LANES)), np.empty((6, 6, LANES)), np.empty((6, LANES))
-        e, seen, factor, determinant = np.empty((6, LANES)), np.empty((6, LANES)), np.empty((7, 6, LANES)), np.empty(LANES)
+        e, seen, factor, determinant = (
+            np.empty((6, LANES)),
+            np.empty((6, LANES)),
+            np.empty((7, 6, LANES)),
+            np.empty(LANES),
+        )
         inverse, variance = np.empty(LANES), np.empty((6, LANES))
         for start in range(0, len(theta), LANES):
             for v in range(LANES):

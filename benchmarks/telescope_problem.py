@@ -25,7 +25,8 @@ import numpy as np  # noqa: E402 - after the number of threads is set
 from bayescal.deformations.matrix import MatrixDeformation  # noqa: E402
 from bayescal.geometry import Array, matrix_from_rotation_vector  # noqa: E402
 from bayescal.kinematics import Machine, solve_forward_kinematics  # noqa: E402
-from bayescal.likelihood import MeasuredPoses, PoseLikelihood  # noqa: E402
+from bayescal.likelihood import PoseLikelihood  # noqa: E402
+from bayescal.measured_poses import MeasuredPoses  # noqa: E402
 from bayescal.mechanism import Mechanism  # noqa: E402
 from bayescal.models.six_pus import SixPus  # noqa: E402
 from bayescal.posterior import ModelError, Posterior  # noqa: E402
@@ -67,16 +68,16 @@ class Problem:
     def priors(self) -> dict[str, NormalPrior]:
         """Return normal priors about the nominal values for all 60 parameters of `FREE`."""
         layout = self.machine.layout
-        free = [(name, k) for block, names in _names_of(layout) if block in FREE for name, k in names]
-        return {name: NormalPrior(float(layout.nominal[k]), PRIOR_SD.get(name[:-3], LENGTH_SD)) for name, k in free}
+        priors = {}
+        for block in layout.blocks:
+            if block.symbol in FREE:
+                sd = PRIOR_SD.get(block.symbol, LENGTH_SD)
+                priors |= {n: NormalPrior(x, sd) for n, x in zip(block.names, block.nominal, strict=True)}
+        return priors
 
     def posterior(self, model_error: bool = False) -> Posterior:
         """Return the posterior, without model error or with one per leg."""
         return Posterior(self.likelihood(), self.priors(), ModelError(MODEL_ERROR_SCALE if model_error else None))
-
-
-def _names_of(layout):  # noqa: ANN001, ANN202 - a pair of a symbol and its (name, position) pairs
-    return [(b.symbol, list(zip(b.names, layout.index[b.symbol].tolist(), strict=True))) for b in layout.blocks]
 
 
 def telescope_mechanism() -> Mechanism:

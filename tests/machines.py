@@ -7,10 +7,12 @@ were recovered from its tables. Whatever is simulated here is a twin, never a me
 from __future__ import annotations
 
 import numpy as np
+
 from bayescal.deformations import DEFORMATIONS, Deformation, LinearDeformation, MatrixDeformation
 from bayescal.geometry import matrix_from_rotation_vector
 from bayescal.kinematics import Machine, solve_forward_kinematics
-from bayescal.likelihood import MeasuredPoses, PoseLikelihood
+from bayescal.likelihood import PoseLikelihood
+from bayescal.measured_poses import MeasuredPoses
 from bayescal.mechanism import Mechanism
 from bayescal.models import MODELS, KinematicModel
 from bayescal.posterior import ModelError, Posterior
@@ -32,12 +34,48 @@ TELESCOPE_MATRIX = 1e-3 * np.array(
     ]
 )
 # table 3, in units of the actuator range; one string per configuration, legs 1 to 6
-_TABLE_3 = """
-+--++- +0+++- 0+--0+ ++0--+ +++0-+ 00--++ ++000- +--0-- ---0-- -+-0--
----+-0 +-0++- -+--+- ++000- --0-0- -0+-++ ++++-0 --+0-- 0-+-+- -++0--
-+-0+++ --00++ +++--- 0-+-0+ +--+++ -++0-0 -+--++ -++0-- -++-0+ +-0-++
-++0-0+ 0+---+ +++--0 -+-+-- -+0++0 00+--- +0-+++ ++0++- -0+--- +----+
-""".split()
+_TABLE_3 = [
+    "+--++-",
+    "+0+++-",
+    "0+--0+",
+    "++0--+",
+    "+++0-+",
+    "00--++",
+    "++000-",
+    "+--0--",
+    "---0--",
+    "-+-0--",
+    "---+-0",
+    "+-0++-",
+    "-+--+-",
+    "++000-",
+    "--0-0-",
+    "-0+-++",
+    "++++-0",
+    "--+0--",
+    "0-+-+-",
+    "-++0--",
+    "+-0+++",
+    "--00++",
+    "+++---",
+    "0-+-0+",
+    "+--+++",
+    "-++0-0",
+    "-+--++",
+    "-++0--",
+    "-++-0+",
+    "+-0-++",
+    "++0-0+",
+    "0+---+",
+    "+++--0",
+    "-+-+--",
+    "-+0++0",
+    "00+---",
+    "+0-+++",
+    "++0++-",
+    "-0+---",
+    "+----+",
+]
 TABLE_3 = np.array([[{"-": -1.0, "0": 0.0, "+": 1.0}[sign] for sign in row] for row in _TABLE_3])
 TABLE_7A = {
     "a_x": [-1.71, 0.41, 0.30, -1.58, -0.18, -0.34],

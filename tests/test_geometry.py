@@ -5,6 +5,7 @@ from __future__ import annotations
 import machines
 import numpy as np
 import pytest
+
 from bayescal.geometry import (
     compute_pose_error,
     compute_relative_pose,

@@ -7,6 +7,7 @@ import itertools
 import machines
 import numpy as np
 import pytest
+
 from bayescal.errors import InputError, NumericalError
 from bayescal.geometry import compute_pose_error, matrix_from_rotation_vector
 from bayescal.kinematics import check_home_pose, compute_home_legs, guess_home_pose, solve_forward_kinematics
@@ -62,6 +63,19 @@ def test_batches_of_machines_equal_single_ones(rng):
     assert batch.rotation.shape == (3, 5, 3, 3)
     one = solve_forward_kinematics(machine, theta[2], actuators[4])
     np.testing.assert_allclose(batch.position[2, 4], one.position, atol=1e-11)
+
+
+def test_newton_converges_quadratically_at_large_rotations(rng):
+    """Some ten degrees away six steps are enough, and the closure vanishes to rounding."""
+    machine = machines.build_machine("none", machines.build_random_mechanism(6, seed=6))
+    home = check_home_pose(machine)
+    position = home.position + rng.uniform(-5, 5, (50, 3))
+    rotation = matrix_from_rotation_vector(rng.uniform(-0.15, 0.15, (50, 3)))
+    actuators = actuators_of(machine, machine.layout.nominal, position, rotation)
+    found = solve_forward_kinematics(machine, machine.layout.nominal, actuators)
+    assert found.n_iterations <= 6
+    here = machine.linearise(machine.layout.nominal, found.position, found.rotation, actuators)
+    assert np.abs(here.residual).max() < 1e-11
 
 
 def test_home_pose_of_the_telescope():
@@ -148,7 +162,7 @@ def test_singular_geometry_is_refused(base_points, platform_points):
 
 
 def test_regular_geometry_is_accepted():
-    mechanism = machines.build_telescope(base_points=machines.build_telescope().base_points + [5.0, 0.0, 0.0])
+    mechanism = machines.build_telescope(base_points=machines.build_telescope().base_points + np.array([5.0, 0.0, 0.0]))
     assert check_home_pose(machines.build_machine("none", mechanism)).converged.all()
 
 

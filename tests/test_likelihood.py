@@ -7,11 +7,13 @@ from dataclasses import replace
 import machines
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
+
 from bayescal import likelihood as likelihood_module
 from bayescal.geometry import compute_pose_error
 from bayescal.kinematics import check_home_pose, solve_forward_kinematics
 from bayescal.likelihood import PoseLikelihood
-from scipy.stats import multivariate_normal
+from bayescal.measured_poses import MeasuredPoses
 
 TAU = np.array([0.5, 1.0, 2.0, 3.0, 5.0, 8.0]) * 1e-3
 MICROMETRE = 1e-3
@@ -162,7 +164,9 @@ def test_one_model_error_for_all_equals_one_each(n_legs, rng):
     likelihood, theta = build("linear", 5e-3, rng) if n_legs == 6 else build_redundant(rng)[:2]
     tau = rng.uniform(0, 8, n_legs) * MICROMETRE
     each = np.tile(tau, (len(theta), 1))
-    np.testing.assert_allclose(likelihood.pointwise(theta, tau), likelihood.pointwise(theta, each), rtol=1e-9, atol=1e-8)
+    np.testing.assert_allclose(
+        likelihood.pointwise(theta, tau), likelihood.pointwise(theta, each), rtol=1e-9, atol=1e-8
+    )
     other = each.copy()
     other[1, n_legs - 1] += 1e-3
     difference = likelihood.pointwise(theta, other) - likelihood.pointwise(theta, each)
@@ -177,6 +181,50 @@ def test_batches_do_not_mix(rng):
     one_by_one = [likelihood(theta[k : k + 1], tau[k : k + 1])[0] for k in range(4)]
     np.testing.assert_allclose(together, one_by_one, rtol=1e-11)
     np.testing.assert_allclose(together, likelihood.pointwise(theta, tau).sum(axis=1), rtol=1e-13)
+
+
+def test_more_vectors_than_a_batch(rng):
+    n = 2 * likelihood_module.BATCH + 5
+    likelihood, theta = build("matrix", 5e-3, rng, batch=n)
+    tau = rng.uniform(0, 8, (n, 6)) * MICROMETRE
+    for model_error, pick in ((tau, lambda k: tau[k]), (tau[0], lambda k: tau[0])):
+        found = likelihood.pointwise(theta, model_error)
+        assert found.shape == (n, 40)
+        for part in (slice(0, 3), slice(126, 131), slice(n - 2, n)):
+            np.testing.assert_allclose(found[part], likelihood.pointwise(theta[part], pick(part)), rtol=1e-11)
+
+
+def test_later_calls_leave_earlier_results_alone(rng):
+    """The scratch arrays that calls share are none of the results."""
+    likelihood, theta = build("matrix", 5e-3, rng, batch=4)
+    tau = rng.uniform(0, 8, (4, 6)) * MICROMETRE
+    calls = {
+        "each": lambda t: likelihood.pointwise(t, tau[: len(t)]),
+        "one": lambda t: likelihood.pointwise(t, tau[0]),
+        "errors": likelihood.leg_errors,
+        "pose": likelihood.pose_errors,
+        "slope": lambda t: likelihood.leg_error_jacobian(t[0])[1],
+        "seen": lambda t: likelihood.leg_error_jacobian(t[0])[0],
+    }
+    first = {name: call(theta) for name, call in calls.items()}
+    kept = {name: value.copy() for name, value in first.items()}
+    for call in calls.values():
+        call(theta[::-1] + 1e-3)
+        call(theta[1:3])
+    for name, call in calls.items():
+        np.testing.assert_array_equal(first[name], kept[name])
+        np.testing.assert_array_equal(call(theta), kept[name])
+
+
+def test_the_kept_whitening_follows_the_model_error(rng):
+    likelihood, theta = build("matrix", 5e-3, rng)
+    tau = TAU.copy()
+    first = likelihood(theta, tau)
+    tau *= 2.0  # in place: what was kept must not be compared with itself
+    second = likelihood(theta, tau)
+    np.testing.assert_allclose(second, likelihood(theta, np.tile(2 * TAU, (3, 1))), rtol=1e-10)
+    np.testing.assert_array_equal(likelihood(theta, TAU), first)
+    assert np.all(np.abs(first - second) > 1)
 
 
 def test_no_machine_has_no_density(rng):
@@ -266,9 +314,11 @@ def build_redundant(rng, size=5e-3, order=None):
     home = check_home_pose(machines.build_machine("linear", mechanism))
     position = home.position + stream.uniform(-2, 2, (12, 3))
     rotation = machines.matrix_from_rotation_vector(stream.uniform(-0.01, 0.01, (12, 3))) @ home.rotation
-    actuators = closing_actuators(machine, theta[0], position, rotation) + size * stream.uniform(-1, 1, (12, 8))[:, order]
+    actuators = (
+        closing_actuators(machine, theta[0], position, rotation) + size * stream.uniform(-1, 1, (12, 8))[:, order]
+    )
     names = tuple(map(str, range(12)))
-    poses = likelihood_module.MeasuredPoses(names, position, rotation, machines.measurement_covariance(12), actuators)
+    poses = MeasuredPoses(names, position, rotation, machines.measurement_covariance(12), actuators)
     for symbol in layout.symbols:
         change = stream.uniform(-1, 1, (2, 8))[:, order]
         theta[1:, layout.index[symbol]] += size * spread.get(symbol, 1.0) * change
@@ -291,7 +341,9 @@ def test_order_of_the_legs_does_not_matter(rng):
     first, theta, _ = build_redundant(rng)
     second, permuted, _ = build_redundant(rng, order=order)
     np.testing.assert_allclose(second.leg_errors(permuted), first.leg_errors(theta)[..., order], atol=1e-11)
-    np.testing.assert_allclose(second.pointwise(permuted, tau[order]), first.pointwise(theta, tau), rtol=1e-8, atol=1e-6)
+    np.testing.assert_allclose(
+        second.pointwise(permuted, tau[order]), first.pointwise(theta, tau), rtol=1e-8, atol=1e-6
+    )
     assert np.abs(second.pointwise(permuted, tau) - first.pointwise(theta, tau)).max() > 0.1
 
 
@@ -310,7 +362,7 @@ def test_spare_legs_report_the_closure_that_no_pose_explains(rng):
 
 def test_spare_legs_density_is_normalised(rng):
     """Eight leg errors drawn from their covariance have minus the entropy as mean log-density, in units of the legs."""
-    likelihood, theta, _ = build_redundant(rng)
+    likelihood, _, _ = build_redundant(rng)
     tau = np.arange(1, 9) * MICROMETRE
     covariance, n_draws = likelihood.leg_covariance(tau), 4000
     draws = rng.standard_normal((n_draws, 12, 8, 1))

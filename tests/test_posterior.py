@@ -5,14 +5,16 @@ from __future__ import annotations
 import machines
 import numpy as np
 import pytest
+from scipy import stats
+
 from bayescal.errors import InputError
 from bayescal.inference.mode import find_mode
 from bayescal.posterior import ModelError, Posterior
 from bayescal.priors import HalfNormalPrior, NormalPrior, UniformPrior
-from scipy import stats
 
 ALL_SYMBOLS = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "u_x", "u_y", "l", "rho0", "kappa")
 SCALE = 0.01
+NO_MODEL_ERROR = ModelError(None)
 SUBSETS = {
     "six of a leg": ("a_x", "a_y", "b_x", "b_y", "l", "kappa"),
     "directions, attachments fixed": ("u_x", "u_y", "kappa"),
@@ -24,7 +26,7 @@ SUBSETS = {
 }
 
 
-def build(poses, symbols=ALL_SYMBOLS, model_error=ModelError(None), deformation="matrix", mechanism=None):
+def build(poses, symbols=ALL_SYMBOLS, model_error=NO_MODEL_ERROR, deformation="matrix", mechanism=None):
     """Return a posterior of the telescope, or of a machine whose home legs lean in every direction."""
     machine = machines.build_machine(deformation, mechanism)
     return machines.build_posterior(deformation, poses, model_error, symbols, machine)
@@ -95,7 +97,7 @@ def test_shears_hold_the_initial_joint_and_the_actuator_gain(leaning, leaning_po
     u[..., 2] = np.sqrt(1 - u[..., 0] ** 2 - u[..., 1] ** 2)
     joint = layout.take_vector(theta, "a") + layout.take(theta, "rho0")[..., None] * u
     np.testing.assert_allclose(joint[1], joint[0], atol=1e-12)
-    legs = leaning.platform_points + [3.0, -2.0, 400.0] - leaning.home_joints
+    legs = leaning.platform_points + np.array([3.0, -2.0, 400.0]) - leaning.home_joints
     gain = layout.take(theta, "kappa") - np.einsum("bik,ik->bi", u, legs / legs[:, 2:])
     np.testing.assert_allclose(gain[1], gain[0], atol=1e-11)
     assert np.abs(u[1] - u[0]).max() > 1e-2

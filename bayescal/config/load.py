@@ -41,7 +41,11 @@ def load_experiment(path: Path) -> StudyConfig | PoseMethodsConfig:
 
 def load_simulation(path: Path) -> SimulationConfig:
     """Return the checked config of a simulation."""
-    return _check(SimulationConfig, *_swap(path))
+    content, text = _read_toml(path)
+    kind = content.get("kind")
+    if kind != "simulation":
+        raise InputError(f"{path}: kind: found {kind!r}{_suggest(str(kind), ['simulation'])}, expected 'simulation'")
+    return _check(SimulationConfig, content, path, text)
 
 
 def load_mechanism(path: Path) -> Mechanism:
@@ -52,7 +56,8 @@ def load_mechanism(path: Path) -> Mechanism:
     InputError
         Where the file is not a mechanism, or its lists do not have one entry per leg.
     """
-    config = _check(MechanismConfig, *_swap(path))
+    content, text = _read_toml(path)
+    config = _check(MechanismConfig, content, path, text)
     base, platform = _points(config.base), _points(config.platform)
     n_legs = len(base)
     directions = np.atleast_2d(np.array(config.legs.direction, dtype=np.float64))
@@ -94,20 +99,15 @@ def _points(config: PointsConfig) -> Array:
 
 def _read_toml(path: Path) -> tuple[dict[str, Any], str]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file, expected a TOML config") from error
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as UTF-8 text ({type(error).__name__})") from error
     try:
         return tomllib.loads(text), text
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also numbers of thousands of digits and brackets without end
         raise InputError(f"{path}: not valid TOML: {error}") from error
-
-
-def _swap(path: Path) -> tuple[dict[str, Any], Path, str]:
-    content, text = _read_toml(path)
-    return content, path, text
 
 
 def _check[S: Section](schema: type[S], content: dict[str, Any], path: Path, text: str) -> S:
@@ -118,13 +118,16 @@ def _check[S: Section](schema: type[S], content: dict[str, Any], path: Path, tex
 
 
 def _describe(error: ValidationError, schema: type[Section], path: Path, text: str) -> str:
-    """Return the first fault as one line; unknown keys first, since they explain the missing ones."""
-    faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
-    fault = faults[0]
-    location = [part for part in fault["loc"] if not str(part).startswith(("function-", "list["))]
-    tags = {"normal", "uniform", "fixed", "float", "constrained-float"}
-    field = ".".join(str(part) for part in location if part not in tags) or "the file"
-    line = _find_line(text, location)
+    """Return the first fault as one line.
+
+    Unknown keys come first, since they explain the missing ones; then the deepest place, since a list that may also be
+    a number is at fault in its entry; last, that something is no list, since most of these may be a number instead.
+    """
+    rank = {"extra_forbidden": -1, "list_type": 1}
+    fault = min(error.errors(), key=lambda fault: (rank.get(fault["type"], 0), -len(_keys_of(fault["loc"]))))
+    location = _keys_of(fault["loc"])
+    field = ".".join(str(part) for part in location) or "the file"
+    line = _find_line(text, location[:-1] if fault["type"] == "missing" else location)
     where = f"{path}, line {line}: {field}" if line else f"{path}: {field}"
     if fault["type"] == "extra_forbidden":
         known = _known_keys(schema, location[:-1])
@@ -134,7 +137,19 @@ def _describe(error: ValidationError, schema: type[Section], path: Path, text: s
         return f"{where}: missing, expected a value"
     if fault["type"] == "value_error":
         return f"{where}: {message}"
+    if fault["type"] == "union_tag_not_found":
+        return f"{where}: found no key {fault['ctx']['discriminator']}, expected a value"
+    if fault["type"] == "union_tag_invalid":
+        return f"{where}: found {fault['ctx']['tag']!r}, expected one of {fault['ctx']['expected_tags']}"
+    if message.startswith("Input should be "):
+        return f"{where}: found {_short(fault['input'])}, expected {message.removeprefix('Input should be ')}"
     return f"{where}: found {_short(fault['input'])}, expected: {message[0].lower()}{message[1:]}"
+
+
+def _keys_of(location: tuple[int | str, ...]) -> list[int | str]:
+    """Return a fault's location without the parts that name a branch of a union."""
+    branches = {"normal", "uniform", "fixed", "float", "constrained-float"}
+    return [part for part in location if part not in branches and not str(part).startswith(("function-", "list["))]
 
 
 def _short(value: object) -> str:

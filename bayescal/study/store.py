@@ -28,6 +28,8 @@ PROVENANCE_FILE = "provenance.json"
 
 def write_atomically(path: Path, content: bytes) -> None:
     """Write a file so that it is there whole or not at all."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a directory, expected a file name")
     temporary = path.with_name(path.name + ".tmp")
     with temporary.open("wb") as file:
         file.write(content)
@@ -45,12 +47,16 @@ class Store:
     @property
     def partial(self) -> Path:
         """Directory of the finished tasks."""
-        return self.out.with_name(self.out.name + ".partial")
+        return self._beside(".partial")
 
     @property
     def staged(self) -> Path:
         """Directory in which new results are put together."""
-        return self.out.with_name(self.out.name + ".new.partial")
+        return self._beside(".new.partial")
+
+    def _beside(self, ending: str) -> Path:
+        where = self.out.resolve()  # a link or "." has its neighbours where it points to
+        return where.with_name(where.name + ending)
 
     # --- before the run ------------------------------------------------------------------------------------------
 
@@ -86,9 +92,21 @@ class Store:
             if changes:
                 raise InputError(f"{self.partial}: cannot resume, the config differs: {'; '.join(changes)}")
             return
+        self._check_partial()
         shutil.rmtree(self.partial, ignore_errors=True)
         self.partial.mkdir(parents=True)
         write_atomically(self.partial / IDENTITY_FILE, json.dumps(identity, indent=1).encode())
+
+    def _check_partial(self) -> None:
+        """Refuse to empty a directory that no run has made."""
+        if not self.partial.exists():
+            return
+        ours = self.partial.is_dir() and all(
+            path.name.removesuffix(".tmp") == IDENTITY_FILE or path.name.removesuffix(".tmp").endswith(".npz")
+            for path in self.partial.iterdir()
+        )
+        if not ours:
+            raise InputError(f"{self.partial}: exists and is no interrupted run, expected nothing there; remove it")
 
     # --- tasks ---------------------------------------------------------------------------------------------------
 
@@ -106,8 +124,8 @@ class Store:
         try:
             with np.load(path, allow_pickle=False) as stored:
                 return {name: stored[name] for name in stored.files}
-        except (OSError, ValueError, zipfile.BadZipFile):
-            return None
+        except (OSError, ValueError, EOFError, RuntimeError, AttributeError, TypeError, zipfile.BadZipFile):
+            return None  # among them what a flipped bit looks like: an encrypted archive, a bare array
 
     # --- after the run -------------------------------------------------------------------------------------------
 
@@ -120,10 +138,10 @@ class Store:
     def publish(self) -> None:
         """Put the staged results in place of the old ones in one step, then remove the old and the partial work."""
         if self.out.exists():
-            _exchange(self.staged, self.out)
+            _exchange(self.staged, self.out.resolve())
             shutil.rmtree(self.staged, ignore_errors=True)
         else:
-            self.staged.rename(self.out)
+            self.staged.rename(self.out.resolve())
         shutil.rmtree(self.partial, ignore_errors=True)
 
 

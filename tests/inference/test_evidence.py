@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from scipy import stats
+from scipy.special import loggamma
+
 from bayescal.errors import NumericalError
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.proposal import MixtureProposal, proposal_from_draws
-from scipy import stats
-from scipy.special import loggamma
 
 TOLERANCE = 0.02
 NOISE = 0.3
@@ -142,10 +143,15 @@ def test_importance_standard_errors_are_honest(problem):
 
 
 @pytest.mark.slow
-def test_bridge_standard_errors_are_honest(problem):
+@pytest.mark.parametrize(
+    ("n_steps", "n_proposal"), [(40, 4000), (80, 200), (3, 40_000)], ids=["both", "few proposed", "few drawn"]
+)
+def test_bridge_standard_errors_are_honest(problem, n_steps, n_proposal):
+    """Where either half of the bridge is the weaker one, so that neither half's error can be left out."""
+
     def estimate(seed):
-        draws, densities = draw_chains(problem.log_density, problem.proposal(20.0), 100 + seed, n_steps=40)
-        return estimate_by_bridge(problem.log_density, draws, densities, np.random.default_rng(seed), 4000)
+        draws, densities = draw_chains(problem.log_density, problem.proposal(20.0), 100 + seed, n_steps=n_steps)
+        return estimate_by_bridge(problem.log_density, draws, densities, np.random.default_rng(seed), n_proposal)
 
     z = z_scores(estimate, problem.log_evidence, range(20))
     assert 0.6 < np.std(z, ddof=1) < 1.5
@@ -202,7 +208,7 @@ def test_known_constant_of_a_target_that_is_no_gaussian(target):
     proposal = proposal_from_draws(exact_draws(target, 4000, np.random.default_rng(4)), 4.0)
     importance = estimate_by_importance(target, proposal, np.random.default_rng(6), 40_000)
     assert abs(importance.log_evidence - LOG_CONSTANT) < min(4 * importance.standard_error, 2 * TOLERANCE)
-    draws, densities = draw_chains(target, proposal, seed=8, n_walkers=32, n_burn_in=100, n_steps=400)
+    draws, densities = draw_chains(target, proposal, seed=8, n_walkers=32, n_burn_in=60, n_steps=250)
     bridge = estimate_by_bridge(target, draws, densities, np.random.default_rng(9), 20_000)
     assert abs(bridge.log_evidence - LOG_CONSTANT) < min(4 * bridge.standard_error, 2 * TOLERANCE)
     assert importance.standard_error < TOLERANCE

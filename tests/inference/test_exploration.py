@@ -5,12 +5,12 @@ from __future__ import annotations
 import machines
 import numpy as np
 import pytest
+
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import count_walkers, explore
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.posterior import ModelError
-
 
 SEED, NAMES = 1, ("none", "linear", "matrix")
 
@@ -31,9 +31,7 @@ def explored(request, explorations):
 def test_proposal_is_efficient(explored):
     posterior, found = explored
     assert found.efficiency > 0.05
-    evidence = estimate_by_importance(
-        found.straight.log_density, found.proposal, np.random.default_rng(3), 10_000
-    )
+    evidence = estimate_by_importance(found.straight.log_density, found.proposal, np.random.default_rng(3), 10_000)
     assert evidence.efficiency > 0.05
     assert evidence.pareto_k < 0.7
     assert found.modes[0].log_density == max(mode.log_density for mode in found.modes)
@@ -71,7 +69,9 @@ def test_same_seed_explores_alike(explorations):
     assert first.efficiency != other.efficiency
 
 
-@pytest.mark.parametrize(("n_parameters", "asked", "expected"), [(42, 128, 128), (66, 128, 134), (42, 127, 126), (3, 1, 8)])
+@pytest.mark.parametrize(
+    ("n_parameters", "asked", "expected"), [(42, 128, 128), (66, 128, 134), (42, 127, 126), (3, 1, 8)]
+)
 def test_number_of_walkers_is_even_and_large_enough(n_parameters, asked, expected):
     assert count_walkers(n_parameters, asked) == expected
     assert count_walkers(n_parameters, asked) >= 2 * n_parameters + 2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import machines
 import numpy as np
 import pytest
+
 from bayescal.errors import NumericalError
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import find_mode, find_modes
@@ -39,7 +40,9 @@ def test_covariance_is_the_inverse_curvature(posterior, rng):
     mode = find_mode(posterior, np.zeros(posterior.n_parameters))
     white = np.linalg.cholesky(mode.covariance).T
     directions = np.concatenate([white, rng.standard_normal((100, len(white))) @ white / np.sqrt(len(white))])
-    size = np.concatenate([np.ones(len(white)), np.sum(np.linalg.solve(white.T, directions[len(white) :].T) ** 2, axis=0)])
+    size = np.concatenate(
+        [np.ones(len(white)), np.sum(np.linalg.solve(white.T, directions[len(white) :].T) ** 2, axis=0)]
+    )
     step = 0.02
     ahead, behind = (posterior.log_density(mode.y + side * directions) for side in (step, -step))
     np.testing.assert_allclose((ahead + behind - 2 * mode.log_density) / step**2 / size, -1.0, atol=0.03)
@@ -77,7 +80,9 @@ def test_mirror_images_of_a_direction_are_found():
     machine = machines.build_machine("none")
     layout = machine.layout
     slope = machines.build_posterior(
-        "none", machines.place_poses(machine, layout.nominal, machines.table_3_actuators(), np.zeros((40, 6))), ModelError(None)
+        "none",
+        machines.place_poses(machine, layout.nominal, machines.table_3_actuators(), np.zeros((40, 6))),
+        ModelError(None),
     ).coordinates.leg_slope[:, 0]
     theta = layout.nominal.copy()
     theta[layout.index["u_x"]] = np.sin(np.arctan(slope)) + 0.03 * np.array([1, -1, 1, -1, 1, -1])

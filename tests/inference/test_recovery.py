@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import machines
 import numpy as np
 import pytest
+from scipy import stats
+
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import evaluate_in_batches
 from bayescal.posterior import ModelError
-from scipy import stats
 
 pytestmark = pytest.mark.slow
 
@@ -159,4 +160,4 @@ def test_wrong_widths_would_show(drawn):
 def test_proposals_are_worth_drawing_from(telescope, drawn):
     efficiencies = np.array([f.efficiency for f in (*telescope, *drawn)])
     assert np.median(efficiencies) > 0.2
-    assert efficiencies.min() > 0.02
+    assert np.mean(efficiencies < 0.05) < 0.05

@@ -5,12 +5,13 @@ from __future__ import annotations
 import machines
 import numpy as np
 import pytest
+from scipy import stats
+
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.mode import find_modes
 from bayescal.inference.proposal import proposal_from_modes
 from bayescal.inference.straightening import Bend, fit_bend, fit_curve, straighten
 from bayescal.posterior import ModelError
-from scipy import stats
 
 
 def sample(posterior, straight, mode, seed=1, n_steps=150):
@@ -28,7 +29,11 @@ def fitted(twin):
     Fifteen of the poses: the less is known of the model errors, the deeper the funnel.
     """
     found, few = {}, twin.select(np.arange(15))
-    for name, model_error in {"none": ModelError(0.01), "matrix": ModelError(0.01), "shared": ModelError(0.01, True)}.items():
+    for name, model_error in {
+        "none": ModelError(0.01),
+        "matrix": ModelError(0.01),
+        "shared": ModelError(0.01, True),
+    }.items():
         posterior = machines.build_posterior("none" if name == "none" else "matrix", few, model_error)
         mode = find_modes(posterior)[0]
         plain = straighten(posterior, mode)
@@ -129,7 +134,9 @@ def test_bend_maps_three_quantiles_to_those_of_a_normal(rng):
     zeta = np.log(rng.gamma([1.0, 3.0], size=(20_000, 2)))
     bend = fit_bend(zeta)
     eta = bend.inverse(zeta)
-    np.testing.assert_allclose(np.quantile(eta, [0.05, 0.5, 0.95], axis=0).T, np.tile([-1.645, 0, 1.645], (2, 1)), atol=1e-3)
+    np.testing.assert_allclose(
+        np.quantile(eta, [0.05, 0.5, 0.95], axis=0).T, np.tile([-1.645, 0, 1.645], (2, 1)), atol=1e-3
+    )
     assert np.all(np.abs(stats.skew(eta)) < 0.4 * np.abs(stats.skew(zeta)))
 
 

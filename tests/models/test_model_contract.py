@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import machines
 import numpy as np
 import pytest
+
 from bayescal.geometry import matrix_from_rotation_vector
 from bayescal.kinematics import Machine, check_home_pose
 

@@ -1,0 +1,330 @@
+"""Configs: the shipped ones load; every fault is one line with file, field, found and expected."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import studies
+from bayescal.config import PoseMethodsConfig, StudyConfig, load_experiment, load_mechanism, load_simulation
+from bayescal.errors import InputError
+
+LOADERS = {"study": load_experiment, "pose_methods": load_experiment, "simulation": load_simulation}
+SHIPPED = sorted(studies.EXPERIMENTS.rglob("*.toml"))
+
+
+@pytest.fixture
+def study(tmp_path) -> Path:
+    """Return the config of a tiny study, without data."""
+    studies.write_texts(tmp_path, studies.tiny_texts())
+    return tmp_path / "study.toml"
+
+
+def fail(loader, path: Path) -> str:
+    """Return the one-line message with which loading fails."""
+    with pytest.raises(InputError) as caught:
+        loader(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(str(path))
+    assert "expected" in message
+    return message
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: str(path.relative_to(studies.EXPERIMENTS)))
+def test_every_shipped_config_loads(path):
+    found = re.search(r'^kind = "(\w+)"', path.read_text(), flags=re.MULTILINE)
+    config = LOADERS[found[1]](path) if found else load_mechanism(path)
+    assert config.name
+
+
+def test_shipped_studies_build_every_variant():
+    inputs = studies.load_study(studies.TELESCOPE / "study.toml")
+    assert [v.name for v in inputs.config.variants] == ["six_pus/none", "six_pus/linear", "six_pus/matrix"]
+    assert inputs.extraction.poses.n_poses == 46
+    assert int(inputs.survey.verification.sum()) == 6
+
+
+def test_kind_chooses_the_schema():
+    assert isinstance(load_experiment(studies.TELESCOPE / "study.toml"), StudyConfig)
+    assert isinstance(load_experiment(studies.EXPERIMENTS / "pose_extraction/figure5.toml"), PoseMethodsConfig)
+
+
+# --- misspelt keys ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field", "suggestion"),
+    [
+        ("seed = 11", "sede = 11", "sede", "seed"),
+        ("[sampler]", "[samplers]", "samplers", "sampler"),
+        ("[data]", "[date]", "date", "data"),
+        ("[[variants]]", "[[variant]]", "variant", "variants"),
+        ("target_noise_um", "target_noise_mm", "data.target_noise_mm", "target_noise_um"),
+        ("actuator_noise_um", "actuator_noise", "data.actuator_noise", "actuator_noise_um"),
+        ("scale_um", "scale_mm", "model_error.scale_mm", "scale_um"),
+        ("tolerance_mm", "tolerance_um", "sensitivity.tolerance_um", "tolerance_mm"),
+        ("walkers", "walker", "sampler.walker", "walkers"),
+        ('free = ["l"]', 'fre = ["l"]', "variants.0.fre", "free"),
+        ("published =", "publishd =", "variants.1.publishd", "published"),
+        ("sd = 2.0", "sdd = 2.0", "parameters.l.sdd", "sd"),
+        ("offset = 0.0", "ofset = 0.0", "parameters.b_z.ofset", "offset"),
+    ],
+)
+def test_misspelt_key_suggests_the_nearest(study, old, new, field, suggestion):
+    studies.edit(study, old, new)
+    line = next(n for n, row in enumerate(study.read_text().splitlines(), start=1) if new in row)
+    message = fail(load_experiment, study)
+    assert f"line {line}: {field}: unknown key" in message
+    assert f"did you mean {suggestion!r}?" in message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [
+        ("target_um", "target_mm", "noise.target_mm"),
+        ("unit_mm", "unit", "poses.unit"),
+        ("pad_radius_mm", "pad_radius_m", "targets.pad_radius_m"),
+        ("{ count = 5", "{ cuont = 5", "targets.base.0.cuont"),
+        ("[truth.offsets]", "[truth.ofsets]", "truth.ofsets"),
+    ],
+)
+def test_misspelt_key_of_a_simulation(study, old, new, field):
+    path = study.with_name("simulate.toml")
+    studies.edit(path, old, new)
+    message = fail(load_simulation, path)
+    assert f"{field}: unknown key, did you mean" in message
+
+
+# --- wrong values ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field", "found"),
+    [
+        ("target_noise_um = 3.0", 'target_noise_um = "3 um"', "data.target_noise_um", "'3 um'"),
+        ("target_noise_um = 3.0", "target_noise_um = true", "data.target_noise_um", "True"),
+        ("target_noise_um = 3.0", "target_noise_um = nan", "data.target_noise_um", "nan"),
+        ("target_noise_um = 3.0", "target_noise_um = 0", "data.target_noise_um", "0"),
+        ("actuator_noise_um = 1.0", "actuator_noise_um = -inf", "data.actuator_noise_um", "-inf"),
+        ("actuator_noise_um = 1.0", "actuator_noise_um = -1.0", "data.actuator_noise_um", "-1.0"),
+        ("sd = 2.0", 'sd = "2 mm"', "parameters.l.sd", "'2 mm'"),
+        ("sd = 2.0", "sd = true", "parameters.l.sd", "True"),
+        ("sd = 2.0", "sd = -2.0", "parameters.l.sd", "-2.0"),
+        ("sd = 2.0", "sd = [1, 2, 3, 4, 5, -6]", "parameters.l.sd.5", "-6"),
+        ('"normal", sd = 2.0', '"gauss", sd = 2.0', "parameters.l", "'gauss'"),
+        ('prior = "normal", sd = 2.0', "sd = 2.0", "parameters.l", "no key 'prior'"),
+        ("kappa = 0.011", "kappa = 1979-05-27", "deformation.kappa", "datetime.date"),
+        ("seed = 11", "seed = 11.0", "seed", "11.0"),
+        ("seed = 11", "seed = -1", "seed", "-1"),
+        ("seed = 11", "seed = true", "seed", "True"),
+        ("per_leg = false", "per_leg = 0", "model_error.per_leg", "0"),
+        ("ensembles = 4", "ensembles = 3", "sampler.ensembles", "3"),
+        ("steps = 10", "steps = 1", "sampler.steps", "1"),
+        ("draws = 1000", "draws = 10", "evidence.draws", "10"),
+        ("tolerance_mm = [2.0]", "tolerance_mm = 2.0", "sensitivity.tolerance_mm", "2.0"),
+        ("tolerance_mm = [2.0]", "tolerance_mm = []", "sensitivity.tolerance_mm", "[]"),
+        ("tolerance_mm = [2.0]", "tolerance_mm = [2.0, 0]", "sensitivity.tolerance_mm.1", "0"),
+        ('free = ["l"]', 'free = "l"', "variants.0.free", "'l'"),
+        ('free = ["l"]', "free = []", "variants.0.free", "[]"),
+        ('name = "tiny"', 'name = "../elsewhere"', "name", "'../elsewhere'"),
+        ("[deformation]", "[[deformation]]", "deformation", "[{"),
+    ],
+)
+def test_wrong_value_names_field_and_value(study, old, new, field, found):
+    studies.edit(study, old, new)
+    message = fail(load_experiment, study)
+    assert f"{field}: found {found}" in message
+
+
+@pytest.mark.parametrize(
+    ("old", "field"),
+    [
+        ("seed = 11\n", "seed"),
+        ('deformation = "none"\n', "variants.0.deformation"),
+        ('targets = "data/targets.csv"\n', "data.targets"),
+        (", sd = 2.0", "parameters.l.sd"),
+    ],
+)
+def test_missing_value(study, old, field):
+    studies.edit(study, old, "")
+    assert f"{field}: missing, expected a value" in fail(load_experiment, study)
+
+
+def test_missing_value_is_not_blamed_on_the_same_key_elsewhere(study):
+    studies.edit(study, ", sd = 2.0", "")
+    assert f"line {studies.find_line(study, 'l = {')}:" in fail(load_experiment, study)
+
+
+@pytest.mark.parametrize("section", ["data", "parameters"])
+def test_missing_section(study, section):
+    text = re.sub(rf"^\[{section}\]\n(?:[^\[\n].*\n|\n)*", "", study.read_text(), flags=re.MULTILINE)
+    study.write_text(text)
+    assert f"{section}: missing" in fail(load_experiment, study)
+
+
+def test_no_variants(study):
+    study.write_text(re.sub(r"\[\[variants\]\]\n(?:[^\[\n].*\n)*", "", study.read_text()))
+    assert "variants: missing" in fail(load_experiment, study)
+
+
+def test_variant_twice(study):
+    studies.edit(study, 'deformation = "none"', 'deformation = "matrix"')
+    assert "'six_pus/matrix' stands twice" in fail(load_experiment, study)
+
+
+@pytest.mark.parametrize(("symbol", "why"), [("a_x", "no prior"), ("b_z", "a fixed value")])
+def test_freeing_a_parameter_without_prior(study, symbol, why):
+    studies.edit(study, 'free = ["l"]', f'free = ["{symbol}"]')
+    message = fail(load_experiment, study)
+    assert f"frees {symbol!r}, which has {why}" in message
+
+
+# --- kind, files -----------------------------------------------------------------------------------------------------
+
+
+def test_misspelt_kind(study):
+    studies.edit(study, 'kind = "study"', 'kind = "studdy"')
+    assert "kind: found 'studdy', did you mean 'study'?, expected one of pose_methods, study" in fail(
+        load_experiment, study
+    )
+
+
+def test_missing_kind(study):
+    studies.edit(study, 'kind = "study"\n', "")
+    assert "kind: found None" in fail(load_experiment, study)
+
+
+def test_study_is_no_simulation_and_the_reverse(study):
+    assert "kind: found 'study', expected 'simulation'" in fail(load_simulation, study)
+    assert "kind: found 'simulation', expected one of" in fail(load_experiment, study.with_name("simulate.toml"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('title = "Tiny study"', "title = Tiny study"),
+        ('title = "Tiny study"', 'title = "Tiny study'),
+        ("seed = 11", "seed = "),
+        ("seed = 11", "seed = 11\nseed = 12"),
+        ("[data]", "[data"),
+        ("seed = 11", "seed = 2 mm"),
+    ],
+)
+def test_invalid_toml_names_the_line(study, old, new):
+    studies.edit(study, old, new)
+    with pytest.raises(InputError, match=r"study\.toml: not valid TOML: .*line \d+") as caught:
+        load_experiment(study)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("value", ["1" * 5000, "[" * 5000], ids=["digits", "brackets"])
+def test_monstrous_toml(study, value):
+    studies.edit(study, "seed = 11", f"seed = {value}")
+    with pytest.raises(InputError, match="not valid TOML"):
+        load_experiment(study)
+
+
+def test_missing_file_directory_and_binary(study):
+    assert "no such file" in fail(load_experiment, study.with_name("nothing.toml"))
+    assert "cannot be read" in fail_without_expected(study.parent)
+    study.write_bytes(b"\xff\xfe\x00")
+    assert "cannot be read as UTF-8" in fail_without_expected(study)
+
+
+def fail_without_expected(path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        load_experiment(path)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_byte_order_mark_and_windows_lines_are_fine(study):
+    expected = load_experiment(study)
+    study.write_bytes(b"\xef\xbb\xbf" + study.read_text().replace("\n", "\r\n").encode())
+    assert load_experiment(study) == expected
+
+
+# --- mechanism -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("[265.0, ", "[", "platform: found 5 legs, expected 6 as in base"),
+        ("[220.0, ", "[", "platform: found 6 legs, expected 5 as in base"),
+        ("length_mm = 500.0", "length_mm = [500.0, 500.0]", "legs.length_mm: found 2 legs, expected 6"),
+        ("length_mm = 500.0", "length_mm = []", "legs.length_mm: found 0 legs, expected 6"),
+        ("direction = [0.0, 0.0, 1.0]", "direction = [[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]", "legs.direction: found 2"),
+        ("direction = [0.0, 0.0, 1.0]", "direction = [0.0, 0.0, 0.0]", "legs.direction: found a zero vector"),
+        ("direction = [0.0, 0.0, 1.0]", "direction = [0.0, 1.0]", "legs.direction: found [0.0, 1.0]"),
+        ("direction = [0.0, 0.0, 1.0]", "direction = [0.0, 0.0, -1.0]", "direction of leg 1 has z <= 0"),
+        ("position_mm = 10.0", "position_mm = [1, 2, 3, 4, 5]", "legs.initial_actuator_position_mm: found 5 legs"),
+        ("length_mm = 500.0", "length_mm = -500.0", "legs.length_mm: found -500.0, expected greater than 0"),
+        ("length_mm = 500.0", 'length_mm = "0.5 m"', "legs.length_mm: found '0.5 m', expected a valid number"),
+        ("length_mm = 500.0", "length_m = 0.5", "legs.length_m: unknown key, did you mean 'length_mm'?"),
+        ("radius_mm = 155.0", "radius_m = 0.155", "base.radius_m: unknown key, did you mean 'radius_mm'?"),
+        ("radius_mm = 155.0\n", "", "base: expected either radius_mm with azimuth_deg, or points_mm"),
+        ("azimuth_deg = [220.0", "azimuth_rad = [220.0", "base.azimuth_rad: unknown key, did you mean 'azimuth_deg'?"),
+        ("[legs]", "[leg]", "leg: unknown key, did you mean 'legs'?"),
+        ("name = ", "nme = ", "nme: unknown key, did you mean 'name'?"),
+    ],
+)
+def test_faulty_mechanism(study, old, new, expected):
+    path = study.with_name("mechanism.toml")
+    studies.edit(path, old, new)
+    assert expected in fail(load_mechanism, path)
+
+
+def test_five_legs_are_too_few(study):
+    path = study.with_name("mechanism.toml")
+    studies.edit(path, "[265.0, ", "[")
+    studies.edit(path, "[220.0, ", "[")
+    assert "found 5 legs, expected at least 6" in fail(load_mechanism, path)
+
+
+def test_mechanism_point_by_point_equals_the_circle(study):
+    path = study.with_name("mechanism.toml")
+    whole = load_mechanism(path)
+    points = [[float(x) for x in row] for row in whole.base_points]
+    studies.edit(path, "radius_mm = 155.0\nazimuth_deg = [220.0, 320.0, 340.0, 80.0, 100.0, 200.0]", f"points_mm = {points}")
+    assert (load_mechanism(path).base_points == whole.base_points).all()
+
+
+# --- faults that show only with the data -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def data_study(tmp_path) -> Path:
+    """Return the config of a tiny study with its data."""
+    return studies.write_tiny_study(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "expected"),
+    [
+        ("study.toml", "b_z = {", "bz = {", "parameters: found 'bz', did you mean 'b_z'?"),
+        ("study.toml", 'free = ["l"]', 'free = ["l", "kappa"]', "variant 'six_pus/none' frees 'kappa', expected one of"),
+        ("study.toml", 'model = "six_pus"', 'model = "six_pas"', "model: found 'six_pas', did you mean 'six_pus'?"),
+        ("study.toml", 'deformation = "none"', 'deformation = "non"', "found 'non', did you mean 'none'?"),
+        ("study.toml", "sd = 2.0", "sd = [1.0, 2.0]", "parameters.l: found 2 values, expected 1 or 6"),
+        ("study.toml", "offset = 0.0", "offset = [1, 2]", "parameters.b_z: found 2 values, expected 1 or 6"),
+        ("study.toml", "published.csv", "publisht.csv", "publisht.csv: no such file"),
+        ("study.toml", 'matrix = "targets"', 'matrix = "K.csv"', "K.csv: no such file"),
+        ("study.toml", '"mechanism.toml"', '"mechanics.toml"', "mechanics.toml: no such file"),
+        ("study.toml", '"mechanism.toml"', '"me\\u0000chanics.toml"', "cannot be read"),
+        (
+            "mechanism.toml",
+            "[265.0, 275.0, 25.0, 35.0, 145.0, 155.0]",
+            "[220.0, 320.0, 340.0, 80.0, 100.0, 200.0]",
+            "singular geometry, the home pose Jacobian has condition",
+        ),
+        ("mechanism.toml", "length_mm = 500.0", "length_mm = 0.5", "leg 5 of 0.5 mm cannot span its joints"),
+    ],
+)
+def test_fault_between_files(data_study, name, old, new, expected):
+    studies.edit(data_study.with_name(name), old, new)
+    with pytest.raises(InputError, match=re.escape(expected)) as caught:
+        studies.load_study(data_study)
+    assert "\n" not in str(caught.value)
