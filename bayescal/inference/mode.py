@@ -80,6 +80,8 @@ def find_mode(posterior: Posterior, start: Array) -> Mode:
 
 def _climb(posterior: Posterior, start: Array) -> tuple[Array, float]:
     """Return a local maximum and its log-density: geometry by least squares, then everything by a trust region."""
+    if not np.isfinite(posterior.log_density(start[None])[0]):
+        raise NumericalError("mode search: the density is not finite at the start, expected a machine near nominal")
     y = start.copy()
     y[: posterior.n_geometry] = _fit_geometry(posterior, start)
     known: dict[bytes, tuple[Array, Array]] = {}
@@ -100,7 +102,7 @@ def _climb(posterior: Posterior, start: Array) -> tuple[Array, float]:
         options={"gtol": GRADIENT_TOLERANCE, "maxiter": 200},
     )
     if not np.isfinite(result.fun):
-        raise NumericalError("mode search: the posterior density is not finite, expected a machine near nominal")
+        raise NumericalError("mode search: the climb left the region of finite density")
     return result.x, float(-result.fun)
 
 

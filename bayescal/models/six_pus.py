@@ -80,7 +80,10 @@ class SixPus(KinematicModel):
     def inverse_kinematics(
         self, layout: ParameterLayout, theta: Array, position: Array, rotation: Array, deflection: Array
     ) -> Array:
-        """Return ρ of eq. (7), the lower of its two roots; NumericalError where a leg cannot reach."""
+        """Return ρ of eq. (7), the lower of its two roots; NumericalError where a leg cannot reach.
+
+        The travel of eq. (7) starts from the true ρ^0, actuator positions are read from the nominal one.
+        """
         direction = actuator_directions(layout, theta)
         joint = np.zeros((*deflection.shape, 3)) + layout.take_vector(theta, "b")
         joint[..., 2] += deflection
@@ -90,7 +93,8 @@ class SixPus(KinematicModel):
         if np.any(square < 0):
             leg = int(np.argwhere(square < 0)[0, -1]) + 1
             raise NumericalError(f"inverse kinematics: leg {leg} cannot reach the pose, its length is too short")
-        return h_u - np.sqrt(square)
+        travel = h_u - np.sqrt(square)
+        return travel - layout.take(theta, "rho0") + layout.take(layout.nominal, "rho0")
 
 
 class SixPusClosure(BoundClosure):

@@ -111,7 +111,6 @@ def test_modes_of_no_weight_are_dropped(twin):
     assert all(mode.log_evidence > modes[0].log_evidence - 12.0 for mode in modes)
 
 
-@pytest.mark.xfail(strict=True, raises=ValueError, reason="the optimiser meets NaN before the density is looked at")
 def test_start_without_a_machine_is_refused(twin):
     posterior = machines.build_posterior("none", twin, ModelError(None))
     start = np.zeros(posterior.n_parameters)

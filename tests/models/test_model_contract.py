@@ -170,7 +170,6 @@ def test_inverse_kinematics_closes(scene):
     assert np.abs(scene.linearise(theta=theta).residual).max() > 1e-3
 
 
-@pytest.mark.xfail(strict=True, reason="inverse_kinematics counts from the true rho0, linearise from the nominal one")
 def test_inverse_kinematics_closes_with_other_initial_positions(scene):
     rho = actuators_of(scene, scene.theta)
     assert np.abs(scene.linearise(actuators=rho).residual).max() < 1e-9

@@ -174,7 +174,7 @@ def _pivot(parameters: pd.DataFrame, x: str, y: str) -> pd.DataFrame:
     """Return one row per variant and leg: nominal place, move and standard deviations, mm."""
     index = ["variant", "leg"]
     one, other = (parameters[parameters["symbol"] == s].set_index(index)[["nominal", "mean", "sd"]] for s in (x, y))
-    both = one.join(other, lsuffix="_x", rsuffix="_y", how="inner").reset_index()
+    both = one.add_suffix("_x").join(other.add_suffix("_y"), how="inner").reset_index()
     return pd.DataFrame(
         {
             "variant": both["variant"],
