@@ -1,7 +1,7 @@
 """Machines and data sets that the tests share: the telescope of RR-8096, random machines, simulated poses.
 
-Figures of the telescope are those of RR-8096 (table 3, eq. 4, table 7 a); the radii and azimuths that its lost figure held
-were recovered from its tables. Whatever is simulated here is a twin, never a measurement.
+Figures of the telescope are those of RR-8096 (table 3, eq. 4, table 7 a); the radii and azimuths that its lost figure
+held were recovered from its tables. Whatever is simulated here is a twin, never a measurement.
 """
 
 from __future__ import annotations

@@ -146,7 +146,7 @@ def hexagon(radius):
 
 
 @pytest.mark.parametrize(
-    "base_points, platform_points",
+    ("base_points", "platform_points"),
     [
         (hexagon(130.0), hexagon(130.0)),  # parallel legs
         (hexagon(155.0), hexagon(130.0)),  # similar hexagons: all legs meet in one point

@@ -31,12 +31,15 @@ class Column:
         Neighbours of the same group share a heading.
     kind : str
         ``number`` columns are right-aligned, ``symbol`` columns are set as the field writes the symbol.
+    symbolic : bool
+        Whether the title is a parameter's symbol.
     """
 
     title: str
     unit: str = ""
     group: str = ""
     kind: Literal["number", "text", "name", "symbol"] = "number"
+    symbolic: bool = False
 
 
 @dataclass(frozen=True)

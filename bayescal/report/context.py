@@ -19,15 +19,20 @@ NOTATION = (
     ("l", "length of a leg", "eqs. 5, 7, 30"),
     ("rho", "position of an actuator; Δρ its displacement from the initial position", "eqs. 5, 7"),
     ("rho0", "initial position of an actuator", "eq. 9"),
-    ("kappa", "deflection of a platform joint per displacement: of its own actuator (linear), the diagonal of K (matrix)", "eq. 1"),
+    (
+        "kappa",
+        "deflection of a platform joint per displacement: of its own actuator (linear), the diagonal of K (matrix)",
+        "eq. 1",
+    ),
     ("K", "deflection of all platform joints per displacement of all actuators", "eqs. 2 to 4"),
     ("tau", "model error: standard deviation of what the model leaves unexplained along a leg; not in RR-8096", ""),
 )
 PUBLISHED_REMARK = (
-    "Published values differ from the posteriors by construction: they come from least squares with all poses weighted "
-    "alike, without tolerances and without model error, on the data of the publication. The posteriors weigh every pose "
-    "by its covariance, use the tolerances as priors and leave room for a model error. These data: {origin}. A published "
-    "value outside an interval contradicts nothing, unless the data were made from that very table."
+    "Published values differ from the posteriors by construction: they come from least squares with all poses "
+    "weighted alike, without tolerances and without model error, on the data of the publication. The posteriors "
+    "weigh every pose by its covariance, use the tolerances as priors and leave room for a model error. These data: "
+    "{origin}. A published value outside an interval contradicts nothing, unless the data were made from that very "
+    "table."
 )
 
 
@@ -134,7 +139,9 @@ def tabulate_notation() -> Table:
     """Return the symbols and where RR-8096 defines them."""
     columns = [Column("Symbol", kind="symbol"), Column("Meaning", kind="text"), Column("RR-8096", kind="text")]
     rows = [[symbol, meaning, where or NOTHING] for symbol, meaning, where in NOTATION]
-    return make_table("Notation; subscripts x, y, z are components, a leg's number stands in the column's heading.", columns, rows)
+    return make_table(
+        "Notation; subscripts x, y, z are components, a leg's number stands in the column's heading.", columns, rows
+    )
 
 
 def tabulate_provenance(results: Results) -> Table:

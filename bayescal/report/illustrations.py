@@ -55,7 +55,7 @@ def list_illustrations(results: Results) -> list[Illustration]:
 def render_png(draw: Callable[[], Figure]) -> bytes:
     """Return a figure as PNG; the same figure gives the same bytes."""
     buffer = io.BytesIO()
-    with rc_context(RC):
+    with rc_context(RC):  # type: ignore[arg-type]  # its keys are a literal type of three hundred names
         draw().savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
     return buffer.getvalue()
 
@@ -63,13 +63,14 @@ def render_png(draw: Callable[[], Figure]) -> bytes:
 def _list_errors(results: Results) -> list[Illustration]:
     names = results.ranking
     bars = (
-        "Pose errors of the posterior mean prediction. Pale bar: largest error; full bar: mean; both as numbers at its end. "
-        "Diamond: mean with the model error set to zero. Position error is the distance between measured and predicted "
-        "platform centre, orientation error the angle between measured and predicted platform."
+        "Pose errors of the posterior mean prediction. Pale bar: largest error; full bar: mean; both as numbers at "
+        "its end. Diamond: mean with the model error set to zero. Position error is the distance between measured "
+        "and predicted platform centre, orientation error the angle between measured and predicted platform."
     )
     bounds = (
-        "Position error of every pose (dots; open: verification) and the 95 % bound the posterior predicts for it (bars). "
-        "Red crosses lie above their bound: one in twenty is expected, many more mean a posterior that claims too much."
+        "Position error of every pose (dots; open: verification) and the 95 % bound the posterior predicts for it "
+        "(bars). Crosses lie above their bound: one in twenty is expected, many more mean a posterior that claims "
+        "too much."
     )
     return [
         Illustration("errors", bars, lambda: draw_error_bars(results.predictions, names)),
@@ -80,17 +81,18 @@ def _list_errors(results: Results) -> list[Illustration]:
 def _list_parameters(results: Results, frame: pd.DataFrame) -> list[Illustration]:
     names = results.ranking
     intervals = (
-        "Parameters as offsets from nominal, with model error: posterior mean and 90 % interval of each variant; the band "
-        "is the prior's central 90 %. An interval as wide as the band has learnt nothing from the measurements."
+        "Parameters as offsets from nominal, with model error: posterior mean and 90 % interval of each variant; "
+        "the band is the prior's central 90 %. An interval as wide as the band has learnt nothing from the "
+        "measurements."
     )
     shown = Illustration("parameters", intervals, lambda: draw_parameters(frame, results.least_squares, names))
     if not has_hardpoints(frame):
         reason = "the joints' coordinates a_x, a_y, b_x, b_y are not all free parameters"
         return [shown, Illustration("hardpoints", "The joints from above.", None, reason)]
     view = (
-        "The joints from above, after RR-8096 figure 18: open circles are nominal, markers the posterior means with their "
-        f"standard deviations, both moves and deviations magnified {find_magnification(frame):g} times. Numbers are legs. "
-        "A model that lacks something real pushes the joints away from nominal to make up for it."
+        "The joints from above, after RR-8096 figure 18: open circles are nominal, markers the posterior means with "
+        f"their standard deviations, both moves and deviations magnified {find_magnification(frame):g} times. "
+        "Numbers are legs. A model that lacks something real pushes the joints away from nominal to make up for it."
     )
     return [shown, Illustration("hardpoints", view, lambda: draw_hardpoints(frame, names))]
 
@@ -98,7 +100,9 @@ def _list_parameters(results: Results, frame: pd.DataFrame) -> list[Illustration
 def _list_ridges(results: Results, frame: pd.DataFrame) -> Illustration:
     best = results.ranking[0]
     if best not in results.draws:
-        return Illustration("ridges", "Correlations within a leg.", None, f"it needs the draws of {best}, whose file is not there")
+        return Illustration(
+            "ridges", "Correlations within a leg.", None, f"it needs the draws of {best}, whose file is not there"
+        )
     draws = results.draws[best]
     leg, pairs = choose_leg(rank_pairs(draws))
     if not pairs:
@@ -107,18 +111,19 @@ def _list_ridges(results: Results, frame: pd.DataFrame) -> Illustration:
     one = frame[(frame["variant"] == best) & (frame["leg"] == leg)].set_index("symbol")
     nominal = one["nominal"].where(one.index != MODEL_ERROR, 0.0)
     caption = (
-        f"{best}, leg {leg} (the one with the most correlated pair): correlation of its parameters, and the draws of its "
-        "most correlated pairs as offsets from nominal. A thin slanting cloud is a ridge: the measurements fix only what "
-        "lies across it."
+        f"{best}, leg {leg} (the one with the most correlated pair): correlation of its parameters, and the draws of "
+        "its most correlated pairs as offsets from nominal. A thin slanting cloud is a ridge: the measurements fix "
+        "only what lies across it."
     )
     return Illustration("ridges", caption, lambda: draw_ridges(table, nominal, one["unit"], pairs))
 
 
 def _list_deflections(results: Results) -> Illustration:
     caption = (
-        "Deflection of each leg's platform joint out of the rigid platform against the displacement of the leg's own "
-        "actuator, after RR-8096 figure 7; full: calibration, open: verification; line: linear fit. Scatter about the "
-        "line beyond the error bars comes from the other actuators, which only the matrix K describes."
+        "Deflection of each leg's platform joint out of the rigid platform against the displacement of the leg's "
+        "own actuator, after RR-8096 figure 7; full: calibration, open: verification; line: linear fit κ. Error "
+        "bars (1 sd) are often smaller than the dots. Scatter beyond them is what κ cannot describe: the matrix K "
+        "lets the other actuators in."
     )
     ring, deformation = results.ring, results.deformation
     if ring is None or deformation is None:
@@ -139,6 +144,6 @@ def _list_sensitivity(results: Results) -> Illustration:
     caption = (
         "Log-evidence with model error against the prior tolerance of the lengths. Left: each variant below its own "
         "largest value; right: each variant below the best one at the same tolerance. The ranking is stable where no "
-        "lines cross on the right."
+        "lines cross on the right (ranks: table below)."
     )
-    return Illustration("sensitivity", caption, lambda: draw_sensitivity(results.sensitivity, results.ranking))
+    return Illustration("sensitivity", caption, lambda: draw_sensitivity(results.sensitivity_grid))

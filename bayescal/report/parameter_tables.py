@@ -10,6 +10,7 @@ import pandas as pd
 from bayescal.geometry import Array
 from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
 from bayescal.report.figures.parameters import scale_of
+from bayescal.report.figures.style import split_symbol
 from bayescal.report.numbers import (
     NOTHING,
     count_decimals,
@@ -88,12 +89,19 @@ def _list_lines(posterior: pd.DataFrame, found: pd.DataFrame, legs: list[int]) -
     offset, sd = factor * (by_leg["mean"] - by_leg["nominal"]), factor * by_leg["sd"]
     lines = [
         (
-            "posterior mean ± sd",
-            [format_estimate(offset[leg], sd[leg], places, sign=True) if leg in offset.index else NOTHING for leg in legs],
+            "posterior mean ± sd" + (" (machine)" if single else ""),
+            [
+                format_estimate(offset[leg], sd[leg], places, sign=True) if leg in offset.index else NOTHING
+                for leg in legs
+            ],
         )
     ]
     found = found.set_index("leg")
-    for label, column in (("least squares", "offset"), ("published", "published_offset"), ("difference", "difference")):
+    for label, column in (
+        ("least squares", "offset"),
+        ("published", "published_offset"),
+        ("least squares − published", "difference"),
+    ):
         values = factor * found[column].reindex(legs)
         if values.notna().any():
             lines.append((label, [format_fixed(float(x), places, sign=True) for x in values]))
@@ -102,15 +110,15 @@ def _list_lines(posterior: pd.DataFrame, found: pd.DataFrame, legs: list[int]) -
 
 def _state_fit(results: Results, variant: str, found: pd.DataFrame) -> list[Statement]:
     residual = found.drop_duplicates("leg").sort_values("leg")["leg_residual_rms_um"]
-    text = f"Least squares leave {format_significant(residual.min(), 2)} to {format_significant(residual.max(), 2)} µm (rms) per leg."
-    statements = [Statement(text)]
+    low, high = (format_significant(x, 2) for x in (residual.min(), residual.max()))
+    statements = [Statement(f"Least squares leave {low} to {high} µm (rms) per leg.")]
     if not found["converged"].astype(bool).all():
         statements.append(Statement("The least-squares fit did not converge.", "bad"))
     comparison = compare_published(results, variant)
     if comparison.n_known:
         text = (
             f"Least squares differ from the published values by {format_significant(comparison.rms_mm)} mm rms over "
-            f"{comparison.n_lengths} lengths (difference = least squares − published). "
+            f"{comparison.n_lengths} lengths. "
             f"{comparison.n_inside} of {comparison.n_known} published values lie inside the posterior's 90 % intervals."
         )
         statements.append(Statement(text))
@@ -131,11 +139,16 @@ def tabulate_contraction(results: Results) -> Table:
             if (name, symbol) not in grouped.index:
                 row.append(NOTHING)
                 continue
-            mean, least = grouped.loc[(name, symbol)]
+            mean, least = grouped.loc[(name, symbol)].to_numpy(dtype=float)
             row.append(f"{format_fixed(100 * mean, 1)} ({format_fixed(100 * least, 1)})")
         rows.append(row)
-    columns = [Column("Variant", kind="name"), *(Column(s, "%", "1 − (sd / prior sd)², mean over legs (least)") for s in symbols)]
-    return make_table("Posterior contraction with model error: 0 % is the prior, 100 % is exactly known.", columns, rows)
+    columns = [
+        Column("Variant", kind="name"),
+        *(Column(s, "%", "1 − (sd / prior sd)², mean over legs (least)", symbolic=True) for s in symbols),
+    ]
+    return make_table(
+        "Posterior contraction with model error: 0 % is the prior, 100 % is exactly known.", columns, rows
+    )
 
 
 # --- ridges ----------------------------------------------------------------------------------------------------------
@@ -144,7 +157,7 @@ def tabulate_contraction(results: Results) -> Table:
 def rank_pairs(draws: dict[str, Array]) -> list[tuple[str, str, float]]:
     """Return all pairs of parameters with their correlation, the strongest first."""
     names = list(draws)
-    matrix = np.corrcoef(np.stack([draws[name] for name in names]))
+    matrix = np.atleast_2d(np.corrcoef(np.stack([draws[name] for name in names])))
     pairs = [(names[i], names[j], float(matrix[i, j])) for i in range(len(names)) for j in range(i + 1, len(names))]
     return sorted((p for p in pairs if np.isfinite(p[2])), key=lambda pair: -abs(pair[2]))
 
@@ -178,10 +191,13 @@ def state_ridges(results: Results) -> list[Statement]:
         return []
     pairs = rank_pairs(results.draws[best])
     strong = [p for p in pairs if abs(p[2]) > 0.9]
-    named = [f"{name_parameter(a)} with {name_parameter(b)} ({format_fixed(r, 2, sign=True)})" for a, b, r in pairs[:SHOWN_PAIRS]]
+    named = [
+        f"{name_parameter(a)} with {name_parameter(b)} ({format_fixed(r, 2, sign=True)})"
+        for a, b, r in pairs[:SHOWN_PAIRS]
+    ]
     text = f"In {best} the most correlated pairs are {join_words(named)}." if named else ""
     if strong:
-        kinds = dict.fromkeys(" and ".join(split_name(x)[0] for x in p[:2]) for p in strong)
+        kinds = dict.fromkeys(" with ".join(write_symbol(split_name(x)[0]) for x in p[:2]) for p in strong)
         text += (
             f" {len(strong)} of {len(pairs)} pairs exceed 0.9 in size (kinds: {join_words(list(kinds)[:6])}): only a "
             "combination of the two is well measured, along the ridge the prior decides."
@@ -194,5 +210,11 @@ def state_ridges(results: Results) -> list[Statement]:
 def name_parameter(name: str) -> str:
     """Return a parameter's name in words, ``a_x of leg 3``."""
     symbol, leg = split_name(name)
-    return f"{symbol} of leg {leg}" if leg else symbol
+    written = write_symbol(symbol)
+    return f"{written} of leg {leg}" if leg else written
 
+
+def write_symbol(symbol: str) -> str:
+    """Return a symbol in running text: Greek letters as such."""
+    head, below, above = split_symbol(symbol)
+    return f"{head}{above}{f'_{below}' if below else ''}"

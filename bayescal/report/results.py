@@ -8,10 +8,11 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
-import h5py
+import h5py  # type: ignore[import-untyped]  # ships no types
 import numpy as np
 import pandas as pd
 
@@ -149,6 +150,12 @@ class Results:
                 rows.append({"variant": variant, "model_error": setting, "symbol": symbol, "leg": leg, **values})
         return pd.DataFrame(rows)
 
+    @cached_property
+    def sensitivity_grid(self) -> pd.DataFrame:
+        """Log-evidence with a row per tolerance (mm) and a column per variant, in the order of the ranking."""
+        wide = self.sensitivity.pivot(index="tolerance_mm", columns="variant", values="log_evidence")
+        return wide.sort_index()[self.ranking]
+
     @property
     def legs(self) -> list[int]:
         """Numbers of the legs."""
@@ -182,10 +189,26 @@ def read_results(folder: Path) -> Results:
         missing = [v for v in summary["ranking"] if v not in set(table["variant"])]
         if missing:
             raise InputError(f"{folder / 'tables' / name}.csv: found no row of {missing[0]!r}, expected all variants")
+    _check_settings(tables["predictions"], summary["ranking"], folder / "tables" / "predictions.csv")
+    _check_grid(tables["sensitivity"], folder / "tables" / "sensitivity.csv")
     optional = {name: _read_table(folder / "tables" / f"{name}.csv") for name in _find_optional(folder)}
     posteriors = {v: folder / "posterior" / f"{v.replace('/', '-')}.nc" for v in summary["ranking"]}
     draws = {variant: _read_draws(path) for variant, path in posteriors.items() if path.is_file()}
     return Results(summary, provenance, **tables, **optional, draws=draws)
+
+
+def _check_settings(predictions: pd.DataFrame, variants: list[str], path: Path) -> None:
+    found = set(zip(predictions["variant"], predictions["model_error"], predictions["use"], strict=True))
+    for variant, setting, use in product(variants, SETTINGS, sorted(set(predictions["use"]))):
+        if (variant, setting, use) not in found:
+            raise InputError(f"{path}: found no row of {variant!r} with {setting!r} and {use!r}, expected some")
+
+
+def _check_grid(sensitivity: pd.DataFrame, path: Path) -> None:
+    counts = sensitivity.groupby(["variant", "tolerance_mm"])["log_evidence"].count()
+    expected = sensitivity["variant"].nunique() * sensitivity["tolerance_mm"].nunique()
+    if len(counts) != expected or (counts != 1).any():
+        raise InputError(f"{path}: found {len(sensitivity)} rows, expected each variant once at each tolerance")
 
 
 OPTIONAL = ("ring", "deformation")
@@ -246,7 +269,9 @@ def _check_summary(summary: dict[str, Any], path: Path) -> None:
     extraction: dict[str, type | tuple[type, ...]] = {"method": str, "rejected_targets": list}
     _check_keys(summary["pose_extraction"], extraction, path, "pose_extraction.")
     if not summary["variants"] or sorted(summary["ranking"]) != sorted(summary["variants"]):
-        raise InputError(f"{path}: ranking: found {summary['ranking']}, expected each of {list(summary['variants'])} once")
+        raise InputError(
+            f"{path}: ranking: found {summary['ranking']}, expected each of {list(summary['variants'])} once"
+        )
     for name, fit in summary["variants"].items():
         _check_keys(summary["variants"], {name: dict}, path, "variants.")
         _check_fit(fit, path, f"variants.{name}.")
@@ -262,13 +287,12 @@ def _check_fit(fit: dict[str, Any], path: Path, where: str) -> None:
         _check_keys(fit["parameters"], {name: dict}, path, f"{where}parameters.")
         _check_keys(values, {**dict.fromkeys(PARAMETER_KEYS, NUMBER), "unit": str}, path, f"{where}parameters.{name}.")
     for use in ("calibration", "verification"):
-        errors = fit.get(use)
-        if errors is None and use == "verification":
+        if fit.get(use) is None and use == "verification":
             continue
         _check_keys(fit, {use: dict}, path, where)
-        _check_keys(errors, ERROR_KEYS, path, f"{where}{use}.")
+        _check_keys(fit[use], ERROR_KEYS, path, f"{where}{use}.")
         for key in ("position_error_mm", "orientation_error_deg"):
-            _check_keys(errors[key], dict.fromkeys(("mean", "max"), NUMBER), path, f"{where}{use}.{key}.")
+            _check_keys(fit[use][key], dict.fromkeys(("mean", "max"), NUMBER), path, f"{where}{use}.{key}.")
 
 
 def _check_keys(content: Any, keys: Mapping[str, type | tuple[type, ...]], path: Path, where: str) -> None:

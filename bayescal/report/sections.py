@@ -6,8 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from bayescal.report.blocks import Cell, Column, Level, Statement, Table, make_table
+from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
 from bayescal.report.numbers import (
     ARCSECONDS,
     MICROMETRES,
@@ -19,7 +20,7 @@ from bayescal.report.numbers import (
     format_percent,
     format_significant,
 )
-from bayescal.report.results import SETTINGS, Results
+from bayescal.report.results import Results
 from bayescal.report.verdict import (
     AGREEMENT,
     ESS_BULK_LIMIT,
@@ -54,27 +55,33 @@ def tabulate_ranking(results: Results, setting: str) -> Table:
         Column("rms", "prior sd", "From nominal"),
         Column("Converged", kind="text"),
     ]
-    rows = []
+    rows: list[list[str | Cell]] = []
     for rank, name in enumerate(names, start=1):
         fit = results.fit(name, setting)
-        rows.append([
-            str(rank),
-            name,
-            str(fit["n_parameters"]),
-            format_evidence(fit["log_evidence"], fit["log_evidence_se"]),
-            format_fixed(fit["log_evidence"] - best, 1),
-            _format_loo(fit),
-            format_fixed(read_verification_elpd(fit), 1),
-            *(_format_errors(fit[use], "position_error_mm", MICROMETRES) for use in uses),
-            *(_format_errors(fit[use], "orientation_error_deg", ARCSECONDS) for use in uses),
-            format_significant(fit["distance_from_nominal"]["rms_mm"]),
-            format_significant(fit["distance_from_nominal"]["rms_prior_sd"]),
-            Cell("yes") if fit["converged"] else Cell("NO", "bad"),
-        ])
+        rows.append(
+            [
+                str(rank),
+                name,
+                str(fit["n_parameters"]),
+                format_evidence(fit["log_evidence"], fit["log_evidence_se"]),
+                format_fixed(fit["log_evidence"] - best, 1),
+                _format_loo(fit),
+                format_fixed(read_verification_elpd(fit), 1),
+                *(_format_errors(fit[use], "position_error_mm", MICROMETRES) for use in uses),
+                *(_format_errors(fit[use], "orientation_error_deg", ARCSECONDS) for use in uses),
+                format_significant(fit["distance_from_nominal"]["rms_mm"]),
+                format_significant(fit["distance_from_nominal"]["rms_prior_sd"]),
+                Cell("yes") if fit["converged"] else Cell("NO", "bad"),
+            ]
+        )
     title = {"free": "with model error τ", "zero": "without model error (τ = 0)"}[setting]
     notes = []
     if any(results.fit(name, setting)["elpd_loo_n_bad_k"] for name in names):
-        notes.append(Statement(f"(n) n poses with Pareto k above {PARETO_K_LIMIT}: there elpd LOO is not to be trusted.", "warning"))
+        notes.append(
+            Statement(
+                f"(n) n poses with Pareto k above {PARETO_K_LIMIT}: there elpd LOO is not to be trusted.", "warning"
+            )
+        )
     return make_table(f"Ranking {title}.", columns, rows, notes)
 
 
@@ -133,17 +140,19 @@ def tabulate_evidence(results: Results) -> Table:
     rows = []
     for name, setting, fit in results.fits():
         methods, errors, quality = fit["log_evidence_methods"], fit["log_evidence_method_se"], fit["importance"]
-        rows.append([
-            name,
-            "free" if setting == "free" else "τ = 0",
-            format_evidence(methods["importance"], errors["importance"]),
-            format_evidence(methods["bridge"], errors["bridge"]),
-            Cell(f"{measure_gap(fit):.3f}", "plain" if fit["log_evidence_agrees"] else "bad"),
-            f"{int(quality['n_draws']):,}",
-            format_fixed(100 * quality["efficiency"], 0),
-            _limited(quality["pareto_k"], quality["pareto_k"] <= PARETO_K_LIMIT, 2),
-            fit["log_evidence_primary"],
-        ])
+        rows.append(
+            [
+                name,
+                "free" if setting == "free" else "τ = 0",
+                format_evidence(methods["importance"], errors["importance"]),
+                format_evidence(methods["bridge"], errors["bridge"]),
+                Cell(f"{measure_gap(fit):.3f}", "plain" if fit["log_evidence_agrees"] else "bad"),
+                f"{int(quality['n_draws']):,}",
+                format_fixed(100 * quality["efficiency"], 0),
+                _limited(quality["pareto_k"], quality["pareto_k"] <= PARETO_K_LIMIT, 2),
+                fit["log_evidence_primary"],
+            ]
+        )
     return make_table("The log-evidence of every posterior by two independent estimators.", columns, rows)
 
 
@@ -153,25 +162,17 @@ def _limited(value: float, fine: bool, decimals: int) -> Cell:
 
 def tabulate_sensitivity(results: Results) -> Table:
     """Return the log-evidence and rank of every variant at every tolerance."""
-    wide = results.sensitivity.pivot(index="variant", columns="tolerance_mm", values="log_evidence")
-    ranks = wide.rank(ascending=False).astype("Int64")
-    tolerances = [float(t) for t in wide.columns]
-    columns = [VARIANT, *(Column(f"{t:g} mm", "nat (rank)", "Tolerance of the lengths, prior sd") for t in tolerances)]
-    doubtful = results.sensitivity["pareto_k"] > PARETO_K_LIMIT
-    bad = set(zip(results.sensitivity[doubtful]["variant"], results.sensitivity[doubtful]["tolerance_mm"], strict=True))
-    rows = [
-        [
-            name,
-            *(
-                Cell(
-                    f"{format_fixed(wide.loc[name, t], 1)} ({ranks.loc[name, t]})", "warning" if (name, t) in bad else "plain"
-                )
-                for t in tolerances
-            ),
-        ]
-        for name in results.ranking
-    ]
-    notes = [Statement(f"Marked where Pareto k exceeds {PARETO_K_LIMIT}.", "warning")] if bad else []
+    wide = results.sensitivity_grid
+    ranks = wide.rank(axis=1, ascending=False, method="min")
+    columns = [VARIANT, *(Column(f"{t:g} mm", "nat (rank)", "Tolerance of the lengths, prior sd") for t in wide.index)]
+    doubtful = results.sensitivity.pivot(index="tolerance_mm", columns="variant", values="pareto_k") > PARETO_K_LIMIT
+    rows: list[list[str | Cell]] = []
+    for name in results.ranking:
+        texts = [f"{format_fixed(x, 1)} ({rank:.0f})" for x, rank in zip(wide[name], ranks[name], strict=True)]
+        marks = doubtful.sort_index()[name]
+        rows.append([name, *(Cell(t, "warning" if bad else "plain") for t, bad in zip(texts, marks, strict=True))])
+    note = Statement(f"Marked where Pareto k exceeds {PARETO_K_LIMIT}.", "warning")
+    notes = [note] if doubtful.to_numpy().any() else []
     return make_table("Log-evidence with model error for other tolerances of the lengths.", columns, rows, notes)
 
 
@@ -192,17 +193,19 @@ def tabulate_diagnostics(results: Results) -> Table:
     for name, setting, fit in results.fits():
         problems = "; ".join(str(p) for p in fit["problems"]) or "not converged"
         k = fit["elpd_loo_pareto_k_max"]
-        rows.append([
-            name,
-            "free" if setting == "free" else "τ = 0",
-            _limited(fit["rhat_max"], fit["rhat_max"] < RHAT_LIMIT, 4),
-            _limited(fit["ess_bulk_min"], fit["ess_bulk_min"] > ESS_BULK_LIMIT, 0),
-            _limited(fit["ess_tail_min"], fit["ess_tail_min"] > ESS_TAIL_LIMIT, 0),
-            format_fixed(100 * fit["acceptance"], 0),
-            Cell(format_fixed(k, 2), "plain" if k <= PARETO_K_LIMIT else "warning"),
-            format_fixed(fit["wall_seconds"], 1),
-            Cell("converged") if fit["converged"] else Cell(problems, "bad"),
-        ])
+        rows.append(
+            [
+                name,
+                "free" if setting == "free" else "τ = 0",
+                _limited(fit["rhat_max"], fit["rhat_max"] < RHAT_LIMIT, 4),
+                _limited(fit["ess_bulk_min"], fit["ess_bulk_min"] > ESS_BULK_LIMIT, 0),
+                _limited(fit["ess_tail_min"], fit["ess_tail_min"] > ESS_TAIL_LIMIT, 0),
+                format_fixed(100 * fit["acceptance"], 0),
+                Cell(format_fixed(k, 2), "plain" if k <= PARETO_K_LIMIT else "warning"),
+                format_fixed(fit["wall_seconds"], 1),
+                Cell("converged") if fit["converged"] else Cell(problems, "bad"),
+            ]
+        )
     caption = "Convergence of every posterior; R-hat is rank-normalised, a chain is one ensemble of walkers."
     return make_table(caption, columns, rows)
 
@@ -219,24 +222,26 @@ def tabulate_model_error(results: Results) -> tuple[Table | None, list[Statement
     for name in results.ranking:
         one = rows_free[rows_free["variant"] == name].set_index("leg")
         values = MICROMETRES * one[["mean", "q05", "q95"]]
-        rows.append([name, *(_format_interval(*values.loc[leg]) if leg in values.index else NOTHING for leg in legs)])
+        rows.append([name, *(_format_interval(values, leg) if leg in values.index else NOTHING for leg in legs)])
         low, high = float(values["mean"].min()), float(values["mean"].max())
         span = " to ".join(dict.fromkeys(format_significant(x, 2) for x in (low, high)))
         statements.append(Statement(f"{name}: τ is {span} µm; {_judge_model_error(results, name)}."))
     return make_table("Model error of each leg.", columns, rows), statements
 
 
-def _format_interval(mean: float, low: float, high: float) -> str:
-    places = min(2, count_decimals(mean))
-    return f"{format_fixed(mean, places)} [{format_fixed(low, places)}, {format_fixed(high, places)}]"
+def _format_interval(values: pd.DataFrame, leg: int) -> str:
+    """Return ``mean [low, high]`` with the decimals that the narrowest interval of the table asks for."""
+    places = min(3, count_decimals(float((values["q95"] - values["q05"]).min())))
+    mean, low, high = (format_fixed(float(x), places) for x in values.loc[leg, ["mean", "q05", "q95"]])
+    return f"{mean} [{low}, {high}]"
 
 
 def _judge_model_error(results: Results, name: str) -> str:
     gain = results.fit(name, "free")["log_evidence"] - results.fit(name, "zero")["log_evidence"]
     worth = format_fixed(abs(gain), 1)
     if gain > 0:
-        return f"the data want it (log-evidence {worth} nat higher than with τ = 0)"
-    return f"the data do not want it (log-evidence {worth} nat lower than with τ = 0)"
+        return f"the measurements call for it (log-evidence {worth} nat higher than with τ = 0)"
+    return f"the measurements do not call for it (log-evidence {worth} nat lower than with τ = 0)"
 
 
 def read_prior_scale(results: Results) -> float | None:
@@ -253,22 +258,22 @@ def tabulate_deformation(results: Results) -> tuple[list[Table], list[Statement]
         return [], []
     frame = results.deformation
     kappa = frame[frame["quantity"] == "kappa"].set_index("leg")
-    matrix = frame[frame["quantity"] == "K"].pivot(index="leg", columns="actuator", values=["mean_1e-3", "sd_1e-3"])
+    matrix = frame[frame["quantity"] == "K"]
     legs = [int(leg) for leg in kappa.index]
     tables = [
         make_table(
             "Coefficient κ of each leg in the linear description Δb_z = κ Δρ (RR-8096 eq. 1), mean ± sd.",
             [Column("", kind="symbol"), *(Column(f"leg {leg}", "10⁻³") for leg in legs)],
-            [["kappa", *(format_estimate(kappa.loc[leg, "mean_1e-3"], kappa.loc[leg, "sd_1e-3"]) for leg in legs)]],
+            [["kappa", *map(format_estimate, kappa["mean_1e-3"], kappa["sd_1e-3"])]],
         )
     ]
     if len(matrix):
-        mean, sd = matrix["mean_1e-3"], matrix["sd_1e-3"]
+        mean, sd = (matrix.pivot(index="leg", columns="actuator", values=v) for v in ("mean_1e-3", "sd_1e-3"))
         tables.append(
             make_table(
-                "Matrix K in Δb_z = K Δρ (RR-8096 eqs. 2 to 4), mean ± sd: row = leg whose joint moves, column = actuator.",
+                "Matrix K in Δb_z = K Δρ (RR-8096 eqs. 2 to 4), mean ± sd; row: joint that moves, column: actuator.",
                 [Column("Joint", kind="text"), *(Column(f"actuator {j}", "10⁻³") for j in mean.columns)],
-                [[f"leg {i}", *(format_estimate(mean.loc[i, j], sd.loc[i, j]) for j in mean.columns)] for i in mean.index],
+                [[f"leg {i}", *map(format_estimate, mean.loc[i], sd.loc[i])] for i in mean.index],
             )
         )
     return tables, _state_residuals(results, kappa["mean_1e-3"].to_numpy(), mean.to_numpy() if len(matrix) else None)

@@ -31,6 +31,8 @@ AGREEMENT = 0.1
 INTERVAL = 0.90
 NOT_DISTINGUISHABLE = 1.0  # nats
 STRONG = 5.0
+SMALL_ELPD = 4.0  # nats of elpd below which a difference says little
+FEW = 3  # variants to name one by one
 BEYOND_BELIEF = 15.0  # nats from which odds rest on the assumptions, no longer on the data
 
 
@@ -38,11 +40,17 @@ def state_headline(results: Results) -> str:
     """Return which variant wins and by how much."""
     ranking = results.ranking
     if len(ranking) == 1:
-        return f"{ranking[0]} is the only variant; its log-evidence is {format_fixed(results.best['log_evidence'], 1)} nat."
-    lead = measure_lead(results, "free")
-    second = ranking[1]
-    if not lead > max(NOT_DISTINGUISHABLE, 2 * _lead_error(results)):
-        return f"{ranking[0]} and {second} cannot be told apart: {format_fixed(lead, 2)} nat of log-evidence between them."
+        return f"{ranking[0]} is the only variant, log-evidence {format_fixed(results.best['log_evidence'], 1)} nat."
+    behind = {name: results.best["log_evidence"] - results.fit(name, "free")["log_evidence"] for name in ranking}
+    tied = [name for name in ranking if not behind[name] > _measure_resolution(results, name)]
+    following = next((name for name in ranking if name not in tied), None)
+    if len(tied) > 1:
+        between = format_fixed(behind[tied[-1]], 2)
+        text = f"{join_words(tied)} cannot be told apart: {between} nat of log-evidence between them"
+        if following is None:
+            return f"{text}."
+        return f"{text}; {following} follows {format_fixed(behind[following], 1)} nat behind."
+    lead, second = behind[ranking[1]], ranking[1]
     word = "explains the measurements best" if lead > STRONG else "is preferred, not decisively"
     return f"{ranking[0]} {word}, by {format_fixed(lead, 1)} nat over {second} (odds of about {format_odds(lead)})."
 
@@ -53,8 +61,12 @@ def measure_lead(results: Results, setting: str) -> float:
     return values[0] - values[1] if len(values) > 1 else math.nan
 
 
-def _lead_error(results: Results) -> float:
-    return math.hypot(*(results.fit(name, "free")["log_evidence_se"] for name in results.ranking[:2]))
+def _measure_resolution(results: Results, name: str) -> float:
+    """Return the difference to the best variant below which nothing is claimed, nats."""
+    return max(
+        NOT_DISTINGUISHABLE,
+        2 * math.hypot(*(results.fit(n, "free")["log_evidence_se"] for n in (name, results.ranking[0]))),
+    )
 
 
 def list_failures(results: Results) -> list[Statement]:
@@ -79,8 +91,13 @@ def measure_gap(fit: dict[str, Any]) -> float:
 
 def state_verdict(results: Results) -> list[Statement]:
     """Return the sentences below the headline."""
-    statements = [*_state_odds(results), *_state_prediction(results), _state_accuracy(results), _state_convergence(results)]
-    statements += [*_state_stability(results), *_state_model_error(results), *state_coverage(results)]
+    statements = [_state_accuracy(results), *_state_prediction(results), _state_convergence(results)]
+    statements += [
+        *_state_stability(results),
+        *_state_model_error(results),
+        *state_coverage(results),
+        *_state_odds(results),
+    ]
     return statements
 
 
@@ -88,8 +105,8 @@ def _state_odds(results: Results) -> list[Statement]:
     if not measure_lead(results, "free") > BEYOND_BELIEF:
         return []
     text = (
-        "Odds of this size mean that the data rule the other variants out as far as the assumptions hold (noise model, "
-        "priors, tolerances); they are no measure of how sure one may be of the assumptions."
+        "Odds of this size mean that the measurements rule the other variants out as far as the assumptions hold "
+        "(noise model, priors, tolerances); they are no measure of how sure one may be of the assumptions."
     )
     return [Statement(text)]
 
@@ -98,13 +115,19 @@ def _state_prediction(results: Results) -> list[Statement]:
     """Say whether cross-validation and the poses held back name the same variant as the evidence."""
     if len(results.ranking) == 1:
         return []
-    statements = [_compare_order(results, "leave-one-out cross-validation (elpd LOO)", lambda fit: float(fit["elpd_loo"]))]
+    statements = [
+        _compare_order(
+            results, "leave-one-out cross-validation (elpd LOO)", "agrees", lambda fit: float(fit["elpd_loo"])
+        )
+    ]
     if results.n_verification:
-        statements.append(_compare_order(results, "the verification poses (elpd)", read_verification_elpd))
+        statements.append(
+            _compare_order(results, "the poses held back for verification (elpd)", "agree", read_verification_elpd)
+        )
     bad = {name: int(results.fit(name, "free")["elpd_loo_n_bad_k"]) for name in results.ranking}
-    doubtful = [f"{name} ({n} poses)" for name, n in bad.items() if n]
+    doubtful = [f"{name} ({n} {'pose' if n == 1 else 'poses'})" for name, n in bad.items() if n]
     if doubtful:
-        text = f"elpd LOO is approximate where Pareto k exceeds {PARETO_K_LIMIT}: {join_words(doubtful)}."
+        text = f"elpd LOO is approximate where Pareto k exceeds {PARETO_K_LIMIT}: {_name_or_count(doubtful, len(bad))}."
         statements.append(Statement(text, "warning"))
     return statements
 
@@ -114,19 +137,29 @@ def read_verification_elpd(fit: dict[str, Any]) -> float:
     return get_number(fit["verification"] or {}, "elpd")
 
 
-def _compare_order(results: Results, name: str, score: Callable[[dict[str, Any]], float]) -> Statement:
+def _compare_order(results: Results, name: str, verb: str, score: Callable[[dict[str, Any]], float]) -> Statement:
     values = {variant: score(results.fit(variant, "free")) for variant in results.ranking}
     order = sorted(values, key=lambda variant: -values[variant] if values[variant] == values[variant] else math.inf)
     first, second = order[0], order[1]
-    lead = format_fixed(values[first] - values[second], 1)
     capital = name[0].upper() + name[1:]
-    if first != results.ranking[0]:
-        return Statement(f"Disagreement: {name} puts {first} first, {lead} nat ahead of {second}, not {results.ranking[0]}.", "bad")
+    best = results.ranking[0]
+    gap = values[first] - values[best if first != best else second]
+    lead = f"{first} first, {format_fixed(gap, 1)} nat ahead of {best if first != best else second}"
+    if not gap > SMALL_ELPD:
+        return Statement(f"{capital} hardly {'separates' if verb == 'agrees' else 'separate'} the best: {lead}.")
+    if first != best:
+        return Statement(f"{capital} dis{verb}: {lead}.", "bad")
+    rest = ""
     if order != results.ranking:
-        rest = f"; further down its order differs ({', '.join(order)})"
-    else:
-        rest = ", and the same order throughout" if len(order) > 2 else ""
-    return Statement(f"{capital} agrees: {first} first, {lead} nat ahead of {second}{rest}.", "good")
+        rest = "; further down the order differs" + (f" ({', '.join(order)})" if len(order) <= FEW else "")
+    elif len(order) > 2:
+        rest = ", and the same order throughout"
+    return Statement(f"{capital} {verb}: {lead}{rest}.", "good")
+
+
+def _name_or_count(words: list[str], total: int) -> str:
+    """Return a few variants by name, many as a count."""
+    return join_words(words) if len(words) <= FEW else f"{len(words)} of {total} variants (tables below)"
 
 
 def _state_accuracy(results: Results) -> Statement:
@@ -136,8 +169,8 @@ def _state_accuracy(results: Results) -> Statement:
     orientation = {k: format_significant(ARCSECONDS * v, 2) for k, v in errors["orientation_error_deg"].items()}
     held = "held back from the fit" if results.n_verification else "used in the fit; none were held back"
     text = (
-        f"Accuracy of {results.ranking[0]}: {position['mean']} µm mean and {position['max']} µm largest position error, "
-        f"{orientation['mean']}″ mean and {orientation['max']}″ largest orientation error on the "
+        f"Accuracy of {results.ranking[0]}: {position['mean']} µm mean and {position['max']} µm largest position "
+        f"error, {orientation['mean']}″ mean and {orientation['max']}″ largest orientation error on the "
         f"{results.summary['n_poses'][use]} {use} poses ({held})."
     )
     return Statement(text)
@@ -152,43 +185,49 @@ def _state_convergence(results: Results) -> Statement:
     rhat = max(fit["rhat_max"] for _, _, fit in fits)
     bulk = min(fit["ess_bulk_min"] for _, _, fit in fits)
     text = (
-        f"All {len(fits)} posteriors converged: R-hat at most {rhat:.4f} (limit {RHAT_LIMIT}), bulk ESS at least {bulk:.0f} "
-        f"(limit {ESS_BULK_LIMIT:.0f}). Both evidence estimators agree to {gap:.3f} nat or better (limit {AGREEMENT})."
+        f"All {len(fits)} posteriors converged: R-hat at most {rhat:.4f} (limit {RHAT_LIMIT}), bulk ESS at least "
+        f"{bulk:.0f} (limit {ESS_BULK_LIMIT:.0f}). Both evidence estimators agree to {gap:.3f} nat or better (limit "
+        f"{AGREEMENT})."
     )
     return Statement(text, "good")
 
 
 def _state_stability(results: Results) -> list[Statement]:
     """Say whether the same variant leads under every tolerance of the lengths."""
+    best = results.ranking[0]
     if len(results.ranking) == 1:
         return []
-    wide = results.sensitivity.pivot(index="tolerance_mm", columns="variant", values="log_evidence").sort_index()
-    first = wide.idxmax(axis=1)
-    span = f"tolerances of the lengths from {wide.index[0]:g} to {wide.index[-1]:g} mm" if len(wide) > 1 else "the tolerance tried"
-    others = first[first != results.ranking[0]]
-    if len(others):
-        where = join_words([f"{name} at {tolerance:g} mm" for tolerance, name in others.items()])
-        return [Statement(f"The ranking is not stable over {span}: {where} takes the first place.", "bad")]
-    orders = {tuple(row.sort_values(ascending=False).index) for _, row in wide.iterrows()}
-    ranked = wide.apply(lambda row: pd.Series(sorted(row, reverse=True)[:2]), axis=1)
-    lead = ranked[0] - ranked[1]
-    whole = "the whole order stays" if orders == {tuple(results.ranking)} else "further down the order changes"
-    text = (
-        f"The ranking is stable over {span}: {results.ranking[0]} stays first, never by less than "
-        f"{format_fixed(lead.min(), 1)} nat (at {lead.idxmin():g} mm); {whole}."
-    )
-    statements = [Statement(text, "good")]
-    doubtful = results.sensitivity[results.sensitivity["pareto_k"] > PARETO_K_LIMIT]
-    if len(doubtful):
-        names = join_words([f"{row.variant} at {row.tolerance_mm:g} mm" for row in doubtful.itertuples()])
-        statements.append(Statement(f"Evidence by importance sampling is doubtful (Pareto k) for {names}.", "warning"))
+    wide = results.sensitivity_grid
+    span = f"tolerances of the lengths from {wide.index[0]:g} to {wide.index[-1]:g} mm"
+    statements = [_compare_tolerances(wide, best, results.ranking, span)]
+    doubtful = int((results.sensitivity["pareto_k"] > PARETO_K_LIMIT).sum())
+    if doubtful:
+        text = f"{doubtful} of {wide.size} of these evidences are doubtful (importance sampling, Pareto k)."
+        statements.append(Statement(text, "warning"))
     return statements
+
+
+def _compare_tolerances(wide: pd.DataFrame, best: str, ranking: list[str], span: str) -> Statement:
+    rivals = wide.drop(columns=best)
+    lead = wide[best] - rivals.max(axis=1)
+    lost = lead[lead < -NOT_DISTINGUISHABLE].index
+    if len(lost):
+        where = join_words([f"{rivals.loc[tolerance].idxmax()} at {tolerance:g} mm" for tolerance in lost])
+        return Statement(f"The ranking is not stable over {span}: not {best} comes first but {where}.", "bad")
+    same = all(list(row.sort_values(ascending=False).index) == ranking for _, row in wide.iterrows())
+    whole = "the whole order stays" if same else "further down the order changes"
+    if lead.min() > NOT_DISTINGUISHABLE:
+        stays = f"{best} stays first, never by less than {format_fixed(lead.min(), 1)} nat (at {lead.idxmin():g} mm)"
+    else:
+        stays = f"no other variant gets ahead of {best} by more than {NOT_DISTINGUISHABLE:g} nat"
+    return Statement(f"The ranking is stable over {span}: {stays}; {whole}.", "good")
 
 
 def _state_model_error(results: Results) -> list[Statement]:
     """Say which variants the data want a model error for, and who leads without it."""
     gain = {
-        name: results.fit(name, "free")["log_evidence"] - results.fit(name, "zero")["log_evidence"] for name in results.ranking
+        name: results.fit(name, "free")["log_evidence"] - results.fit(name, "zero")["log_evidence"]
+        for name in results.ranking
     }
     best = results.ranking[0]
     worth = format_fixed(abs(gain[best]), 1)
@@ -199,8 +238,13 @@ def _state_model_error(results: Results) -> list[Statement]:
     needing = [name for name in results.ranking[1:] if gain[name] > 0]
     if needing:
         least = format_fixed(min(gain[name] for name in needing), 1)
-        which = "the other variants fall" if len(needing) == len(gain) - 1 else f"{join_words(needing)} fall"
-        text += f"; without it {which} by {least} nat or more" if len(needing) > 1 else f"; {needing[0]} falls by {least} nat"
+        everyone = len(needing) == len(gain) - 1
+        which = "the other variants fall" if everyone else f"{_name_or_count(needing, len(gain))} fall"
+        text += (
+            f"; without it {which} by {least} nat or more"
+            if len(needing) > 1
+            else f"; {needing[0]} falls by {least} nat"
+        )
     if len(gain) > 1:
         leader = max(results.ranking, key=lambda name: results.fit(name, "zero")["log_evidence"])
         lead = format_fixed(measure_lead(results, "zero"), 1)
@@ -215,11 +259,17 @@ def state_coverage(results: Results) -> list[Statement]:
     statements = []
     for setting, words in SETTINGS.items():
         coverage = {name: results.fit(name, setting)["calibration"]["interval_90_coverage"] for name in results.ranking}
-        narrow = [name for name, share in coverage.items() if is_too_narrow(share, results.summary["n_poses"]["calibration"])]
+        narrow = [
+            name for name, share in coverage.items() if is_too_narrow(share, results.summary["n_poses"]["calibration"])
+        ]
         span = " to ".join(dict.fromkeys(format_percent(x) for x in (min(coverage.values()), max(coverage.values()))))
-        text = f"{words[0].upper()}{words[1:]}, the 90 % predictive intervals hold {span} of the calibration measurements"
+        text = (
+            f"{words[0].upper()}{words[1:]}, the 90 % predictive intervals hold {span} of the calibration measurements"
+        )
         if narrow:
-            shares = join_words([f"{name} ({_cover_both(results, name, setting)})" for name in narrow])
+            shares = _name_or_count(
+                [f"{name} ({_cover_both(results, name, setting)})" for name in narrow], len(coverage)
+            )
             text += f": too narrow, so the posteriors claim more than the data bear out, for {shares}"
         statements.append(Statement(f"{text}.", "warning" if narrow else "plain"))
     return statements

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -66,9 +67,14 @@ def render_page(context: ReportContext) -> str:
     environment = Environment(
         loader=FileSystemLoader(here), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters["symbol"] = set_symbol
+    environment.filters |= {"symbol": set_symbol, "bind": bind_units}
     style = Markup((here / "report.css").read_text(encoding="utf-8"))
     return environment.get_template("template.html").render(report=context, style=style)
+
+
+def bind_units(text: str) -> str:
+    """Return text in which no line breaks between a number and its unit."""
+    return re.sub(r"(?<=[\d=τ]) (?=%|µm|mm\b|nat\b|[0=±])", "\u00a0", text)
 
 
 def set_symbol(symbol: str) -> Markup:

@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import joblib
+import numpy as np
 import pandas as pd
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
 
 from bayescal.config.schema import StudyConfig
+from bayescal.errors import NumericalError
 from bayescal.report.write import write_report
 from bayescal.study.fit import Arrays, Task, list_tasks, run_task
 from bayescal.study.inputs import StudyInputs, hash_identity, load_inputs
@@ -94,29 +96,41 @@ def run_study(config: StudyConfig, folder: Path, out: Path, workers: int = 1, re
 
 
 def _run_tasks(inputs: StudyInputs, store: Store, tasks: list[Task], workers: int) -> dict[Task, Arrays]:
+    """Return the arrays of all tasks; one that fails does not keep the others from being finished and kept."""
     found = {task: store.load_task(task.key) for task in tasks}
     missing = [task for task in tasks if found[task] is None]
-    for task, arrays in _track(_compute(inputs, missing, workers), len(tasks), len(tasks) - len(missing)):
-        store.save_task(task.key, arrays)
-        found[task] = arrays
+    failures: list[str] = []
+    for task, outcome in _track(_compute(inputs, missing, workers), len(tasks), len(tasks) - len(missing)):
+        if isinstance(outcome, str):
+            failures.append(f"{task.key}: {outcome}")
+            continue
+        store.save_task(task.key, outcome)
+        found[task] = outcome
+    if failures:
+        kept = f"{len(tasks) - len(failures)} of {len(tasks)} tasks are kept in {store.partial}"
+        raise NumericalError(f"{'; '.join(failures)}; {kept}")
     return {task: arrays for task, arrays in found.items() if arrays is not None}
 
 
-def _compute(inputs: StudyInputs, tasks: list[Task], workers: int) -> Iterator[tuple[Task, Arrays]]:
+def _compute(inputs: StudyInputs, tasks: list[Task], workers: int) -> Iterator[tuple[Task, Arrays | str]]:
     if workers == 1 or len(tasks) < 2:
         for task in tasks:
-            yield task, run_task(inputs, task)
+            yield _run_guarded(inputs, task)
         return
     parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", inner_max_num_threads=1)
-    yield from parallel(joblib.delayed(_run_capped)(inputs, task) for task in tasks)
+    yield from parallel(joblib.delayed(_run_guarded)(inputs, task) for task in tasks)
 
 
-def _run_capped(inputs: StudyInputs, task: Task) -> tuple[Task, Arrays]:
-    with threadpool_limits(1):
-        return task, run_task(inputs, task)
+def _run_guarded(inputs: StudyInputs, task: Task) -> tuple[Task, Arrays | str]:
+    """Return a task's arrays, or in words why it failed; BLAS keeps to one thread."""
+    try:
+        with threadpool_limits(1):
+            return task, run_task(inputs, task)
+    except (NumericalError, np.linalg.LinAlgError) as error:
+        return task, str(error)
 
 
-def _track(items: Iterator[tuple[Task, Arrays]], total: int, done: int) -> Iterator[tuple[Task, Arrays]]:
+def _track[T](items: Iterator[tuple[Task, T]], total: int, done: int) -> Iterator[tuple[Task, T]]:
     """Show progress with the time left on a terminal; stay silent in a pipe."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())

@@ -122,7 +122,7 @@ class Store:
         if not path.is_file():
             return None
         try:
-            with np.load(path, allow_pickle=False) as stored:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
                 return {name: stored[name] for name in stored.files}
         except (OSError, ValueError, EOFError, RuntimeError, AttributeError, TypeError, zipfile.BadZipFile):
             return None  # among them what a flipped bit looks like: an encrypted archive, a bare array

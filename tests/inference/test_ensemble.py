@@ -80,7 +80,7 @@ def test_moments(name, chains):
 
 @pytest.mark.parametrize("name", TARGETS)
 def test_a_jump_without_its_hastings_factor_is_found_out(name, proposal):
-    """Negative control: the same proposal, its density left out, samples another distribution, and the scores show it."""
+    """Negative control: with its density left out the same proposal samples another distribution, and it shows."""
     log_density, mean, covariance = TARGETS[name]
     chains = []
     for seed in range(N_ENSEMBLES):

@@ -1,4 +1,4 @@
-"""Both evidence estimators against closed forms, with their standard errors put to the test, and controls that must fail."""
+"""Both evidence estimators against closed forms, their standard errors put to the test, and controls that must fail."""
 
 from __future__ import annotations
 

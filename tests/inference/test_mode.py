@@ -30,7 +30,7 @@ def test_mode_is_a_maximum(posterior, rng):
     for side in (0.3, -0.3):
         around = posterior.log_density(mode.y + side * directions)
         drop = mode.log_density - around
-        # a step of 0.3 sd costs 0.045 where the density is normal; the funnel of the model errors is the one that is not
+        # a step of 0.3 sd costs 0.045 where the density is normal; the funnel of the model errors is not
         assert drop.min() > 0
         np.testing.assert_allclose(drop.mean(), 0.045, rtol=0.15)
 

@@ -35,8 +35,15 @@ def _draw_leg(axes: Axes, rows: pd.DataFrame, kappa: pd.Series, leg: int) -> Non
     for use, fill in (("calibration", colour), ("verification", "white")):
         chosen = rows[rows["use"] == use]
         axes.errorbar(
-            chosen["actuator_displacement_mm"], chosen["deflection_um"], yerr=chosen["deflection_sd_um"], linestyle="none",
-            marker="o", markersize=4, color=colour, markerfacecolor=fill, elinewidth=0.8,
+            chosen["actuator_displacement_mm"],
+            chosen["deflection_um"],
+            yerr=chosen["deflection_sd_um"],
+            linestyle="none",
+            marker="o",
+            markersize=4,
+            color=colour,
+            markerfacecolor=fill,
+            elinewidth=0.8,
         )
     travel = np.array([rows["actuator_displacement_mm"].min(), rows["actuator_displacement_mm"].max()])
     axes.plot(travel, kappa["mean_1e-3"] * travel, color=INK, linewidth=1.3)  # 1e-3 mm per mm is µm per mm

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from bayescal.report.figures.style import ALARM, GREY, INK, PALE, VariantStyle, assign_styles
+from bayescal.report.figures.style import GREY, INK, PALE, VariantStyle, assign_styles
 from bayescal.report.numbers import ARCSECONDS, MICROMETRES, format_significant
 from bayescal.report.results import SETTINGS
 
@@ -35,6 +35,8 @@ def draw_error_bars(predictions: pd.DataFrame, variants: Sequence[str]) -> Figur
     figure = Figure(figsize=(9.4, 0.55 + len(uses) * (0.55 + 0.30 * len(variants))))
     grid = figure.subplots(len(uses), 2, sharex="col", sharey=True, squeeze=False)
     styles = assign_styles(variants)
+    for axes, (column, factor, _) in zip(grid[0], QUANTITIES, strict=True):
+        axes.set_xlim(0, 1.2 * factor * predictions[column].max())  # shared by the column
     for row, use in zip(grid, uses, strict=True):
         for axes, (column, factor, label) in zip(row, QUANTITIES, strict=True):
             _draw_bars(axes, predictions[predictions["use"] == use], column, factor, styles)
@@ -47,25 +49,23 @@ def draw_error_bars(predictions: pd.DataFrame, variants: Sequence[str]) -> Figur
 def _draw_bars(
     axes: Axes, predictions: pd.DataFrame, column: str, factor: float, styles: dict[str, VariantStyle]
 ) -> None:
-    errors = predictions.groupby(["variant", "model_error"])[column].agg(["mean", "max"]) * factor
     for k, (name, style) in enumerate(styles.items()):
-        mean, largest = errors.loc[(name, "free")]
+        of_variant = predictions[predictions["variant"] == name]
+        free, zero = (factor * of_variant[of_variant["model_error"] == s][column].to_numpy(float) for s in SETTINGS)
+        mean, largest = free.mean(), free.max()
         axes.barh(k, largest, height=0.62, color=style.colour, alpha=0.35, linewidth=0)
         axes.barh(k, mean, height=0.62, color=style.colour, linewidth=0)
         text = f"{format_significant(mean, 2)} / {format_significant(largest, 2)}"
         axes.annotate(text, (largest, k), (4, 0), textcoords="offset points", va="center", fontsize=8)
-        if (name, "zero") in errors.index:
-            zero = errors.loc[(name, "zero"), "mean"]
-            axes.plot(zero, k, marker="D", markersize=4, color="white", markeredgecolor=INK, markeredgewidth=0.8)
+        axes.plot(zero.mean(), k, marker="D", markersize=4, color="white", markeredgecolor=INK, markeredgewidth=0.8)
     axes.set_yticks(range(len(styles)), [style.label for style in styles.values()])
     axes.set_ylim(len(styles) - 0.5, -0.5)
-    axes.set_xlim(0, 1.22 * errors["max"].max())
     axes.grid(axis="x")
     axes.tick_params(axis="y", length=0)
 
 
 def draw_bounds(predictions: pd.DataFrame, variants: Sequence[str]) -> Figure:
-    """Return the position error of every pose with its 95 % predictive bound: a row per variant, a column per setting."""
+    """Return every pose's position error with its 95 % bound: a row per variant, a column per setting."""
     figure = Figure(figsize=(9.4, 0.7 + 1.35 * len(variants)))
     grid = figure.subplots(len(variants), 2, sharex=True, sharey=True, squeeze=False)
     styles = assign_styles(variants)
@@ -93,6 +93,16 @@ def _draw_poses(axes: Axes, rows: pd.DataFrame, style: VariantStyle) -> None:
     axes.vlines(number, 1e-9, bound, color=PALE, linewidth=2.0)
     axes.plot(number, bound, linestyle="none", marker="_", markersize=5, color=GREY)
     for use, fill in ((~held, style.colour), (held, "white")):
-        axes.plot(number[use], error[use], linestyle="none", marker="o", markersize=3.6, color=fill, markeredgecolor=style.colour)
-    axes.plot(number[outside], error[outside], linestyle="none", marker="x", markersize=6, color=ALARM, markeredgewidth=1.2)
+        axes.plot(
+            number[use],
+            error[use],
+            linestyle="none",
+            marker="o",
+            markersize=3.6,
+            color=fill,
+            markeredgecolor=style.colour,
+        )
+    axes.plot(
+        number[outside], error[outside], linestyle="none", marker="x", markersize=6, color=INK, markeredgewidth=1.1
+    )
     axes.grid(axis="y")

@@ -64,7 +64,9 @@ def draw_model_error(parameters: pd.DataFrame, variants: Sequence[str], prior_sc
     handles = _variant_handles(styles)
     if prior_scale_um is not None:
         axes.axhline(prior_scale_um, color=GREY, linestyle="--", linewidth=1.0)
-        handles.append(Line2D([], [], color=GREY, linestyle="--", linewidth=1.0, label="scale of the half-normal prior"))
+        handles.append(
+            Line2D([], [], color=GREY, linestyle="--", linewidth=1.0, label="scale of the half-normal prior")
+        )
     axes.set_ylim(bottom=0)
     axes.set_ylabel("Model error τ (µm)")
     _label_legs(axes, rows)
@@ -144,7 +146,7 @@ def has_hardpoints(parameters: pd.DataFrame) -> bool:
 def find_magnification(parameters: pd.DataFrame) -> float:
     """Return a round factor (1, 2 or 5 times a power of ten) that shows the largest move as a third of the radius."""
     wide = pd.concat([_pivot(parameters, x, y) for x, y, _ in HARDPOINTS])
-    radius = float(np.hypot(wide["x"], wide["y"]).median())
+    radius = float(np.median(np.hypot(wide["x"].to_numpy(), wide["y"].to_numpy())))
     largest = float(np.hypot(wide["dx"], wide["dy"]).max())
     if not (radius > 0 and largest > 0):
         return 1.0
@@ -193,14 +195,23 @@ def _draw_joints(axes: Axes, rows: pd.DataFrame, styles: dict[str, VariantStyle]
     nominal = rows.drop_duplicates("leg").sort_values("leg")
     outline = nominal.iloc[np.argsort(np.arctan2(nominal["y"], nominal["x"]))]
     axes.fill(outline["x"], outline["y"], facecolor="none", edgecolor=PALE, linewidth=1.0)
-    axes.plot(nominal["x"], nominal["y"], linestyle="none", marker="o", markersize=5, color="white", markeredgecolor=INK)
+    axes.plot(
+        nominal["x"], nominal["y"], linestyle="none", marker="o", markersize=5, color="white", markeredgecolor=INK
+    )
     for name, style in styles.items():
         one = rows[rows["variant"] == name]
         x, y = one["x"] + factor * one["dx"], one["y"] + factor * one["dy"]
         axes.plot(np.stack([one["x"], x]), np.stack([one["y"], y]), color=style.colour, linewidth=0.7, alpha=0.7)
         axes.errorbar(
-            x, y, xerr=factor * one["sx"], yerr=factor * one["sy"], linestyle="none", marker=style.marker, markersize=4.5,
-            color=style.colour, elinewidth=0.9,
+            x,
+            y,
+            xerr=factor * one["sx"],
+            yerr=factor * one["sy"],
+            linestyle="none",
+            marker=style.marker,
+            markersize=4.5,
+            color=style.colour,
+            elinewidth=0.9,
         )
     extent = np.hypot(rows["x"] + factor * rows["dx"], rows["y"] + factor * rows["dy"]).max()
     reach = 1.12 * max(extent, float(np.hypot(nominal["x"], nominal["y"]).max()))

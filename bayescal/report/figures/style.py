@@ -16,7 +16,6 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 INK = "#222222"
 GREY = "#8a8a8a"
 PALE = "#d9d9d9"
-ALARM = "#c00000"
 
 RC: dict[str, Any] = {
     "font.size": 9.0,
@@ -58,7 +57,8 @@ def assign_styles(variants: Sequence[str]) -> dict[str, VariantStyle]:
     others = cycle(OTHER_COLOURS)
     colour = {name: DEFORMATION_COLOURS.get(name) or next(others) for name in deformations}
     return {
-        name: VariantStyle(colour[split_variant(name)[1]], marker[split_variant(name)[0]], quote(name)) for name in variants
+        name: VariantStyle(colour[split_variant(name)[1]], marker[split_variant(name)[0]], quote(name))
+        for name in variants
     }
 
 
