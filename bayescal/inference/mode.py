@@ -53,10 +53,10 @@ def find_modes(posterior: Posterior) -> list[Mode]:
     tried. A mirror image is dropped where it holds no mass that matters.
     """
     best = _climb(posterior, np.zeros(posterior.n_parameters))
-    others = []
+    others: list[tuple[Array, float]] = []
     for start in _mirror_starts(posterior, best[0]):
         other = _climb(posterior, start)
-        if np.allclose(other[0], best[0], atol=1e-3):
+        if any(np.allclose(other[0], known[0], atol=1e-3) for known in (best, *others)):
             continue
         if other[1] > best[1]:
             best, other = other, best

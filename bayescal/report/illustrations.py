@@ -143,7 +143,7 @@ def _list_model_error(results: Results, frame: pd.DataFrame) -> Illustration:
 def _list_sensitivity(results: Results) -> Illustration:
     caption = (
         "Log-evidence with model error against the prior tolerance of the lengths. Left: each variant below its own "
-        "largest value; right: each variant below the best one at the same tolerance. The ranking is stable where no "
-        "lines cross on the right (ranks: table below)."
+        "largest value; right: each variant below the best one at the same tolerance, logarithmic beyond 1 nat. The "
+        "ranking is stable where no lines cross on the right (ranks: table below)."
     )
     return Illustration("sensitivity", caption, lambda: draw_sensitivity(results.sensitivity_grid))

@@ -272,23 +272,22 @@ def _check_summary(summary: dict[str, Any], path: Path) -> None:
         raise InputError(
             f"{path}: ranking: found {summary['ranking']}, expected each of {list(summary['variants'])} once"
         )
+    uses = [use for use in ("calibration", "verification") if summary["n_poses"][use]]
     for name, fit in summary["variants"].items():
         _check_keys(summary["variants"], {name: dict}, path, "variants.")
-        _check_fit(fit, path, f"variants.{name}.")
+        _check_fit(fit, uses, path, f"variants.{name}.")
         _check_keys(fit, {"without_model_error": dict}, path, f"variants.{name}.")
-        _check_fit(fit["without_model_error"], path, f"variants.{name}.without_model_error.")
+        _check_fit(fit["without_model_error"], uses, path, f"variants.{name}.without_model_error.")
 
 
-def _check_fit(fit: dict[str, Any], path: Path, where: str) -> None:
+def _check_fit(fit: dict[str, Any], uses: list[str], path: Path, where: str) -> None:
     _check_keys(fit, FIT_KEYS, path, where)
     for key, inner in NESTED_KEYS.items():
         _check_keys(fit[key], dict.fromkeys(inner, NUMBER), path, f"{where}{key}.")
     for name, values in fit["parameters"].items():
         _check_keys(fit["parameters"], {name: dict}, path, f"{where}parameters.")
         _check_keys(values, {**dict.fromkeys(PARAMETER_KEYS, NUMBER), "unit": str}, path, f"{where}parameters.{name}.")
-    for use in ("calibration", "verification"):
-        if fit.get(use) is None and use == "verification":
-            continue
+    for use in uses:
         _check_keys(fit, {use: dict}, path, where)
         _check_keys(fit[use], ERROR_KEYS, path, f"{where}{use}.")
         for key in ("position_error_mm", "orientation_error_deg"):

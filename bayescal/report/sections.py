@@ -232,7 +232,8 @@ def tabulate_model_error(results: Results) -> tuple[Table | None, list[Statement
 def _format_interval(values: pd.DataFrame, leg: int) -> str:
     """Return ``mean [low, high]`` with the decimals that the narrowest interval of the table asks for."""
     places = min(3, count_decimals(float((values["q95"] - values["q05"]).min())))
-    mean, low, high = (format_fixed(float(x), places) for x in values.loc[leg, ["mean", "q05", "q95"]])
+    row = values.loc[[leg], ["mean", "q05", "q95"]].to_numpy(dtype=float)[0]
+    mean, low, high = (format_fixed(x, places) for x in row)
     return f"{mean} [{low}, {high}]"
 
 

@@ -134,7 +134,7 @@ def _state_prediction(results: Results) -> list[Statement]:
 
 def read_verification_elpd(fit: dict[str, Any]) -> float:
     """Return the elpd of the poses held back, NaN without such poses."""
-    return get_number(fit["verification"] or {}, "elpd")
+    return get_number(fit.get("verification") or {}, "elpd")
 
 
 def _compare_order(results: Results, name: str, verb: str, score: Callable[[dict[str, Any]], float]) -> Statement:
@@ -278,7 +278,7 @@ def state_coverage(results: Results) -> list[Statement]:
 def _cover_both(results: Results, variant: str, setting: str) -> str:
     fit = results.fit(variant, setting)
     text = format_percent(fit["calibration"]["interval_90_coverage"])
-    if fit["verification"]:
+    if fit.get("verification"):
         text += f", verification {format_percent(fit['verification']['interval_90_coverage'])}"
     return text
 

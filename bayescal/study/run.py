@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import signal
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -118,7 +119,13 @@ def _compute(inputs: StudyInputs, tasks: list[Task], workers: int) -> Iterator[t
             yield _run_guarded(inputs, task)
         return
     parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", inner_max_num_threads=1)
-    yield from parallel(joblib.delayed(_run_guarded)(inputs, task) for task in tasks)
+    yield from parallel(joblib.delayed(_run_in_worker)(inputs, task) for task in tasks)
+
+
+def _run_in_worker(inputs: StudyInputs, task: Task) -> tuple[Task, Arrays | str]:
+    """Run a task in a process of its own; an interrupt from the terminal is the parent's to handle."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return _run_guarded(inputs, task)
 
 
 def _run_guarded(inputs: StudyInputs, task: Task) -> tuple[Task, Arrays | str]:

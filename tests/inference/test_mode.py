@@ -75,8 +75,9 @@ def test_laplace_is_close_to_the_evidence_of_a_normal_posterior(twin):
     assert modes[0].log_evidence == pytest.approx(evidence.log_evidence, abs=0.05)
 
 
-def test_mirror_images_of_a_direction_are_found():
-    """With κ fixed the actuator gain u_z + s u_x has two solutions; seen from one of them, the other is found."""
+@pytest.fixture(scope="module")
+def mirrored():
+    """Return a posterior of a machine whose directions lie beside the middle of their two solutions."""
     machine = machines.build_machine("none")
     layout = machine.layout
     slope = machines.build_posterior(
@@ -88,7 +89,13 @@ def test_mirror_images_of_a_direction_are_found():
     theta[layout.index["u_x"]] = np.sin(np.arctan(slope)) + 0.03 * np.array([1, -1, 1, -1, 1, -1])
     rng = np.random.default_rng(5)
     poses = machines.simulate_poses(machine, theta, machines.table_3_actuators(), np.zeros(6), rng)
-    posterior = machines.build_posterior("none", poses, ModelError(None))
+    return machines.build_posterior("none", poses, ModelError(None))
+
+
+def test_mirror_images_of_a_direction_are_found(mirrored):
+    """With κ fixed the actuator gain u_z + s u_x has two solutions; seen from one of them, the other is found."""
+    posterior, layout = mirrored, mirrored.likelihood.machine.layout
+    slope = posterior.coordinates.leg_slope[:, 0]
     modes = find_modes(posterior)
     assert len(modes) > 1
     densities = [mode.log_density for mode in modes]
@@ -104,6 +111,14 @@ def test_mirror_images_of_a_direction_are_found():
         angle = 2 * np.arctan(slope[leg]) - np.arcsin(layout.take(best, "u_x")[leg])
         mirrored = np.sin(angle) - layout.take(best, "u_x")[leg]
         assert change[leg] == pytest.approx(mirrored, abs=0.25 * abs(mirrored))
+
+
+def test_no_mode_comes_twice(mirrored):
+    modes = find_modes(mirrored)
+    for k, mode in enumerate(modes):
+        sd = np.sqrt(np.diag(mode.covariance))
+        for other in modes[:k]:
+            assert np.max(np.abs(mode.y - other.y) / sd) > 1
 
 
 def test_modes_of_no_weight_are_dropped(twin):

@@ -339,13 +339,3 @@ def test_study_with_missing_targets_runs(tmp_path):
     missing = ("C01,base,B02", "C02,platform,P03", "C03,platform,L41", "V01,base,B05")
     targets.write_text("\n".join(line for line in lines if not line.startswith(missing)) + "\n")
     assert run(path, tmp_path / "out").summary["ranking"][0] == "six_pus/matrix"
-
-
-def test_long_enough_a_study_converges(tmp_path):
-    path = studies.write_tiny_study(tmp_path)
-    for old, new in (("walkers = 8", "walkers = 64"), ("steps = 10", "steps = 60"), ("draws = 1000", "draws = 4000")):
-        studies.edit(path, old, new)
-    studies.edit(path, "max_draws = 1000", "max_draws = 4000")
-    studies.edit(path, "burn_in = 5", "burn_in = 20")
-    result = run(path, tmp_path / "out")
-    assert result.converged, [fit["problems"] for fit in result.summary["variants"].values()]

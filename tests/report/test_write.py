@@ -1,0 +1,130 @@
+"""The page on disk: self-contained, escaped, the same bytes from the same results."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from bayescal.errors import InputError
+from bayescal.report.blocks import FigureBlock
+from bayescal.report.context import build_context
+from bayescal.report.illustrations import list_illustrations
+from bayescal.report.results import read_results
+from bayescal.report.write import render_page, set_symbol, write_report
+
+VOID = {"meta", "img", "link", "br", "hr", "input"}
+
+
+class Reader(HTMLParser):
+    """Collects tags and what they refer to, and checks that tags close in order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.references: list[str] = []
+        self.open: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.references += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def test_page_is_self_contained_and_well_formed(make_results):
+    page = write_report(make_results())
+    text = page.read_text(encoding="utf-8")
+    reader = Reader(text)
+    assert reader.open == []
+    assert reader.tags.count("img") == 8
+    assert all(r.startswith(("data:image/png;base64,", "#")) for r in reader.references)
+    assert not {"script", "link", "iframe", "object"} & set(reader.tags)
+    assert not re.search(r"url\(|@import", text)
+    assert {r[1:] for r in reader.references if r.startswith("#")} <= set(re.findall(r'id="([^"]+)"', text))
+    assert {p.name for p in page.parent.iterdir()} == {
+        "summary.json", "provenance.json", "tables", "posterior", "figures", "report.html"
+    }
+
+
+def test_same_results_give_the_same_bytes(make_results):
+    one, other = make_results(name="one"), make_results(name="other")
+    contents = []
+    for folder in (one, other):
+        page = write_report(folder)
+        contents.append([page.read_bytes(), *(p.read_bytes() for p in sorted((folder / "figures").iterdir()))])
+    assert contents[0] == contents[1]
+    assert not any(b"Software" in image or b"tEXtDate" in image for image in contents[0][1:])
+
+
+def test_text_from_the_results_is_escaped(make_results):
+    attack = "<script>alert('x')</script> & \"$_^{ $\" <b>"
+
+    def change(summary):
+        summary["title"] = summary["data_origin"] = summary["experiment"] = attack
+        summary["pose_extraction"]["rejected_targets"] = [f"{attack}/P1"]
+        summary["variants"]["pus/none"]["problems"] = [attack]
+        renamed = {name.replace("l[", "<i>$x_$[") if name.startswith("l[") else name: p
+                   for name, p in summary["variants"]["pus/none"]["parameters"].items()}
+        summary["variants"]["pus/none"]["parameters"] = renamed
+
+    folder = make_results(change)
+    predictions = folder / "tables" / "predictions.csv"
+    predictions.write_text(predictions.read_text().replace(",C0,", ",<script>$C0,"))
+    text = write_report(folder).read_text(encoding="utf-8")
+    reader = Reader(text)
+    assert "script" not in reader.tags
+    assert "b" not in reader.tags
+    assert "&lt;script&gt;alert(&#39;x&#39;)" in text
+    assert "&lt;i&gt;$x_$" in text
+
+
+def test_without_draws_and_ring_the_report_says_what_is_left_out(make_results):
+    folder = make_results(draws=False, ring=False)
+    (folder / "figures").mkdir()
+    (folder / "figures" / "ridges.png").write_bytes(b"of an earlier report")
+    text = write_report(folder).read_text(encoding="utf-8")
+    assert "Figure left out: it needs the draws of pus/linear, whose file is not there." in text
+    assert "Figure left out: the survey has no targets at the joints." in text
+    assert not (folder / "figures" / "ridges.png").exists()
+    assert (folder / "figures" / "parameters.png").is_file()
+
+
+def test_without_verification_poses_the_figures_are_drawn(make_results):
+    folder = make_results(verification=False)
+    text = write_report(folder).read_text(encoding="utf-8")
+    assert Reader(text).tags.count("img") == 8
+    assert "<td class=\"text plain\">none</td>" in text
+
+
+def test_data_origin_and_failures_stand_before_the_headline(make_results):
+    def change(summary):
+        summary["variants"]["pus/linear"] |= {"converged": False, "problems": ["bulk ESS 12, limit 1000"]}
+
+    results = read_results(make_results(change))
+    figures = {one.name: FigureBlock(one.name, one.caption, None, "not drawn") for one in list_illustrations(results)}
+    text = render_page(build_context(results, figures))
+    places = [text.index(s) for s in ("Made up for a test", "bulk ESS 12", 'class="headline"', 'id="ranking"')]
+    assert places == sorted(places)
+    assert 'class="verdict failed"' in text
+
+
+def test_nothing_is_written_where_the_results_are_at_fault(make_results):
+    folder = make_results()
+    (folder / "summary.json").unlink()
+    before = sorted(folder.rglob("*"))
+    with pytest.raises(InputError, match=r"summary\.json"):
+        write_report(folder)
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_symbols_are_set_with_sub_and_superscripts():
+    assert set_symbol("a_x") == "<i>a</i><sub>x</sub>"
+    assert set_symbol("kappa") == "<i>κ</i>"
+    assert set_symbol("rho0") == "<i>ρ</i><sup>0</sup>"
+    assert set_symbol("<b>") == "&lt;b&gt;"

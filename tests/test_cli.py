@@ -1,0 +1,431 @@
+"""The command line as its users meet it: exit codes, one line on standard error, nothing written on bad input."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import studies
+from bayescal import cli
+from bayescal.config import load_simulation
+from bayescal.inference import exploration
+from bayescal.kinematics import solve_forward_kinematics
+from bayescal.simulation import build_twin
+from bayescal.study import run as run_module
+from bayescal.study.fit import run_task
+from bayescal.tables import read_table
+
+COMMANDS = ("run", "simulate", "poses-from-targets", "report", "compare")
+ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
+
+
+@pytest.fixture
+def call(monkeypatch, capsys):
+    """Return a function that calls the command line in this process: exit code, standard output, standard error."""
+
+    def call_main(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["bayescal", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as exit_info:
+            cli.main()
+        return int(exit_info.value.code or 0), *capsys.readouterr()
+
+    return call_main
+
+
+@pytest.fixture
+def refuse(call, tmp_path):
+    """Return a function that checks a refusal: code 2, one line on standard error, nothing written; returns the line."""
+
+    def check(*arguments: object) -> str:
+        before = studies.snapshot(tmp_path)
+        code, out, err = call(*arguments)
+        assert (code, out) == (2, "")
+        assert err.startswith("bayescal: ")
+        assert err.count("\n") == 1
+        assert studies.snapshot(tmp_path) == before
+        return err
+
+    return check
+
+
+@pytest.fixture
+def study(tmp_path, monkeypatch) -> Path:
+    """Return the config of a tiny study with its data, in the current directory."""
+    monkeypatch.chdir(tmp_path)
+    return studies.write_tiny_study(tmp_path).relative_to(tmp_path)
+
+
+@pytest.fixture
+def quick(monkeypatch) -> None:
+    """Leave the figures out of the report: they take most of a tiny study's time."""
+    monkeypatch.setattr(run_module, "write_report", lambda folder: folder)
+
+
+def start(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
+    """Start the command line as a process of its own, in pipes."""
+    command = [sys.executable, "-m", "bayescal.cli", *map(str, arguments)]
+    return subprocess.Popen(
+        command, cwd=cwd, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def numbers_only(summary: Path) -> str:
+    return re.sub(r'"wall_seconds": .*', "", summary.read_text())
+
+
+# --- help and usage --------------------------------------------------------------------------------------------------
+
+
+def test_help_lists_every_command(call):
+    code, out, err = call("--help")
+    assert (code, err) == (0, "")
+    assert all(command in out for command in COMMANDS)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_every_command_shows_an_example(call, command):
+    code, out, err = call(command, "--help")
+    assert (code, err) == (0, "")
+    assert f"Example: bayescal {command} " in " ".join(out.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ((), "Missing command"),
+        (("rum",), "No such command 'rum'"),
+        (("run",), "Missing argument"),
+        (("run", "study.toml", "--wokers", "2"), "No such option: --wokers"),
+        (("run", "study.toml", "--workers", "two"), "--workers"),
+        (("run", "study.toml", "--workers", "0"), "--workers"),
+        (("run", "study.toml", "--seed", "-1"), "--seed"),
+        (("run", "study.toml", "--seed", "1.5"), "--seed"),
+        (("run", "study.toml", "another.toml"), "unexpected extra argument"),
+        (("simulate", "simulate.toml"), "--out"),
+        (("compare",), "Missing argument"),
+        (("report", "a", "b"), "unexpected extra argument"),
+    ],
+)
+def test_wrong_usage(refuse, study, arguments, expected):
+    message = refuse(*arguments)
+    assert expected.lower() in message.lower()
+    assert "--help" in message
+
+
+# --- bad input -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "expected"),
+    [
+        ("study.toml", "target_noise_um", "target_noise_mm", "study.toml, line 13: data.target_noise_mm: unknown key"),
+        ("study.toml", "seed = 11", 'seed = "11"', "study.toml, line 5: seed: found '11', expected a valid integer"),
+        ("study.toml", "seed = 11", '"a\\nb" = 11', "unknown key"),
+        ("study.toml", "[data]", "[data", "study.toml: not valid TOML"),
+        ("study.toml", "data/targets.csv", "data/target.csv", "data/target.csv: no such file"),
+        ("study.toml", "sd = 2.0", "sd = [1.0, 2.0]", "parameters.l: found 2 values, expected 1 or 6"),
+        ("mechanism.toml", "radius_mm = 155.0", "radius_cm = 15.5", "mechanism.toml, line 7: base.radius_cm: unknown"),
+        ("data/targets.csv", "x_mm", "x_m", "data/targets.csv, line 3: found column 'x_m', did you mean 'x_mm'?"),
+        ("data/targets.csv", "C01,base,B02,", "C01,base,B02,?", "data/targets.csv, line 5: x_mm: found '?"),
+        ("data/actuators.csv", "C02,", "C01,", "data/actuators.csv, line 5: pose 'C01' stands already on line 4"),
+        ("data/actuators.csv", "rho_6_mm", "rho_6", "data/actuators.csv, line 3: found column 'rho_6'"),
+        ("data/target_reference.csv", "B02", "B01", "data/target_reference.csv, line 5: target 'base/B01' stands"),
+    ],
+)
+@pytest.mark.parametrize("command", ["run", "poses-from-targets"])
+def test_bad_input_is_one_line_and_nothing_written(refuse, study, command, name, old, new, expected):
+    studies.edit(Path(name), old, new)
+    assert expected in refuse(command, study, "--out", "new/out")
+
+
+def test_missing_config(refuse, study):
+    assert "nothing.toml: no such file, expected a TOML config" in refuse("run", "nothing.toml")
+    assert "nothing.toml: no such file" in refuse("simulate", "nothing.toml", "--out", "x")
+
+
+def test_kind_of_another_command(refuse, study):
+    assert "kind: found 'simulation', expected one of pose_methods, study" in refuse("run", "simulate.toml")
+    assert "kind: found 'study', expected 'simulation'" in refuse("simulate", study, "--out", "x")
+    figure5 = studies.EXPERIMENTS / "pose_extraction" / "figure5.toml"
+    assert "kind: found 'pose_methods', expected 'study'" in refuse("poses-from-targets", figure5)
+
+
+@pytest.mark.parametrize("out", ["study.toml", "study.toml/x", ".", "data", "/"])
+def test_out_where_no_results_may_go(refuse, study, out):
+    refuse("run", study, "--out", out)
+
+
+@pytest.mark.parametrize("out", ["study.toml/x", ".", "data"])
+def test_poses_where_no_file_may_go(refuse, study, out):
+    refuse("poses-from-targets", study, "--out", out)
+
+
+@pytest.mark.parametrize("out", ["study.toml", "study.toml/x"])
+def test_simulated_data_where_no_directory_may_go(refuse, study, out):
+    refuse("simulate", "simulate.toml", "--out", out)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_out_without_permission(refuse, study, tmp_path):
+    (tmp_path / "locked").mkdir(mode=0o500)
+    refuse("run", study, "--out", "locked/out")
+
+
+def test_full_disk_is_one_line(call, study, monkeypatch, quick):
+    def fail(*_):
+        raise OSError(28, "No space left on device", "out")
+
+    monkeypatch.setattr(run_module, "run_task", fail)
+    code, _, err = call("run", study, "--out", "out", "--workers", 1)
+    assert code == 2
+    assert err.count("\n") == 1
+    assert "No space left on device" in err
+
+
+def test_results_of_another_config(call, refuse, study, quick):
+    assert call("run", study, "--out", "out", "--workers", 1)[0] == 3
+    assert "holds results of another config" in refuse("run", study, "--out", "out", "--seed", 3)
+    assert "holds results of another config" in refuse("run", study, "--out", "out", "--seed", 3, "--resume")
+    assert "found no interrupted run" in refuse("run", study, "--out", "out", "--resume")
+
+
+# --- run -------------------------------------------------------------------------------------------------------------
+
+
+def test_not_converged_is_3_with_the_results_written(call, study, quick):
+    code, out, err = call("run", study, "--out", "out", "--workers", 1)
+    assert code == 3
+    assert err.count("\n") == 1
+    assert "not everything converged" in err
+    assert "six_pus/matrix" in out
+    assert "NOT CONVERGED six_pus/none" in out
+    assert json.loads(Path("out/summary.json").read_text())["seed"] == 11
+    assert not list(Path().glob("*.partial"))
+
+
+def test_default_out_and_seed(call, study, quick):
+    assert call("run", study, "--seed", 5, "--workers", 1)[0] == 3
+    assert json.loads(Path("results/tiny/summary.json").read_text())["seed"] == 5
+
+
+def test_converged_is_0_and_silent(call, study, quick):
+    path = Path(study)
+    studies.edit(path, "walkers = 8", "walkers = 64")
+    studies.edit(path, "burn_in = 5\nsteps = 10", "burn_in = 20\nsteps = 60")
+    studies.edit(path, "draws = 1000\nmax_draws = 1000", "draws = 4000\nmax_draws = 4000")
+    code, out, err = call("run", study, "--out", "out", "--workers", 1)
+    assert (code, err) == (0, "")
+    assert "NOT CONVERGED" not in out
+    assert "report: out/report.html" in out
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_numerical_failure_is_3_in_one_line(call, study, quick):
+    studies.edit(Path(study), 'prior = "normal", sd = 2.0', 'prior = "uniform", half_width = 0.001')
+    code, _, err = call("run", study, "--out", "out", "--workers", 1)
+    assert code == 3
+    assert err.count("\n") == 1
+    assert not Path("out").exists()
+
+
+def test_interrupt_is_130_and_resume_completes(call, study, monkeypatch, quick):
+    call("run", study, "--out", "whole", "--workers", 1)
+    calls = []
+
+    def interrupt_later(inputs, task):
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        calls.append(task)
+        return run_task(inputs, task)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(run_module, "run_task", interrupt_later)
+        code, out, err = call("run", study, "--out", "out", "--workers", 1)
+    assert (code, out) == (130, "")
+    assert err.count("\n") == 1
+    assert "--resume" in err
+    studies.edit(Path(study), "Tiny study", "Tiny study, renamed")
+    assert call("run", study, "--out", "out", "--workers", 1, "--resume")[0] == 3
+    assert numbers_only(Path("out/summary.json")).replace(", renamed", "") == numbers_only(Path("whole/summary.json"))
+
+
+def test_process_in_a_pipe_is_silent_and_can_be_interrupted(study, tmp_path):
+    studies.edit(Path(study), "steps = 10", "steps = 3000")
+    process = start("run", study, "--out", "out", "--workers", 1, cwd=tmp_path)
+    try:
+        deadline = time.monotonic() + 30
+        while not (tmp_path / "out.partial" / "identity.json").exists():
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        time.sleep(0.3)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert (process.returncode, out) == (130, "")
+    assert err.count("\n") == 1
+    assert "interrupted" in err
+    assert "--resume" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_workers_can_be_interrupted_and_the_run_resumed(study, tmp_path, call, quick):
+    call("run", study, "--out", "whole", "--workers", 1)
+    process = start("run", study, "--out", "out", "--workers", 2, cwd=tmp_path)
+    try:
+        deadline = time.monotonic() + 60
+        while not list((tmp_path / "out.partial").glob("*.npz")):
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert call("run", study, "--out", "out", "--workers", 1, "--resume")[0] == 3
+    assert numbers_only(Path("out/summary.json")) == numbers_only(Path("whole/summary.json"))
+
+
+def test_console_script_refuses_in_one_line(study, tmp_path):
+    script = Path(sys.executable).with_name("bayescal")
+    done = subprocess.run(
+        [script, "run", "nothing.toml"], cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "bayescal: nothing.toml: no such file, expected a TOML config\n"
+
+
+# --- simulate, poses-from-targets ------------------------------------------------------------------------------------
+
+
+def test_simulate_writes_the_survey(call, study):
+    code, out, err = call("simulate", "simulate.toml", "--out", "new/data")
+    assert (code, err) == (0, "")
+    assert out.count("wrote new/data/") == 3
+    assert {f"data/{p.name}": p.read_text() for p in Path("new/data").iterdir()} == studies.tiny_survey_texts()
+    assert call("simulate", "simulate.toml", "--out", "other", "--seed", 7)[0] == 0
+    assert Path("other/targets.csv").read_text() != Path("new/data/targets.csv").read_text()
+
+
+def test_shipped_data_come_from_the_shipped_config(call, tmp_path):
+    assert call("simulate", studies.TELESCOPE / "simulate.toml", "--out", tmp_path)[0] == 0
+    assert studies.snapshot(tmp_path) == studies.snapshot(studies.TELESCOPE / "data")
+
+
+def test_simulation_out_of_reach_is_3(call, study):
+    studies.edit(Path("simulate.toml"), "unit_mm = 1.3", "unit_mm = 2000.0")
+    before = studies.snapshot(Path())
+    code, out, err = call("simulate", "simulate.toml", "--out", "new")
+    assert (code, out) == (3, "")
+    assert err.count("\n") == 1
+    assert studies.snapshot(Path()) == before
+
+
+@pytest.mark.parametrize("to_file", [True, False], ids=["file", "standard output"])
+def test_poses_match_the_true_ones(call, study, to_file):
+    code, out, err = call("poses-from-targets", study, *(("--out", "new/poses.csv") if to_file else ()))
+    assert (code, err) == (0, "")
+    if not to_file:
+        Path("new").mkdir()
+        Path("new/poses.csv").write_text(out)
+    table = read_table(Path("new/poses.csv"), None)
+    position = table.numbers(("x_mm", "y_mm", "z_mm"))
+    config = load_simulation(Path("simulate.toml"))
+    twin = build_twin(config, Path())
+    travel = np.concatenate([twin.calibration, twin.verification])
+    truth = solve_forward_kinematics(twin.machine, twin.theta, twin.mechanism.initial_actuator_positions + travel)
+    assert table.text("use") == ["calibration"] * studies.N_CALIBRATION + ["verification"] * studies.N_VERIFICATION
+    # the covariance leaves out the actuators' 1 µm, which moves the truth by some µm
+    sd = 1e-3 * np.sqrt(table.numbers(("cov_x_x", "cov_y_y", "cov_z_z")))
+    assert (np.abs(position - truth.position) < 5 * np.hypot(sd, 0.005)).all()
+    assert "Reconstructed" in Path("new/poses.csv").read_text().splitlines()[0]
+
+
+def test_method_of_poses(call, refuse, study):
+    robust = call("poses-from-targets", study)[1]
+    assert call("poses-from-targets", study, "--method", "robust")[1] == robust
+    assert "--method: found 'robst', did you mean 'robust'?" in refuse("poses-from-targets", study, "--method", "robst")
+
+
+# --- report, compare -------------------------------------------------------------------------------------------------
+
+
+def test_report_of_what_is_no_results_directory(refuse, study):
+    assert "nowhere" in refuse("report", "nowhere")
+    refuse("report", "data")
+    refuse("report", "study.toml")
+
+
+def test_report_is_written_anew(call, study, quick):
+    call("run", study, "--out", "out", "--workers", 1)
+    code, out, err = call("report", "out")
+    assert (code, err) == (0, "")
+    assert out == "wrote out/report.html\n"
+    assert "six_pus/matrix" in Path("out/report.html").read_text()
+
+
+def test_compare_ranks_studies_of_the_same_data(call, refuse, study, quick):
+    call("run", study, "--out", "first", "--workers", 1)
+    call("run", study, "--out", "second", "--workers", 1, "--seed", 12)
+    code, out, err = call("compare", "first", "second")
+    assert (code, err) == (0, "")
+    assert out.index("six_pus/matrix") < out.index("six_pus/none")
+    assert out.count("first") == out.count("second") == 2
+    studies.edit(Path("data/actuators.csv"), "C01", "C01 ")
+    call("run", study, "--out", "third", "--workers", 1)
+    assert "actuators differs from first" in refuse("compare", "first", "third")
+    assert "nowhere" in refuse("compare", "first", "nowhere")
+    refuse("compare", "data")
+    Path("third/summary.json").write_text("{}")
+    assert "third" in refuse("compare", "third")
+
+
+# --- every experiment runs -------------------------------------------------------------------------------------------
+
+
+def test_shipped_pose_extraction_runs_tiny(call, tmp_path):
+    path = studies.copy_small(studies.EXPERIMENTS / "pose_extraction" / "figure5.toml", tmp_path / "copy")
+    code, out, err = call("run", path, "--out", tmp_path / "out")
+    assert (code, err) == (0, "")
+    assert "robust" in out
+    assert {p.name for p in (tmp_path / "out").iterdir()} >= {"summary.csv", "figure5.png", "provenance.json"}
+    assert call("run", path, "--out", tmp_path / "out")[0] == 0
+    code, _, err = call("run", path, "--out", tmp_path / "out", "--seed", 6)
+    assert code == 2
+    assert "another config" in err
+
+
+def test_shipped_telescope_study_runs_tiny(call, tmp_path, monkeypatch, quick):
+    monkeypatch.setattr(exploration, "MAX_PILOTS", 0)  # pilots would take most of the time
+    path = studies.copy_small(studies.TELESCOPE / "study.toml", tmp_path / "copy")
+    kept = {f"C{k:02d}" for k in range(1, 16)} | {"V01"}
+    for name in ("targets", "actuators"):
+        data = path.parent / "data" / f"{name}.csv"
+        lines = data.read_text().splitlines()
+        data.write_text("\n".join([*lines[:3], *(x for x in lines[3:] if x.split(",")[0] in kept)]) + "\n")
+    code, out, err = call("run", path, "--out", tmp_path / "out", "--workers", 1)
+    assert code == 3
+    assert err.count("\n") == 1
+    assert all(f"six_pus/{name}" in out for name in ("none", "linear", "matrix"))
+
+
+def test_every_shipped_experiment_is_run_here():
+    found = {str(p.relative_to(studies.EXPERIMENTS)) for p in studies.EXPERIMENTS.rglob("*.toml")}
+    assert found == {
+        "pose_extraction/figure5.toml",
+        "telescope/mechanism.toml",
+        "telescope/simulate.toml",
+        "telescope/study.toml",
+    }
