@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import erfcinv, erfinv, ndtr
 
 from bayescal.coordinates import Coordinates
 from bayescal.errors import InputError
@@ -45,7 +45,7 @@ class ModelError:
     def tau_from_zeta(self, zeta: Array) -> Array:
         """Return τ in mm."""
         assert self.scale is not None
-        return self.scale * np.where(zeta > 0, -ndtri(0.5 * ndtr(-zeta)), ndtri(0.5 + 0.5 * ndtr(zeta)))
+        return self.scale * np.sqrt(2.0) * np.where(zeta > 0, erfcinv(ndtr(-zeta)), erfinv(ndtr(zeta)))
 
     def slope(self, zeta: Array, tau: Array) -> Array:
         """Return dτ/dζ in mm."""

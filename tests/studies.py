@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+
 from bayescal.config import load_experiment, load_simulation
 from bayescal.simulation import build_twin, format_survey, simulate_survey
 from bayescal.study.inputs import StudyInputs, load_inputs

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import studies
+
 from bayescal import cli
 from bayescal.config import load_simulation
 from bayescal.inference import exploration
@@ -43,7 +44,7 @@ def call(monkeypatch, capsys):
 
 @pytest.fixture
 def refuse(call, tmp_path):
-    """Return a function that checks a refusal: code 2, one line on standard error, nothing written; returns the line."""
+    """Return a function that checks a refusal (code 2, one line, nothing written) and returns the line."""
 
     def check(*arguments: object) -> str:
         before = studies.snapshot(tmp_path)
@@ -289,7 +290,7 @@ def test_workers_can_be_interrupted_and_the_run_resumed(study, tmp_path, call, q
             assert time.monotonic() < deadline
             time.sleep(0.01)
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=60)
     finally:
         process.kill()
     assert process.returncode == 130, err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import studies
+
 from bayescal.least_squares import identify
 from bayescal.tables import read_table
 

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import studies
+from scipy import stats
+
 from bayescal.config import load_simulation
 from bayescal.errors import InputError, NumericalError
 from bayescal.geometry import rotation_vector_from_matrix
@@ -15,7 +17,6 @@ from bayescal.photogrammetry.poses import extract_poses
 from bayescal.photogrammetry.survey import read_survey
 from bayescal.simulation import Twin, build_twin, format_survey, simulate_survey
 from bayescal.tables import read_matrix
-from scipy import stats
 
 FILES = ("targets.csv", "actuators.csv", "target_reference.csv")
 RARE = 1e-4

@@ -9,11 +9,6 @@ from arviz_stats.base import array_stats
 
 from bayescal.geometry import Array
 
-RHAT_LIMIT = 1.01
-ESS_BULK_LIMIT = 1000.0
-ESS_TAIL_LIMIT = 400.0
-PARETO_K_LIMIT = 0.7
-
 
 @dataclass(frozen=True, eq=False)
 class Diagnostics:

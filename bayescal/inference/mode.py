@@ -50,17 +50,20 @@ def find_modes(posterior: Posterior) -> list[Mode]:
     """Return the posterior's modes, best first: the one found from the nominal machine and its mirror images.
 
     With u_x free and κ fixed the actuator gain u_z + (z_x / z_z) u_x has two solutions for u_x in every leg; each is
-    tried. A mirror image is dropped where it holds no mass that matters.
+    tried, leg by leg, again from every better mode found. A mirror image that holds no mass that matters is dropped.
     """
     best = _climb(posterior, np.zeros(posterior.n_parameters))
     others: list[tuple[Array, float]] = []
-    for start in _mirror_starts(posterior, best[0]):
-        other = _climb(posterior, start)
-        if any(np.allclose(other[0], known[0], atol=1e-3) for known in (best, *others)):
-            continue
-        if other[1] > best[1]:
-            best, other = other, best
-        others.append(other)
+    improved = True
+    while improved:
+        improved = False
+        for start in _mirror_starts(posterior, best[0]):
+            other = _climb(posterior, start)
+            if any(np.allclose(other[0], known[0], atol=1e-3) for known in (best, *others)):
+                continue
+            if other[1] > best[1]:
+                best, other, improved = other, best, True
+            others.append(other)
     first = _characterise(posterior, *best)
     worth = [other for other in others if other[1] > best[1] - 2 * WORTH_KEEPING]
     modes = [_characterise(posterior, *other) for other in worth]

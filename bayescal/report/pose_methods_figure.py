@@ -56,6 +56,12 @@ def _draw_method(
     if logarithmic:
         below = np.minimum(below, 0.9 * mean)
     axes.errorbar(
-        rows["n_targets"].to_numpy() + shift, mean, yerr=np.stack([below, above]), linestyle="none", markersize=4.5,
-        elinewidth=1.0, capsize=2.0, **STYLES[method],
+        rows["n_targets"].to_numpy() + shift,
+        mean,
+        yerr=np.stack([below, above]),
+        linestyle="none",
+        markersize=4.5,
+        elinewidth=1.0,
+        capsize=2.0,
+        **STYLES[method],
     )

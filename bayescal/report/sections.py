@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
 from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
 from bayescal.report.numbers import (
     ARCSECONDS,
@@ -22,11 +23,6 @@ from bayescal.report.numbers import (
 )
 from bayescal.report.results import Results
 from bayescal.report.verdict import (
-    AGREEMENT,
-    ESS_BULK_LIMIT,
-    ESS_TAIL_LIMIT,
-    PARETO_K_LIMIT,
-    RHAT_LIMIT,
     is_too_narrow,
     measure_gap,
     read_verification_elpd,

@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import (
     ARCSECONDS,
@@ -19,14 +20,6 @@ from bayescal.report.numbers import (
     join_words,
 )
 from bayescal.report.results import SETTINGS, Results, get_number
-
-# The study's own limits (bayescal.inference.diagnostics, bayescal.study.summary): repeated, since importing them costs
-# seconds; a test holds them together.
-RHAT_LIMIT = 1.01
-ESS_BULK_LIMIT = 1000.0
-ESS_TAIL_LIMIT = 400.0
-PARETO_K_LIMIT = 0.7
-AGREEMENT = 0.1
 
 INTERVAL = 0.90
 NOT_DISTINGUISHABLE = 1.0  # nats

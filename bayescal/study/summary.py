@@ -12,12 +12,11 @@ import numpy as np
 import xarray as xr
 
 from bayescal.geometry import Array
-from bayescal.inference.diagnostics import ESS_BULK_LIMIT, ESS_TAIL_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
+from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
 from bayescal.prediction import compute_elpd
 from bayescal.study.fit import Arrays
 from bayescal.study.inputs import StudyInputs
 
-AGREEMENT = 0.1  # of the two log-evidences
 ELPD_VARIABLE = "measured_pose"
 
 

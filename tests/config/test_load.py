@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import studies
+
 from bayescal.config import PoseMethodsConfig, StudyConfig, load_experiment, load_mechanism, load_simulation
 from bayescal.errors import InputError
 
@@ -288,7 +289,8 @@ def test_mechanism_point_by_point_equals_the_circle(study):
     path = study.with_name("mechanism.toml")
     whole = load_mechanism(path)
     points = [[float(x) for x in row] for row in whole.base_points]
-    studies.edit(path, "radius_mm = 155.0\nazimuth_deg = [220.0, 320.0, 340.0, 80.0, 100.0, 200.0]", f"points_mm = {points}")
+    circle = "radius_mm = 155.0\nazimuth_deg = [220.0, 320.0, 340.0, 80.0, 100.0, 200.0]"
+    studies.edit(path, circle, f"points_mm = {points}")
     assert (load_mechanism(path).base_points == whole.base_points).all()
 
 
@@ -305,7 +307,7 @@ def data_study(tmp_path) -> Path:
     ("name", "old", "new", "expected"),
     [
         ("study.toml", "b_z = {", "bz = {", "parameters: found 'bz', did you mean 'b_z'?"),
-        ("study.toml", 'free = ["l"]', 'free = ["l", "kappa"]', "variant 'six_pus/none' frees 'kappa', expected one of"),
+        ("study.toml", 'free = ["l"]', 'free = ["l", "kappa"]', "'six_pus/none' frees 'kappa', expected one of"),
         ("study.toml", 'model = "six_pus"', 'model = "six_pas"', "model: found 'six_pas', did you mean 'six_pus'?"),
         ("study.toml", 'deformation = "none"', 'deformation = "non"', "found 'non', did you mean 'none'?"),
         ("study.toml", "sd = 2.0", "sd = [1.0, 2.0]", "parameters.l: found 2 values, expected 1 or 6"),

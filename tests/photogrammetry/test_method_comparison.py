@@ -29,7 +29,8 @@ def test_rows_and_columns(comparison):
 def test_targets_are_on_the_cylinder():
     targets = draw_cylinder_targets(500, 50.0, 1.0, np.random.default_rng(1))
     np.testing.assert_allclose(np.hypot(targets[:, 0], targets[:, 1]), 1.0)
-    assert 0 <= targets[:, 2].min() < 2 and 48 < targets[:, 2].max() <= 50
+    assert 0 <= targets[:, 2].min() < 2
+    assert 48 < targets[:, 2].max() <= 50
 
 
 def test_whitened_errors_have_mean_six(comparison):
@@ -56,7 +57,8 @@ def test_robust_fit_finds_the_rotation_about_the_axis_better(comparison):
 
 def test_same_generator_state_gives_the_same_table():
     tables = [compare_pose_methods([6], 3, 50.0, 1.0, 0.005, np.random.default_rng(seed)) for seed in (5, 5, 6)]
-    assert tables[0].equals(tables[1]) and not tables[0].equals(tables[2])
+    assert tables[0].equals(tables[1])
+    assert not tables[0].equals(tables[2])
 
 
 def test_summary_is_mean_and_standard_deviation(comparison):
@@ -71,8 +73,10 @@ def test_summary_is_mean_and_standard_deviation(comparison):
 def test_figure_shows_the_means(comparison):
     summary = summarise_comparison(comparison)
     position, orientation = draw_pose_methods(summary).axes
-    assert position.get_yscale() == "linear" and orientation.get_yscale() == "log"
-    assert "µm" in position.get_ylabel() and "degrees" in orientation.get_ylabel()
+    assert position.get_yscale() == "linear"
+    assert orientation.get_yscale() == "log"
+    assert "µm" in position.get_ylabel()
+    assert "degrees" in orientation.get_ylabel()
     line = position.containers[0].lines[0]
     expected = 1000 * summary.query("method == 'line'")["position_error_mm_mean"]
     np.testing.assert_allclose(line.get_ydata(), expected)

@@ -177,10 +177,13 @@ def test_poses_are_fitted_independently_of_their_batch():
     _, _, measured = simulate(reference, 6, NOISE, rng)
     measured[rng.random((6, 15)) < 0.2] = np.nan
     batch = fit_rigid_body(reference, measured.reshape(2, 3, 15, 3), NOISE)
-    assert batch.covariance.shape == (2, 3, 6, 6) and batch.weights.shape == (2, 3, 15) and batch.chi2.shape == (2, 3)
+    assert batch.covariance.shape == (2, 3, 6, 6)
+    assert batch.weights.shape == (2, 3, 15)
+    assert batch.chi2.shape == (2, 3)
     for k in range(6):
         single = fit_rigid_body(reference, measured[k], NOISE)
-        assert single.position.shape == (3,) and single.converged.shape == ()
+        assert single.position.shape == (3,)
+        assert single.converged.shape == ()
         np.testing.assert_allclose(single.rotation, batch.rotation[k // 3, k % 3], atol=1e-12)
 
 
@@ -208,7 +211,7 @@ def test_input_errors():
         fit_rigid_body(line, line, NOISE)
     with pytest.raises(InputError, match="consistent"):
         fit_rigid_body(reference, rng.uniform(-100, 100, (6, 3)), NOISE)
-    with pytest.raises(InputError, match="expected \\(..., 6, 3\\)"):
+    with pytest.raises(InputError, match=r"expected \(\.\.\., 6, 3\)"):
         fit_rigid_body(reference, measured[:, :5], NOISE)
     with pytest.raises(InputError, match="noise"):
         fit_rigid_body(reference, reference, 0.0)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import studies
+
 from bayescal.errors import BayescalError, InputError
 from bayescal.photogrammetry.poses import extract_poses
 from bayescal.photogrammetry.survey import Survey, read_survey
@@ -241,7 +242,7 @@ TOKENS = (
 
 
 def mutate(text: str, rng: random.Random) -> str:
-    """Return a text with one line spoilt: replaced, lost, doubled, a cell exchanged, a character more or less, swapped."""
+    """Return a text with one line spoilt: replaced, lost, doubled, one cell or character changed, exchanged."""
     lines = text.split("\n")
     n, token = rng.randrange(len(lines)), rng.choice(TOKENS)
     line = lines[n]
@@ -261,7 +262,15 @@ def mutate(text: str, rng: random.Random) -> str:
     return "\n".join(rng.choice(operations)())
 
 
-@pytest.mark.filterwarnings("default::RuntimeWarning")
+def find_refusal(folder: Path) -> BayescalError | None:
+    """Return the error with which a study is refused, if it is; any other exception passes through."""
+    try:
+        studies.load_study(folder / "study.toml")
+    except BayescalError as error:
+        return error
+    return None
+
+
 def test_no_mutation_of_a_file_ends_in_a_traceback(folder):
     rng = random.Random(8096)
     names = ("study.toml", "mechanism.toml", *FILES)
@@ -272,12 +281,11 @@ def test_no_mutation_of_a_file_ends_in_a_traceback(folder):
         (folder / name).write_text(mutate(text, rng))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)
-            try:
-                studies.load_study(folder / "study.toml")
-            except BayescalError as error:
-                refused += 1
-                assert error.exit_code in (2, 3)
-                assert "\n" not in str(error)
-                assert "found" in str(error) or "expected" in str(error) or "cannot" in str(error) or "TOML" in str(error)
+            found = find_refusal(folder)
+        if found is not None:
+            refused += 1
+            assert found.exit_code in (2, 3)
+            assert "\n" not in str(found)
+            assert re.search("expected|cannot|not valid TOML", str(found)), found
         (folder / name).write_text(text)
     assert 0.4 * N_MUTATIONS < refused < N_MUTATIONS

@@ -114,18 +114,20 @@ def tabulate_least_squares() -> pd.DataFrame:
         for symbol in SYMBOLS:
             for leg in LEGS:
                 difference = 7.0 if symbol == "kappa" else {1: 0.3, 2: 0.4}[leg]
-                rows.append({
-                    "variant": variant,
-                    "parameter": symbol,
-                    "leg": leg,
-                    "unit": "1" if symbol == "kappa" else "mm",
-                    "nominal": 0.0,
-                    "offset": 1.0 * leg,
-                    "published_offset": 1.0 * leg - difference if variant == "pus/linear" else np.nan,
-                    "difference": difference if variant == "pus/linear" else np.nan,
-                    "leg_residual_rms_um": 1.5,
-                    "converged": True,
-                })
+                rows.append(
+                    {
+                        "variant": variant,
+                        "parameter": symbol,
+                        "leg": leg,
+                        "unit": "1" if symbol == "kappa" else "mm",
+                        "nominal": 0.0,
+                        "offset": 1.0 * leg,
+                        "published_offset": 1.0 * leg - difference if variant == "pus/linear" else np.nan,
+                        "difference": difference if variant == "pus/linear" else np.nan,
+                        "leg_residual_rms_um": 1.5,
+                        "converged": True,
+                    }
+                )
     return pd.DataFrame(rows)
 
 

@@ -9,13 +9,10 @@ import pandas as pd
 import pytest
 
 from bayescal.errors import InputError
-from bayescal.inference import diagnostics
-from bayescal.report import verdict
 from bayescal.report.context import build_context
 from bayescal.report.numbers import format_estimate, format_fixed, format_odds, format_significant
 from bayescal.report.parameter_tables import choose_leg, compare_published, rank_pairs
 from bayescal.report.results import read_results
-from bayescal.study import summary as study_summary
 
 
 def state(folder) -> str:
@@ -30,12 +27,6 @@ def edit_table(folder, name, change) -> None:
     table = pd.read_csv(path)
     change(table)
     table.to_csv(path, index=False)
-
-
-def test_limits_are_those_of_the_study():
-    for name in ("RHAT_LIMIT", "ESS_BULK_LIMIT", "ESS_TAIL_LIMIT", "PARETO_K_LIMIT"):
-        assert getattr(verdict, name) == getattr(diagnostics, name)
-    assert verdict.AGREEMENT == study_summary.AGREEMENT
 
 
 def test_a_clear_winner_is_named_with_its_lead_and_its_odds(make_results):

@@ -48,7 +48,12 @@ def test_page_is_self_contained_and_well_formed(make_results):
     assert not re.search(r"url\(|@import", text)
     assert {r[1:] for r in reader.references if r.startswith("#")} <= set(re.findall(r'id="([^"]+)"', text))
     assert {p.name for p in page.parent.iterdir()} == {
-        "summary.json", "provenance.json", "tables", "posterior", "figures", "report.html"
+        "summary.json",
+        "provenance.json",
+        "tables",
+        "posterior",
+        "figures",
+        "report.html",
     }
 
 
@@ -69,8 +74,10 @@ def test_text_from_the_results_is_escaped(make_results):
         summary["title"] = summary["data_origin"] = summary["experiment"] = attack
         summary["pose_extraction"]["rejected_targets"] = [f"{attack}/P1"]
         summary["variants"]["pus/none"]["problems"] = [attack]
-        renamed = {name.replace("l[", "<i>$x_$[") if name.startswith("l[") else name: p
-                   for name, p in summary["variants"]["pus/none"]["parameters"].items()}
+        renamed = {
+            name.replace("l[", "<i>$x_$[") if name.startswith("l[") else name: p
+            for name, p in summary["variants"]["pus/none"]["parameters"].items()
+        }
         summary["variants"]["pus/none"]["parameters"] = renamed
 
     folder = make_results(change)
@@ -99,7 +106,7 @@ def test_without_verification_poses_the_figures_are_drawn(make_results):
     folder = make_results(verification=False)
     text = write_report(folder).read_text(encoding="utf-8")
     assert Reader(text).tags.count("img") == 8
-    assert "<td class=\"text plain\">none</td>" in text
+    assert '<td class="text plain">none</td>' in text
 
 
 def test_data_origin_and_failures_stand_before_the_headline(make_results):

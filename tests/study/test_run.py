@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 import studies
 import xarray as xr
+
 from bayescal.config import load_experiment
 from bayescal.errors import InputError, NumericalError
 from bayescal.study import run as run_module
@@ -249,9 +250,10 @@ def test_interrupted_and_resumed_equals_uninterrupted(result, folder, monkeypatc
         calls.append(task)
         return run_task(inputs, task)
 
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patched:
         patched.setattr(run_module, "run_task", interrupt_later)
-        run(folder / "study.toml", out)
+        with pytest.raises(KeyboardInterrupt):
+            run(folder / "study.toml", out)
     assert not out.exists()
     assert len(list(out.with_name(out.name + ".partial").glob("*.npz"))) == n_finished
     with pytest.raises(InputError, match=r"cannot resume, the config differs: config.seed: 11 -> 12"):
@@ -278,9 +280,10 @@ def test_resume_after_changed_data_is_refused(folder, tmp_path, monkeypatch):
     def interrupt(inputs, task):
         raise KeyboardInterrupt
 
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patched:
         patched.setattr(run_module, "run_task", interrupt)
-        run(path, tmp_path / "out")
+        with pytest.raises(KeyboardInterrupt):
+            run(path, tmp_path / "out")
     data = tmp_path / "data" / "actuators.csv"
     data.write_text(data.read_text() + "# measured again\n")
     with pytest.raises(InputError, match=r"cannot resume, the config differs: files.data/actuators.csv"):

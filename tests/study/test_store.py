@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pickle
@@ -11,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from studies import snapshot
+
 from bayescal.errors import InputError
 from bayescal.study import store as store_module
 from bayescal.study.inputs import hash_identity
 from bayescal.study.store import IDENTITY_FILE, PROVENANCE_FILE, Store, list_differences, read_json, write_atomically
-from studies import snapshot
 
 IDENTITY = {"config": {"seed": 1, "sampler": {"steps": 10}, "free": ["a", "b"]}, "files": {"data.csv": "abc"}}
 ARRAYS = {"draws": np.arange(600.0).reshape(20, 30), "wall_seconds": np.array(0.5)}
@@ -46,6 +48,10 @@ def contents(folder: Path) -> set[str]:
     return {(folder / name).read_text() for name in ("summary.json", "tables/ranking.csv")}
 
 
+def list_names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
 def publish(store: Store, content: str) -> None:
     fill(store.stage(), content)
     store.publish()
@@ -58,7 +64,7 @@ def test_publish_makes_the_results_and_removes_the_work(store):
     store.save_task("k", ARRAYS)
     publish(store, "new")
     assert contents(store.out) == {"new"}
-    assert os.listdir(store.out.parent) == ["study"]
+    assert list_names(store.out.parent) == ["study"]
 
 
 def test_publish_replaces_everything(store):
@@ -68,7 +74,7 @@ def test_publish_replaces_everything(store):
     publish(store, "new")
     assert contents(store.out) == {"new"}
     assert not (store.out / "left over").exists()
-    assert os.listdir(store.out.parent) == ["study"]
+    assert list_names(store.out.parent) == ["study"]
 
 
 @pytest.mark.parametrize("step", ["stage", "rename", "exchange", "remove staged", "remove partial"])
@@ -99,10 +105,8 @@ def test_kill_leaves_the_old_results_or_the_new(store, monkeypatch, step, exists
         else:
             patched.setattr(store_module.shutil, "rmtree", kill if step == "remove staged" else kill_second_time)
         if step != "stage":
-            try:
+            with contextlib.suppress(KilledError):
                 store.publish()
-            except KilledError:
-                pass
     if store.out.exists():
         assert contents(store.out) in ({"old"}, {"new"})
         assert contents(store.out) == ({"old"} if step in ("stage", "rename") else {"new"})
@@ -113,7 +117,7 @@ def test_kill_leaves_the_old_results_or_the_new(store, monkeypatch, step, exists
     store.begin(IDENTITY, resume=False)
     publish(store, "next")
     assert contents(store.out) == {"next"}
-    assert os.listdir(store.out.parent) == ["study"]
+    assert list_names(store.out.parent) == ["study"]
 
 
 def test_exchange_is_one_system_call_here(store, monkeypatch):
@@ -131,7 +135,7 @@ def test_exchange_without_the_system_call(store, monkeypatch):
     monkeypatch.setattr(store_module.ctypes, "CDLL", lambda *_, **__: None)
     publish(store, "new")
     assert contents(store.out) == {"new"}
-    assert os.listdir(store.out.parent) == ["study"]
+    assert list_names(store.out.parent) == ["study"]
 
 
 def test_results_behind_a_link_are_replaced_where_they_are(store):
@@ -162,9 +166,10 @@ def test_write_atomically_leaves_the_old_file_when_killed(tmp_path, monkeypatch)
     def kill(*_):
         raise KilledError
 
-    with monkeypatch.context() as patched, pytest.raises(KilledError):
+    with monkeypatch.context() as patched:
         patched.setattr(os, "fsync", kill)
-        write_atomically(path, b"new")
+        with pytest.raises(KilledError):
+            write_atomically(path, b"new")
     assert path.read_bytes() == b"old"
     write_atomically(path, b"new")
     assert snapshot(tmp_path) == {"file": b"new"}
@@ -191,7 +196,7 @@ def test_results_of_another_config_are_refused(store):
     other = json.loads(json.dumps(IDENTITY))
     other["config"]["seed"] = 2
     before = snapshot(store.out.parent)
-    with pytest.raises(InputError, match="holds results of another config .*, expected those of this one") as caught:
+    with pytest.raises(InputError, match=r"holds results of another config .*, expected those of this one") as caught:
         store.check_results(other)
     assert "\n" not in str(caught.value)
     assert snapshot(store.out.parent) == before
@@ -214,7 +219,7 @@ def test_a_file_is_refused(store):
 def test_damaged_provenance_is_refused(store, text):
     store.out.mkdir()
     (store.out / PROVENANCE_FILE).write_text(text)
-    with pytest.raises(InputError, match="provenance.json") as caught:
+    with pytest.raises(InputError, match=r"provenance\.json") as caught:
         store.check_results(IDENTITY)
     assert "\n" not in str(caught.value)
 
@@ -233,7 +238,7 @@ def test_begin_again_forgets_the_interrupted_run(store):
     store.save_task("k", ARRAYS)
     (store.partial / "k2.npz.tmp").write_bytes(b"half")
     store.begin(IDENTITY, resume=False)
-    assert os.listdir(store.partial) == [IDENTITY_FILE]
+    assert list_names(store.partial) == [IDENTITY_FILE]
 
 
 # --- resuming --------------------------------------------------------------------------------------------------------
