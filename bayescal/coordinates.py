@@ -7,7 +7,9 @@ Two shears of unit Jacobian take the curvature u_z = sqrt(1 - u_x² - u_y²) out
 - in place of κ, the gain of the actuator along the leg, κ' = κ - u_z - (z_x u_x + z_y u_y) / z_z with z the nominal leg
   direction (RR-8096 eqs. 38 to 40), which is what κ and u together can tell.
 
-Every coordinate is then scaled by the prior's standard deviation.
+Every coordinate is then scaled by the prior's standard deviation. A parameter between bounds is not sheared; its
+coordinate y is standard normal under the uniform prior, θ = lower + (upper - lower) Φ(y), so that no climb and no
+walker runs into a wall.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from bayescal.geometry import Array
 from bayescal.models.six_pus import actuator_directions
@@ -38,6 +41,8 @@ class Coordinates:
         Unit of each coordinate.
     leg_slope : ndarray, shape (N, 2)
         z_x / z_z and z_y / z_z of the nominal legs.
+    lower, upper : ndarray, shape (n,)
+        Bounds of each free parameter, infinite where there are none.
     """
 
     layout: ParameterLayout
@@ -45,17 +50,24 @@ class Coordinates:
     free: np.ndarray
     scale: Array
     leg_slope: Array
+    lower: Array
+    upper: Array
+
+    @cached_property
+    def bounded(self) -> np.ndarray:
+        """Which free parameters have bounds, shape (n,)."""
+        return np.isfinite(self.lower)
 
     @cached_property
     def _mask(self) -> np.ndarray:
         mask = np.zeros(self.layout.size, dtype=bool)
-        mask[self.free] = True
+        mask[self.free[~self.bounded]] = True
         return mask
 
     @cached_property
     def log_scale(self) -> float:
-        """Logarithm of dθ/dy, the same everywhere."""
-        return float(np.log(self.scale).sum())
+        """Logarithm of the volume dθ/dy of the parameters without bounds, the same everywhere."""
+        return float(np.log(self.scale[~self.bounded]).sum())
 
     def _shifts(self, theta: Array) -> dict[str, Array]:
         """Return what the shears add to each sheared symbol, shapes (..., N)."""
@@ -84,11 +96,22 @@ class Coordinates:
         """Return full parameter vectors (..., D); NaN where a direction leaves the unit sphere."""
         theta = np.broadcast_to(self.start, (*y.shape[:-1], self.layout.size)).copy()
         theta[..., self.free] = self._origin + y * self.scale
+        if self.bounded.any():
+            inside = self.bounded
+            lower, width = self.lower[inside], (self.upper - self.lower)[inside]
+            theta[..., self.free[inside]] = lower + width * ndtr(y[..., inside])
         return self._shear(theta, theta, -1.0)
 
     def y_from_theta(self, theta: Array) -> Array:
         """Return the coordinates (..., n) of full parameter vectors (..., D)."""
-        return (self._shear(theta, theta, 1.0)[..., self.free] - self._origin) / self.scale
+        y = (self._shear(theta, theta, 1.0)[..., self.free] - self._origin) / self.scale
+        y[..., self.bounded] = ndtri(self._share(theta))
+        return y
+
+    def _share(self, theta: Array) -> Array:
+        """Return where the parameters with bounds lie between them, from 0 to 1."""
+        lower, upper = self.lower[self.bounded], self.upper[self.bounded]
+        return (theta[..., self.free[self.bounded]] - lower) / (upper - lower)
 
     def jacobian(self, theta: Array) -> Array:
         """Return dθ/dy, shape (D, n), at one parameter vector (D,)."""
@@ -110,7 +133,10 @@ class Coordinates:
             sheared = np.concatenate([index[s] for s in ("a_x", "a_y", "a_z", "kappa") if s in index])
             fixed = sheared[~self._mask[sheared]]
             change[fixed] = np.eye(self.layout.size)[fixed]
-        return change[:, self.free] * self.scale
+        scale = self.scale.copy()
+        normal_density = np.exp(-0.5 * ndtri(self._share(theta)) ** 2) / np.sqrt(2 * np.pi)
+        scale[self.bounded] = (self.upper - self.lower)[self.bounded] * normal_density
+        return change[:, self.free] * scale
 
 
 def mirror_direction(layout: ParameterLayout, theta: Array, leg: int, slope: float, free: np.ndarray) -> Array:

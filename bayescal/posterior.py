@@ -15,7 +15,7 @@ from bayescal.geometry import Array
 from bayescal.kinematics import compute_home_legs
 from bayescal.likelihood import PoseLikelihood
 from bayescal.parameters import ParameterLayout
-from bayescal.priors import HalfNormalPrior, NormalPrior, Prior
+from bayescal.priors import HalfNormalPrior, Prior, UniformPrior
 
 HALF_LOG_TWO_PI = 0.5 * np.log(2 * np.pi)
 
@@ -97,7 +97,10 @@ class Posterior:
         ordered = [self.priors[layout.names[k]] for k in free]
         start[free] = [prior.mean for prior in ordered]
         legs = compute_home_legs(self.likelihood.machine)
-        return Coordinates(layout, start, free, np.array([p.sd for p in ordered]), legs[:, :2] / legs[:, 2:])
+        bounds = [(p.lower, p.upper) if isinstance(p, UniformPrior) else (-np.inf, np.inf) for p in ordered]
+        lower, upper = np.array(bounds).reshape(-1, 2).T
+        scale = np.array([p.sd for p in ordered])
+        return Coordinates(layout, start, free, scale, legs[:, :2] / legs[:, 2:], lower, upper)
 
     @cached_property
     def _ordered_priors(self) -> tuple[Prior, ...]:
@@ -105,9 +108,16 @@ class Posterior:
 
     @cached_property
     def _normal(self) -> tuple[np.ndarray, Array, Array]:
-        """Which free parameters have a normal prior, with centres and scales."""
-        which = np.array([isinstance(p, NormalPrior) for p in self._ordered_priors])
-        return which, np.array([p.mean for p in self._ordered_priors]), np.array([p.sd for p in self._ordered_priors])
+        """Which free parameters have a normal prior, and its centres and scales."""
+        which = ~self.coordinates.bounded
+        chosen = [prior for prior, normal in zip(self._ordered_priors, which, strict=True) if normal]
+        return which, np.array([p.mean for p in chosen]), np.array([p.sd for p in chosen])
+
+    @cached_property
+    def _standard(self) -> np.ndarray:
+        """Which coordinates are standard normal under the prior, whatever the others are."""
+        model_errors = np.ones(self.n_parameters - self.n_geometry, dtype=bool)
+        return np.concatenate([self.coordinates.bounded, model_errors])
 
     @property
     def n_geometry(self) -> int:
@@ -161,15 +171,12 @@ class Posterior:
         return self._log_prior(y, self.theta(y))
 
     def _log_prior(self, y: Array, theta: Array) -> Array:
-        free = theta[..., self.coordinates.free]
+        """Add the normal priors to the coordinates that are standard normal themselves: bounded ones, model errors."""
         normal, centre, scale = self._normal
-        z = (free[..., normal] - centre[normal]) / scale[normal]
-        total = -0.5 * np.einsum("...i,...i->...", z, z) - normal.sum() * HALF_LOG_TWO_PI
-        total = total + self.coordinates.log_scale - np.log(scale[normal]).sum()
-        for k in np.flatnonzero(~normal):
-            total = total + self._ordered_priors[k].log_density(free[..., k])
-        zeta = y[..., self.n_geometry :]
-        return total - 0.5 * np.sum(zeta * zeta, axis=-1) - zeta.shape[-1] * HALF_LOG_TWO_PI
+        z = (theta[..., self.coordinates.free[normal]] - centre) / scale
+        standard = y[..., self._standard]
+        total = -0.5 * (np.einsum("...i,...i->...", z, z) + np.einsum("...i,...i->...", standard, standard))
+        return total + self.coordinates.log_scale - np.log(scale).sum() - self.n_parameters * HALF_LOG_TWO_PI
 
     def log_density(self, y: Array) -> Array:
         """Return log-likelihood plus log-prior, shape (B,), for coordinates (B, n); -inf where there is no machine."""
@@ -188,10 +195,27 @@ class Posterior:
         """Return the information of the data and the precision of the prior on the geometry at y, shapes (m, m)."""
         _, _, slope, precision, change = self._linearise(y)
         data = np.einsum("pik,pij,pjm->km", slope, precision, slope, optimize=True)
-        local = change[self.coordinates.free]
-        # a uniform prior has no precision; a whisper of its width stands in for it
-        _, _, scale = self._normal
-        return data, (local.T / scale**2) @ local
+        rows = self._prior_slope(change)
+        return data, rows.T @ rows
+
+    def prior_residual(self, y: Array, theta: Array) -> Array:
+        """Return the geometry's prior as residuals of unit variance, shape (m,), at coordinates (m,) and θ (D,)."""
+        normal, centre, scale = self._normal
+        residual = y[: self.n_geometry].copy()
+        residual[normal] = (theta[self.coordinates.free[normal]] - centre) / scale
+        return residual
+
+    def _prior_slope(self, change: Array) -> Array:
+        """Return the derivative of `prior_residual` by the coordinates, shape (m, m), from dθ/dy."""
+        normal, _, scale = self._normal
+        rows = np.eye(self.n_geometry)
+        rows[normal] = change[self.coordinates.free[normal]] / scale[:, None]
+        return rows
+
+    def residual_slope(self, theta: Array) -> tuple[Array, Array]:
+        """Return dr/dy, shape (P, N, m), and the derivative of `prior_residual`, shape (m, m), at θ, shape (D,)."""
+        change = self.coordinates.jacobian(theta)
+        return self.likelihood.leg_error_jacobian(theta)[1] @ change, self._prior_slope(change)
 
     def leg_coordinates(self) -> list[np.ndarray]:
         """Return which geometric coordinates belong to each leg."""
@@ -215,13 +239,9 @@ class Posterior:
         gradient = np.zeros(self.n_parameters)
         hessian = np.zeros((self.n_parameters, self.n_parameters))
         n = self.n_geometry
-        free = theta[self.coordinates.free]
-        prior_slope = np.array([p.slope(x) for p, x in zip(self._ordered_priors, free, strict=True)])
-        local = change[self.coordinates.free]
-        gradient[:n] = -np.einsum("pik,pi->k", slope, weighted) + local.T @ prior_slope
-        hessian[:n, :n] = -np.einsum("pik,pij,pjm->km", slope, precision, slope, optimize=True)
-        normal, _, scale = self._normal
-        hessian[:n, :n] -= (local[normal].T / scale[normal] ** 2) @ local[normal]
+        rows = self._prior_slope(change)
+        gradient[:n] = -np.einsum("pik,pi->k", slope, weighted) - rows.T @ self.prior_residual(y, theta)
+        hessian[:n, :n] = -np.einsum("pik,pij,pjm->km", slope, precision, slope, optimize=True) - rows.T @ rows
         if self.model_error.scale is not None:
             self._add_model_error(y, weighted, precision, gradient, hessian)
         return gradient, hessian

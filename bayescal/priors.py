@@ -18,14 +18,6 @@ class Prior(ABC):
     def log_density(self, value: Array) -> Array:
         """Return the normalised log-density, -inf outside the support."""
 
-    @abstractmethod
-    def slope(self, value: Array) -> Array:
-        """Return the derivative of the log-density inside the support."""
-
-    @abstractmethod
-    def draw(self, n: int, rng: np.random.Generator) -> Array:
-        """Return n independent draws."""
-
     @property
     @abstractmethod
     def mean(self) -> float:
@@ -47,14 +39,6 @@ class NormalPrior(Prior):
     def log_density(self, value: Array) -> Array:
         """Return the normal log-density."""
         return -0.5 * ((value - self.centre) / self.scale) ** 2 - np.log(self.scale) - 0.5 * np.log(2 * np.pi)
-
-    def slope(self, value: Array) -> Array:
-        """Return -(x - centre) / scale²."""
-        return -(value - self.centre) / self.scale**2
-
-    def draw(self, n: int, rng: np.random.Generator) -> Array:
-        """Return normal draws."""
-        return rng.normal(self.centre, self.scale, n)
 
     @property
     def mean(self) -> float:
@@ -79,14 +63,6 @@ class UniformPrior(Prior):
         inside = (value >= self.lower) & (value <= self.upper)
         return np.where(inside, -np.log(self.upper - self.lower), -np.inf)
 
-    def slope(self, value: Array) -> Array:
-        """Return zero."""
-        return np.zeros_like(value)
-
-    def draw(self, n: int, rng: np.random.Generator) -> Array:
-        """Return uniform draws."""
-        return rng.uniform(self.lower, self.upper, n)
-
     @property
     def mean(self) -> float:
         """The middle."""
@@ -108,14 +84,6 @@ class HalfNormalPrior(Prior):
         """Return the half-normal log-density."""
         inside = 0.5 * np.log(2 / np.pi) - np.log(self.scale) - 0.5 * (value / self.scale) ** 2
         return np.where(value >= 0, inside, -np.inf)
-
-    def slope(self, value: Array) -> Array:
-        """Return -x / scale²."""
-        return -value / self.scale**2
-
-    def draw(self, n: int, rng: np.random.Generator) -> Array:
-        """Return half-normal draws."""
-        return np.abs(rng.normal(0.0, self.scale, n))
 
     @property
     def mean(self) -> float:

@@ -11,10 +11,10 @@ from bayescal.coordinates import mirror_direction
 from bayescal.errors import NumericalError
 from bayescal.geometry import Array
 from bayescal.posterior import Posterior
-from bayescal.priors import NormalPrior
 
 GRADIENT_TOLERANCE = 1e-3  # per prior sd: a Newton step would gain below 1e-6
 DECREMENT_TOLERANCE = 1e-4
+FAR_AWAY = 1e6  # residual where a vector is no machine: finite, since optimisers subtract
 WORTH_KEEPING = 12.0  # a mode this many nats below the best holds no mass that matters
 
 
@@ -97,14 +97,14 @@ def _climb(posterior: Posterior, start: Array) -> tuple[Array, float]:
         return known[key]
 
     result = minimize(
-        lambda x: -float(posterior.log_density(x[None])[0]),
+        lambda x: min(-float(posterior.log_density(x[None])[0]), FAR_AWAY**2),
         y,
         jac=lambda x: -derivatives(x)[0],
         hess=lambda x: -derivatives(x)[1],
         method="trust-exact",
         options={"gtol": GRADIENT_TOLERANCE, "maxiter": 200},
     )
-    if not np.isfinite(result.fun):
+    if not result.fun < FAR_AWAY**2:
         raise NumericalError("mode search: the climb left the region of finite density")
     return result.x, float(-result.fun)
 
@@ -123,25 +123,17 @@ def _fit_geometry(posterior: Posterior, start: Array) -> Array:
     tau = np.broadcast_to(posterior.tau(start[None]), (1, posterior.likelihood.n_legs))[0]
     whitening = np.linalg.inv(np.linalg.cholesky(posterior.likelihood.leg_covariance(tau)))
     coordinates = posterior.coordinates
-    priors = list(posterior.all_priors().values())[:n]
-    scale = np.array([p.sd for p in priors])
-    centre = np.array([p.mean for p in priors])
-    # a uniform prior pulls nowhere, but a whisper of its width keeps the fit determined
-    pull = np.array([1.0 if isinstance(p, NormalPrior) else 1e-3 for p in priors])
 
     def residual(y: Array) -> Array:
         theta = coordinates.theta_from_y(y[None])
         errors = posterior.likelihood.leg_errors(theta)[0]
         white = np.einsum("pij,pj->pi", whitening, errors).ravel()
-        value = np.concatenate([white, pull * (theta[0, coordinates.free] - centre) / scale])
-        return np.where(np.isfinite(value), value, 1e6)
+        value = np.concatenate([white, posterior.prior_residual(y, theta[0])])
+        return np.where(np.isfinite(value), value, FAR_AWAY)
 
     def jacobian(y: Array) -> Array:
-        theta = coordinates.theta_from_y(y[None])[0]
-        change = coordinates.jacobian(theta)
-        _, slope = posterior.likelihood.leg_error_jacobian(theta)
-        white = np.einsum("pij,pjk->pik", whitening, slope @ change).reshape(-1, n)
-        return np.concatenate([white, (pull / scale)[:, None] * change[coordinates.free]])
+        slope, prior_slope = posterior.residual_slope(coordinates.theta_from_y(y[None])[0])
+        return np.concatenate([np.einsum("pij,pjk->pik", whitening, slope).reshape(-1, n), prior_slope])
 
     return least_squares(residual, start[:n], jacobian, method="lm", xtol=1e-10, ftol=1e-10).x
 
