@@ -20,10 +20,11 @@ from bayescal.posterior import Posterior
 
 DOF = 50.0
 GOOD_ENOUGH = 0.3
+TELLING = 0.02  # below it a trial's efficiency is mostly chance, and the later proposal is the better guess
 TRIAL_DRAWS = 2000
 PILOT_STEPS = 100
 PILOT_BURN_IN = 40
-MAX_PILOTS = 3
+MAX_PILOTS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +78,7 @@ def explore(posterior: Posterior, seed: np.random.SeedSequence, n_walkers: int =
         straight = straight.fitted_to(draws)
         proposal = _refit(straight, straight.x_from_y(draws), modes)
         efficiency = _try_out(straight, proposal, trial_rng)
-        if efficiency > best.efficiency:
+        if efficiency > best.efficiency or best.efficiency < TELLING:
             best = Exploration(straight, proposal, modes, efficiency)
     return best
 

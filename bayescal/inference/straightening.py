@@ -107,7 +107,7 @@ class Straightening:
     bend : Bend or None
         Bend of the model errors' coordinates.
     curves : tuple of Curve
-        Shears along the free u_x.
+        Shears along the free u_x and u_y; these are moved by none of them, so that the order does not matter.
     """
 
     posterior: Posterior
@@ -171,11 +171,12 @@ class Straightening:
     def fitted_to(self, y: Array) -> Straightening:
         """Return the straightening with bend and curves fitted to draws (B, n) in sampling coordinates."""
         bend = fit_bend(y[:, self.posterior.n_geometry :]) if self.blocks else None
-        legs = {int(k): index for index in self.posterior.leg_coordinates() for k in index}
-        curves = []
-        for k, name in enumerate(self.posterior.names[: self.posterior.n_geometry]):
-            if name.startswith("u_x["):
-                curves.append(fit_curve(y, k, legs[k][legs[k] != k]))
+        tilted = np.array([name.startswith(("u_x[", "u_y[")) for name in self.posterior.names])
+        curves = [
+            fit_curve(y, int(k), index[~tilted[index]])
+            for index in self.posterior.leg_coordinates()
+            for k in index[tilted[index]]
+        ]
         return replace(self, bend=bend, curves=tuple(curves))
 
 
