@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -48,10 +52,12 @@ def run(
     from bayescal.study.run import run_study
 
     count = workers if workers is not None else joblib.cpu_count()
+    interrupted = f"bayescal: interrupted; finished work is kept, go on with --resume (in {where}.partial)"
     try:
-        result = run_study(config, experiment.parent, where, count, resume)
+        with _end_on_interrupt(interrupted) if count == 1 else nullcontext():
+            result = run_study(config, experiment.parent, where, count, resume)
     except KeyboardInterrupt:
-        typer.echo(f"bayescal: interrupted; finished work is kept, go on with --resume (in {where}.partial)", err=True)
+        typer.echo(interrupted, err=True)
         raise typer.Exit(INTERRUPTED) from None
     from bayescal.report.terminal import print_ranking
 
@@ -139,6 +145,30 @@ def make_directory(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{path}: cannot be made a directory ({error.strerror})") from error
+
+
+@contextmanager
+def _end_on_interrupt(message: str) -> Iterator[None]:
+    """Let an interrupt end the process at once, with a message.
+
+    Where the sampling is done in this process, a KeyboardInterrupt would be printed with its traceback by emcee, or
+    lost in a callback from C. Nothing needs to be unwound: every file is written whole or not at all. A process that
+    was started to ignore interrupts, in the background of a script, goes on ignoring them.
+    """
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    show_cursor = "\x1b[?25h\n" if sys.stderr.isatty() else ""  # the progress bar hides it
+
+    def end(*_: object) -> None:
+        os.write(2, f"{show_cursor}{message}\n".encode())
+        os._exit(INTERRUPTED)
+
+    before = signal.signal(signal.SIGINT, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def main() -> None:

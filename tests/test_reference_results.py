@@ -1,0 +1,63 @@
+"""The committed reference results belong to the committed config, and README quotes them and runs."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from bayescal.config import load_experiment
+from bayescal.study.inputs import hash_identity, load_inputs
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "results" / "telescope"
+
+
+@pytest.fixture(scope="module")
+def summary():
+    return json.loads((RESULTS / "summary.json").read_text())
+
+
+def test_results_are_those_of_the_committed_config(summary):
+    path = ROOT / "experiments" / "telescope" / "study.toml"
+    current = hash_identity(load_inputs(load_experiment(path), path.parent).identity())
+    assert json.loads((RESULTS / "provenance.json").read_text())["config_sha256"] == current
+    assert summary["config_sha256"] == current
+
+
+def test_readme_quotes_the_results(summary):
+    readme = (ROOT / "README.md").read_text()
+    for fit in summary["variants"].values():
+        error = fit["verification"]["position_error_mm"]
+        row = (
+            rf"{fit['log_evidence']:.2f} ± {fit['log_evidence_se']:.2f} \| {fit['verification']['elpd']:.1f} "
+            rf"\| {1e3 * error['mean']:.1f} / {1e3 * error['max']:.1f} µm "
+            rf"\| {fit['distance_from_nominal']['rms_mm']:.1f} mm rms"
+        )
+        assert re.search(row, readme), row
+
+
+def test_evidences_agree_and_all_converged(summary):
+    for fit in summary["variants"].values():
+        for one in (fit, fit["without_model_error"]):
+            methods = one["log_evidence_methods"]
+            assert abs(methods["importance"] - methods["bridge"]) < 0.1
+            assert one["converged"]
+            assert one["rhat_max"] < 1.01
+            assert one["ess_bulk_min"] > 1000
+
+
+def test_every_link_in_readme_leads_somewhere():
+    for target in re.findall(r"\]\(([^)#]+)\)", (ROOT / "README.md").read_text()):
+        assert (ROOT / target).exists(), target
+
+
+def test_readme_snippet_runs(tmp_path, monkeypatch):
+    """The example from Python, without its long middle part: running the whole study."""
+    code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL).group(1)
+    lines = [line for line in code.splitlines() if "run_study(" not in line and "result." not in line]
+    monkeypatch.chdir(ROOT)
+    namespace: dict = {}
+    exec("\n".join(lines), namespace)
+    assert namespace["found"].efficiency > 0.05
+    assert namespace["posterior"].names[0] == "a_x[1]"
