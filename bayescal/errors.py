@@ -15,6 +15,23 @@ class InputError(BayescalError):
     exit_code = 2
 
 
+class PoseInputError(InputError):
+    """One pose of many is at fault; whoever knows its name puts it in place of the number.
+
+    Attributes
+    ----------
+    index : int
+        Which pose, counted from zero.
+    fault : str
+        What was found and what was expected.
+    """
+
+    def __init__(self, index: int, fault: str) -> None:
+        super().__init__(f"fit {index}: {fault}")
+        self.index = index
+        self.fault = fault
+
+
 class NumericalError(BayescalError):
     """The input was accepted, but a computation failed or did not converge."""
 

@@ -84,9 +84,7 @@ def test_round_trip_through_text_keeps_every_digit(config):
 
 def test_same_seed_same_bytes_other_seed_others(config):
     twin = load_twin(config)
-    one, same, other = (
-        format_survey(simulate_survey(twin, np.random.default_rng(seed)), "test") for seed in (1, 1, 2)
-    )
+    one, same, other = (format_survey(simulate_survey(twin, np.random.default_rng(seed)), "test") for seed in (1, 1, 2))
     assert one == same
     assert one["targets.csv"] != other["targets.csv"]
     assert one["actuators.csv"] == other["actuators.csv"]  # commanded, not noisy

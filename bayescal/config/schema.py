@@ -6,11 +6,13 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
-type Positive = Annotated[FiniteFloat, Field(gt=0)]
-type NotNegative = Annotated[FiniteFloat, Field(ge=0)]
-type PerLeg = FiniteFloat | list[FiniteFloat]
+LARGEST = 1e9  # beyond it, or as close to zero, a number is a slip and overflows when squared often enough
+type Number = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST)]
+type Positive = Annotated[FiniteFloat, Field(gt=0, ge=1 / LARGEST, le=LARGEST)]
+type NotNegative = Annotated[FiniteFloat, Field(ge=0, le=LARGEST)]
+type PerLeg = Number | list[Number]
 type PositivePerLeg = Positive | list[Positive]
-type Vector = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
+type Vector = Annotated[list[Number], Field(min_length=3, max_length=3)]
 
 
 class Section(BaseModel):
@@ -26,14 +28,15 @@ class PointsConfig(Section):
     """Points of a body: on a circle by azimuth, or one by one."""
 
     radius_mm: Positive | None = None
-    azimuth_deg: list[FiniteFloat] | None = None
-    height_mm: FiniteFloat = 0.0
+    azimuth_deg: list[Number] | None = None
+    height_mm: Number = 0.0
     points_mm: list[Vector] | None = None
 
     @model_validator(mode="after")
     def _check_one_way(self) -> Self:
-        on_circle = self.radius_mm is not None and self.azimuth_deg is not None
-        if on_circle == (self.points_mm is not None):
+        circle = {"radius_mm", "azimuth_deg"} & self.model_fields_set
+        one_by_one = self.points_mm is not None and not ({"height_mm"} | circle) & self.model_fields_set
+        if not one_by_one and (len(circle) < 2 or self.points_mm is not None):
             raise ValueError("expected either radius_mm with azimuth_deg, or points_mm")
         return self
 
@@ -77,7 +80,7 @@ class DeformationConfig(Section):
     ``matrix`` is the name of a CSV file, or ``targets`` to take K from the targets on the platform.
     """
 
-    kappa: FiniteFloat = 0.0
+    kappa: Number = 0.0
     matrix: str = "targets"
 
 
@@ -142,6 +145,12 @@ class EvidenceConfig(Section):
     max_draws: Annotated[int, Field(ge=1000)] = 100_000
     target_error: Positive = 0.01
 
+    @model_validator(mode="after")
+    def _check_order(self) -> Self:
+        if self.max_draws < self.draws:
+            raise ValueError(f"found max_draws {self.max_draws} below draws {self.draws}, expected it not below")
+        return self
+
 
 class SensitivityConfig(Section):
     """Tolerances of the lengths for which the evidence is computed anew."""
@@ -174,6 +183,8 @@ class StudyConfig(Section):
                 raise ValueError(f"variant {name!r} stands twice, expected each variant once")
         for variant in self.variants:
             for symbol in variant.free:
+                if variant.free.count(symbol) > 1:
+                    raise ValueError(f"variant {variant.name!r} frees {symbol!r} twice, expected each symbol once")
                 prior = self.parameters.get(symbol)
                 if prior is None or isinstance(prior, FixedConfig):
                     found = "no prior" if prior is None else "a fixed value"
@@ -231,8 +242,8 @@ class TargetRingConfig(Section):
 
     count: Annotated[int, Field(ge=1)]
     radius_mm: Positive
-    height_mm: FiniteFloat
-    azimuth_deg: FiniteFloat = 0.0
+    height_mm: Number
+    azimuth_deg: Number = 0.0
 
 
 class TargetsConfig(Section):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayescal.errors import InputError
+from bayescal.errors import PoseInputError
 from bayescal.geometry import Array, skew_matrix
 from bayescal.photogrammetry.rigid_fit import MIN_SPREAD, RigidFit, check_targets, compute_rigid_residuals
 
@@ -106,16 +106,18 @@ def _check_shape(frame: _Frame, noise: float) -> None:
     least = np.maximum(MIN_SPREAD * noise, 1e-6 * spread[:, 2])
     if np.any(excess < least):
         fit = int(np.argmax(excess < least))
-        raise InputError(
-            f"fit {fit}: found seen targets only {excess[fit]:.3g} mm longer than wide, expected an elongated body "
-            f"with at least {least[fit]:.3g} mm (root sum of squares)"
+        raise PoseInputError(
+            fit,
+            f"found seen targets only {excess[fit]:.3g} mm longer than wide, expected an elongated body "
+            f"with at least {least[fit]:.3g} mm (root sum of squares)",
         )
     arm = np.einsum("pi,pi->p", frame.offset[np.arange(len(frame.far)), frame.far], frame.axes[..., 0])
     if np.any(arm < least):
         fit = int(np.argmax(arm < least))
-        raise InputError(
-            f"fit {fit}: found no seen target farther than {arm[fit]:.3g} mm from their line, "
-            f"expected one at {least[fit]:.3g} mm or more"
+        raise PoseInputError(
+            fit,
+            f"found no seen target farther than {arm[fit]:.3g} mm from their line, "
+            f"expected one at {least[fit]:.3g} mm or more",
         )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayescal.errors import InputError, PoseInputError
 from bayescal.geometry import compute_relative_pose
 from bayescal.measured_poses import MeasuredPoses
 from bayescal.photogrammetry.line_fit import fit_line
@@ -58,7 +59,10 @@ def extract_poses(survey: Survey, noise: float, method: str = "robust") -> PoseE
     rejected: list[tuple[str, str, str]] = []
     for name, body in (("base", survey.base), ("platform", survey.platform)):
         rigid = body.leg == 0
-        fits[name] = METHODS[method](body.reference[rigid], body.measured[:, rigid], noise)
+        try:
+            fits[name] = METHODS[method](body.reference[rigid], body.measured[:, rigid], noise)
+        except PoseInputError as error:
+            raise InputError(f"pose {survey.poses[error.index]!r}: {name}: {error.fault}") from error
         rejected.extend(_find_rejected(survey, name, body, fits[name]))
     position, rotation, covariance = compute_relative_pose(
         (fits["base"].position, fits["base"].rotation, fits["base"].covariance),

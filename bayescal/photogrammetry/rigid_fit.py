@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammainc, poch
 
-from bayescal.errors import InputError
+from bayescal.errors import InputError, PoseInputError
 from bayescal.geometry import Array, skew_matrix
 
 TUNING_CONSTANT = 5.49024920842936
@@ -188,16 +188,17 @@ def _check_spread(reference: Array, used: NDArray[np.bool_], noise: float, word:
     count = used.sum(axis=-1)
     if np.any(count < 3):
         pose = int(np.argmax(count < 3))
-        raise InputError(f"fit {pose}: found {count[pose]} {word} targets, expected at least 3")
+        raise PoseInputError(pose, f"found {count[pose]} {word} targets, expected at least 3")
     centred = (reference - (used @ reference / count[:, None])[:, None, :]) * used[..., None]
     scatter = np.linalg.eigvalsh(np.swapaxes(centred, -1, -2) @ centred)
     length, width = np.sqrt(np.maximum(scatter[:, 2], 0)), np.sqrt(np.maximum(scatter[:, 1], 0))
     least = np.maximum(MIN_SPREAD * noise, 1e-6 * length)
     if np.any(width < least):
         pose = int(np.argmax(width < least))
-        raise InputError(
-            f"fit {pose}: found {count[pose]} {word} targets within {width[pose]:.3g} mm of a line, expected at least "
-            f"{least[pose]:.3g} mm (root sum of squares)"
+        raise PoseInputError(
+            pose,
+            f"found {count[pose]} {word} targets within {width[pose]:.3g} mm of a line, expected at least "
+            f"{least[pose]:.3g} mm (root sum of squares)",
         )
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayescal.errors import InputError
+from bayescal.errors import InputError, PoseInputError
 from bayescal.geometry import Array
 from bayescal.photogrammetry.rigid_fit import RigidFit
 
@@ -112,7 +112,7 @@ def _compute_pad_shares(deflection: Array, leg: NDArray[np.int64], noise: float,
         count = used.sum(axis=-1, keepdims=True)
         if np.any(count == 0):
             pose = int(np.argmin(count[:, 0]))
-            raise InputError(f"ring targets: found no seen target of leg {number} in pose {pose}, expected at least 1")
+            raise PoseInputError(pose, f"found no seen target on the pad of leg {number}, expected at least 1")
         shares.append(used / count)
     return np.stack(shares, axis=1)
 

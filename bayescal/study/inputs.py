@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +16,7 @@ import numpy as np
 from bayescal.config.load import dump_config, load_mechanism, look_up
 from bayescal.config.schema import FixedConfig, NormalConfig, StudyConfig, VariantConfig
 from bayescal.deformations import DEFORMATIONS, Deformation, LinearDeformation, MatrixDeformation
-from bayescal.errors import InputError
+from bayescal.errors import InputError, PoseInputError
 from bayescal.geometry import Array
 from bayescal.kinematics import Machine, check_home_pose
 from bayescal.likelihood import PoseLikelihood
@@ -26,6 +28,7 @@ from bayescal.photogrammetry.poses import PoseExtraction, extract_poses
 from bayescal.photogrammetry.survey import Survey, read_survey
 from bayescal.posterior import ModelError, Posterior
 from bayescal.priors import NormalPrior, Prior, UniformPrior
+from bayescal.study.published import read_published
 from bayescal.tables import read_matrix
 
 MICROMETRE = 1e-3
@@ -116,7 +119,7 @@ class StudyInputs:
 
     def machine(self, variant: VariantConfig) -> Machine:
         """Return the mechanism seen through a variant."""
-        where = self.folder / "study"
+        where = self.folder
         model = look_up(MODELS, variant.model, "variants.model", where)()
         kind = look_up(DEFORMATIONS, variant.deformation, "variants.deformation", where)
         return Machine(self.mechanism, model, self._deformation(kind))
@@ -230,6 +233,23 @@ def _per_leg(value: float | list[float], n: int, symbol: str) -> list[float]:
     return values
 
 
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Put the name of a file before what is wrong with its content."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _measure_ring(inputs: StudyInputs) -> None:
+    """Compute what the ring targets say now, so that a fault shows before any long computation."""
+    try:
+        _ = inputs.ring, inputs.ring_matrix, inputs.ring_linear
+    except PoseInputError as error:
+        raise InputError(f"pose {inputs.survey.poses[error.index]!r}: {error.fault}") from error
+
+
 def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
     """Read all files of a study, extract the poses and check that every variant can be built.
 
@@ -241,13 +261,18 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
     mechanism = load_mechanism(folder / config.mechanism)
     data = config.data
     survey = read_survey(folder / data.targets, folder / data.actuators, folder / data.reference, mechanism.n_legs)
-    extraction = extract_poses(survey, data.target_noise_um * MICROMETRE, data.pose_method)
+    with _naming(folder / data.targets):
+        extraction = extract_poses(survey, data.target_noise_um * MICROMETRE, data.pose_method)
     inputs = StudyInputs(config, folder, mechanism, survey, extraction)
+    with _naming(folder / data.targets):
+        _measure_ring(inputs)
     for variant in config.variants:
-        check_home_pose(inputs.machine(variant))
+        machine = inputs.machine(variant)
+        with _naming(folder / config.mechanism):
+            check_home_pose(machine)
         inputs.posterior(variant, with_model_error=True)
-        if variant.published is not None and not (folder / variant.published).is_file():
-            raise InputError(f"{folder / variant.published}: no such file, expected a published table")
+        if variant.published is not None:
+            read_published(folder / variant.published, mechanism.n_legs)
     known = {block.symbol for variant in config.variants for block in inputs.machine(variant).layout.blocks}
     for symbol in config.parameters:
         if symbol not in known:

@@ -15,6 +15,7 @@ from typing import Any
 import joblib
 import numpy as np
 import pandas as pd
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
@@ -119,7 +120,10 @@ def _compute(inputs: StudyInputs, tasks: list[Task], workers: int) -> Iterator[t
             yield _run_guarded(inputs, task)
         return
     parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", inner_max_num_threads=1)
-    yield from parallel(joblib.delayed(_run_in_worker)(inputs, task) for task in tasks)
+    try:
+        yield from parallel(joblib.delayed(_run_in_worker)(inputs, task) for task in tasks)
+    except TerminatedWorkerError as error:
+        raise NumericalError("a worker was killed, perhaps for want of memory; go on with --resume") from error
 
 
 def _run_in_worker(inputs: StudyInputs, task: Task) -> tuple[Task, Arrays | str]:
@@ -131,9 +135,10 @@ def _run_in_worker(inputs: StudyInputs, task: Task) -> tuple[Task, Arrays | str]
 def _run_guarded(inputs: StudyInputs, task: Task) -> tuple[Task, Arrays | str]:
     """Return a task's arrays, or in words why it failed; BLAS keeps to one thread."""
     try:
-        with threadpool_limits(1):
+        # whatever is not finite is looked for where it matters; numpy's warnings would only litter the terminal
+        with threadpool_limits(1), np.errstate(all="ignore"):
             return task, run_task(inputs, task)
-    except (NumericalError, np.linalg.LinAlgError) as error:
+    except (NumericalError, ArithmeticError, ValueError) as error:  # SciPy and LAPACK raise the last two
         return task, str(error)
 
 

@@ -11,7 +11,8 @@ from bayescal.geometry import rotation_vector_from_matrix
 from bayescal.least_squares import identify
 from bayescal.study.fit import Arrays, Task
 from bayescal.study.inputs import StudyInputs
-from bayescal.tables import format_table, read_table
+from bayescal.study.published import read_published
+from bayescal.tables import format_table
 
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -113,7 +114,8 @@ def tabulate_least_squares(inputs: StudyInputs) -> pd.DataFrame:
     for variant in inputs.config.variants:
         machine = inputs.machine(variant)
         fit = identify(machine, inputs.poses(verification=False), tuple(variant.free))
-        published = _read_published(inputs, variant.published)
+        name = variant.published
+        published = {} if name is None else read_published(inputs.folder / name, inputs.mechanism.n_legs)
         for symbol in variant.free:
             index = machine.layout.index[symbol]
             for leg, k in enumerate(index, start=1):
@@ -134,20 +136,6 @@ def tabulate_least_squares(inputs: StudyInputs) -> pd.DataFrame:
                     }
                 )
     return pd.DataFrame(rows)
-
-
-def _read_published(inputs: StudyInputs, name: str | None) -> dict[tuple[str, int], float]:
-    if name is None:
-        return {}
-    legs = [f"leg{k}" for k in range(1, inputs.mechanism.n_legs + 1)]
-    table = read_table(inputs.folder / name, ("parameter", "unit", *legs))
-    factor = {"mm": 1.0, "1": 1.0, "1e-3": 1e-3}
-    values = table.numbers(legs)
-    return {
-        (symbol, leg): float(values[row, leg - 1] * factor[unit])
-        for row, (symbol, unit) in enumerate(zip(table.text("parameter"), table.text("unit"), strict=True))
-        for leg in range(1, len(legs) + 1)
-    }
 
 
 def tabulate_ring(inputs: StudyInputs) -> pd.DataFrame:

@@ -105,7 +105,7 @@ def test_input_errors_of_the_measurement():
     fit = fit_rigid_body(rigid, on_body, NOISE)
     empty = on_ring.copy()
     empty[1, leg == 3] = np.nan
-    with pytest.raises(InputError, match="no seen target of leg 3 in pose 1"):
+    with pytest.raises(InputError, match="fit 1: found no seen target on the pad of leg 3"):
         measure_ring_deformation(fit, ring, empty, leg, NOISE, N_LEGS)
     with pytest.raises(InputError, match="every leg from 1 to 6"):
         measure_ring_deformation(fit, ring, on_ring, np.minimum(leg, 5), NOISE, N_LEGS)

@@ -154,9 +154,7 @@ def test_collinear_as_seen(folder):
         lambda row: [*row[:3], str(50 * int(row[1][1:])), "0", "0"] if row[1] in on_line else row,
     )
     assert read(folder).base.reference.shape == (7, 3)
-    change_rows(
-        folder / FILES[0], lambda row: None if row[:2] == ["C06", "base"] and row[2] not in on_line else row
-    )
+    change_rows(folder / FILES[0], lambda row: None if row[:2] == ["C06", "base"] and row[2] not in on_line else row)
     assert "pose 'C06': the base's seen targets lie on a line" in fail(folder, FILES[0])
 
 
