@@ -76,8 +76,8 @@ def simulate(
     import numpy as np
 
     from bayescal.config import load_simulation
+    from bayescal.files import write_atomically
     from bayescal.simulation import build_twin, format_survey, simulate_survey
-    from bayescal.study.store import write_atomically
 
     loaded = load_simulation(config)
     twin = build_twin(loaded, config.parent)
@@ -100,9 +100,9 @@ def poses_from_targets(
     """Extract the platform's poses in the base frame, with their covariances, from a study's targets."""
     from bayescal.config import StudyConfig, load_experiment
     from bayescal.config.load import look_up
+    from bayescal.files import write_atomically
     from bayescal.photogrammetry.poses import METHODS
     from bayescal.study.inputs import load_inputs
-    from bayescal.study.store import write_atomically
     from bayescal.study.tables import format_poses
 
     config = load_experiment(experiment)

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.errors import InputError
+from bayescal.files import read_text
 from bayescal.geometry import Array
 
 LARGEST = 1e9
@@ -72,12 +73,7 @@ def read_table(path: Path, columns: Sequence[str] | None) -> Table:
     InputError
         For a missing or unreadable file, an unknown or missing column, a row of another length, or no rows.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file, expected a CSV table") from error
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as UTF-8 text ({type(error).__name__})") from error
+    text = read_text(path, "a CSV table")
     numbered = [(n, row) for n, row in enumerate(text.splitlines(), start=1) if row.strip() and not row.startswith("#")]
     if not numbered:
         raise InputError(f"{path}: found no header, expected the columns {', '.join(columns or ['...'])}")

@@ -21,6 +21,7 @@ from bayescal.config.schema import (
     StudyConfig,
 )
 from bayescal.errors import InputError
+from bayescal.files import read_text
 from bayescal.geometry import Array
 from bayescal.mechanism import Mechanism
 
@@ -98,12 +99,7 @@ def _points(config: PointsConfig) -> Array:
 
 
 def _read_toml(path: Path) -> tuple[dict[str, Any], str]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file, expected a TOML config") from error
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as UTF-8 text ({type(error).__name__})") from error
+    text = read_text(path, "a TOML config")
     try:
         return tomllib.loads(text), text
     except (ValueError, RecursionError) as error:  # also numbers of thousands of digits and brackets without end

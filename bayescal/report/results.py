@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -17,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
+from bayescal.files import read_json
 from bayescal.geometry import Array
 
 SETTINGS = {"free": "with model error", "zero": "without model error (τ = 0)"}
@@ -181,9 +181,9 @@ def read_results(folder: Path) -> Results:
     InputError
         Naming the file where one is missing or not what a study writes. The posteriors' files may be missing.
     """
-    summary = _read_json(folder / "summary.json")
+    summary = read_json(folder / "summary.json")
     _check_summary(summary, folder / "summary.json")
-    provenance = _read_json(folder / "provenance.json")
+    provenance = read_json(folder / "provenance.json")
     tables = {name: _read_table(folder / "tables" / f"{name}.csv") for name in TABLE_COLUMNS if name not in OPTIONAL}
     for name, table in tables.items():
         missing = [v for v in summary["ranking"] if v not in set(table["variant"])]
@@ -217,18 +217,6 @@ OPTIONAL = ("ring", "deformation")
 def _find_optional(folder: Path) -> tuple[str, ...]:
     found = [name for name in OPTIONAL if (folder / "tables" / f"{name}.csv").is_file()]
     return OPTIONAL if found else ()
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file, expected a study's results") from error
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as JSON ({error})") from error
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: found a {type(content).__name__}, expected a JSON object")
-    return content
 
 
 def _read_table(path: Path) -> pd.DataFrame:

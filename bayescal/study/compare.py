@@ -8,7 +8,8 @@ from typing import Any
 import pandas as pd
 
 from bayescal.errors import InputError
-from bayescal.study.store import PROVENANCE_FILE, read_json
+from bayescal.files import read_json
+from bayescal.study.store import PROVENANCE_FILE
 
 DATA_KEYS = ("targets", "actuators", "reference", "target_noise_um", "actuator_noise_um", "pose_method")
 

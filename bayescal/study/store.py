@@ -19,23 +19,12 @@ from typing import Any
 import numpy as np
 
 from bayescal.errors import InputError
+from bayescal.files import read_json, write_atomically
 from bayescal.geometry import Array
 from bayescal.study.inputs import hash_identity
 
 IDENTITY_FILE = "identity.json"
 PROVENANCE_FILE = "provenance.json"
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file so that it is there whole or not at all."""
-    if path.is_dir():
-        raise InputError(f"{path}: is a directory, expected a file name")
-    temporary = path.with_name(path.name + ".tmp")
-    with temporary.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
 
 
 @dataclass(frozen=True)
@@ -157,19 +146,6 @@ def _exchange(one: Path, other: Path) -> None:
     other.rename(aside)
     one.rename(other)
     aside.rename(one)
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Return a JSON object; InputError where the file is none."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file, expected a results directory's JSON") from error
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as JSON ({error})") from error
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: found a {type(content).__name__}, expected a JSON object")
-    return content
 
 
 def list_differences(old: Any, new: Any, where: str = "") -> list[str]:

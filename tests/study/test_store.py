@@ -15,9 +15,10 @@ import pytest
 from studies import snapshot
 
 from bayescal.errors import InputError
+from bayescal.files import read_json, write_atomically
 from bayescal.study import store as store_module
 from bayescal.study.inputs import hash_identity
-from bayescal.study.store import IDENTITY_FILE, PROVENANCE_FILE, Store, list_differences, read_json, write_atomically
+from bayescal.study.store import IDENTITY_FILE, PROVENANCE_FILE, Store, list_differences
 
 IDENTITY = {"config": {"seed": 1, "sampler": {"steps": 10}, "free": ["a", "b"]}, "files": {"data.csv": "abc"}}
 ARRAYS = {"draws": np.arange(600.0).reshape(20, 30), "wall_seconds": np.array(0.5)}
@@ -346,7 +347,7 @@ def test_read_json_says_what_is_wrong(tmp_path):
         (lambda: None, "no such file"),
         (lambda: path.write_text("[1]"), "found a list, expected a JSON object"),
         (lambda: path.write_text("{"), "cannot be read as JSON"),
-        (lambda: path.write_bytes(b"\xff"), "cannot be read as JSON"),
+        (lambda: path.write_bytes(b"\xff"), "cannot be read as UTF-8 text"),
     ):
         prepare()
         with pytest.raises(InputError, match=expected) as caught:

@@ -1,0 +1,44 @@
+"""Reading and writing files so that a fault is one line and a write is whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from bayescal.errors import InputError
+
+
+def read_text(path: Path, expected: str) -> str:
+    """Return a UTF-8 text, with or without byte order mark; InputError names the file and what was expected."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file, expected {expected}") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as UTF-8 text ({type(error).__name__})") from error
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return a JSON object of a results directory; InputError where the file is none."""
+    text = read_text(path, "a results directory's JSON")
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: cannot be read as JSON ({error})") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: found a {type(content).__name__}, expected a JSON object")
+    return content
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write a file so that it is there whole or not at all."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a directory, expected a file name")
+    temporary = path.with_name(path.name + ".tmp")
+    with temporary.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
