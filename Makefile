@@ -34,7 +34,7 @@ data: $(STAMP)
 benchmark: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[benchmark]"
 	$(BIN)/python benchmarks/likelihood.py
-	$(BIN)/python benchmarks/sampling.py
+	$(BIN)/python benchmarks/sampling.py --dense-mass --name sampling_dense_mass
 
 clean:
 	rm -rf $(VENV) build *.egg-info
