@@ -1,6 +1,6 @@
 """Platform deformations, by the names that configs use."""
 
-from bayescal.deformations.base import Deformation, DeformationBasis
+from bayescal.deformations.base import Deformation, DeformationBasis, NominalDeformation
 from bayescal.deformations.linear import LinearDeformation
 from bayescal.deformations.matrix import MatrixDeformation
 from bayescal.deformations.none import NoDeformation
@@ -16,4 +16,5 @@ __all__ = [
     "LinearDeformation",
     "MatrixDeformation",
     "NoDeformation",
+    "NominalDeformation",
 ]

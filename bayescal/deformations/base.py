@@ -8,9 +8,9 @@ actuator displacements and linear in its own parameters (RR-8096 eqs. 1 and 2):
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -47,10 +47,34 @@ class DeformationBasis:
         return result
 
 
+@dataclass(frozen=True)
+class NominalDeformation:
+    """What is known of a machine's deformation before it is calibrated.
+
+    Attributes
+    ----------
+    kappa : float
+        κ of every leg.
+    matrix : callable
+        Returns K, shape (N, N), in mm per mm; called only by a deformation that needs it.
+    """
+
+    kappa: float
+    matrix: Callable[[], Array]
+
+
 class Deformation(ABC):
     """A platform deformation: a name, its parameters and its basis."""
 
     name: ClassVar[str]
+    uses_matrix: ClassVar[bool] = False
+    """Whether K enters, so that the uncertainty of a measured K counts."""
+
+    @classmethod
+    def from_nominal(cls, nominal: NominalDeformation) -> Self:
+        """Return the deformation with its nominal values; one without any takes none."""
+        del nominal
+        return cls()
 
     @abstractmethod
     def blocks(self, n_legs: int) -> tuple[ParameterBlock, ...]:

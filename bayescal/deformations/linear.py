@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
-from bayescal.deformations.base import Deformation
+from bayescal.deformations.base import Deformation, NominalDeformation
 from bayescal.geometry import Array
 from bayescal.parameters import ParameterBlock
 
@@ -19,6 +19,11 @@ class LinearDeformation(Deformation):
 
     kappa: float
     name: ClassVar[str] = "linear"
+
+    @classmethod
+    def from_nominal(cls, nominal: NominalDeformation) -> Self:
+        """Return the deformation with the nominal κ."""
+        return cls(nominal.kappa)
 
     def blocks(self, n_legs: int) -> tuple[ParameterBlock, ...]:
         """Return κ of each leg."""

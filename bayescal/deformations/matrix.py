@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
-from bayescal.deformations.base import Deformation
+from bayescal.deformations.base import Deformation, NominalDeformation
 from bayescal.errors import InputError
 from bayescal.geometry import Array
 from bayescal.parameters import ParameterBlock
@@ -24,6 +24,12 @@ class MatrixDeformation(Deformation):
 
     matrix: Array
     name: ClassVar[str] = "matrix"
+    uses_matrix: ClassVar[bool] = True
+
+    @classmethod
+    def from_nominal(cls, nominal: NominalDeformation) -> Self:
+        """Return the deformation with the nominal K."""
+        return cls(nominal.matrix())
 
     def blocks(self, n_legs: int) -> tuple[ParameterBlock, ...]:
         """Return the diagonal of K as κ."""

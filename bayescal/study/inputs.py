@@ -15,7 +15,7 @@ import numpy as np
 
 from bayescal.config.load import dump_config, load_mechanism, look_up
 from bayescal.config.schema import FixedConfig, NormalConfig, StudyConfig, VariantConfig
-from bayescal.deformations import DEFORMATIONS, Deformation, LinearDeformation, MatrixDeformation
+from bayescal.deformations import DEFORMATIONS, NominalDeformation
 from bayescal.errors import InputError, PoseInputError
 from bayescal.geometry import Array
 from bayescal.kinematics import Machine, check_home_pose
@@ -122,14 +122,8 @@ class StudyInputs:
         where = self.folder
         model = look_up(MODELS, variant.model, "variants.model", where)()
         kind = look_up(DEFORMATIONS, variant.deformation, "variants.deformation", where)
-        return Machine(self.mechanism, model, self._deformation(kind))
-
-    def _deformation(self, kind: type[Deformation]) -> Deformation:
-        if kind is LinearDeformation:
-            return LinearDeformation(self.config.deformation.kappa)
-        if kind is MatrixDeformation:
-            return MatrixDeformation(self.matrix)
-        return kind()
+        nominal = NominalDeformation(self.config.deformation.kappa, lambda: self.matrix)
+        return Machine(self.mechanism, model, kind.from_nominal(nominal))
 
     @property
     def matrix_from_targets(self) -> bool:
@@ -150,12 +144,12 @@ class StudyInputs:
 
     def likelihood(self, variant: VariantConfig, verification: bool) -> PoseLikelihood:
         """Return the density of the poses of one use under a variant."""
-        poses = self.poses(verification)
+        machine, poses = self.machine(variant), self.poses(verification)
         extra = None
-        if variant.deformation == MatrixDeformation.name and self.matrix_from_targets:
+        if machine.deformation.uses_matrix and self.matrix_from_targets:
             extra = self._matrix_variance(poses.actuators - self.mechanism.initial_actuator_positions)
         noise = self.config.data.actuator_noise_um * MICROMETRE
-        return PoseLikelihood(self.machine(variant), poses, noise, extra)
+        return PoseLikelihood(machine, poses, noise, extra)
 
     def _matrix_variance(self, displacement: Array) -> Array:
         """Return the variance of Δb_z (P, N) in mm² that the uncertainty of the rest of K leaves.
