@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayescal.deformations import DEFORMATIONS, Deformation, LinearDeformation, MatrixDeformation
+from bayescal.deformations import DEFORMATIONS, Deformation, NominalDeformation
 from bayescal.geometry import matrix_from_rotation_vector
 from bayescal.kinematics import Machine, solve_forward_kinematics
 from bayescal.likelihood import PoseLikelihood
@@ -149,16 +149,9 @@ def build_model(name: str) -> KinematicModel:
 
 
 def build_deformation(name: str, n_legs: int = 6) -> Deformation:
-    """Return a registered deformation with the telescope's figures, or random ones for other numbers of legs.
-
-    A deformation that takes arguments needs a recipe here; one without is built as it stands.
-    """
+    """Return a registered deformation with the telescope's figures, or a random K for other numbers of legs."""
     matrix = TELESCOPE_MATRIX if n_legs == 6 else np.random.default_rng(n_legs).normal(0, 0.012, (n_legs, n_legs))
-    recipes = {
-        LinearDeformation.name: lambda: LinearDeformation(0.011),
-        MatrixDeformation.name: lambda: MatrixDeformation(matrix),
-    }
-    return recipes.get(name, DEFORMATIONS[name])()
+    return DEFORMATIONS[name].from_nominal(NominalDeformation(0.011, lambda: matrix))
 
 
 def build_machine(deformation: str = "matrix", mechanism: Mechanism | None = None, model: str = "six_pus") -> Machine:
