@@ -47,7 +47,7 @@ def run_ensemble(
     n_burn_in: int,
     n_steps: int,
 ) -> Ensemble:
-    """Run one ensemble from overdispersed draws of the proposal.
+    """Run one ensemble that starts at draws of the proposal.
 
     Raises
     ------
