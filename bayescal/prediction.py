@@ -34,6 +34,10 @@ class Prediction:
     position_bound: Array
     orientation_bound: Array
 
+    def select(self, chosen: np.ndarray) -> Prediction:
+        """Return the prediction at some of the poses."""
+        return Prediction(**{name: values[chosen] for name, values in vars(self).items()})
+
     @property
     def position_error(self) -> Array:
         """Distance between measured and predicted position, shape (P,), mm."""

@@ -22,15 +22,16 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", 
 
 import numpy as np  # noqa: E402 - after the number of threads is set
 
+from bayescal.config import load_mechanism  # noqa: E402
 from bayescal.deformations.matrix import MatrixDeformation  # noqa: E402
 from bayescal.geometry import Array, matrix_from_rotation_vector  # noqa: E402
 from bayescal.kinematics import Machine, solve_forward_kinematics  # noqa: E402
 from bayescal.likelihood import PoseLikelihood  # noqa: E402
 from bayescal.measured_poses import MeasuredPoses  # noqa: E402
-from bayescal.mechanism import Mechanism  # noqa: E402
 from bayescal.models.six_pus import SixPus  # noqa: E402
 from bayescal.posterior import ModelError, Posterior  # noqa: E402
 from bayescal.priors import NormalPrior  # noqa: E402
+from bayescal.tables import read_matrix  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"
 SEED = 20240519
@@ -41,16 +42,7 @@ MODEL_ERROR_SCALE = 1e-2  # mm
 FREE = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "u_x", "u_y", "l", "kappa")
 PRIOR_SD = {"u_x": 0.05, "u_y": 0.05, "kappa": 0.01}  # everything else: 2 mm
 LENGTH_SD = 2.0
-DEFORMATION = 1e-3 * np.array(
-    [
-        [16, 0, -8, 12, -2, -20],
-        [0, 20, -17, -1, 13, -13],
-        [-2, -15, 14, 2, -9, 9],
-        [6, -12, 4, 14, -16, 2],
-        [-12, 7, 0, -15, 14, 4],
-        [-20, -1, 10, -10, 2, 19],
-    ]
-)
+TELESCOPE = Path(__file__).parents[1] / "experiments" / "telescope"
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,29 +72,12 @@ class Problem:
         return Posterior(self.likelihood(), self.priors(), ModelError(MODEL_ERROR_SCALE if model_error else None))
 
 
-def telescope_mechanism() -> Mechanism:
-    """Return the nominal mechanism, mm."""
-    return Mechanism(
-        name="telescope",
-        base_points=_ring(155.0, (220, 320, 340, 80, 100, 200)),
-        platform_points=_ring(130.0, (265, 275, 25, 35, 145, 155)),
-        directions=np.tile([0.0, 0.0, 1.0], (6, 1)),
-        leg_lengths=np.full(6, 500.0),
-        initial_actuator_positions=np.full(6, 10.0),
-        actuator_range=1.3,
-    )
-
-
-def _ring(radius: float, azimuths_deg: tuple[float, ...]) -> Array:
-    azimuth = np.radians(azimuths_deg)
-    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.zeros(len(azimuth))], axis=1)
-
-
 def simulate(seed: int = SEED) -> Problem:
     """Draw a machine from the priors and measure it in 40 poses, every actuator at an end or in the middle."""
     rng = np.random.default_rng(seed)
-    mechanism = telescope_mechanism()
-    machine = Machine(mechanism, SixPus(), MatrixDeformation(DEFORMATION))
+    mechanism = load_mechanism(TELESCOPE / "mechanism.toml")
+    matrix = 1e-3 * read_matrix(TELESCOPE / "deformation_matrix.csv", mechanism.n_legs)
+    machine = Machine(mechanism, SixPus(), MatrixDeformation(matrix))
     layout = machine.layout
     theta = layout.nominal.copy()
     for symbol in FREE:

@@ -29,7 +29,7 @@ def diagnose(draws: Array) -> Diagnostics:
     walker_by_walker = np.moveaxis(draws.reshape(n_ensembles, n_walkers * n_steps, -1), -1, 0)
     step_by_step = np.moveaxis(np.swapaxes(draws, 1, 2).reshape(n_ensembles, n_walkers * n_steps, -1), -1, 0)
     return Diagnostics(
-        rhat=np.array([float(array_stats.rhat(chains)) for chains in step_by_step]),
-        ess_bulk=np.array([float(array_stats.ess(chains)) for chains in walker_by_walker]),
-        ess_tail=np.array([float(array_stats.ess(c, method="tail", prob=(0.05, 0.95))) for c in walker_by_walker]),
+        rhat=np.asarray(array_stats.rhat(step_by_step), dtype=np.float64),
+        ess_bulk=np.asarray(array_stats.ess(walker_by_walker), dtype=np.float64),
+        ess_tail=np.asarray(array_stats.ess(walker_by_walker, method="tail", prob=(0.05, 0.95)), dtype=np.float64),
     )

@@ -1,6 +1,8 @@
 """Finding a proposal that is nearly the posterior: Laplace first, then short pilot runs where that is not enough.
 
-Everything after this stage (ensembles, both evidences) is exact whatever the proposal; a good one makes it fast.
+Everything after this stage (ensembles, both evidences) is right in the limit of many draws whatever the proposal. With
+a poor one that limit is far: the chains may look converged and shift the bridge, which only the importance sampler
+then shows.
 """
 
 from __future__ import annotations

@@ -162,14 +162,14 @@ def fit_line(reference: ArrayLike, measured: ArrayLike, noise: float) -> RigidFi
     covariance = _move_to_origin(_propagate_noise(frame, seen, noise), lever)
     residuals = np.where(seen[..., None], compute_rigid_residuals(reference, flat, position, rotation), 0.0)
     return RigidFit(
-        position=position.reshape(*batch, 3),
-        rotation=rotation.reshape(*batch, 3, 3),
-        covariance=covariance.reshape(*batch, 6, 6),
-        weights=seen.astype(float).reshape(*batch, -1),
-        chi2=np.sum((residuals / noise) ** 2, axis=(-2, -1)).reshape(batch),
-        dof=(3 * seen.sum(axis=-1) - 6).reshape(batch),
-        converged=np.ones(batch, dtype=bool),
-    )
+        position=position,
+        rotation=rotation,
+        covariance=covariance,
+        weights=seen.astype(float),
+        chi2=np.sum((residuals / noise) ** 2, axis=(-2, -1)),
+        dof=3 * seen.sum(axis=-1) - 6,
+        converged=np.ones(len(flat), dtype=bool),
+    ).with_batch(batch)
 
 
 def _move_to_origin(covariance: Array, lever: Array) -> Array:

@@ -62,6 +62,10 @@ class RigidFit:
     dof: NDArray[np.int64]
     converged: NDArray[np.bool_]
 
+    def with_batch(self, batch: tuple[int, ...]) -> RigidFit:
+        """Return the fits (P, ...) with their leading axis laid out as ``batch``."""
+        return RigidFit(**{name: part.reshape((*batch, *part.shape[1:])) for name, part in vars(self).items()})
+
 
 def compute_biweight_moments(constant: ArrayLike) -> tuple[Array, Array]:
     """Return the mean slope A and the variance B of the biweight's estimating function at unit Gaussian noise.
@@ -331,11 +335,11 @@ def fit_rigid_body(reference: ArrayLike, measured: ArrayLike, noise: float) -> R
     covariance = compute_rigid_covariance(reference, rotation, used, noise)
     covariance = compute_variance_factor(count)[:, None, None] * covariance
     return RigidFit(
-        position=position.reshape(*batch, 3),
-        rotation=rotation.reshape(*batch, 3, 3),
-        covariance=covariance.reshape(*batch, 6, 6),
-        weights=weights.reshape(*batch, -1),
-        chi2=np.sum(np.where(used, square, 0.0), axis=-1).reshape(batch),
-        dof=(3 * count - 6).reshape(batch),
-        converged=converged.reshape(batch),
-    )
+        position=position,
+        rotation=rotation,
+        covariance=covariance,
+        weights=weights,
+        chi2=np.sum(np.where(used, square, 0.0), axis=-1),
+        dof=3 * count - 6,
+        converged=converged,
+    ).with_batch(batch)

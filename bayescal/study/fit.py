@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -140,7 +140,7 @@ def _evaluate(
         pointwise = np.concatenate([_pointwise(likelihood, theta, tau, k) for k in range(0, len(flat), 256)])
         some_tau = tau if tau.ndim == 1 else tau[chosen]
         prediction = predict(likelihood, theta[chosen], some_tau, np.random.default_rng(rng_seed))
-        for name, value in {"log_likelihood": pointwise.T, **_prediction_arrays(prediction)}.items():
+        for name, value in {"log_likelihood": pointwise.T, **vars(prediction)}.items():
             pieces.setdefault(name, []).append(value)
     order = np.concatenate([np.flatnonzero(held == use) for use in (False, True)])
     back = np.argsort(order)
@@ -154,11 +154,6 @@ def _pointwise(likelihood: PoseLikelihood, theta: Array, tau: Array, start: int)
     return likelihood.pointwise(theta[part], tau if tau.ndim == 1 else tau[part])
 
 
-def _prediction_arrays(prediction: Prediction) -> Arrays:
-    return {
-        "error": prediction.error,
-        "low": prediction.low,
-        "high": prediction.high,
-        "position_bound": prediction.position_bound,
-        "orientation_bound": prediction.orientation_bound,
-    }
+def read_prediction(arrays: Arrays) -> Prediction:
+    """Return the prediction at all poses that a task's arrays hold."""
+    return Prediction(**{field.name: arrays[field.name] for field in fields(Prediction)})

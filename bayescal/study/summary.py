@@ -13,8 +13,8 @@ import xarray as xr
 
 from bayescal.geometry import Array
 from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
-from bayescal.prediction import compute_elpd
-from bayescal.study.fit import Arrays
+from bayescal.prediction import Prediction, compute_elpd
+from bayescal.study.fit import Arrays, read_prediction
 from bayescal.study.inputs import StudyInputs
 
 ELPD_VARIABLE = "measured_pose"
@@ -93,7 +93,7 @@ def summarise_fit(
     efficiency, pareto_k, n_draws = (float(x) for x in arrays["importance_quality"])
     trusted = pareto_k <= PARETO_K_LIMIT
     primary = importance if trusted else bridge
-    problems = list_problems(arrays)
+    problems, prediction = list_problems(arrays), read_prediction(arrays)
     held = inputs.survey.verification
     summary: dict[str, Any] = {
         "n_parameters": posterior.n_parameters,
@@ -115,8 +115,8 @@ def summarise_fit(
         "ess_tail_min": float(arrays["ess_tail"].min()),
         "acceptance": float(arrays["acceptance"].mean()),
         "wall_seconds": float(arrays["wall_seconds"]),
-        "calibration": summarise_errors(arrays, ~held),
-        "verification": summarise_errors(arrays, held) if held.any() else None,
+        "calibration": summarise_errors(prediction.select(~held)),
+        "verification": summarise_errors(prediction.select(held)) if held.any() else None,
         "parameters": _summarise_parameters(inputs, variant, posterior.all_priors(), posterior.names, arrays),
     }
     if held.any():
@@ -148,17 +148,14 @@ def list_problems(arrays: Arrays) -> list[str]:
     return problems
 
 
-def summarise_errors(arrays: Arrays, chosen: np.ndarray) -> dict[str, Any]:
-    """Return mean and largest errors of the poses chosen, and the coverage of their predictive intervals."""
-    error = arrays["error"][chosen]
-    position = np.linalg.norm(error[:, :3], axis=1)
-    orientation = np.degrees(np.linalg.norm(error[:, 3:], axis=1))
-    inside = (arrays["low"][chosen] <= error) & (error <= arrays["high"][chosen])
+def summarise_errors(prediction: Prediction) -> dict[str, Any]:
+    """Return mean and largest errors of a prediction, and the coverage of its intervals."""
+    position, orientation = prediction.position_error, np.degrees(prediction.orientation_error)
     return {
         "position_error_mm": {"mean": float(position.mean()), "max": float(position.max())},
         "orientation_error_deg": {"mean": float(orientation.mean()), "max": float(orientation.max())},
-        "interval_90_coverage": float(inside.mean()),
-        "bound_95_coverage": float(np.mean(position <= arrays["position_bound"][chosen])),
+        "interval_90_coverage": float(prediction.inside.mean()),
+        "bound_95_coverage": float(np.mean(position <= prediction.position_bound)),
     }
 
 

@@ -9,7 +9,7 @@ import pandas as pd
 
 from bayescal.geometry import rotation_vector_from_matrix
 from bayescal.least_squares import identify
-from bayescal.study.fit import Arrays, Task
+from bayescal.study.fit import Arrays, Task, read_prediction
 from bayescal.study.inputs import StudyInputs
 from bayescal.study.published import read_published
 from bayescal.tables import format_table
@@ -71,17 +71,18 @@ def tabulate_predictions(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.Da
     units = ("mm", "mm", "mm", "deg", "deg", "deg")
     frames = []
     for task, arrays in fits.items():
-        error, low, high = (arrays[name] * scale for name in ("error", "low", "high"))
+        prediction = read_prediction(arrays)
+        error, low, high = (part * scale for part in (prediction.error, prediction.low, prediction.high))
         frame = pd.DataFrame(
             {
                 "variant": task.variant,
                 "model_error": "free" if task.with_model_error else "zero",
                 "pose": inputs.survey.poses,
                 "use": np.where(inputs.survey.verification, "verification", "calibration"),
-                "position_error_mm": np.linalg.norm(error[:, :3], axis=1),
-                "position_bound_95_mm": arrays["position_bound"],
-                "orientation_error_deg": np.linalg.norm(error[:, 3:], axis=1),
-                "orientation_bound_95_deg": np.degrees(arrays["orientation_bound"]),
+                "position_error_mm": prediction.position_error,
+                "position_bound_95_mm": prediction.position_bound,
+                "orientation_error_deg": np.degrees(prediction.orientation_error),
+                "orientation_bound_95_deg": np.degrees(prediction.orientation_bound),
             }
         )
         for k, (component, unit) in enumerate(zip(COMPONENTS, units, strict=True)):
