@@ -7,6 +7,8 @@ Two shears of unit Jacobian take the curvature u_z = sqrt(1 - u_x² - u_y²) out
 - in place of κ, the gain of the actuator along the leg, κ' = κ - u_z - (z_x u_x + z_y u_y) / z_z with z the nominal leg
   direction (RR-8096 eqs. 38 to 40), which is what κ and u together can tell.
 
+Where κ is not free, both components of a direction are replaced by its gain and its azimuth about the leg (`circles`).
+
 Every coordinate is then scaled by the prior's standard deviation. A parameter between bounds is not sheared; its
 coordinate y is standard normal under the uniform prior, θ = lower + (upper - lower) Φ(y), so that no climb and no
 walker runs into a wall.
@@ -20,8 +22,9 @@ from functools import cached_property
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from bayescal.circles import DirectionCircles, find_circles
 from bayescal.geometry import Array
-from bayescal.models.six_pus import actuator_directions
+from bayescal.models.legs import actuator_directions
 from bayescal.parameters import ParameterLayout
 
 
@@ -65,9 +68,50 @@ class Coordinates:
         return mask
 
     @cached_property
+    def _circles(self) -> tuple[np.ndarray, DirectionCircles] | None:
+        """Legs with both components of u free, without bounds, and κ not; their circles."""
+        index = self.layout.index
+        if "u_x" not in index:
+            return None
+        both = self._mask[index["u_x"]] & self._mask[index["u_y"]]
+        if "kappa" in index:
+            both &= ~np.isin(index["kappa"], self.free)
+        legs = np.flatnonzero(both)
+        if not len(legs):
+            return None
+        where = {int(k): j for j, k in enumerate(self.free)}
+        sd = np.array([max(self.scale[where[int(index[s][leg])]] for s in ("u_x", "u_y")) for leg in legs])
+        vectors = np.concatenate([self.leg_slope[legs], np.ones((len(legs), 1))], axis=1)
+        clear, circles = find_circles(actuator_directions(self.layout, self.start)[legs], vectors, sd)
+        return (legs[clear], circles) if clear.any() else None
+
+    def _on_circles(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return where the coordinates of gain and azimuth stand in y."""
+        assert self._circles is not None
+        legs, _ = self._circles
+        return tuple(np.searchsorted(self.free, self.layout.index[s][legs]) for s in ("u_x", "u_y"))
+
+    @cached_property
     def log_scale(self) -> float:
-        """Logarithm of the volume dθ/dy of the parameters without bounds, the same everywhere."""
+        """Logarithm of the constant part of the volume dθ/dy of the parameters without bounds."""
         return float(np.log(self.scale[~self.bounded]).sum())
+
+    def log_volume(self, theta: Array) -> Array | float:
+        """Return the part of log |dθ/dy| of the parameters without bounds that varies, shape (..., D) to (...)."""
+        if self._circles is None:
+            return 0.0
+        u_z = actuator_directions(self.layout, theta)[..., self._circles[0], 2]
+        return np.asarray(np.log(u_z).sum(axis=-1))
+
+    def log_volume_slope(self, theta: Array) -> Array:
+        """Return the derivative of `log_volume` by θ, shape (D,), at one vector (D,)."""
+        slope = np.zeros(self.layout.size)
+        if self._circles is not None:
+            legs, _ = self._circles
+            u = actuator_directions(self.layout, theta)[legs]
+            for k, symbol in enumerate(("u_x", "u_y")):
+                slope[self.layout.index[symbol][legs]] = -u[:, k] / u[:, 2] ** 2
+        return slope
 
     def _shifts(self, theta: Array) -> dict[str, Array]:
         """Return what the shears add to each sheared symbol, shapes (..., N)."""
@@ -100,12 +144,24 @@ class Coordinates:
             inside = self.bounded
             lower, width = self.lower[inside], (self.upper - self.lower)[inside]
             theta[..., self.free[inside]] = lower + width * ndtr(y[..., inside])
+        if self._circles is not None:
+            legs, circles = self._circles
+            gain, azimuth = self._on_circles()
+            w = circles.gain + y[..., gain] * self.scale[gain] * circles.sine
+            u_x, u_y = circles.directions(w, y[..., azimuth] * self.scale[azimuth] / circles.sine)
+            theta[..., self.layout.index["u_x"][legs]], theta[..., self.layout.index["u_y"][legs]] = u_x, u_y
         return self._shear(theta, theta, -1.0)
 
     def y_from_theta(self, theta: Array) -> Array:
         """Return the coordinates (..., n) of full parameter vectors (..., D)."""
         y = (self._shear(theta, theta, 1.0)[..., self.free] - self._origin) / self.scale
         y[..., self.bounded] = ndtri(self._share(theta))
+        if self._circles is not None:
+            legs, circles = self._circles
+            gain, azimuth = self._on_circles()
+            w, psi = circles.polar(actuator_directions(self.layout, theta)[..., legs, :])
+            y[..., gain] = (w - circles.gain) / (self.scale[gain] * circles.sine)
+            y[..., azimuth] = psi * circles.sine / self.scale[azimuth]
         return y
 
     def _share(self, theta: Array) -> Array:
@@ -133,6 +189,13 @@ class Coordinates:
             sheared = np.concatenate([index[s] for s in ("a_x", "a_y", "a_z", "kappa") if s in index])
             fixed = sheared[~self._mask[sheared]]
             change[fixed] = np.eye(self.layout.size)[fixed]
+        if self._circles is not None:
+            legs, circles = self._circles
+            x, y = (change[:, index[s][legs]].copy() for s in ("u_x", "u_y"))
+            by_gain, by_azimuth = circles.slopes(actuator_directions(self.layout, theta)[legs])
+            by_gain, by_azimuth = by_gain * circles.sine[:, None], by_azimuth / circles.sine[:, None]
+            change[:, index["u_x"][legs]] = x * by_gain[:, 0] + y * by_gain[:, 1]
+            change[:, index["u_y"][legs]] = x * by_azimuth[:, 0] + y * by_azimuth[:, 1]
         scale = self.scale.copy()
         normal_density = np.exp(-0.5 * ndtri(self._share(theta)) ** 2) / np.sqrt(2 * np.pi)
         scale[self.bounded] = (self.upper - self.lower)[self.bounded] * normal_density

@@ -34,6 +34,16 @@ def rotation_vector_from_matrix(rotation: Array) -> Array:
     return flat.reshape(rotation.shape[:-1])
 
 
+def compute_left_inverse_jacobian(rotation_vector: Array) -> Array:
+    """Return Jl⁻¹ of Log(Exp(ω) Exp(φ)) = φ + Jl⁻¹(φ) ω + O(ω²), (..., 3) to (..., 3, 3); Jr⁻¹ is its transpose."""
+    angle = np.linalg.norm(rotation_vector, axis=-1)[..., None, None]
+    half = 0.5 * angle
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = np.where(angle > 1e-3, (1.0 - half / np.tan(half)) / angle**2, 1 / 12 + angle**2 / 720)
+    cross = skew_matrix(rotation_vector)
+    return np.eye(3) - 0.5 * cross + factor * cross @ cross
+
+
 def compute_pose_error(position: Array, rotation: Array, position_ref: Array, rotation_ref: Array) -> Array:
     """Return the error of a pose against a reference pose, shape (..., 6): mm, then rotation vector in radians."""
     delta = rotation @ np.swapaxes(rotation_ref, -1, -2)

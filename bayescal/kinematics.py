@@ -1,8 +1,9 @@
-"""Forward kinematics of any model by Newton's method, batched, and the home pose it starts from."""
+"""Forward and inverse kinematics of any model by Newton's method, batched, and the home pose they start from."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -10,7 +11,8 @@ from bayescal.deformations.base import Deformation, DeformationBasis
 from bayescal.errors import InputError, NumericalError
 from bayescal.geometry import Array, matrix_from_rotation_vector
 from bayescal.mechanism import Mechanism
-from bayescal.models.base import KinematicModel, Linearisation
+from bayescal.models.base import KinematicModel, Linearisation, newton_step
+from bayescal.models.home import guess_level_pose
 from bayescal.parameters import ParameterLayout
 
 STEP_TOLERANCE = 1e-10
@@ -25,7 +27,7 @@ class Machine:
     model: KinematicModel
     deformation: Deformation
 
-    @property
+    @cached_property
     def layout(self) -> ParameterLayout:
         """Layout of the model's and the deformation's parameters."""
         return ParameterLayout(self.model.blocks(self.mechanism) + self.deformation.blocks(self.mechanism.n_legs))
@@ -51,16 +53,10 @@ class ForwardKinematics:
 
 def guess_home_pose(mechanism: Mechanism) -> tuple[Array, Array]:
     """Return a level pose above the base from which Newton's method finds the home pose."""
-    horizontal = (mechanism.home_joints - mechanism.platform_points)[:, :2]
-    centre = horizontal.mean(axis=0)
-    reach = mechanism.leg_lengths**2 - np.sum((horizontal - centre) ** 2, axis=1)
-    if np.any(reach <= 0):
-        leg = int(np.argmin(reach)) + 1
-        raise InputError(
-            f"mechanism {mechanism.name!r}: leg {leg} of {mechanism.leg_lengths[leg - 1]:g} mm cannot span its joints"
-        )
-    height = np.mean(mechanism.home_joints[:, 2] + np.sqrt(reach) - mechanism.platform_points[:, 2])
-    return np.array([*centre, height]), np.eye(3)
+    try:
+        return guess_level_pose(mechanism.home_joints, mechanism.platform_points, mechanism.leg_lengths)
+    except InputError as error:
+        raise InputError(f"mechanism {mechanism.name!r}: {error}") from error
 
 
 def solve_forward_kinematics(
@@ -96,11 +92,12 @@ def solve_forward_kinematics(
     shape = np.broadcast_shapes(theta.shape[:-1], actuators.shape[:-1])
     position = np.broadcast_to(position, (*shape, 3))
     rotation = np.broadcast_to(rotation, (*shape, 3, 3))
-    layout, basis = machine.layout, machine.basis(np.broadcast_to(actuators, (*shape, actuators.shape[-1])))
+    basis = machine.basis(np.broadcast_to(actuators, (*shape, actuators.shape[-1])))
+    closure = machine.model.prepare(machine.layout, theta)
     converged = np.zeros(shape, dtype=bool)
     iteration = 0
     while iteration < max_iterations and not converged.all():
-        step = _newton_step(machine.model.linearise(layout, theta, position, rotation, basis))
+        step = newton_step(closure(position, rotation, basis, with_parameters=False))
         position = position + step[..., :3]
         rotation = matrix_from_rotation_vector(step[..., 3:]) @ rotation
         converged = np.max(np.abs(step), axis=-1, initial=0.0) < STEP_TOLERANCE
@@ -113,19 +110,74 @@ def solve_forward_kinematics(
     return ForwardKinematics(position, rotation, converged, iteration)
 
 
-def _newton_step(linearisation: Linearisation) -> Array:
-    """Return the step (..., 6) that makes the linearised closure vanish; NaN steps are kept out of the solver."""
-    jacobian, residual = linearisation.pose, linearisation.residual
-    good = np.isfinite(residual).all(axis=-1) & np.isfinite(jacobian).all(axis=(-1, -2))
-    jacobian = np.where(good[..., None, None], jacobian, np.eye(*jacobian.shape[-2:]))
-    normal = np.swapaxes(jacobian, -1, -2)
-    square = jacobian if jacobian.shape[-2] == jacobian.shape[-1] else normal @ jacobian
-    right = residual if square is jacobian else np.einsum("...ij,...j->...i", normal, residual)
+@dataclass(frozen=True)
+class InverseKinematics:
+    """Actuator positions found by Newton's method, with how it ended."""
+
+    actuators: Array
+    converged: np.ndarray
+    n_iterations: int
+
+
+def solve_inverse_kinematics(
+    machine: Machine, theta: Array, position: Array, rotation: Array, max_iterations: int = 30, check: bool = True
+) -> InverseKinematics:
+    """Find the actuator positions that hold given poses, the deformation that they cause included.
+
+    Parameters
+    ----------
+    machine : Machine
+        Mechanism, model and deformation.
+    theta : ndarray, shape (D,) or (..., D)
+        Parameter vectors, broadcast against the leading axes of the poses.
+    position, rotation : ndarray, shapes (..., 3) and (..., 3, 3)
+        Poses of the platform frame in the base frame, mm.
+    max_iterations : int
+        Bound on the Newton steps; they start at the initial positions, so of two solutions the near one is found.
+    check : bool
+        Raise where no actuator positions are found; otherwise the result's ``converged`` says so.
+
+    Raises
+    ------
+    NumericalError
+        Where Newton's method does not converge, naming the first such pose and the leg that is furthest from it.
+    """
+    layout, n_legs = machine.layout, machine.mechanism.n_legs
+    shape = np.broadcast_shapes(theta.shape[:-1], position.shape[:-1])
+    actuators = np.broadcast_to(machine.mechanism.initial_actuator_positions, (*shape, n_legs))
+    closure = machine.model.prepare(layout, theta)
+    step = np.full((*shape, n_legs), np.nan)
+    iteration = 0
+    while iteration < max_iterations:
+        here = closure(position, rotation, machine.basis(actuators), with_parameters=False)
+        step = _actuator_step(here)
+        iteration += 1
+        if not np.any(np.abs(step) >= STEP_TOLERANCE):
+            break
+        actuators = actuators + step
+    good = np.abs(step) < STEP_TOLERANCE
+    converged = good.all(axis=-1)
+    if check and not converged.all():
+        flat = np.broadcast_to(here.residual, step.shape).reshape(-1, n_legs)
+        index = int(np.argmin(converged.ravel()))
+        leg = int(np.argmax(np.nan_to_num(np.abs(flat[index]), nan=np.inf)))
+        length = np.broadcast_to(theta, (*shape, layout.size)).reshape(-1, layout.size)[index, layout.index["l"][leg]]
+        raise NumericalError(
+            f"inverse kinematics: leg {leg + 1} cannot reach pose {index + 1} of {len(flat)}, "
+            f"l[{leg + 1}] is {length:g} mm; not found in {max_iterations} Newton steps"
+        )
+    return InverseKinematics(actuators, converged, iteration)
+
+
+def _actuator_step(here: Linearisation) -> Array:
+    """Return the Newton step (..., N), bounded; NaN for a pose with a leg that has none."""
+    good = np.isfinite(here.residual).all(axis=-1)
+    jacobian = np.where(good[..., None, None], here.actuators, np.eye(here.actuators.shape[-1]))
     try:
-        step = -np.linalg.solve(square, right[..., None])[..., 0]
+        step = -np.linalg.solve(jacobian, here.residual[..., None])[..., 0]
     except np.linalg.LinAlgError as error:
-        raise NumericalError("forward kinematics: singular pose Jacobian") from error
-    return np.where(good[..., None], np.clip(step, -100.0, 100.0), np.nan)
+        raise NumericalError("inverse kinematics: singular actuator Jacobian") from error
+    return np.where(good[..., None], np.clip(step, -20.0, 20.0), np.nan)
 
 
 def check_home_pose(machine: Machine) -> ForwardKinematics:

@@ -21,12 +21,18 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.geometry import Array, matrix_from_rotation_vector
-from bayescal.kinematics import Machine
+from bayescal.kinematics import Machine, solve_forward_kinematics
 from bayescal.measured_poses import MeasuredPoses
 from bayescal.workspace import Workspace
 
 REFINEMENTS = 2
+ROUNDING = 1e-10
 BATCH = 256  # vectors at a time: what the hot loop touches stays in the cache
+
+
+def batches(size: int) -> list[slice]:
+    """Return slices of at most `BATCH` out of ``size``."""
+    return [slice(k, min(k + BATCH, size)) for k in range(0, size, BATCH)]
 
 
 class PoseLikelihood:
@@ -67,7 +73,7 @@ class PoseLikelihood:
         self._known = 0.5 * (known + np.swapaxes(known, -1, -2))
         _, log_volume = np.linalg.slogdet(np.swapaxes(pose, -1, -2) @ pose)
         self._constant = 0.5 * log_volume - 0.5 * pose.shape[-2] * np.log(2 * np.pi)
-        self._projection = pose @ self._gain if pose.shape[-2] != 6 else None
+        self._to_error = self._find_projection()
         self._workspace = Workspace()
         self._whitening: tuple[Array, Array, Array] | None = None
 
@@ -80,31 +86,48 @@ class PoseLikelihood:
 
     def _leg_errors(self, theta: Array) -> Array:
         """Return r for parameter vectors (B, D), as an array (N, P, B) that the next call overwrites."""
-        closure = self._bound.evaluate(theta)
+        closure = self._bound.evaluate(np.asfortranarray(theta))  # the batch contiguous
         n_legs, n_poses, n_batch = closure.shape
-        error = self._workspace.take("error", 6, n_poses, n_batch)
         result = self._workspace.take("leg errors", n_legs, n_poses, n_batch)
+        both = self._workspace.take("error", self._to_error.shape[1], n_poses, n_batch)
         seen = closure
         for _ in range(REFINEMENTS):
-            np.matmul(self._gain, seen.transpose(1, 0, 2), out=error.transpose(1, 0, 2))
-            change = self._bound.along(error)  # (A⁰ - A(θ)) e is what a step adds to the closure
-            change -= self._project(seen)
-            seen = np.subtract(closure, change, out=result)
+            np.matmul(self._to_error, seen.transpose(1, 0, 2), out=both.transpose(1, 0, 2))
+            error, seen = both[:6], both[6:] if len(both) > 6 else seen
+            seen = np.subtract(seen, self._bound.along(error), out=result)  # (A⁰ - A(θ)) e
+            seen += closure
         return seen
 
-    def _project(self, seen: Array) -> Array:
-        """Return A⁰ G r: the part of r that a pose error explains, all of it with six legs."""
-        if self._projection is None:
-            return seen
-        return np.matmul(self._projection, seen.transpose(1, 0, 2)).transpose(1, 0, 2)
+    def _find_projection(self) -> Array:
+        """Return G and A⁰ G less what the bound closure leaves out of A(θ), (P, 6 + N, 6); G alone if that is one.
+
+        What it leaves out is taken from the nominal machine, at the poses that it predicts: where the machine does
+        not close it may be another, and the likely machines close nearly at the measured poses.
+        """
+        machine, poses, nominal = self.machine, self.poses, self.machine.layout.nominal
+        _, n_legs, _ = self._pose_jacobian.shape
+        found = solve_forward_kinematics(machine, nominal, poses.actuators, check=False)
+        position = np.where(found.converged[:, None], found.position, poses.position)
+        rotation = np.where(found.converged[:, None, None], found.rotation, poses.rotation)
+        bound = machine.model.bind(machine.layout, position, rotation, self._basis)
+        bound.evaluate(np.broadcast_to(nominal, (6, len(nominal))))
+        unit = np.ascontiguousarray(np.broadcast_to(np.eye(6)[:, None], (6, poses.n_poses, 6)))
+        exact = machine.linearise(nominal, position, rotation, poses.actuators).pose
+        seen = (self._pose_jacobian - exact + bound.along(unit).transpose(1, 0, 2)) @ self._gain
+        if np.abs(seen - np.eye(n_legs)).max() < ROUNDING:
+            return self._gain
+        return np.concatenate([self._gain, seen], axis=1)
 
     def leg_errors(self, theta: Array) -> Array:
         """Return r = A⁰ e, the pose errors seen by the legs in mm, for (B, D) parameter vectors, shape (B, P, N)."""
-        return self._leg_errors(theta).transpose(2, 1, 0).copy()
+        result = np.empty((len(theta), self.poses.n_poses, self.n_legs))
+        for part in batches(len(theta)):
+            result[part] = self._leg_errors(theta[part]).transpose(2, 1, 0)
+        return result
 
     def pose_errors(self, theta: Array) -> Array:
         """Return e, measured minus predicted pose (mm, rad; base frame), for (B, D) vectors, shape (B, P, 6)."""
-        return np.einsum("pij,jpb->bpi", self._gain, self._leg_errors(theta))
+        return np.einsum("pij,bpj->bpi", self._gain, self.leg_errors(theta))
 
     def leg_error_jacobian(self, theta: Array) -> tuple[Array, Array]:
         """Return r, shape (P, N), and its exact derivative, shape (P, N, D), for one parameter vector (D,).
@@ -149,17 +172,12 @@ class PoseLikelihood:
         ndarray, shape (B, P)
             In units of mm and rad; -inf where a parameter vector is no machine (NaN closure).
         """
-        size = len(theta)
-        if size <= BATCH:
-            return self._pointwise(theta, model_error)
-        parts = [slice(k, k + BATCH) for k in range(0, size, BATCH)]
-        return np.concatenate(
-            [
-                self._pointwise(theta[part], model_error if model_error.ndim == 1 else model_error[part])
-                for part in parts
-            ]
-        )
+        result = np.empty((len(theta), self.poses.n_poses))
+        for part in batches(len(theta)):
+            result[part] = self._pointwise(theta[part], model_error if model_error.ndim == 1 else model_error[part])
+        return result
 
+    @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
     def _pointwise(self, theta: Array, model_error: Array) -> Array:
         errors = self._leg_errors(theta)
         if model_error.ndim == 1:

@@ -13,6 +13,61 @@ MIN_LEGS = 6
 
 
 @dataclass(frozen=True)
+class BeamSection:
+    """Stiffness of a beam's cross-section (RR-8096 eq. 21): k1 = EI and k3 = GJ in N mm², k2 = ES in N."""
+
+    k1: float
+    k2: float
+    k3: float
+
+
+def section_of_rod(diameter: float, young_modulus: float, shear_modulus: float) -> BeamSection:
+    """Return the section of a solid round rod; diameter in mm, moduli in N/mm² (MPa)."""
+    area, inertia = np.pi * diameter**2 / 4, np.pi * diameter**4 / 64
+    return BeamSection(k1=young_modulus * inertia, k2=young_modulus * area, k3=shear_modulus * 2 * inertia)
+
+
+@dataclass(frozen=True)
+class Flexures:
+    """Flexure joints at both ends of every leg (RR-8096 figures 10 and 12).
+
+    Attributes
+    ----------
+    lengths : ndarray, shape (N,)
+        l_b of the flexures of each leg, mm.
+    beta : ndarray, shape (N,)
+        β, where a flexure's centre of motion lies, as a share of l_b; between 0 and 1/2.
+    section, leg_section : BeamSection or None
+        Of a flexure and of a leg between its flexures.
+    """
+
+    lengths: Array
+    beta: Array
+    section: BeamSection | None = None
+    leg_section: BeamSection | None = None
+
+
+@dataclass(frozen=True)
+class ExternalLoad:
+    """What pulls at the platform besides its legs: a wrench at the platform's origin, and its weight.
+
+    Attributes
+    ----------
+    force, moment : tuple of 3 floats
+        In N and N mm, base frame.
+    weight : tuple of 3 floats
+        The platform's weight in N, base frame.
+    centre_of_mass : tuple of 3 floats
+        Where the weight acts, mm, platform frame.
+    """
+
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    weight: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    centre_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Mechanism:
     """Nominal geometry of an N-leg P-U-S platform, frames and symbols of RR-8096 section 2.2.
 
@@ -32,6 +87,10 @@ class Mechanism:
         rho_i^0, mm; displacements are measured from here.
     actuator_range : float
         Largest displacement from the initial position, mm.
+    flexures : Flexures, optional
+        For the models that know of flexures.
+    load : ExternalLoad
+        For the models that know of forces.
     """
 
     name: str
@@ -41,6 +100,8 @@ class Mechanism:
     leg_lengths: Array
     initial_actuator_positions: Array
     actuator_range: float
+    flexures: Flexures | None = None
+    load: ExternalLoad = ExternalLoad()
 
     def __post_init__(self) -> None:
         """Check the shapes and that the directions point upwards, as u_z = sqrt(1 - u_x² - u_y²) requires."""

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bayescal.errors import InputError
 from bayescal.geometry import Array
 
 
@@ -23,17 +24,21 @@ class ParameterBlock:
     symbol : str
         For example ``a_x``.
     nominal : tuple of float
-        Nominal values, one per leg (or a single one); lengths in mm, the rest dimensionless.
+        Nominal values, one per leg (or a single one).
     unit : str
-        ``mm`` or ``1``.
+        ``mm``, ``N``, ``N mm2`` or ``1``.
     per_leg : bool
         Whether the values belong to legs; then they are named ``a_x[1]``, legs counted from one.
+    lower, upper : float
+        There is a machine only strictly between them.
     """
 
     symbol: str
     nominal: tuple[float, ...]
     unit: str = "mm"
     per_leg: bool = True
+    lower: float = -np.inf
+    upper: float = np.inf
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -82,6 +87,36 @@ class ParameterLayout:
     def symbols(self) -> tuple[str, ...]:
         """Symbols of the blocks, in order."""
         return tuple(block.symbol for block in self.blocks)
+
+    @cached_property
+    def limits(self) -> tuple[Array, Array]:
+        """Open bounds of each parameter, shapes (D,)."""
+        pairs = [(block.lower, block.upper) for block in self.blocks for _ in block.nominal]
+        lower, upper = np.array(pairs, dtype=np.float64).reshape(-1, 2).T
+        return lower, upper
+
+    @cached_property
+    def _limited(self) -> np.ndarray:
+        lower, upper = self.limits
+        return np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
+
+    def inside(self, theta: Array) -> np.ndarray:
+        """Return whether every parameter lies between its bounds, shape (..., D) to (...); False for NaN."""
+        some, (lower, upper) = self._limited, self.limits
+        values = theta[..., some]
+        result: np.ndarray = ((values > lower[some]) & (values < upper[some])).all(axis=-1)
+        return result
+
+    def check(self, theta: Array) -> None:
+        """Raise InputError that names the first parameter of a vector (D,) outside its bounds, with its value."""
+        lower, upper = self.limits
+        for k in self._limited:
+            if not lower[k] < theta[k] < upper[k]:
+                unit = "" if self.units[k] == "1" else f" {self.units[k]}"
+                below = f" and below {upper[k]:g}" if np.isfinite(upper[k]) else ""
+                raise InputError(
+                    f"parameter {self.names[k]}: found {theta[k]:g}{unit}, expected above {lower[k]:g}{below}"
+                )
 
     def take(self, theta: Array, symbol: str) -> Array:
         """Return one symbol's values, shape (..., D) to (..., n)."""

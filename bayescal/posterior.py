@@ -81,6 +81,26 @@ class Posterior:
             known = ", ".join(self._layout.symbols)
             raise InputError(f"parameter {unknown[0]!r}: unknown here, expected one of {known}")
 
+    def check_machine(self) -> None:
+        """Raise InputError where the priors' centres, or the ends of a uniform prior, are no machine's parameters."""
+        centre = self.coordinates.start
+        self._layout.check(centre)
+        bounded = self.coordinates.free[self.coordinates.bounded]
+        lower, upper = self._layout.limits
+        for k, low, high in zip(
+            bounded,
+            self.coordinates.lower[self.coordinates.bounded],
+            self.coordinates.upper[self.coordinates.bounded],
+            strict=True,
+        ):
+            if low < lower[k] or high > upper[k]:
+                raise InputError(
+                    f"parameter {self._layout.names[k]}: found a prior from {low:g} to {high:g}, "
+                    f"expected it between {lower[k]:g} and {upper[k]:g}"
+                )
+        if not np.isfinite(self.likelihood.leg_errors(centre[None])).all():
+            raise InputError("found no machine at the priors' centres, expected unit directions and a home pose")
+
     @property
     def _layout(self) -> ParameterLayout:
         return self.likelihood.machine.layout
@@ -176,14 +196,17 @@ class Posterior:
         z = (theta[..., self.coordinates.free[normal]] - centre) / scale
         standard = y[..., self._standard]
         total = -0.5 * (np.einsum("...i,...i->...", z, z) + np.einsum("...i,...i->...", standard, standard))
+        total = total + self.coordinates.log_volume(theta)
         return total + self.coordinates.log_scale - np.log(scale).sum() - self.n_parameters * HALF_LOG_TWO_PI
 
     def log_density(self, y: Array) -> Array:
         """Return log-likelihood plus log-prior, shape (B,), for coordinates (B, n); -inf where there is no machine."""
-        theta = self.theta(y)
-        total = self._log_prior(y, theta)
-        total = total + self.likelihood(theta, self.tau(y))
-        return np.where(np.isnan(total), -np.inf, total)
+        with np.errstate(all="ignore"):  # far out numbers overflow; what is not finite has no density
+            theta = self.theta(y)
+            inside = self._layout.inside(theta)
+            theta[~inside] = self.coordinates.start  # keeps what is no machine out of the models
+            total = self._log_prior(y, theta) + self.likelihood(theta, self.tau(y))
+        return np.where(inside & np.isfinite(total), total, -np.inf)
 
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each pose, shape (B, P)."""
@@ -241,6 +264,7 @@ class Posterior:
         n = self.n_geometry
         rows = self._prior_slope(change)
         gradient[:n] = -np.einsum("pik,pi->k", slope, weighted) - rows.T @ self.prior_residual(y, theta)
+        gradient[:n] += self.coordinates.log_volume_slope(theta) @ change
         hessian[:n, :n] = -np.einsum("pik,pij,pjm->km", slope, precision, slope, optimize=True) - rows.T @ rows
         if self.model_error.scale is not None:
             self._add_model_error(y, weighted, precision, gradient, hessian)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from bayescal.geometry import Array
-from bayescal.likelihood import PoseLikelihood
+from bayescal.likelihood import PoseLikelihood, batches
 
 INTERVAL = 0.90
 BOUND = 0.95
@@ -70,14 +70,22 @@ def predict(likelihood: PoseLikelihood, theta: Array, model_error: Array, rng: n
     """
     errors = likelihood.pose_errors(theta)
     mean = errors.mean(axis=0)
-    model_error = np.broadcast_to(model_error, (len(theta), likelihood.n_legs))
-    factor = np.linalg.cholesky(likelihood.pose_covariance(model_error))
-    noise = np.einsum("spij,spj->spi", factor, rng.standard_normal(errors.shape))
+    noise = _draw_noise(likelihood, model_error, rng.standard_normal(errors.shape))
     spread = noise - (errors - mean)  # measured minus mean prediction, had the draw been the truth
     low, high = np.quantile(spread, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0)
     distance = np.linalg.norm(spread[..., :3], axis=-1)
     angle = np.linalg.norm(spread[..., 3:], axis=-1)
     return Prediction(mean, low, high, np.quantile(distance, BOUND, axis=0), np.quantile(angle, BOUND, axis=0))
+
+
+def _draw_noise(likelihood: PoseLikelihood, model_error: Array, normal: Array) -> Array:
+    """Return standard normal numbers (S, P, 6) with the covariance of the measured poses given τ, (S, N) or (N,)."""
+    noise = np.empty_like(normal)
+    for part in batches(len(normal)):
+        tau = model_error if model_error.ndim == 1 else model_error[part]
+        factor = np.linalg.cholesky(likelihood.pose_covariance(tau))
+        noise[part] = (factor @ normal[part][..., None])[..., 0]
+    return noise
 
 
 def compute_elpd(pointwise: Array) -> float:

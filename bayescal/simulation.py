@@ -66,7 +66,7 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     mechanism = load_mechanism(folder / config.mechanism)
     n_legs = mechanism.n_legs
     matrix = 1e-3 * read_matrix(folder / config.truth.deformation_matrix, n_legs)
-    model = look_up(MODELS, config.model, "model", folder)()
+    model = look_up(MODELS, config.model, "model", folder).from_mechanism(mechanism)
     machine = Machine(mechanism, model, MatrixDeformation(matrix))
     check_home_pose(machine)
     theta = machine.layout.nominal.copy()

@@ -13,8 +13,9 @@ from bayescal.geometry import matrix_from_rotation_vector
 from bayescal.kinematics import Machine, solve_forward_kinematics
 from bayescal.likelihood import PoseLikelihood
 from bayescal.measured_poses import MeasuredPoses
-from bayescal.mechanism import Mechanism
+from bayescal.mechanism import Flexures, Mechanism, section_of_rod
 from bayescal.models import MODELS, KinematicModel
+from bayescal.parameters import ParameterLayout
 from bayescal.posterior import ModelError, Posterior
 from bayescal.priors import NormalPrior
 
@@ -90,6 +91,7 @@ FREE_SYMBOLS = {
     "linear": ("a_x", "a_y", "b_x", "b_y", "l", "kappa"),
     "matrix": ("a_x", "a_y", "b_x", "b_y", "l", "kappa"),
 }
+SIX_LEGS_ONLY = ("stiffness", "stiffness_fixed")  # six equations of equilibrium
 PRIOR_SD = {"u_x": 0.05, "u_y": 0.05, "kappa": 0.01}
 
 
@@ -108,8 +110,15 @@ def build_telescope(**changes: object) -> Mechanism:
         "leg_lengths": np.full(6, 500.0),
         "initial_actuator_positions": np.full(6, INITIAL_POSITION),
         "actuator_range": ACTUATOR_RANGE,
+        "flexures": build_flexures(6),
     }
     return Mechanism(**(fields | changes))
+
+
+def build_flexures(n_legs: int, diameter: float = 1.0, leg_diameter: float = 10.0) -> Flexures:
+    """Return steel flexures of 10 mm on steel legs, diameters in mm."""
+    section, leg = section_of_rod(diameter, 200e3, 77e3), section_of_rod(leg_diameter, 200e3, 77e3)
+    return Flexures(np.full(n_legs, 10.0), np.full(n_legs, 0.25), section, leg)
 
 
 def build_random_mechanism(n_legs: int, seed: int) -> Mechanism:
@@ -130,7 +139,14 @@ def build_random_mechanism(n_legs: int, seed: int) -> Mechanism:
         leg_lengths=np.linalg.norm(home + upper - lower, axis=1),
         initial_actuator_positions=initial,
         actuator_range=2.0,
+        flexures=build_flexures(n_legs, diameter=1.5, leg_diameter=2.0),
     )
+
+
+def spread_of(layout: ParameterLayout) -> np.ndarray:
+    """Return how far each parameter is moved about nominal: 1 mm, 0.02, a tenth of a stiffness; shape (D,)."""
+    scale = {"mm": 1.0, "1": 0.02}
+    return np.array([scale.get(unit, 0.1 * value) for unit, value in zip(layout.units, layout.nominal, strict=True)])
 
 
 def model_names() -> list[str]:
@@ -138,14 +154,19 @@ def model_names() -> list[str]:
     return list(MODELS)
 
 
+def model_cases(*n_legs: int) -> list[tuple[str, int]]:
+    """Return the names of all registered models with the numbers of legs that they take."""
+    return [(name, n) for name in MODELS for n in n_legs if n == 6 or name not in SIX_LEGS_ONLY]
+
+
 def deformation_names() -> list[str]:
     """Return the names of all registered deformations."""
     return list(DEFORMATIONS)
 
 
-def build_model(name: str) -> KinematicModel:
-    """Return a registered model."""
-    return MODELS[name]()
+def build_model(name: str, mechanism: Mechanism) -> KinematicModel:
+    """Return a registered model of a mechanism."""
+    return MODELS[name].from_mechanism(mechanism)
 
 
 def build_deformation(name: str, n_legs: int = 6) -> Deformation:
@@ -157,7 +178,7 @@ def build_deformation(name: str, n_legs: int = 6) -> Deformation:
 def build_machine(deformation: str = "matrix", mechanism: Mechanism | None = None, model: str = "six_pus") -> Machine:
     """Return a machine; without a mechanism, the telescope."""
     mechanism = mechanism or build_telescope()
-    return Machine(mechanism, build_model(model), build_deformation(deformation, mechanism.n_legs))
+    return Machine(mechanism, build_model(model, mechanism), build_deformation(deformation, mechanism.n_legs))
 
 
 def telescope_truth(machine: Machine) -> np.ndarray:
@@ -233,3 +254,15 @@ def central_difference(function, x: np.ndarray, step: np.ndarray) -> np.ndarray:
         change[k] = step[k]
         columns.append((function(x + change) - function(x - change)) / (2 * step[k]))
     return np.stack(columns, axis=-1)
+
+
+def stencil_derivative(function, x: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Return df/dx at a vector (n,) of a function of batches of vectors (K, n), the derivative axis last.
+
+    Six points per entry leave out the sixth power of the step only, so that steps may be long and rounding small.
+    """
+    nodes, weights = np.array([-3, -2, -1, 1, 2, 3]), np.array([-1, 9, -45, 45, -9, 1]) / 60
+    moved = x + np.einsum("k,ij->ikj", nodes, np.diag(step))
+    values = function(moved.reshape(-1, len(x)))
+    values = values.reshape(len(x), len(nodes), *values.shape[1:])
+    return np.moveaxis(np.einsum("k,ik...->i...", weights, values), 0, -1) / step

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 
 import machines
 import numpy as np
@@ -10,44 +11,53 @@ import pytest
 
 from bayescal.errors import InputError, NumericalError
 from bayescal.geometry import compute_pose_error, matrix_from_rotation_vector
-from bayescal.kinematics import check_home_pose, compute_home_legs, guess_home_pose, solve_forward_kinematics
+from bayescal.kinematics import (
+    check_home_pose,
+    compute_home_legs,
+    guess_home_pose,
+    solve_forward_kinematics,
+    solve_inverse_kinematics,
+)
+from bayescal.mechanism import ExternalLoad
 
-
-def actuators_of(machine, theta, position, rotation):
-    """Return actuator positions of poses; the deformation needs them itself, so by iteration."""
-    actuators = np.broadcast_to(machine.mechanism.initial_actuator_positions, (len(position), machine.mechanism.n_legs))
-    for _ in range(60):
-        deflection = machine.basis(actuators).deflection(machine.layout, theta)
-        actuators = machine.model.inverse_kinematics(machine.layout, theta, position, rotation, deflection)
-    return actuators
+N_POSES = 10_000
+SLOW_MODELS = ("stiffness", "stiffness_fixed")  # a thousand poses of these in the fast suite
 
 
 @pytest.mark.parametrize("deformation", machines.deformation_names())
-def test_inverse_undoes_forward(deformation, rng):
-    machine = machines.build_machine(deformation)
+@pytest.mark.parametrize(
+    ("model", "n_poses"),
+    [
+        *((model, 1_000 if model in SLOW_MODELS else N_POSES) for model in machines.model_names()),
+        *(pytest.param(model, N_POSES, marks=pytest.mark.slow) for model in SLOW_MODELS),
+    ],
+)
+def test_inverse_undoes_forward(deformation, model, n_poses, rng):
+    machine = machines.build_machine(deformation, model=model)
     theta = machines.telescope_truth(machine)
-    actuators = machines.INITIAL_POSITION + machines.ACTUATOR_RANGE * rng.uniform(-1, 1, (10_000, 6))
+    actuators = machines.INITIAL_POSITION + machines.ACTUATOR_RANGE * rng.uniform(-1, 1, (n_poses, 6))
     forward = solve_forward_kinematics(machine, theta, actuators)
     assert forward.converged.all()
-    deflection = machine.basis(actuators).deflection(machine.layout, theta)
-    found = machine.model.inverse_kinematics(machine.layout, theta, forward.position, forward.rotation, deflection)
-    np.testing.assert_allclose(found, actuators, rtol=0, atol=1e-9)
+    found = solve_inverse_kinematics(machine, theta, forward.position, forward.rotation)
+    assert found.converged.all()
+    np.testing.assert_allclose(found.actuators, actuators, rtol=0, atol=1e-9)
     if deformation != "none":
-        rigid = np.zeros_like(deflection)
-        other = machine.model.inverse_kinematics(machine.layout, theta, forward.position, forward.rotation, rigid)
-        assert np.abs(other - actuators).max() > 1e-3  # the deformation matters
+        rigid = machines.build_machine("none", model=model)
+        shorter = theta[: rigid.layout.size]
+        other = solve_inverse_kinematics(rigid, shorter, forward.position[:100], forward.rotation[:100])
+        assert np.abs(other.actuators - actuators[:100]).max() > 1e-3  # the deformation matters
 
 
 @pytest.mark.parametrize("deformation", machines.deformation_names())
-@pytest.mark.parametrize("n_legs", [6, 7, 8])
-def test_random_machine_finds_the_pose_again(n_legs, deformation, rng):
-    machine = machines.build_machine(deformation, machines.build_random_mechanism(n_legs, seed=n_legs))
+@pytest.mark.parametrize(("model", "n_legs"), machines.model_cases(6, 7, 8))
+def test_random_machine_finds_the_pose_again(model, n_legs, deformation, rng):
+    machine = machines.build_machine(deformation, machines.build_random_mechanism(n_legs, seed=n_legs), model)
     theta = machine.layout.nominal
     home = check_home_pose(machine)
     np.testing.assert_allclose(home.position, [3.0, -2.0, 400.0], atol=1e-9)
     position = home.position + rng.uniform(-3, 3, (50, 3))
     rotation = matrix_from_rotation_vector(rng.uniform(-0.02, 0.02, (50, 3)))
-    actuators = actuators_of(machine, theta, position, rotation)
+    actuators = solve_inverse_kinematics(machine, theta, position, rotation).actuators
     found = solve_forward_kinematics(machine, theta, actuators)
     error = compute_pose_error(found.position, found.rotation, position, rotation)
     assert np.abs(error[:, :3]).max() < 1e-9
@@ -63,6 +73,12 @@ def test_batches_of_machines_equal_single_ones(rng):
     assert batch.rotation.shape == (3, 5, 3, 3)
     one = solve_forward_kinematics(machine, theta[2], actuators[4])
     np.testing.assert_allclose(batch.position[2, 4], one.position, atol=1e-11)
+    again = solve_inverse_kinematics(machine, theta[:, None], batch.position, batch.rotation)
+    np.testing.assert_allclose(again.actuators, np.broadcast_to(actuators, (3, 5, 6)), atol=1e-9)
+    here = batch.position[0], batch.rotation[0]  # the first machine's poses, as the others reach them
+    others = solve_inverse_kinematics(machine, theta[:, None], *here)
+    alone = solve_inverse_kinematics(machine, theta[1], *here)
+    np.testing.assert_allclose(others.actuators[1], alone.actuators, atol=1e-11)
 
 
 def test_newton_converges_quadratically_at_large_rotations(rng):
@@ -71,7 +87,7 @@ def test_newton_converges_quadratically_at_large_rotations(rng):
     home = check_home_pose(machine)
     position = home.position + rng.uniform(-5, 5, (50, 3))
     rotation = matrix_from_rotation_vector(rng.uniform(-0.15, 0.15, (50, 3)))
-    actuators = actuators_of(machine, machine.layout.nominal, position, rotation)
+    actuators = solve_inverse_kinematics(machine, machine.layout.nominal, position, rotation).actuators
     found = solve_forward_kinematics(machine, machine.layout.nominal, actuators)
     assert found.n_iterations <= 6
     here = machine.linearise(machine.layout.nominal, found.position, found.rotation, actuators)
@@ -102,42 +118,116 @@ def test_worst_pose_error_of_one_micrometre_of_motor_error():
     assert np.linalg.norm(moved.position - pose.position[worst]) == pytest.approx(1e-3 * error.max(), rel=1e-3)
 
 
-def test_pose_out_of_reach_is_refused():
-    machine = machines.build_machine("matrix")
-    theta = machine.layout.nominal
-    far = np.array([[900.0, 0.0, 497.0]])
-    with pytest.raises(NumericalError, match=r"leg \d cannot reach"):
-        machine.model.inverse_kinematics(machine.layout, theta, far, np.eye(3)[None], np.zeros((1, 6)))
+# --- what cannot be reached ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=machines.model_names())
+def telescope(request):
+    """Return the telescope with K, seen through each model."""
+    return machines.build_machine("matrix", model=request.param)
+
+
+def fail(solve, *arguments):
+    """Return the one line with which a solver fails."""
+    with pytest.raises(NumericalError) as caught:
+        solve(*arguments)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def far_poses():
+    """Return three poses about home, the second three metres up."""
+    position = np.array([[0.0, 0.0, machines.HOME_HEIGHT]] * 3)
+    position[1, 2] += 3000.0
+    return position, np.tile(np.eye(3), (3, 1, 1))
+
+
+def test_pose_out_of_reach_names_pose_leg_and_length(telescope):
+    message = fail(solve_inverse_kinematics, telescope, telescope.layout.nominal, *far_poses())
+    assert re.search(r"leg (\d) cannot reach pose 2 of 3, l\[\1\] is 500 mm", message)
+
+
+def test_pose_out_of_reach_is_flagged_without_check(telescope):
+    theta, (position, rotation) = telescope.layout.nominal, far_poses()
+    found = solve_inverse_kinematics(telescope, theta, position, rotation, check=False)
+    assert found.converged.tolist() == [True, False, True]
+    left = telescope.linearise(theta, position, rotation, found.actuators).residual
+    assert np.abs(left[[0, 2]]).max() < 1e-9
+
+
+def test_the_leg_that_cannot_reach_is_named():
+    """Where every leg closes by itself: one leg is too short for a pose that the others reach."""
+    machine = machines.build_machine("none")
+    theta, home = machine.layout.nominal.copy(), check_home_pose(machine)
+    theta[machine.layout.index["l"][2]] = 50.0
+    message = fail(solve_inverse_kinematics, machine, theta, home.position[None], home.rotation[None])
+    assert "leg 3 cannot reach pose 1 of 1, l[3] is 50 mm" in message
 
 
 def impossible_actuators():
     """Return table 3's first three positions, the second with a leg pushed to where no pose closes."""
     actuators = machines.table_3_actuators()[:3]
-    actuators[1, 0] += 2000.0
+    actuators[1, 0] += 1e5
     return actuators
 
 
-def test_missing_pose_is_named():
-    machine = machines.build_machine("none")
-    with pytest.raises(NumericalError, match="pose 2 of 3 not found in 30 Newton steps"):
-        solve_forward_kinematics(machine, machine.layout.nominal, impossible_actuators())
+def test_missing_pose_is_named(telescope):
+    message = fail(solve_forward_kinematics, telescope, telescope.layout.nominal, impossible_actuators())
+    assert "pose 2 of 3 not found in 30 Newton steps" in message
 
 
-def test_missing_pose_is_flagged_without_check():
-    machine = machines.build_machine("none")
-    found = solve_forward_kinematics(machine, machine.layout.nominal, impossible_actuators(), check=False)
+def test_missing_pose_is_flagged_without_check(telescope):
+    theta, actuators = telescope.layout.nominal, impossible_actuators()
+    found = solve_forward_kinematics(telescope, theta, actuators, check=False)
     assert found.converged.tolist() == [True, False, True]
     assert found.n_iterations == 30
+    left = telescope.linearise(theta, found.position, found.rotation, actuators).residual
+    assert np.abs(left[[0, 2]]).max() < 1e-9
 
 
-def test_no_machine_is_not_converged():
-    machine = machines.build_machine("none")
+def test_nothing_is_found_silently(telescope):
+    """Actuator positions and poses that are no numbers are not converged."""
+    theta, actuators = telescope.layout.nominal, machines.table_3_actuators()[:3]
+    pose = solve_forward_kinematics(telescope, theta, actuators)
+    actuators[1, 3] = np.nan
+    assert solve_forward_kinematics(telescope, theta, actuators, check=False).converged.tolist() == [True, False, True]
+    position = pose.position.copy()
+    position[2, 0] = np.nan
+    found = solve_inverse_kinematics(telescope, theta, position, pose.rotation, check=False)
+    assert found.converged.tolist() == [True, True, False]
+
+
+@pytest.mark.parametrize("model", ["stiffness", "stiffness_fixed"])
+def test_an_equilibrium_that_is_not_found_is_named(model):
+    """A hundred million newtons aside."""
+    machine = machines.build_machine("none", machines.build_telescope(load=ExternalLoad(force=(1e8, 0.0, 0.0))), model)
+    arguments = machine, machine.layout.nominal, machines.table_3_actuators()[:3]
+    assert not solve_forward_kinematics(*arguments, check=False).converged.any()
+    assert "pose 1 of 3 not found in 30 Newton steps" in fail(solve_forward_kinematics, *arguments)
+
+
+def test_no_machine_is_not_converged(telescope):
+    theta = telescope.layout.nominal.copy()
+    theta[telescope.layout.index["u_x"][2]] = 1.2
+    actuators = machines.table_3_actuators()[:2]
+    found = solve_forward_kinematics(telescope, theta, actuators, check=False)
+    assert not found.converged.any()
+    assert "pose 1 of 2" in fail(solve_forward_kinematics, telescope, theta, actuators)
+    position, rotation = far_poses()
+    reached = solve_inverse_kinematics(telescope, theta, position[:1], rotation[:1], check=False)
+    assert not reached.converged.any()
+    assert "pose 1 of 1" in fail(solve_inverse_kinematics, telescope, theta, position[:1], rotation[:1])
+
+
+@pytest.mark.parametrize("model", machines.model_names())
+def test_a_machine_without_home_pose_finds_nothing_that_needs_it(model):
+    """One leg of a tenth of its length: the 6-PUS stands elsewhere or nowhere, what is referred to home nowhere."""
+    machine = machines.build_machine("none", model=model)
     theta = machine.layout.nominal.copy()
-    theta[machine.layout.index["u_x"][2]] = 1.2
+    theta[machine.layout.index["l"][2]] = 50.0
     found = solve_forward_kinematics(machine, theta, machines.table_3_actuators()[:2], check=False)
     assert not found.converged.any()
-    with pytest.raises(NumericalError, match="pose 1 of 2"):
-        solve_forward_kinematics(machine, theta, machines.table_3_actuators()[:2])
 
 
 def hexagon(radius):

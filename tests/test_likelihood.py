@@ -294,6 +294,75 @@ def test_derivative_against_differences_of_the_residual(n_legs, rng):
     assert np.all(difference < 3e-5)
 
 
+# --- every model -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=machines.model_names())
+def model(request):
+    """Return the name of a model."""
+    return request.param
+
+
+LEVER = np.array([1.0] * 3 + [130.0] * 3)  # rotations as displacements of the platform's joints, mm
+
+
+def compare_errors(machine, about, sizes, rng):
+    """Return the largest exact pose error and the largest misfit of the likelihood's, mm, for offsets of every size.
+
+    The data are the exact poses of the machine ``about``; offsets of size one are 1 mm, 0.02, a tenth of a stiffness.
+    """
+    actuators = machines.table_3_actuators()
+    poses = machines.place_poses(machine, about, actuators, np.zeros((len(actuators), 6)))
+    likelihood = PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE)
+    offset = machines.spread_of(machine.layout) * rng.standard_normal((4, machine.layout.size))
+    results = []
+    for size in sizes:
+        theta = about + size * offset
+        exact = newton_errors(likelihood, theta)
+        misfit = (likelihood.pose_errors(theta) - exact) * LEVER
+        results.append((np.abs(exact * LEVER).max(), np.abs(misfit).max()))
+    return np.array(results).T
+
+
+@pytest.mark.parametrize("deformation", machines.deformation_names())
+def test_errors_of_every_model_are_exact_to_second_order(model, deformation, rng):
+    """About the nominal machine, whatever a bound closure leaves out of its pose derivative: a tenth, a hundredth."""
+    machine = machines.build_machine(deformation, model=model)
+    exact, misfit = compare_errors(machine, machine.layout.nominal, (1e-1, 1e-2, 1e-3), rng)
+    np.testing.assert_allclose(exact[:-1] / exact[1:], 10.0, rtol=0.05)
+    np.testing.assert_allclose(misfit[:-1] / misfit[1:], 100.0, rtol=0.05)
+    assert misfit[1] < 1e-4
+
+
+@pytest.mark.parametrize("deformation", machines.deformation_names())
+def test_errors_of_every_model_far_from_nominal(model, deformation, rng):
+    """About the machine of table 7 (a), 2 mm off: what is left out of the derivative has changed, by parts in 1000."""
+    machine = machines.build_machine(deformation, model=model)
+    exact, misfit = compare_errors(machine, machines.telescope_truth(machine), (2e-3, 2e-4), rng)
+    assert 5 * MICROMETRE < exact[0] < 30 * MICROMETRE
+    assert np.all(misfit < 5e-3 * exact)
+    assert misfit[0] < 1e-4
+
+
+def test_derivative_of_every_model(model, rng):
+    """Off nominal, `leg_error_jacobian` against forward kinematics; stout flexures, so that every parameter counts."""
+    machine = machines.build_machine("matrix", machines.build_random_mechanism(6, seed=3), model)
+    layout, actuators = machine.layout, machine.mechanism.initial_actuator_positions + rng.uniform(-2, 2, (8, 6))
+    spread = machines.spread_of(layout)
+    theta = layout.nominal + 0.5 * spread * rng.standard_normal(layout.size)
+    poses = machines.place_poses(machine, theta, actuators, np.zeros((8, 6)))
+    likelihood = PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE)
+    _, found = likelihood.leg_error_jacobian(theta)
+
+    def leg_errors(x):
+        return np.einsum("pij,bpj->bpi", likelihood._pose_jacobian, newton_errors(likelihood, x))
+
+    expected = machines.stencil_derivative(leg_errors, theta, 0.1 * spread)
+    scale = np.abs(expected).max(axis=(0, 1))
+    assert np.all(scale * spread > 1e-6)
+    np.testing.assert_array_less(np.abs(found - expected).max(axis=(0, 1)), 1e-6 * scale)
+
+
 # --- machines with spare legs ----------------------------------------------------------------------------------------
 
 

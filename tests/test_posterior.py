@@ -56,12 +56,29 @@ def coordinates(request, leaning, leaning_poses):
 
 
 def test_coordinates_are_a_bijection(coordinates, rng):
-    y = rng.standard_normal((20, len(coordinates.free)))
+    """Where a gain above one along a leg leaves the sphere there is no vector."""
+    y = rng.standard_normal((200, len(coordinates.free)))
     theta = coordinates.theta_from_y(y)
+    exists = np.isfinite(theta).all(axis=1)
+    assert exists.sum() >= 20
+    assert exists.all() or len(legs_on_circles(coordinates))
+    y, theta = y[exists], theta[exists]
     np.testing.assert_allclose(coordinates.y_from_theta(theta), y, atol=1e-11)
     fixed = np.setdiff1d(np.arange(coordinates.layout.size), coordinates.free)
-    np.testing.assert_array_equal(theta[:, fixed], np.tile(coordinates.layout.nominal[fixed], (20, 1)))
+    np.testing.assert_array_equal(theta[:, fixed], np.tile(coordinates.layout.nominal[fixed], (len(y), 1)))
     assert np.all(np.ptp(theta[:, coordinates.free], axis=0) > 0)
+
+
+def legs_on_circles(coordinates):
+    """Return the legs whose direction has gain and azimuth for coordinates."""
+    return coordinates._circles[0] if coordinates._circles else np.array([], dtype=int)
+
+
+def test_circles_are_for_directions_without_kappa(coordinates):
+    index = coordinates.layout.index
+    both = np.isin([*index["u_x"], *index["u_y"]], coordinates.free).all()
+    expected = both and not np.isin(index["kappa"], coordinates.free).any()
+    assert bool(len(legs_on_circles(coordinates))) == expected
 
 
 def test_origin_of_the_coordinates_is_the_nominal_machine(coordinates):
@@ -76,13 +93,16 @@ def test_jacobian_of_the_coordinates(coordinates, rng):
     np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
 
 
-def test_volume_is_the_product_of_the_scales(coordinates, rng):
-    y = 0.5 * rng.standard_normal(len(coordinates.free))
-    square = coordinates.jacobian(coordinates.theta_from_y(y[None])[0])[coordinates.free]
-    sign, log_volume = np.linalg.slogdet(square)
-    assert sign == 1
-    assert log_volume == pytest.approx(np.log(coordinates.scale).sum(), abs=1e-9)
-    assert coordinates.log_scale == pytest.approx(log_volume, abs=1e-9)
+def test_volume_of_the_coordinates(coordinates, rng):
+    """The product of the scales; with gain and azimuth of a direction times u_z, since du_x du_y = u_z dw dψ."""
+    theta = coordinates.theta_from_y(0.5 * rng.standard_normal((1, len(coordinates.free))))[0]
+    assert np.isfinite(theta).all()
+    log_volume = np.linalg.slogdet(coordinates.jacobian(theta)[coordinates.free])[1]
+    assert coordinates.log_scale == pytest.approx(np.log(coordinates.scale).sum(), abs=1e-9)
+    u_x, u_y = (coordinates.layout.take(theta, symbol)[legs_on_circles(coordinates)] for symbol in ("u_x", "u_y"))
+    varying = np.log(1 - u_x**2 - u_y**2).sum() / 2
+    assert log_volume == pytest.approx(coordinates.log_scale + varying, abs=1e-9)
+    assert coordinates.log_volume(theta) == pytest.approx(varying, abs=1e-12)
 
 
 def test_shears_hold_the_initial_joint_and_the_actuator_gain(leaning, leaning_poses, rng):

@@ -13,6 +13,8 @@ import numpy as np
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from bayescal.config.schema import (
+    BeamSectionConfig,
+    LoadConfig,
     MechanismConfig,
     PointsConfig,
     PoseMethodsConfig,
@@ -23,7 +25,9 @@ from bayescal.config.schema import (
 from bayescal.errors import InputError
 from bayescal.files import read_text
 from bayescal.geometry import Array
-from bayescal.mechanism import Mechanism
+from bayescal.mechanism import BeamSection, ExternalLoad, Flexures, Mechanism, section_of_rod
+
+MPA_PER_GPA = 1e3
 
 type Experiment = StudyConfig | PoseMethodsConfig
 
@@ -68,12 +72,23 @@ def load_mechanism(path: Path) -> Mechanism:
         "legs.direction": directions,
         "legs.initial_actuator_position_mm": np.atleast_1d(np.array(config.legs.initial_actuator_position_mm)),
     }
+    if config.flexures is not None:
+        columns["flexures.length_mm"] = np.atleast_1d(np.array(config.flexures.length_mm))
+        columns["flexures.beta"] = np.atleast_1d(np.array(config.flexures.beta))
     for field, values in columns.items():
         if len(values) not in ((1, n_legs) if field != "platform" else (n_legs,)):
             raise InputError(f"{path}: {field}: found {len(values)} legs, expected {n_legs} as in base")
     norms = np.linalg.norm(directions, axis=1, keepdims=True)
     if np.any(norms == 0):
         raise InputError(f"{path}: legs.direction: found a zero vector, expected a direction")
+    if config.flexures is not None:
+        lengths, flexures = np.broadcast_arrays(columns["legs.length_mm"], columns["flexures.length_mm"])
+        if np.any(flexures >= lengths):
+            leg = int(np.argmax(flexures >= lengths))
+            raise InputError(
+                f"{path}: flexures.length_mm: found {flexures[leg]:g} mm on a leg of {lengths[leg]:g} mm, "
+                "expected flexures shorter than their leg"
+            )
     full = {field: np.broadcast_to(v, (n_legs, *v.shape[1:])) for field, v in columns.items()}
     try:
         return Mechanism(
@@ -84,9 +99,35 @@ def load_mechanism(path: Path) -> Mechanism:
             leg_lengths=full["legs.length_mm"],
             initial_actuator_positions=full["legs.initial_actuator_position_mm"],
             actuator_range=config.legs.actuator_range_mm,
+            flexures=_flexures(config, full),
+            load=_load(config.load),
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def _flexures(config: MechanismConfig, full: dict[str, Array]) -> Flexures | None:
+    if config.flexures is None:
+        return None
+    length, beta = full["flexures.length_mm"], full["flexures.beta"]
+    if config.stiffness is None:
+        return Flexures(length, beta)
+    return Flexures(length, beta, _section(config.stiffness.flexure), _section(config.stiffness.leg))
+
+
+def _section(config: BeamSectionConfig) -> BeamSection:
+    if config.diameter_mm is None:
+        return BeamSection(config.k1_n_mm2 or 0.0, config.k2_n or 0.0, config.k3_n_mm2 or 0.0)
+    young, shear = config.young_modulus_gpa or 0.0, config.shear_modulus_gpa or 0.0
+    return section_of_rod(config.diameter_mm, MPA_PER_GPA * young, MPA_PER_GPA * shear)
+
+
+def _load(config: LoadConfig) -> ExternalLoad:
+    fx, fy, fz = config.force_n
+    mx, my, mz = config.moment_n_mm
+    gx, gy, gz = (config.mass_kg * g for g in config.gravity_m_s2)
+    cx, cy, cz = config.centre_of_mass_mm
+    return ExternalLoad((fx, fy, fz), (mx, my, mz), (gx, gy, gz), (cx, cy, cz))
 
 
 def _points(config: PointsConfig) -> Array:

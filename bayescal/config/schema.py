@@ -12,6 +12,7 @@ type Positive = Annotated[FiniteFloat, Field(gt=0, ge=1 / LARGEST, le=LARGEST)]
 type NotNegative = Annotated[FiniteFloat, Field(ge=0, le=LARGEST)]
 type PerLeg = Number | list[Number]
 type PositivePerLeg = Positive | list[Positive]
+type Beta = Annotated[FiniteFloat, Field(gt=0, lt=0.5)]
 type Vector = Annotated[list[Number], Field(min_length=3, max_length=3)]
 
 
@@ -50,6 +51,50 @@ class LegsConfig(Section):
     actuator_range_mm: Positive
 
 
+class FlexuresConfig(Section):
+    """Flexure joints at both ends of every leg: length l_b and β, one value for all legs or one per leg."""
+
+    length_mm: PositivePerLeg
+    beta: Beta | list[Beta] = 0.25
+
+
+class BeamSectionConfig(Section):
+    """A round solid section of an elastic material, or k1 = EI, k2 = ES and k3 = GJ themselves."""
+
+    diameter_mm: Positive | None = None
+    young_modulus_gpa: Positive | None = None
+    shear_modulus_gpa: Positive | None = None
+    k1_n_mm2: Positive | None = None
+    k2_n: Positive | None = None
+    k3_n_mm2: Positive | None = None
+
+    @model_validator(mode="after")
+    def _check_one_way(self) -> Self:
+        rod, numbers = {"diameter_mm", "young_modulus_gpa", "shear_modulus_gpa"}, {"k1_n_mm2", "k2_n", "k3_n_mm2"}
+        if self.model_fields_set not in (rod, numbers):
+            raise ValueError(
+                "expected either diameter_mm, young_modulus_gpa and shear_modulus_gpa, or k1_n_mm2, k2_n and k3_n_mm2"
+            )
+        return self
+
+
+class StiffnessConfig(Section):
+    """Sections of a flexure and of a leg between its flexures, the same for all legs."""
+
+    flexure: BeamSectionConfig
+    leg: BeamSectionConfig
+
+
+class LoadConfig(Section):
+    """What pulls at the platform besides its legs, base frame; its weight acts at the centre of mass."""
+
+    force_n: Vector = Field(default=[0.0, 0.0, 0.0])
+    moment_n_mm: Vector = Field(default=[0.0, 0.0, 0.0])
+    mass_kg: NotNegative = 0.0
+    centre_of_mass_mm: Vector = Field(default=[0.0, 0.0, 0.0])
+    gravity_m_s2: Vector = Field(default=[0.0, 0.0, -9.80665])
+
+
 class MechanismConfig(Section):
     """A platform on prismatic-universal-spherical legs."""
 
@@ -57,6 +102,15 @@ class MechanismConfig(Section):
     base: PointsConfig
     platform: PointsConfig
     legs: LegsConfig
+    flexures: FlexuresConfig | None = None
+    stiffness: StiffnessConfig | None = None
+    load: LoadConfig = LoadConfig()
+
+    @model_validator(mode="after")
+    def _check_flexures(self) -> Self:
+        if self.stiffness is not None and self.flexures is None:
+            raise ValueError("found [stiffness] without [flexures], expected both")
+        return self
 
 
 # --- study -------------------------------------------------------------------------------------------------------

@@ -1,7 +1,8 @@
 """Evidence by bridge sampling on the chains (Meng and Wong 1996), unrelated to the importance sampler's proposal.
 
-The proposal is fitted to the first half of every ensemble's walkers, the bridge is built on the other half. The
-relative mean squared error is that of Frühwirth-Schnatter (2004), with the chains' own effective sample size.
+The proposal is fitted to the first half of every ensemble's walkers, the bridge is built on the other half. Where the
+posterior has several modes it is a mixture: one Gaussian for all would be as wide as the modes are apart. The relative
+mean squared error is that of Frühwirth-Schnatter (2004), with the chains' own effective sample size.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ from scipy.special import expit, logsumexp
 from bayescal.errors import NumericalError
 from bayescal.geometry import Array
 from bayescal.inference.importance import LogDensity, evaluate_in_batches
-from bayescal.inference.proposal import proposal_from_draws
+from bayescal.inference.proposal import MixtureProposal, proposal_from_draws
 
 BRIDGE_DOF = 1e6
 TOLERANCE = 1e-10
+ENOUGH = 10  # draws per dimension for a covariance
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,12 @@ class BridgeEvidence:
 
 
 def estimate_by_bridge(
-    log_density: LogDensity, draws: Array, densities: Array, rng: np.random.Generator, n_proposal: int
+    log_density: LogDensity,
+    draws: Array,
+    densities: Array,
+    rng: np.random.Generator,
+    n_proposal: int,
+    modes: MixtureProposal | None = None,
 ) -> BridgeEvidence:
     """Return the log-evidence from chains.
 
@@ -47,9 +54,11 @@ def estimate_by_bridge(
         For the draws of the proposal.
     n_proposal : int
         How many of those.
+    modes : MixtureProposal, optional
+        Says which draws belong together: those for which the same component is the most likely.
     """
     half = draws.shape[1] // 2
-    proposal = proposal_from_draws(draws[:, :half].reshape(-1, draws.shape[-1]), BRIDGE_DOF)
+    proposal = _fit_proposal(draws[:, :half].reshape(-1, draws.shape[-1]), modes)
     kept, density = draws[:, half:], densities[:, half:]
     flat = kept.reshape(-1, draws.shape[-1])
     proposed = proposal.draw(n_proposal, rng)
@@ -66,6 +75,23 @@ def estimate_by_bridge(
     f2 = expit(log_r - (log_l1 - offset) + np.log((1 - share) / share))
     error = np.var(f1) / np.mean(f1) ** 2 / n_proposal + np.var(f2) / np.mean(f2) ** 2 / effective
     return BridgeEvidence(log_r + offset, float(np.sqrt(error)), converged)
+
+
+def _fit_proposal(draws: Array, modes: MixtureProposal | None) -> MixtureProposal:
+    """Return a Gaussian for each mode's draws (B, n); one with few draws has the shape of the largest."""
+    if modes is None or len(modes.weights) == 1:
+        return proposal_from_draws(draws, BRIDGE_DOF)
+    nearest = np.argmax(modes.component_log_densities(draws), axis=0)
+    counts = np.bincount(nearest, minlength=len(modes.weights))
+    main = proposal_from_draws(draws[nearest == np.argmax(counts)], BRIDGE_DOF)
+    means, factors, weights = [], [], []
+    for k in np.flatnonzero(counts):
+        own = draws[nearest == k]
+        part = proposal_from_draws(own, BRIDGE_DOF) if len(own) > ENOUGH * draws.shape[1] else main
+        means.append(own.mean(axis=0))
+        factors.append(part.factors[0])
+        weights.append(len(own) / len(draws))
+    return MixtureProposal(np.array(weights), np.stack(means), np.stack(factors), BRIDGE_DOF)
 
 
 def _effective_size(density: Array) -> float:

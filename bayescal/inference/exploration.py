@@ -1,4 +1,4 @@
-"""Finding a proposal that is nearly the posterior: Laplace first, then short pilot runs where that is not enough.
+"""Finding a proposal that is nearly the posterior: Laplace, then sharpened peaks, then pilot runs where needed.
 
 Everything after this stage (ensembles, both evidences) is right in the limit of many draws whatever the proposal. With
 a poor one that limit is far: the chains may look converged and shift the bridge, which only the importance sampler
@@ -16,12 +16,15 @@ from bayescal.geometry import Array
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import Mode, find_modes
-from bayescal.inference.proposal import MixtureProposal, proposal_from_draws, proposal_from_modes
+from bayescal.inference.peaks import Peak, bend_at, curve_at, proposal_from_peaks, refine_peak
+from bayescal.inference.proposal import MixtureProposal, proposal_from_draws
 from bayescal.inference.straightening import Straightening, straighten
 from bayescal.posterior import Posterior
 
 DOF = 50.0
-GOOD_ENOUGH = 0.3
+GOOD_ENOUGH = 0.5  # no sharper peak is tried
+ACCEPTABLE = 0.2  # no pilot is run
+MAX_ROUNDS = 2
 TELLING = 0.02  # below it a trial's efficiency is mostly chance, and the later proposal is the better guess
 TRIAL_DRAWS = 2000
 PILOT_STEPS = 100
@@ -59,21 +62,30 @@ def count_walkers(n_parameters: int, n_walkers: int) -> int:
 def explore(posterior: Posterior, seed: np.random.SeedSequence, n_walkers: int = 128) -> Exploration:
     """Find the modes, straighten the coordinates and fit a proposal.
 
+    Laplace's approximation first; where a trial shows that it is not good enough, peaks refined over a posterior sd in
+    coordinates bent and curved to fit, twice; where these are not, pilot runs.
+
     Raises
     ------
     NumericalError
         Where no mode is found or no proposal draw has a finite density.
     """
     modes = find_modes(posterior)
-    straight = straighten(posterior, modes[0])
-    proposal = proposal_from_modes([_mode_in(straight, mode) for mode in modes], DOF)
     trial_seed, *pilot_seeds = seed.spawn(1 + MAX_PILOTS)
     trial_rng = np.random.default_rng(trial_seed)
-    efficiency = _try_out(straight, proposal, trial_rng)
-    best = Exploration(straight, proposal, modes, efficiency)
+    straight = straighten(posterior, modes[0])
+    peaks = [_peak_in(straight, mode) for mode in modes]
+    best = _try_peaks(straight, peaks, modes, trial_rng)
+    for round_ in range(MAX_ROUNDS):
+        if best.efficiency >= GOOD_ENOUGH:
+            return best
+        straight, peaks = _sharpen(straight, peaks[0], modes, curve=round_ == 0)
+        found = _try_peaks(straight, peaks, modes, trial_rng)
+        best = found if found.efficiency > best.efficiency else best
+    straight, proposal = best.straight, best.proposal
     walkers = count_walkers(posterior.n_parameters, n_walkers)
     for pilot_seed in pilot_seeds:
-        if best.efficiency >= GOOD_ENOUGH:
+        if best.efficiency >= ACCEPTABLE:
             break
         pilot = run_ensemble(straight.log_density, proposal, pilot_seed, walkers, PILOT_BURN_IN, PILOT_STEPS)
         draws = straight.y_from_x(pilot.draws.reshape(-1, posterior.n_parameters))
@@ -85,16 +97,37 @@ def explore(posterior: Posterior, seed: np.random.SeedSequence, n_walkers: int =
     return best
 
 
+def _peak_in(straight: Straightening, mode: Mode) -> Peak:
+    """Return a mode as a peak in straight coordinates; its covariance is close enough as it is."""
+    centre = straight.x_from_y(mode.y[None])
+    return Peak(centre[0], np.linalg.cholesky(mode.covariance), float(straight.log_density(centre)[0]))
+
+
+def _try_peaks(straight: Straightening, peaks: list[Peak], modes: list[Mode], rng: np.random.Generator) -> Exploration:
+    proposal = proposal_from_peaks(peaks, DOF)
+    return Exploration(straight, proposal, modes, _try_out(straight, proposal, rng))
+
+
+def _sharpen(straight: Straightening, main: Peak, modes: list[Mode], curve: bool) -> tuple[Straightening, list[Peak]]:
+    """Fit the coordinates to the main peak, then all peaks in them; a peak that climbs into another is dropped."""
+    straight, main = bend_at(straight, main)
+    main = refine_peak(straight.log_density, main)
+    if curve and straight.tilted_coordinates():
+        straight, main = curve_at(straight, main)
+        main = refine_peak(straight.log_density, main)
+    peaks = [main]
+    for mode in modes[1:]:
+        other = refine_peak(straight.log_density, _peak_in(straight, mode))
+        if all(np.linalg.norm(np.linalg.solve(p.factor, other.centre - p.centre)) > 1.0 for p in peaks):
+            peaks.append(other)
+    return straight, peaks
+
+
 def _try_out(straight: Straightening, proposal: MixtureProposal, rng: np.random.Generator) -> float:
     try:
         return estimate_by_importance(straight.log_density, proposal, rng, TRIAL_DRAWS).efficiency
     except NumericalError:
         return 0.0
-
-
-def _mode_in(straight: Straightening, mode: Mode) -> Mode:
-    """Return a mode in straight coordinates; its covariance is close enough as it is."""
-    return Mode(straight.x_from_y(mode.y[None])[0], mode.log_density, mode.covariance, mode.converged)
 
 
 def _refit(straight: Straightening, draws: Array, modes: list[Mode]) -> MixtureProposal:
@@ -103,7 +136,7 @@ def _refit(straight: Straightening, draws: Array, modes: list[Mode]) -> MixtureP
     A mode with too few draws for a covariance keeps Laplace's approximation, with the weight its evidence gives it.
     """
     n = draws.shape[1]
-    start = proposal_from_modes([_mode_in(straight, mode) for mode in modes], DOF)
+    start = proposal_from_peaks([_peak_in(straight, mode) for mode in modes], DOF)
     if len(modes) == 1:
         return proposal_from_draws(draws, DOF)
     nearest = np.argmax(start.component_log_densities(draws), axis=0)

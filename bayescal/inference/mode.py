@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares, minimize
+from scipy.optimize import OptimizeResult, least_squares, minimize
 
 from bayescal.coordinates import mirror_direction
 from bayescal.errors import NumericalError
@@ -15,7 +15,12 @@ from bayescal.posterior import Posterior
 GRADIENT_TOLERANCE = 1e-3  # per prior sd: a Newton step would gain below 1e-6
 DECREMENT_TOLERANCE = 1e-4
 FAR_AWAY = 1e6  # residual where a vector is no machine: finite, since optimisers subtract
+APPROACH = (1.0, 0.1)  # model errors in mm with which the search for the mode begins
+SAME = 0.03  # prior sds: two climbs that stop at a decrement of 1e-4 may end so far apart
+PATIENCE, HOPELESS = 20, 40.0  # steps after which a climb this many nats below the best is given up
 WORTH_KEEPING = 12.0  # a mode this many nats below the best holds no mass that matters
+
+type Climb = tuple[Array, float]
 
 
 @dataclass(frozen=True)
@@ -52,22 +57,31 @@ def find_modes(posterior: Posterior) -> list[Mode]:
     With u_x free and κ fixed the actuator gain u_z + (z_x / z_z) u_x has two solutions for u_x in every leg; each is
     tried, leg by leg, again from every better mode found. A mirror image that holds no mass that matters is dropped.
     """
-    best = _climb(posterior, np.zeros(posterior.n_parameters))
-    others: list[tuple[Array, float]] = []
-    improved = True
-    while improved:
-        improved = False
-        for start in _mirror_starts(posterior, best[0]):
-            other = _climb(posterior, start)
-            if any(np.allclose(other[0], known[0], atol=1e-3) for known in (best, *others)):
-                continue
-            if other[1] > best[1]:
-                best, other, improved = other, best, True
-            others.append(other)
+    best, others = _climb_mirror_images(posterior)
     first = _characterise(posterior, *best)
     worth = [other for other in others if other[1] > best[1] - 2 * WORTH_KEEPING]
     modes = [_characterise(posterior, *other) for other in worth]
     return [first, *(m for m in modes if m.converged and m.log_evidence > first.log_evidence - WORTH_KEEPING)]
+
+
+def _climb_mirror_images(posterior: Posterior) -> tuple[Climb, list[Climb]]:
+    """Return the best mode that mirroring single legs reaches, and the others seen on the way."""
+    best = _climb(posterior, _approach(posterior))
+    others: list[Climb] = []
+    came_from = -1
+    while True:
+        improved = False
+        for leg, start in _mirror_starts(posterior, best[0]):
+            if leg == came_from:
+                continue  # leads back
+            other = _climb(posterior, start, best[1] - HOPELESS)
+            if any(np.allclose(other[0], known[0], rtol=0.0, atol=SAME) for known in (best, *others)):
+                continue
+            if other[1] > best[1]:
+                best, other, improved, came_from = other, best, True, leg
+            others.append(other)
+        if not improved:
+            return best, others
 
 
 def find_mode(posterior: Posterior, start: Array) -> Mode:
@@ -81,12 +95,16 @@ def find_mode(posterior: Posterior, start: Array) -> Mode:
     return _characterise(posterior, *_climb(posterior, start))
 
 
-def _climb(posterior: Posterior, start: Array) -> tuple[Array, float]:
-    """Return a local maximum and its log-density: geometry by least squares, then everything by a trust region."""
+def _climb(posterior: Posterior, start: Array, floor: float = -np.inf) -> Climb:
+    """Return a local maximum and its log-density: geometry by least squares, then everything by a trust region.
+
+    A climb that is still below the floor after PATIENCE steps is given up where it is.
+    """
     if not np.isfinite(posterior.log_density(start[None])[0]):
         raise NumericalError("mode search: the density is not finite at the start, expected a machine near nominal")
     y = start.copy()
-    y[: posterior.n_geometry] = _fit_geometry(posterior, start)
+    tau = np.broadcast_to(posterior.tau(start[None]), (1, posterior.likelihood.n_legs))[0]
+    y[: posterior.n_geometry] = _fit_geometry(posterior, start, tau)
     known: dict[bytes, tuple[Array, Array]] = {}
 
     def derivatives(x: Array) -> tuple[Array, Array]:
@@ -96,12 +114,21 @@ def _climb(posterior: Posterior, start: Array) -> tuple[Array, float]:
             known[key] = posterior.gradient(x)
         return known[key]
 
+    steps = 0
+
+    def give_up(intermediate_result: OptimizeResult) -> None:
+        nonlocal steps
+        steps += 1
+        if steps >= PATIENCE and -intermediate_result.fun < floor:
+            raise StopIteration
+
     result = minimize(
         lambda x: min(-float(posterior.log_density(x[None])[0]), FAR_AWAY**2),
         y,
         jac=lambda x: -derivatives(x)[0],
         hess=lambda x: -derivatives(x)[1],
         method="trust-exact",
+        callback=give_up,
         options={"gtol": GRADIENT_TOLERANCE, "maxiter": 200},
     )
     if not result.fun < FAR_AWAY**2:
@@ -117,19 +144,30 @@ def _characterise(posterior: Posterior, y: Array, log_density: float) -> Mode:
     return Mode(y, log_density, covariance, converged)
 
 
-def _fit_geometry(posterior: Posterior, start: Array) -> Array:
-    """Return the geometry of least squares, whitened errors and priors together, at the start's model errors."""
+def _approach(posterior: Posterior) -> Array:
+    """Return a start near the mode: the nominal machine, led to the data by ever smaller model errors.
+
+    Far off, everything seems to be the fault of every parameter; a coarse look moves only those that matter, and what
+    is hardly determined stays near its prior.
+    """
+    y = np.zeros(posterior.n_parameters)
+    for tau in APPROACH:
+        y[: posterior.n_geometry] = _fit_geometry(posterior, y, np.full(posterior.likelihood.n_legs, tau))
+    return y
+
+
+def _fit_geometry(posterior: Posterior, start: Array, tau: Array) -> Array:
+    """Return the geometry of least squares, whitened errors and priors together, at model errors (N,) in mm."""
     n = posterior.n_geometry
-    tau = np.broadcast_to(posterior.tau(start[None]), (1, posterior.likelihood.n_legs))[0]
     whitening = np.linalg.inv(np.linalg.cholesky(posterior.likelihood.leg_covariance(tau)))
-    coordinates = posterior.coordinates
+    coordinates, layout = posterior.coordinates, posterior.coordinates.layout
 
     def residual(y: Array) -> Array:
         theta = coordinates.theta_from_y(y[None])
         errors = posterior.likelihood.leg_errors(theta)[0]
         white = np.einsum("pij,pj->pi", whitening, errors).ravel()
         value = np.concatenate([white, posterior.prior_residual(y, theta[0])])
-        return np.where(np.isfinite(value), value, FAR_AWAY)
+        return np.where(np.isfinite(value) & layout.inside(theta)[0], value, FAR_AWAY)
 
     def jacobian(y: Array) -> Array:
         slope, prior_slope = posterior.residual_slope(coordinates.theta_from_y(y[None])[0])
@@ -160,8 +198,8 @@ def _invert_negative(hessian: Array, fallback: Array) -> Array:
     raise NumericalError("mode search: the Hessian at the mode is not negative definite")
 
 
-def _mirror_starts(posterior: Posterior, y: Array) -> list[Array]:
-    """Return the coordinates with the direction of one leg mirrored to the other solution of the same gain."""
+def _mirror_starts(posterior: Posterior, y: Array) -> list[tuple[int, Array]]:
+    """Return legs, and coordinates with the leg's direction mirrored to the other solution of the same gain."""
     coordinates, layout = posterior.coordinates, posterior.coordinates.layout
     if "u_x" not in layout.index:
         return []
@@ -170,9 +208,11 @@ def _mirror_starts(posterior: Posterior, y: Array) -> list[Array]:
     for leg, position in enumerate(layout.index["u_x"]):
         if position not in coordinates.free or (kappa_free is not None and kappa_free[leg]):
             continue
+        if layout.index["u_y"][leg] in coordinates.free:
+            continue  # with both components free a circle of equal gain joins the two
         theta = coordinates.theta_from_y(y[None, : posterior.n_geometry])[0]
         theta = mirror_direction(layout, theta, leg, coordinates.leg_slope[leg, 0], coordinates.free)
         start = y.copy()
         start[: posterior.n_geometry] = coordinates.y_from_theta(theta)
-        starts.append(start)
+        starts.append((leg, start))
     return starts

@@ -9,7 +9,6 @@ from scipy.linalg import solve_triangular
 from scipy.special import gammaln, logsumexp
 
 from bayescal.geometry import Array
-from bayescal.inference.mode import Mode
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +56,6 @@ class MixtureProposal:
     def log_density(self, y: Array) -> Array:
         """Return the normalised log-density, shape (B, n) to (B,)."""
         return logsumexp(self.component_log_densities(y), axis=0)
-
-
-def proposal_from_modes(modes: list[Mode], dof: float) -> MixtureProposal:
-    """Return a mixture over the modes, weighted by their Laplace evidence."""
-    log_weights = np.array([mode.log_evidence for mode in modes])
-    weights = np.exp(log_weights - logsumexp(log_weights))
-    factors = np.stack([np.linalg.cholesky(mode.covariance) for mode in modes])
-    return MixtureProposal(weights / weights.sum(), np.stack([mode.y for mode in modes]), factors, dof)
 
 
 def proposal_from_draws(draws: Array, dof: float) -> MixtureProposal:

@@ -45,12 +45,20 @@ class Bend:
 
     def log_slope(self, eta: Array) -> Array:
         """Return log dζ/dη summed over the coordinates."""
-        return np.log(self.a + self.b * eta / np.sqrt(1.0 + eta * eta)).sum(axis=-1)
+        return np.log(self.slope(eta)).sum(axis=-1)
+
+    def slope(self, eta: Array) -> Array:
+        """Return dζ/dη of each coordinate."""
+        return self.a + self.b * eta / np.sqrt(1.0 + eta * eta)
 
 
 def fit_bend(zeta: Array) -> Bend:
     """Return the bend that maps the 5, 50 and 95 % quantiles of draws (B, k) to those of a standard normal."""
-    low, middle, high = np.quantile(zeta, [0.05, 0.5, 0.95], axis=0)
+    return bend_from_quantiles(*np.quantile(zeta, [0.05, 0.5, 0.95], axis=0))
+
+
+def bend_from_quantiles(low: Array, middle: Array, high: Array) -> Bend:
+    """Return the bend that maps given 5, 50 and 95 % quantiles, shapes (k,), to those of a standard normal."""
     a = (high - low) / (2 * TAIL)
     b = 0.5 * (high + low - 2 * middle) / (np.sqrt(1 + TAIL**2) - 1)
     b = np.clip(b, -STEEPEST * a, STEEPEST * a)
@@ -171,13 +179,15 @@ class Straightening:
     def fitted_to(self, y: Array) -> Straightening:
         """Return the straightening with bend and curves fitted to draws (B, n) in sampling coordinates."""
         bend = fit_bend(y[:, self.posterior.n_geometry :]) if self.blocks else None
+        curves = tuple(fit_curve(y, base, others) for base, others in self.tilted_coordinates())
+        return replace(self, bend=bend, curves=curves)
+
+    def tilted_coordinates(self) -> list[tuple[int, np.ndarray]]:
+        """Return the coordinates of free directions u_x and u_y, each with the other coordinates of its leg."""
         tilted = np.array([name.startswith(("u_x[", "u_y[")) for name in self.posterior.names])
-        curves = [
-            fit_curve(y, int(k), index[~tilted[index]])
-            for index in self.posterior.leg_coordinates()
-            for k in index[tilted[index]]
+        return [
+            (int(k), index[~tilted[index]]) for index in self.posterior.leg_coordinates() for k in index[tilted[index]]
         ]
-        return replace(self, bend=bend, curves=tuple(curves))
 
 
 def straighten(posterior: Posterior, mode: Mode) -> Straightening:

@@ -1,8 +1,23 @@
 """Kinematic models, by the names that configs use."""
 
 from bayescal.models.base import BoundClosure, KinematicModel, Linearisation
+from bayescal.models.beam import Beam
+from bayescal.models.jacobian import Jacobian
 from bayescal.models.six_pus import SixPus
+from bayescal.models.stiffness import FixedStiffness, Stiffness
 
-MODELS: dict[str, type[KinematicModel]] = {SixPus.name: SixPus}
+MODELS: dict[str, type[KinematicModel]] = {
+    model.name: model for model in (SixPus, Jacobian, Beam, Stiffness, FixedStiffness)
+}
 
-__all__ = ["MODELS", "BoundClosure", "KinematicModel", "Linearisation", "SixPus"]
+__all__ = [
+    "MODELS",
+    "Beam",
+    "BoundClosure",
+    "FixedStiffness",
+    "Jacobian",
+    "KinematicModel",
+    "Linearisation",
+    "SixPus",
+    "Stiffness",
+]

@@ -42,11 +42,21 @@ class Task:
         return f"{self.variant.replace('/', '-')}-tau-{setting}{end}"
 
 
-def list_tasks(config: StudyConfig) -> list[Task]:
+def list_tasks(inputs: StudyInputs) -> list[Task]:
     """Return all tasks of a study, the long ones first."""
-    names = [variant.name for variant in config.variants]
+    names = [variant.name for variant in inputs.config.variants]
     fits = [Task(name, with_model_error) for with_model_error in (True, False) for name in names]
-    return fits + [Task(name, True, tolerance) for tolerance in config.sensitivity.tolerance_mm for name in names]
+    return fits + [task for task in list_sensitivity(inputs).values() if task.tolerance is not None]
+
+
+def list_sensitivity(inputs: StudyInputs) -> dict[tuple[float, str], Task]:
+    """Return the task that has the evidence of each tolerance and variant: the fit itself where it has those priors."""
+    tasks = {}
+    for tolerance in inputs.config.sensitivity.tolerance_mm:
+        for variant in inputs.config.variants:
+            own = inputs.priors(variant, tolerance) == inputs.priors(variant)
+            tasks[tolerance, variant.name] = Task(variant.name, True, None if own else tolerance)
+    return tasks
 
 
 def run_task(inputs: StudyInputs, task: Task) -> Arrays:
@@ -99,7 +109,12 @@ def _sample(
     draws = np.stack([ensemble.draws for ensemble in ensembles])
     density = np.stack([ensemble.log_density for ensemble in ensembles])
     bridge = estimate_by_bridge(
-        straight.log_density, draws, density, np.random.default_rng(bridge_seed), inputs.config.evidence.draws
+        straight.log_density,
+        draws,
+        density,
+        np.random.default_rng(bridge_seed),
+        inputs.config.evidence.draws,
+        exploration.proposal,
     )
     y = straight.y_from_x(draws.reshape(-1, posterior.n_parameters)).reshape(draws.shape)
     natural = posterior.natural(y)

@@ -120,7 +120,9 @@ class StudyInputs:
     def machine(self, variant: VariantConfig) -> Machine:
         """Return the mechanism seen through a variant."""
         where = self.folder
-        model = look_up(MODELS, variant.model, "variants.model", where)()
+        found = look_up(MODELS, variant.model, "variants.model", where)
+        with _naming(where / self.config.mechanism):
+            model = found.from_mechanism(self.mechanism)
         kind = look_up(DEFORMATIONS, variant.deformation, "variants.deformation", where)
         nominal = NominalDeformation(self.config.deformation.kappa, lambda: self.matrix)
         return Machine(self.mechanism, model, kind.from_nominal(nominal))
@@ -168,14 +170,24 @@ class StudyInputs:
 
     def posterior(self, variant: VariantConfig, with_model_error: bool, tolerance: float | None = None) -> Posterior:
         """Return the posterior of a variant; ``tolerance`` replaces the sd of all lengths, mm."""
-        machine = self.machine(variant)
+        priors, fixed = self.priors(variant, tolerance)
+        error = ModelError(None)
+        if with_model_error:
+            scale = self.config.model_error.scale_um * MICROMETRE
+            error = ModelError(scale, shared=not self.config.model_error.per_leg)
+        return Posterior(self.likelihood(variant, verification=False), priors, error, fixed)
+
+    def priors(
+        self, variant: VariantConfig, tolerance: float | None = None
+    ) -> tuple[dict[str, Prior], dict[str, float]]:
+        """Return the priors of a variant's free parameters and the values of fixed ones that are not nominal."""
         priors: dict[str, Prior] = {}
         fixed: dict[str, float] = {}
-        blocks = {block.symbol: block for block in machine.layout.blocks}
+        blocks = {block.symbol: block for block in self.machine(variant).layout.blocks}
         for symbol, config in self.config.parameters.items():
             if symbol not in blocks:
                 if symbol in variant.free:
-                    raise InputError(f"variant {variant.name!r} frees {symbol!r}, expected one of {', '.join(blocks)}")
+                    raise InputError(f"found {symbol!r} free, expected one of {', '.join(blocks)}")
                 continue
             block = blocks[symbol]
             if isinstance(config, FixedConfig):
@@ -189,11 +201,7 @@ class StudyInputs:
                 normal = isinstance(config, NormalConfig)
                 for name, value, width in zip(block.names, block.nominal, spread, strict=True):
                     priors[name] = NormalPrior(value, width) if normal else UniformPrior(value - width, value + width)
-        error = ModelError(None)
-        if with_model_error:
-            scale = self.config.model_error.scale_um * MICROMETRE
-            error = ModelError(scale, shared=not self.config.model_error.per_leg)
-        return Posterior(self.likelihood(variant, verification=False), priors, error, fixed)
+        return priors, fixed
 
     # --- identity ------------------------------------------------------------------------------------------------
 
@@ -223,17 +231,18 @@ def hash_identity(identity: dict[str, Any]) -> str:
 def _per_leg(value: float | list[float], n: int, symbol: str) -> list[float]:
     values = value if isinstance(value, list) else [value] * n
     if len(values) != n:
-        raise InputError(f"parameters.{symbol}: found {len(values)} values, expected 1 or {n}, one per leg")
+        expected = "1" if n == 1 else f"1 or {n}, one per leg"
+        raise InputError(f"parameters.{symbol}: found {len(values)} values, expected {expected}")
     return values
 
 
 @contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Put the name of a file before what is wrong with its content."""
+def _naming(what: Path | str) -> Iterator[None]:
+    """Put the name of a file or a variant before what is wrong with it."""
     try:
         yield
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{what}: {error}") from error
 
 
 def _measure_ring(inputs: StudyInputs) -> None:
@@ -264,7 +273,8 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
         machine = inputs.machine(variant)
         with _naming(folder / config.mechanism):
             check_home_pose(machine)
-        inputs.posterior(variant, with_model_error=True)
+        with _naming(f"variant {variant.name!r}"):
+            inputs.posterior(variant, with_model_error=True).check_machine()
         if variant.published is not None:
             read_published(folder / variant.published, mechanism.n_legs)
     known = {block.symbol for variant in config.variants for block in inputs.machine(variant).layout.blocks}

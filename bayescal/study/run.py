@@ -23,12 +23,15 @@ from threadpoolctl import threadpool_limits
 from bayescal.config.schema import StudyConfig
 from bayescal.errors import NumericalError
 from bayescal.report.write import write_report
+from bayescal.study.claims import Subject, tabulate_claims
 from bayescal.study.fit import Arrays, Task, list_tasks, run_task
 from bayescal.study.inputs import StudyInputs, hash_identity, load_inputs
 from bayescal.study.store import PROVENANCE_FILE, Store
 from bayescal.study.summary import build_tree, compute_loo, rank_variants, summarise_fit
 from bayescal.study.tables import (
+    identify_variants,
     tabulate_deformation,
+    tabulate_flexure,
     tabulate_least_squares,
     tabulate_parameters,
     tabulate_predictions,
@@ -91,7 +94,7 @@ def run_study(config: StudyConfig, folder: Path, out: Path, workers: int = 1, re
         store = Store(out)
         store.check_results(identity)
         store.begin(identity, resume)
-        fits = _run_tasks(inputs, store, list_tasks(config), workers)
+        fits = _run_tasks(inputs, store, list_tasks(inputs), workers)
         summary = _write_results(inputs, identity, fits, store.stage())
         store.publish()
     return StudyResult(out, summary)
@@ -161,12 +164,15 @@ def _write_results(
     posteriors = {task: arrays for task, arrays in fits.items() if task.tolerance is None}
     summary = _summarise(inputs, identity, posteriors, folder)
     (folder / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
+    identified = identify_variants(inputs)
     tables = {
         "ranking": tabulate_ranking(summary),
         "parameters": tabulate_parameters(summary),
         "predictions": tabulate_predictions(inputs, posteriors),
-        "sensitivity": tabulate_sensitivity({t: a for t, a in fits.items() if t.tolerance is not None}),
-        "least_squares": tabulate_least_squares(inputs),
+        "sensitivity": tabulate_sensitivity(inputs, fits),
+        "least_squares": tabulate_least_squares(inputs, identified),
+        "claims": tabulate_claims(Subject.from_study(inputs, summary, identified)),
+        "flexure": tabulate_flexure(inputs.mechanism),
         "ring": tabulate_ring(inputs),
         "deformation": tabulate_deformation(inputs),
     }

@@ -7,13 +7,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from bayescal.flexure import CIRCLE, PIVOT, compute_beam_shift, compute_circle_shift
 from bayescal.geometry import rotation_vector_from_matrix
-from bayescal.least_squares import identify
-from bayescal.study.fit import Arrays, Task, read_prediction
+from bayescal.least_squares import LeastSquaresFit, identify, list_identified
+from bayescal.mechanism import Mechanism
+from bayescal.study.fit import Arrays, Task, list_sensitivity, read_prediction
 from bayescal.study.inputs import StudyInputs
 from bayescal.study.published import read_published
 from bayescal.tables import format_table
 
+BENDING, N_BENDINGS = 1.0, 51  # deg
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -93,31 +96,38 @@ def tabulate_predictions(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.Da
     return pd.concat(frames, ignore_index=True)
 
 
-def tabulate_sensitivity(fits: dict[Task, Arrays]) -> pd.DataFrame:
+def tabulate_sensitivity(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.DataFrame:
     """Return the log-evidence of every variant for every tolerance of the lengths."""
-    rows = [
-        {
-            "variant": task.variant,
-            "tolerance_mm": task.tolerance,
-            "log_evidence": arrays["importance"][0],
-            "log_evidence_se": arrays["importance"][1],
-            "efficiency": arrays["importance_quality"][0],
-            "pareto_k": arrays["importance_quality"][1],
-        }
-        for task, arrays in fits.items()
-    ]
+    rows = []
+    for (tolerance, name), task in list_sensitivity(inputs).items():
+        arrays = fits[task]
+        rows.append(
+            {
+                "variant": name,
+                "tolerance_mm": tolerance,
+                "log_evidence": arrays["importance"][0],
+                "log_evidence_se": arrays["importance"][1],
+                "efficiency": arrays["importance_quality"][0],
+                "pareto_k": arrays["importance_quality"][1],
+            }
+        )
     return pd.DataFrame(rows).sort_values(["tolerance_mm", "log_evidence"], ascending=[True, False], ignore_index=True)
 
 
-def tabulate_least_squares(inputs: StudyInputs) -> pd.DataFrame:
-    """Return the least-squares identification of every variant (RR-8096 section 7), beside the published values."""
+def identify_variants(inputs: StudyInputs) -> dict[str, LeastSquaresFit]:
+    """Return the least-squares identification of every variant by its name (RR-8096 section 7)."""
+    poses = inputs.poses(verification=False)
+    return {v.name: identify(inputs.machine(v), poses, tuple(v.free)) for v in inputs.config.variants}
+
+
+def tabulate_least_squares(inputs: StudyInputs, fits: dict[str, LeastSquaresFit]) -> pd.DataFrame:
+    """Return what least squares found for every variant, beside the published values."""
     rows = []
     for variant in inputs.config.variants:
-        machine = inputs.machine(variant)
-        fit = identify(machine, inputs.poses(verification=False), tuple(variant.free))
+        machine, fit = inputs.machine(variant), fits[variant.name]
         name = variant.published
         published = {} if name is None else read_published(inputs.folder / name, inputs.mechanism.n_legs)
-        for symbol in variant.free:
+        for symbol in list_identified(machine, variant.free):
             index = machine.layout.index[symbol]
             for leg, k in enumerate(index, start=1):
                 offset = fit.theta[k] - machine.layout.nominal[k]
@@ -137,6 +147,28 @@ def tabulate_least_squares(inputs: StudyInputs) -> pd.DataFrame:
                     }
                 )
     return pd.DataFrame(rows)
+
+
+def tabulate_flexure(mechanism: Mechanism) -> pd.DataFrame:
+    """Return how a flexure's end moves as it bends up to 1 deg: beam, ideal pivot and circle (RR-8096 figure 9)."""
+    if mechanism.flexures is None:
+        return pd.DataFrame()
+    degrees = np.linspace(0.0, BENDING, N_BENDINGS)
+    frames = []
+    for length in np.unique(mechanism.flexures.lengths):
+        along, across = compute_beam_shift(np.radians(degrees), float(length))
+        circle = compute_circle_shift(across, CIRCLE * length)
+        columns = {
+            "flexure_length_mm": length,
+            "bending_deg": degrees,
+            "across_um": 1e3 * across,
+            "along_beam_um": 1e3 * along,
+            "along_pivot_um": 1e3 * compute_circle_shift(across, PIVOT * length),
+            "along_circle_um": 1e3 * circle,
+            "circle_error_nm": 1e6 * (circle - along),
+        }
+        frames.append(pd.DataFrame(columns))
+    return pd.concat(frames, ignore_index=True)
 
 
 def tabulate_ring(inputs: StudyInputs) -> pd.DataFrame:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import studies
 
 from bayescal.config import PoseMethodsConfig, StudyConfig, load_experiment, load_mechanism, load_simulation
 from bayescal.errors import InputError
+from bayescal.mechanism import ExternalLoad
 
 LOADERS = {"study": load_experiment, "pose_methods": load_experiment, "simulation": load_simulation}
 SHIPPED = sorted(studies.EXPERIMENTS.rglob("*.toml"))
@@ -42,7 +44,8 @@ def test_every_shipped_config_loads(path):
 
 def test_shipped_studies_build_every_variant():
     inputs = studies.load_study(studies.TELESCOPE / "study.toml")
-    assert [v.name for v in inputs.config.variants] == ["six_pus/none", "six_pus/linear", "six_pus/matrix"]
+    models, deformations = ("six_pus", "jacobian", "beam", "stiffness"), ("none", "linear", "matrix")
+    assert [v.name for v in inputs.config.variants] == [f"{m}/{d}" for m in models for d in deformations]
     assert inputs.extraction.poses.n_poses == 46
     assert int(inputs.survey.verification.sum()) == 6
 
@@ -278,6 +281,103 @@ def test_faulty_mechanism(study, old, new, expected):
     assert expected in fail(load_mechanism, path)
 
 
+ROD = "{ diameter_mm = 1.0, young_modulus_gpa = 200.0, shear_modulus_gpa = 77.0 }"
+BY_NUMBERS = "{ k1_n_mm2 = 9817.5, k2_n = 157080.0, k3_n_mm2 = 7559.5 }"
+TWO_WAYS = "expected either diameter_mm, young_modulus_gpa and shear_modulus_gpa, or k1_n_mm2, k2_n and k3_n_mm2"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("length_mm = 10.0", "length_mm = 0.0", "flexures.length_mm: found 0.0, expected greater than"),
+        ("length_mm = 10.0", "length_mm = -10", "flexures.length_mm: found -10, expected greater than"),
+        (
+            "length_mm = 10.0",
+            "length_mm = [10, 10, 10, 10, 10, -1]",
+            "flexures.length_mm.5: found -1, expected greater",
+        ),
+        ("length_mm = 10.0", "length_mm = [10, 10, 10, 10, 10]", "flexures.length_mm: found 5 legs, expected 6"),
+        ("length_mm = 10.0\n", "", "flexures.length_mm: missing, expected a value"),
+        ("length_mm = 10.0", "length_m = 0.01", "flexures.length_m: unknown key, did you mean 'length_mm'?"),
+        ("beta = 0.25", "beta = 0", "flexures.beta: found 0, expected greater than 0"),
+        ("beta = 0.25", "beta = 0.5", "flexures.beta: found 0.5, expected less than 0.5"),
+        ("beta = 0.25", "beta = 0.7", "flexures.beta: found 0.7, expected less than 0.5"),
+        ("beta = 0.25", "beta = [0.2, 0.2, 0.2, 0.7, 0.2, 0.2]", "flexures.beta.3: found 0.7, expected less than 0.5"),
+        ("beta = 0.25", "beta = [0.25, 0.25]", "flexures.beta: found 2 legs, expected 6"),
+        ("beta = 0.25", "beta = []", "flexures.beta: found 0 legs, expected 6"),
+        ("beta = 0.25", "beta = nan", "flexures.beta: found nan, expected a finite number"),
+        ("beta = 0.25", 'beta = "1/4"', "flexures.beta: found '1/4', expected a valid number"),
+        ("diameter_mm = 1.0", "diameter_mm = 0", "stiffness.flexure.diameter_mm: found 0, expected greater than"),
+        ("diameter_mm = 1.0", "diameter_mm = -1.0", "stiffness.flexure.diameter_mm: found -1.0, expected greater"),
+        ("diameter_mm = 10.0, young_modulus_gpa = 200", "diameter_mm = 10.0, young_modulus_gpa = -2", "stiffness.leg."),
+        ("diameter_mm = 1.0, ", "", f"stiffness.flexure: {TWO_WAYS}"),
+        ("{ diameter_mm = 1.0", "{ k1_n_mm2 = 9.0, diameter_mm = 1.0", f"stiffness.flexure: {TWO_WAYS}"),
+        (ROD, "{ k1_n_mm2 = 9817.5, k2_n = 157080.0 }", f"stiffness.flexure: {TWO_WAYS}"),
+        (ROD, BY_NUMBERS.replace("157080.0", "0.0"), "stiffness.flexure.k2_n: found 0.0, expected greater than"),
+        (ROD, BY_NUMBERS.replace("9817.5", "-9.5"), "stiffness.flexure.k1_n_mm2: found -9.5, expected greater than"),
+        (f"flexure = {ROD}\n", "", "stiffness.flexure: missing, expected a value"),
+        (ROD, "1.0", "stiffness.flexure: found 1.0, expected"),
+        ("[flexures]\nlength_mm = 10.0\nbeta = 0.25", "", "found [stiffness] without [flexures], expected both"),
+        ("[flexures]", "[flexure]", "flexure: unknown key, did you mean 'flexures'?"),
+        ("[stiffness]", "[stifness]", "stifness: unknown key, did you mean 'stiffness'?"),
+        (
+            "diameter_mm = 1.0",
+            "diameter_m = 1.0",
+            "stiffness.flexure.diameter_m: unknown key, did you mean 'diameter_mm'",
+        ),
+        ("[stiffness]", "[load]\nmass_kg = -1.0\n[stiffness]", "load.mass_kg: found -1.0, expected greater than"),
+        ("[stiffness]", "[load]\nforce_n = [1.0, 2.0]\n[stiffness]", "load.force_n: found [1.0, 2.0], expected"),
+        (
+            "[stiffness]",
+            "[load]\nmoment_n = [1, 2, 3]\n[stiffness]",
+            "load.moment_n: unknown key, did you mean 'moment",
+        ),
+    ],
+)
+def test_faulty_flexures(study, old, new, expected):
+    path = study.with_name("mechanism.toml")
+    studies.edit(path, old, new)
+    assert expected in fail(load_mechanism, path)
+
+
+def test_flexures_by_rod_or_by_numbers(study):
+    """E π d⁴ / 64, E π d² / 4 and G π d⁴ / 32 of the rod; one length and β for all legs or one each."""
+    path = study.with_name("mechanism.toml")
+    whole = load_mechanism(path).flexures
+    assert whole.section.k1 == pytest.approx(200e3 * math.pi / 64)
+    assert whole.section.k2 == pytest.approx(200e3 * math.pi / 4)
+    assert whole.section.k3 == pytest.approx(77e3 * math.pi / 32)
+    assert whole.leg_section.k1 == pytest.approx(1e4 * whole.section.k1)
+    studies.edit(path, ROD, BY_NUMBERS)
+    studies.edit(path, "length_mm = 10.0", "length_mm = [10, 11, 12, 13, 14, 15]")
+    other = load_mechanism(path).flexures
+    assert other.lengths.tolist() == [10, 11, 12, 13, 14, 15]
+    assert other.beta.tolist() == [0.25] * 6
+    assert (other.section.k1, other.section.k2, other.section.k3) == (9817.5, 157080.0, 7559.5)
+
+
+def test_flexures_without_stiffness_and_neither(study):
+    path = study.with_name("mechanism.toml")
+    text = path.read_text()
+    path.write_text(text[: text.index("[stiffness]")])
+    flexures = load_mechanism(path).flexures
+    assert (flexures.section, flexures.leg_section) == (None, None)
+    path.write_text(text[: text.index("[flexures]")])
+    assert load_mechanism(path).flexures is None
+
+
+def test_load_is_a_weight_and_a_wrench(study):
+    path = study.with_name("mechanism.toml")
+    assert load_mechanism(path).load == ExternalLoad()
+    with path.open("a") as file:
+        file.write(
+            "[load]\nmass_kg = 10.0\ncentre_of_mass_mm = [1, 2, 3]\nforce_n = [4, 5, 6]\nmoment_n_mm = [7, 8, 9]\n"
+        )
+    load = load_mechanism(path).load
+    assert load.weight == pytest.approx((0.0, 0.0, -98.0665))
+    assert (load.centre_of_mass, load.force, load.moment) == ((1, 2, 3), (4, 5, 6), (7, 8, 9))
+
+
 def test_five_legs_are_too_few(study):
     path = study.with_name("mechanism.toml")
     studies.edit(path, "[265.0, ", "[")
@@ -307,7 +407,7 @@ def data_study(tmp_path) -> Path:
     ("name", "old", "new", "expected"),
     [
         ("study.toml", "b_z = {", "bz = {", "parameters: found 'bz', did you mean 'b_z'?"),
-        ("study.toml", 'free = ["l"]', 'free = ["l", "kappa"]', "'six_pus/none' frees 'kappa', expected one of"),
+        ("study.toml", 'free = ["l"]', 'free = ["l", "kappa"]', "'six_pus/none': found 'kappa' free, expected one of"),
         ("study.toml", 'model = "six_pus"', 'model = "six_pas"', "model: found 'six_pas', did you mean 'six_pus'?"),
         ("study.toml", 'deformation = "none"', 'deformation = "non"', "found 'non', did you mean 'none'?"),
         ("study.toml", "sd = 2.0", "sd = [1.0, 2.0]", "parameters.l: found 2 values, expected 1 or 6"),
@@ -322,7 +422,7 @@ def data_study(tmp_path) -> Path:
             "[220.0, 320.0, 340.0, 80.0, 100.0, 200.0]",
             "singular geometry, the home pose Jacobian has condition",
         ),
-        ("mechanism.toml", "length_mm = 500.0", "length_mm = 0.5", "leg 5 of 0.5 mm cannot span its joints"),
+        ("mechanism.toml", "length_mm = 500.0", "length_mm = 20.0", "leg 5 of 20 mm cannot span its joints"),
     ],
 )
 def test_fault_between_files(data_study, name, old, new, expected):

@@ -9,10 +9,15 @@ import pytest
 from bayescal.errors import NumericalError
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import find_mode, find_modes
-from bayescal.inference.proposal import proposal_from_modes
+from bayescal.inference.peaks import Peak, proposal_from_peaks
 from bayescal.posterior import ModelError
 
 VARIANTS = [(name, error) for name in ("none", "linear", "matrix") for error in (ModelError(0.01), ModelError(None))]
+
+
+def as_peak(mode):
+    """Return a mode's Gaussian."""
+    return Peak(mode.y, np.linalg.cholesky(mode.covariance), mode.log_density)
 
 
 @pytest.fixture(params=VARIANTS, ids=lambda v: f"{v[0]}, {'free' if v[1].scale else 'no'} model error")
@@ -69,7 +74,7 @@ def test_laplace_is_close_to_the_evidence_of_a_normal_posterior(twin):
     posterior = machines.build_posterior("matrix", twin, ModelError(None))
     modes = find_modes(posterior)
     assert len(modes) == 1
-    proposal = proposal_from_modes(modes, 50.0)
+    proposal = proposal_from_peaks([as_peak(mode) for mode in modes], 50.0)
     evidence = estimate_by_importance(posterior.log_density, proposal, np.random.default_rng(1), 4000)
     assert evidence.standard_error < 0.02
     assert modes[0].log_evidence == pytest.approx(evidence.log_evidence, abs=0.05)

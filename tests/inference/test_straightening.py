@@ -9,14 +9,19 @@ from scipy import stats
 
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.mode import find_modes
-from bayescal.inference.proposal import proposal_from_modes
+from bayescal.inference.peaks import Peak, proposal_from_peaks
 from bayescal.inference.straightening import Bend, fit_bend, fit_curve, straighten
 from bayescal.posterior import ModelError
 
 
+def as_peak(mode):
+    """Return a mode's Gaussian."""
+    return Peak(mode.y, np.linalg.cholesky(mode.covariance), mode.log_density)
+
+
 def sample(posterior, straight, mode, seed=1, n_steps=150):
     """Return draws of the posterior in sampling coordinates, (B, n)."""
-    proposal = proposal_from_modes([mode], 20.0)
+    proposal = proposal_from_peaks([as_peak(mode)], 20.0)
     recentred = type(proposal)(proposal.weights, straight.x_from_y(proposal.means), proposal.factors, 20.0)
     run = run_ensemble(straight.log_density, recentred, np.random.SeedSequence(seed), 128, 100, n_steps)
     return straight.y_from_x(run.draws.reshape(-1, posterior.n_parameters))

@@ -5,17 +5,22 @@ A new entry in `bayescal.models.MODELS` or `bayescal.deformations.DEFORMATIONS` 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 
 import machines
 import numpy as np
 import pytest
 
+from bayescal.errors import InputError
 from bayescal.geometry import matrix_from_rotation_vector
-from bayescal.kinematics import Machine, check_home_pose
+from bayescal.kinematics import Machine, check_home_pose, solve_inverse_kinematics
+from bayescal.mechanism import Flexures
 
 TOLERANCE = 1e-7
-LENGTH_STEP, ANGLE_STEP = 1e-3, 1e-5  # mm; rad or dimensionless: rounding and curvature both below 1e-9, relative
+STEP_SHARE = 0.1  # of the spread: rounding and what the stencil leaves out are then both below 1e-8, relative
+POSE_STEPS = np.array([0.1] * 3 + [1e-3] * 3)  # mm and rad
+ACTUATOR_STEP = 0.1  # mm
 N_POSES = 5
 
 
@@ -35,10 +40,16 @@ class Scene:
         return self.machine.linearise(*(changes.get(name, getattr(self, name)) for name in names))
 
 
-@pytest.fixture(params=[6, 8], ids=lambda n: f"{n} legs")
-def n_legs(request):
-    """Return the number of legs."""
+@pytest.fixture(params=machines.model_cases(6, 8), ids=lambda case: f"{case[0]}, {case[1]} legs")
+def case(request):
+    """Return the name of a model and a number of legs."""
     return request.param
+
+
+@pytest.fixture
+def n_legs(case):
+    """Return the number of legs."""
+    return case[1]
 
 
 @pytest.fixture(params=machines.deformation_names())
@@ -47,12 +58,13 @@ def deformation(request):
     return request.param
 
 
-@pytest.fixture(params=machines.model_names())
-def scene(request, deformation, n_legs, rng):
+@pytest.fixture
+def scene(case, deformation, rng):
     """Return a machine with every parameter moved, near its home pose."""
-    machine = machines.build_machine(deformation, machines.build_random_mechanism(n_legs, seed=3), request.param)
+    model, n_legs = case
+    machine = machines.build_machine(deformation, machines.build_random_mechanism(n_legs, seed=3), model)
     layout, home = machine.layout, check_home_pose(machine)
-    spread = np.where([unit == "mm" for unit in layout.units], 1.0, 0.02)
+    spread = machines.spread_of(layout)
     theta = layout.nominal + spread * rng.standard_normal(layout.size)
     position = home.position + rng.uniform(-3, 3, (N_POSES, 3))
     rotation = matrix_from_rotation_vector(rng.uniform(-0.05, 0.05, (N_POSES, 3)))
@@ -83,7 +95,7 @@ def test_shapes(scene, n_legs):
 def test_parameters_are_named_and_described(scene, n_legs):
     layout = scene.machine.layout
     assert len(set(layout.names)) == layout.size == len(layout.units)
-    assert set(layout.units) <= {"mm", "1"}
+    assert set(layout.units) <= {"mm", "1", "N", "N mm2"}
     assert all(len(block.nominal) == (n_legs if block.per_leg else 1) for block in layout.blocks)
     assert scene.machine.model.name in machines.model_names()
     assert scene.machine.model.title
@@ -99,13 +111,30 @@ def test_nominal_machine_closes_at_its_home_pose(scene):
     assert np.abs(scene.linearise().residual).min() > 1e-9
 
 
+def move_poses(position, rotation, change):
+    """Return poses (P, 3), (P, 3, 3) moved by changes (K, 6), batched (K, P, ...)."""
+    return position + change[:, None, :3], matrix_from_rotation_vector(change[:, None, 3:]) @ rotation
+
+
 def test_pose_derivative(scene):
     def residual(x):
-        rotation = matrix_from_rotation_vector(x[3:]) @ scene.rotation
-        return scene.linearise(position=scene.position + x[:3], rotation=rotation).residual
+        position, rotation = move_poses(scene.position, scene.rotation, x)
+        return scene.linearise(position=position, rotation=rotation).residual
 
-    steps = np.array([LENGTH_STEP] * 3 + [ANGLE_STEP] * 3)
-    assert_derivative(scene.linearise().pose, machines.central_difference(residual, np.zeros(6), steps))
+    assert_derivative(scene.linearise().pose, machines.stencil_derivative(residual, np.zeros(6), POSE_STEPS))
+
+
+def test_pose_derivative_where_nothing_turns(scene):
+    """At the nominal home pose every angle is zero: the branches for small ones."""
+    machine, theta = scene.machine, scene.machine.layout.nominal
+    home, rho = check_home_pose(machine), machine.mechanism.initial_actuator_positions[None]
+    position, rotation = home.position[None], home.rotation[None]
+
+    def residual(x):
+        return machine.linearise(theta, *move_poses(position, rotation, x), rho).residual
+
+    here = machine.linearise(theta, position, rotation, rho)
+    assert_derivative(here.pose, machines.stencil_derivative(residual, np.zeros(6), POSE_STEPS))
 
 
 def test_actuator_derivative_at_nominal_deformation(scene, n_legs):
@@ -114,55 +143,91 @@ def test_actuator_derivative_at_nominal_deformation(scene, n_legs):
         theta[layout.index[block.symbol]] = block.nominal
 
     def residual(x):
-        return scene.linearise(theta=theta, actuators=scene.actuators + x).residual
+        return scene.linearise(theta=theta, actuators=scene.actuators + x[:, None]).residual
 
-    expected = machines.central_difference(residual, np.zeros(n_legs), np.full(n_legs, LENGTH_STEP))
+    expected = machines.stencil_derivative(residual, np.zeros(n_legs), np.full(n_legs, ACTUATOR_STEP))
     assert_derivative(scene.linearise(theta=theta).actuators, expected)
 
 
 def test_parameter_derivative(scene):
-    steps = np.where([unit == "mm" for unit in scene.machine.layout.units], LENGTH_STEP, ANGLE_STEP)
-    expected = machines.central_difference(lambda theta: scene.linearise(theta=theta).residual, scene.theta, steps)
+    steps = machines.spread_of(scene.machine.layout) * STEP_SHARE
+    expected = machines.stencil_derivative(lambda x: scene.linearise(theta=x[:, None]).residual, scene.theta, steps)
     assert_derivative(scene.linearise().parameters, expected)
 
 
 def test_bound_closure_is_the_closure(scene, n_legs, rng):
     machine, batch = scene.machine, 4
-    theta = scene.theta + 1e-2 * rng.standard_normal((batch, machine.layout.size))
+    theta = scene.theta + 0.1 * machines.spread_of(machine.layout) * rng.standard_normal((batch, machine.layout.size))
     bound = machine.model.bind(machine.layout, scene.position, scene.rotation, machine.basis(scene.actuators))
-    here = scene.linearise(theta=theta[:, None])
     found = bound.evaluate(theta)
     assert found.shape == (n_legs, N_POSES, batch)
+    here = scene.linearise(theta=theta[:, None])
     np.testing.assert_allclose(found.transpose(2, 1, 0), here.residual, rtol=0, atol=1e-11)
-    error = rng.standard_normal((6, N_POSES, batch)) * np.array([1.0] * 3 + [1e-2] * 3)[:, None, None]
-    expected = np.einsum("bpij,jpb->ipb", here.pose, error)
-    np.testing.assert_allclose(bound.along(error), expected, rtol=0, atol=1e-11)
 
 
-def test_direction_off_the_unit_sphere_is_nan_for_its_leg_only(scene):
+def test_bound_pose_derivative_is_linear(scene, n_legs, rng):
+    """Exact for the 6-PUS; what the others may leave out, the likelihood's tests bound."""
+    machine, batch = scene.machine, 3
+    theta = scene.theta + 0.1 * machines.spread_of(machine.layout) * rng.standard_normal((batch, machine.layout.size))
+    bound = machine.model.bind(machine.layout, scene.position, scene.rotation, machine.basis(scene.actuators))
+    bound.evaluate(theta)
+    unit = np.array([1.0] * 3 + [1e-2] * 3)[:, None, None]
+    error, other = unit * rng.standard_normal((2, 6, N_POSES, batch))
+    first, second = bound.along(error).copy(), bound.along(other).copy()
+    assert first.shape == (n_legs, N_POSES, batch)
+    np.testing.assert_allclose(bound.along(2.0 * error - other), 2.0 * first - second, rtol=0, atol=1e-12)
+    if machine.model.name == "six_pus":
+        expected = np.einsum("bpij,jpb->ipb", scene.linearise(theta=theta[:, None]).pose, error)
+        np.testing.assert_allclose(first, expected, rtol=0, atol=1e-11)
+
+
+def test_direction_off_the_unit_sphere_is_nan(scene):
+    """For its leg, or for all where the model refers to the home pose; never for some, and alike in batches."""
     machine, theta = scene.machine, scene.theta.copy()
     if "u_x" not in machine.layout.index:
         pytest.skip("this model has no direction to leave the sphere")
     theta[machine.layout.index["u_x"][2]] = 1.01
-    expected = np.arange(machine.mechanism.n_legs) == 2
     here = scene.linearise(theta=theta)
-    np.testing.assert_array_equal(np.isnan(here.residual).all(axis=0), expected)
-    np.testing.assert_array_equal(np.isnan(here.residual).any(axis=0), expected)
+    lost = np.isnan(here.residual)
+    only, every = np.arange(machine.mechanism.n_legs) == 2, np.ones(machine.mechanism.n_legs, dtype=bool)
+    expected = only if machine.model.name == "six_pus" else every
+    np.testing.assert_array_equal(lost, np.tile(expected, (N_POSES, 1)))
     bound = machine.model.bind(machine.layout, scene.position, scene.rotation, machine.basis(scene.actuators))
-    np.testing.assert_array_equal(np.isnan(bound.evaluate(theta[None])).all(axis=(1, 2)), expected)
-
-
-def actuators_of(scene, theta):
-    """Return the actuator positions of the scene's poses; the deflection follows the actuators, so by iteration."""
-    machine, rho = scene.machine, scene.actuators
-    for _ in range(60):
-        deflection = np.broadcast_to(machine.basis(rho).deflection(machine.layout, theta), rho.shape)
-        rho = machine.model.inverse_kinematics(machine.layout, theta, scene.position, scene.rotation, deflection)
-    return rho
+    both = np.isnan(bound.evaluate(np.stack([theta, scene.theta])))
+    np.testing.assert_array_equal(both[..., 0].T, lost)
+    assert not both[..., 1].any()
 
 
 def test_inverse_kinematics_closes(scene):
     """With every parameter off nominal, ρ^0 too: actuator positions are read from the nominal one."""
-    rho = actuators_of(scene, scene.theta)
+    rho = solve_inverse_kinematics(scene.machine, scene.theta, scene.position, scene.rotation).actuators
     assert np.abs(scene.linearise(actuators=rho).residual).max() < 1e-9
     assert np.abs(scene.linearise().residual).max() > 1e-3
+
+
+@pytest.mark.parametrize("model", machines.model_names())
+def test_models_take_any_number_of_legs_but_for_the_equilibrium(model):
+    mechanism = machines.build_random_mechanism(8, seed=3)
+    if model not in machines.SIX_LEGS_ONLY:
+        assert machines.build_model(model, mechanism).name == model
+        return
+    with pytest.raises(InputError) as caught:
+        machines.build_model(model, mechanism)
+    assert str(caught.value) == f"mechanism 'random 8': found 8 legs, expected 6 for the {model} model"
+
+
+@pytest.mark.parametrize("model", machines.model_names())
+def test_models_say_what_they_need_of_flexures(model):
+    bare = replace(machines.build_telescope(), flexures=None)
+    no_sections = replace(bare, flexures=Flexures(np.full(6, 10.0), np.full(6, 0.25)))
+    missing = {"beam": [bare], "stiffness": [bare, no_sections], "stiffness_fixed": [bare, no_sections]}.get(model, [])
+    for mechanism, section in zip(missing, ("flexures", "stiffness"), strict=False):
+        with pytest.raises(InputError) as caught:
+            machines.build_model(model, mechanism).blocks(mechanism)
+        found = str(caught.value)
+        assert re.fullmatch(
+            rf"mechanism 'telescope': found no \[{section}\], expected (it|them) for the {model} model", found
+        )
+    for mechanism in (bare, no_sections):
+        if mechanism not in missing:
+            assert machines.build_model(model, mechanism).blocks(mechanism)

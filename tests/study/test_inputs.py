@@ -114,6 +114,120 @@ def test_slips_in_numbers(folder, name, old, new, expected):
     assert expected in fail(folder, name)
 
 
+# --- models of flexures ----------------------------------------------------------------------------------------------
+
+FIRST_VARIANT = 'model = "six_pus"\ndeformation = "none"\nfree = ["l"]'
+FIXED = 'b_z = { prior = "fixed", offset = 0.0 }\n'
+
+
+def choose(folder: Path, model: str, parameter: str = "", free: str = '["l"]') -> None:
+    """Let the study's first variant take another model, with one more line of [parameters] and what it frees."""
+    studies.edit(folder / "study.toml", FIRST_VARIANT, f'model = "{model}"\ndeformation = "none"\nfree = {free}')
+    studies.edit(folder / "study.toml", FIXED, f"{FIXED}{parameter}\n")
+
+
+def fail_variant(folder: Path, name: str) -> str:
+    """Return the one-line message with which loading fails; it names the variant at fault."""
+    with pytest.raises(InputError) as caught:
+        studies.load_study(folder / "study.toml")
+    message = str(caught.value)
+    assert message.startswith(f"variant {name!r}: ")
+    assert "expected" in message
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize(
+    ("model", "parameter", "expected"),
+    [
+        (
+            "beam",
+            "beta = { prior = 'fixed', offset = 0.35 }",
+            "parameter beta[1]: found 0.6, expected above 0 and below",
+        ),
+        (
+            "beam",
+            "beta = { prior = 'fixed', offset = [0, 0, 0, -0.25, 0, 0] }",
+            "parameter beta[4]: found 0, expected above 0 and below 0.5",
+        ),
+        ("beam", "l_b = { prior = 'fixed', offset = -11 }", "parameter l_b[1]: found -1 mm, expected above 0"),
+        (
+            "stiffness",
+            "k1_d = { prior = 'fixed', offset = -1e6 }",
+            "parameter k1_d: found -990183 N mm2, expected above",
+        ),
+        (
+            "six_pus",
+            "u_x = { prior = 'fixed', offset = 1.5 }",
+            "parameter u_x[1]: found 1.5, expected above -1 and below",
+        ),
+    ],
+)
+def test_values_fixed_outside_the_bounds(folder, model, parameter, expected):
+    choose(folder, model, parameter)
+    assert expected in fail_variant(folder, f"{model}/none")
+
+
+@pytest.mark.parametrize(
+    ("model", "symbol", "width", "expected"),
+    [
+        ("beam", "beta", "0.3", "parameter beta[1]: found a prior from -0.05 to 0.55, expected it between 0 and 0.5"),
+        ("beam", "beta", "[0.1, 0.1, 0.3, 0.1, 0.1, 0.1]", "parameter beta[3]: found a prior from -0.05 to 0.55"),
+        ("beam", "l_b", "11.0", "parameter l_b[1]: found a prior from -1 to 21, expected it between 0"),
+        (
+            "stiffness",
+            "k1_d",
+            "1e6",
+            "parameter k1_d: found a prior from -990183 to 1.00982e+06, expected it between 0",
+        ),
+        ("six_pus", "u_x", "1.5", "parameter u_x[1]: found a prior from -1.5 to 1.5, expected it between -1 and 1"),
+    ],
+)
+def test_uniform_priors_that_leave_the_bounds(folder, model, symbol, width, expected):
+    choose(folder, model, f"{symbol} = {{ prior = 'uniform', half_width = {width} }}", f'["{symbol}"]')
+    assert expected in fail_variant(folder, f"{model}/none")
+
+
+@pytest.mark.parametrize(
+    ("model", "parameters"),
+    [
+        ("six_pus", "u_x = { prior = 'fixed', offset = 0.8 }\nu_y = { prior = 'fixed', offset = 0.8 }"),
+        ("jacobian", "a_x = { prior = 'fixed', offset = [0, 0, 600.0, 0, 0, 0] }"),
+        ("beam", "a_x = { prior = 'fixed', offset = [0, 0, 600.0, 0, 0, 0] }"),
+        ("stiffness", "a_x = { prior = 'fixed', offset = [0, 0, 600.0, 0, 0, 0] }"),
+    ],
+    ids=["direction off the sphere", "no home pose", "no home pose of a beam", "no home pose of the stiffness model"],
+)
+def test_a_start_that_is_no_machine(folder, model, parameters):
+    """Every value lies between its bounds, and yet there is no such machine."""
+    choose(folder, model, parameters)
+    assert "found no machine at the priors' centres" in fail_variant(folder, f"{model}/none")
+
+
+@pytest.mark.parametrize("model", ["beam", "stiffness", "stiffness_fixed"])
+@pytest.mark.parametrize("section", ["flexures", "stiffness"])
+def test_models_of_flexures_need_them(folder, model, section):
+    path = folder / "mechanism.toml"
+    path.write_text(path.read_text()[: path.read_text().index(f"[{section}]")])
+    choose(folder, model)
+    if section == "stiffness" and model == "beam":
+        assert studies.load_study(folder / "study.toml").mechanism.flexures.section is None
+    else:
+        assert f"found no [{section}], expected" in fail(folder, "mechanism.toml")
+
+
+def test_one_stiffness_for_all_legs(folder):
+    choose(folder, "stiffness", "k1_d = { prior = 'uniform', half_width = [1, 2, 3, 4, 5, 6] }", '["k1_d"]')
+    assert "parameters.k1_d: found 6 values, expected 1" in fail_variant(folder, "stiffness/none")
+
+
+@pytest.mark.parametrize("model", ["jacobian", "beam", "stiffness", "stiffness_fixed"])
+def test_every_model_loads(folder, model):
+    choose(folder, model)
+    inputs = studies.load_study(folder / "study.toml")
+    assert inputs.machine(inputs.config.variants[0]).model.name == model
+
+
 def test_singular_geometry_names_the_file(folder):
     studies.edit(
         folder / "mechanism.toml",

@@ -1,0 +1,150 @@
+"""Gaussians fitted to a density's peaks in straight coordinates, by finite differences of a posterior sd.
+
+The mode of a skewed density is not where its mass is, and the curvature at a point is not that of the mass around it.
+Both are seen better over steps as large as the posterior is wide. All points of a step are independent and go through
+the density as one batch, so a refined peak costs less than a short chain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from bayescal.geometry import Array
+from bayescal.inference.importance import LogDensity, evaluate_in_batches
+from bayescal.inference.proposal import MixtureProposal
+from bayescal.inference.straightening import Bend, Curve, Straightening, bend_from_quantiles
+
+STEP = 1.0  # posterior sds
+MAX_STEPS = 3
+CURVATURE_BOUNDS = (0.1, 10.0)  # of a step's curvature in units of the last one's
+LONGEST_STEP = 4.0
+SETTLED_GAIN, SETTLED_CURVATURE = 0.01, 0.05
+GRID = np.linspace(-5.0, 5.0, 81)  # of a model error's coordinate ζ, standard normal under the prior
+QUANTILES = (0.05, 0.5, 0.95)
+CURVE_STEP = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Peak:
+    """A Gaussian around a peak: its centre (n,), Cholesky factor (n, n) and the log-density at its centre."""
+
+    centre: Array
+    factor: Array
+    log_density: float
+
+    @property
+    def log_evidence(self) -> float:
+        """Its mass by Laplace's formula."""
+        return self.log_density + float(np.log(np.diag(self.factor)).sum()) + 0.5 * len(self.centre) * np.log(2 * np.pi)
+
+
+def proposal_from_peaks(peaks: Sequence[Peak], dof: float) -> MixtureProposal:
+    """Return a mixture over the peaks, weighted by their mass."""
+    log_weights = np.array([peak.log_evidence for peak in peaks])
+    weights = np.exp(log_weights - logsumexp(log_weights))
+    centres, factors = (np.stack([getattr(peak, name) for peak in peaks]) for name in ("centre", "factor"))
+    return MixtureProposal(weights / weights.sum(), centres, factors, dof)
+
+
+def refine_peak(log_density: LogDensity, peak: Peak) -> Peak:
+    """Return the peak after Newton steps with gradients and Hessians by differences over a posterior sd."""
+    centre, factor = peak.centre, peak.factor
+    for _ in range(MAX_STEPS):
+        gradient, hessian = _difference(log_density, centre, factor)
+        if not (np.isfinite(gradient).all() and np.isfinite(hessian).all()):
+            return peak
+        values, vectors = np.linalg.eigh(-hessian)
+        values = np.clip(values, *CURVATURE_BOUNDS)
+        step = vectors @ ((vectors.T @ gradient) / values)
+        gain, length = float(gradient @ step), float(np.linalg.norm(step))
+        centre = centre + factor @ (step * min(1.0, LONGEST_STEP / length) if length > 0 else step)
+        factor = factor @ (vectors / np.sqrt(values))
+        if gain < SETTLED_GAIN and np.abs(values - 1.0).max() < SETTLED_CURVATURE:
+            break
+    found = float(log_density(centre[None])[0])
+    if not np.isfinite(found):
+        return peak
+    return Peak(centre, np.linalg.cholesky(factor @ factor.T), found)
+
+
+def _difference(log_density: LogDensity, centre: Array, factor: Array) -> tuple[Array, Array]:
+    """Return gradient and Hessian in whitened coordinates w, x = centre + factor w."""
+    n = len(centre)
+    unit = STEP * np.eye(n)
+    first, second = np.triu_indices(n, 1)
+    pairs = unit[first] + unit[second]
+    points = np.concatenate([np.zeros((1, n)), unit, -unit, pairs, -pairs])
+    values = evaluate_in_batches(log_density, centre + points @ factor.T)
+    if not np.isfinite(values).all():
+        return np.full(n, np.nan), np.full((n, n), np.nan)
+    middle, up, down, both_up, both_down = np.split(values, np.cumsum([1, n, n, len(pairs)]))
+    gradient, hessian = (up - down) / (2 * STEP), np.zeros((n, n))
+    off = both_up + both_down - (up + down)[first] - (up + down)[second] + 2 * middle
+    hessian[first, second] = hessian[second, first] = off / (2 * STEP**2)
+    hessian[np.diag_indices(n)] = (up + down - 2 * middle) / STEP**2
+    return gradient, hessian
+
+
+def bend_at(straight: Straightening, peak: Peak) -> tuple[Straightening, Peak]:
+    """Return the straightening with bends fitted to the model errors' conditional densities at a peak.
+
+    Along each ζ, the geometry following the stretch, quantiles of the density on a grid take the place of draws'.
+    """
+    if not straight.blocks:
+        return straight, peak
+    n, flat = straight.posterior.n_geometry, replace(straight, bend=None)
+    y = straight.y_from_x(peak.centre[None])
+    start = flat.x_from_y(y)[0]
+    quantiles = []
+    for k in range(n, len(start)):
+        points = np.tile(start, (len(GRID), 1))
+        points[:, k] = GRID
+        values = flat.log_density(points)
+        mass = np.exp(values - values.max())
+        share = (np.cumsum(mass) - 0.5 * mass) / mass.sum()
+        quantiles.append(np.interp(QUANTILES, share, GRID))
+    bent = replace(straight, bend=bend_from_quantiles(*np.transpose(quantiles)))
+    centre = bent.x_from_y(y)[0]
+    scale = np.ones(len(centre))
+    scale[n:] = _bend_slope(straight.bend, peak.centre[n:]) / _bend_slope(bent.bend, centre[n:])
+    return bent, Peak(centre, np.linalg.cholesky(_scaled(peak.factor, scale)), peak.log_density)
+
+
+def _bend_slope(bend: Bend | None, eta: Array) -> Array:
+    return np.ones_like(eta) if bend is None else bend.slope(eta)
+
+
+def _scaled(factor: Array, scale: Array) -> Array:
+    scaled = scale[:, None] * factor
+    return scaled @ scaled.T
+
+
+def curve_at(straight: Straightening, peak: Peak) -> tuple[Straightening, Peak]:
+    """Return the straightening with shears along the free u_x and u_y, from how the other parameters of a leg follow.
+
+    From both sides of the peak along the ridge, a Newton step of the leg's other parameters shows where the density
+    is largest; what the two steps have in common is the curve.
+    """
+    precision = np.linalg.inv(peak.factor @ peak.factor.T)
+    spread = np.linalg.norm(peak.factor, axis=1)
+    curves = []
+    for base, others in straight.tilted_coordinates():
+        along = (peak.factor @ peak.factor[base]) / spread[base]
+        block = precision[np.ix_(others, others)]
+        step = 0.5 / np.sqrt(np.diag(block))
+        moves = np.zeros((2 * len(others), len(peak.centre)))
+        moves[np.arange(len(others)), others] = step
+        moves[len(others) + np.arange(len(others)), others] = -step
+        sides = [peak.centre + sign * CURVE_STEP * along for sign in (1.0, -1.0)]
+        values = straight.log_density(np.concatenate([side + moves for side in sides])).reshape(2, 2, -1)
+        gradient = ((values[:, 0] - values[:, 1]) / (2 * step)).mean(axis=0)
+        if np.isfinite(gradient).all():
+            beta = np.linalg.solve(block, gradient) / (CURVE_STEP * spread[base]) ** 2
+            curves.append(Curve(base, others, float(peak.centre[base]), beta))
+    curved = replace(straight, curves=(*straight.curves, *curves))
+    y = straight.y_from_x(peak.centre[None])
+    return curved, replace(peak, centre=curved.x_from_y(y)[0])
