@@ -12,10 +12,11 @@ type Level = Literal["plain", "good", "warning", "bad"]
 
 @dataclass(frozen=True)
 class Statement:
-    """A sentence computed from the numbers, and how good the news is."""
+    """A sentence computed from the numbers, how good the news is, and the word it is found by."""
 
     text: str
     level: Level = "plain"
+    lead: str = ""
 
 
 @dataclass(frozen=True)
@@ -44,11 +45,25 @@ class Column:
 
 @dataclass(frozen=True)
 class Cell:
-    """Text of a table; ``span`` counts the rows it covers, zero where the cell above covers it."""
+    """Text of a table.
+
+    Attributes
+    ----------
+    text : str
+    level : str
+    span : int
+        How many rows it covers, zero where the cell above covers it.
+    badge : bool
+        Whether the text stands on a coloured ground, as a mark does.
+    more : str
+        What the text opens on a click; in print it is open.
+    """
 
     text: str
     level: Level = "plain"
     span: int = 1
+    badge: bool = False
+    more: str = ""
 
 
 @dataclass(frozen=True)
@@ -69,6 +84,15 @@ class Table:
 
 
 @dataclass(frozen=True)
+class Fold:
+    """Tables behind a line that opens them; in print they are open."""
+
+    title: str
+    tables: tuple[Table, ...]
+    is_open: bool = False
+
+
+@dataclass(frozen=True)
 class FigureBlock:
     """A figure's place in the report; without data it says why it was left out."""
 
@@ -76,6 +100,7 @@ class FigureBlock:
     caption: str
     source: str | None
     reason: str = ""
+    section: str = ""
 
 
 def make_table(

@@ -6,11 +6,12 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from bayescal.report import parameter_tables, sections
-from bayescal.report.blocks import Column, FigureBlock, Statement, Table, make_table
+from bayescal.report import claims, parameter_tables, published, sections
+from bayescal.report.blocks import Cell, Column, FigureBlock, Fold, Statement, Table, make_table
+from bayescal.report.checks import list_failures, title_failures
 from bayescal.report.numbers import NOTHING, format_fixed
 from bayescal.report.results import Results, get_number
-from bayescal.report.verdict import list_failures, state_headline, state_verdict
+from bayescal.report.verdict import state_headline, state_verdict
 
 NOTATION = (
     ("a", "joint of a leg's actuator on the base, base frame", "section 2.2"),
@@ -27,13 +28,6 @@ NOTATION = (
     ("K", "deflection of all platform joints per displacement of all actuators", "eqs. 2 to 4"),
     ("tau", "model error: standard deviation of what the model leaves unexplained along a leg; not in RR-8096", ""),
 )
-PUBLISHED_REMARK = (
-    "Published values differ from the posteriors by construction: they come from least squares with all poses "
-    "weighted alike, without tolerances and without model error, on the data of the publication. The posteriors "
-    "weigh every pose by its covariance, use the tolerances as priors and leave room for a model error. These data: "
-    "{origin}. A published value outside an interval contradicts nothing, unless the data were made from that very "
-    "table."
-)
 
 
 @dataclass(frozen=True)
@@ -45,12 +39,19 @@ class ReportContext:
     data_origin: str
     headline: str
     failures: tuple[Statement, ...]
+    failures_title: str
     verdict: tuple[Statement, ...]
+    claim_counts: tuple[tuple[str, tuple[Cell, ...]], ...]
+    claims: tuple[Table, ...]
     rankings: tuple[Table, ...]
+    effects: Table | None
+    error_figures: tuple[str, ...]
     coverage: Table
     contraction: Table
-    parameter_tables: tuple[Table, ...]
+    published: Table | None
     published_remark: str
+    agreement: tuple[Statement, ...]
+    parameter_groups: tuple[tuple[str, tuple[Fold, ...]], ...]
     ridges: Table | None
     ridge_statements: tuple[Statement, ...]
     deformation: tuple[Table, ...]
@@ -81,19 +82,26 @@ def build_context(results: Results, figures: Mapping[str, FigureBlock]) -> Repor
     summary = results.summary
     deformation, deformation_statements = sections.tabulate_deformation(results)
     model_error, model_error_statements = sections.tabulate_model_error(results)
-    has_published = bool(results.least_squares["published_offset"].notna().any())
+    remark = published.REMARK.format(origin=summary["data_origin"].rstrip("."))
     return ReportContext(
         title=summary["title"],
         experiment=summary["experiment"],
         data_origin=summary["data_origin"],
         headline=state_headline(results),
         failures=tuple(list_failures(results)),
+        failures_title=title_failures(results),
         verdict=tuple(state_verdict(results)),
+        claim_counts=tuple(claims.list_counts(results)),
+        claims=tuple(claims.tabulate_claims(results)),
         rankings=tuple(sections.tabulate_ranking(results, setting) for setting in ("free", "zero")),
+        effects=sections.tabulate_effects(results),
+        error_figures=tuple(name for name, block in figures.items() if block.section == "errors"),
         coverage=sections.tabulate_coverage(results),
         contraction=parameter_tables.tabulate_contraction(results),
-        parameter_tables=tuple(parameter_tables.tabulate_parameters(results, name) for name in results.ranking),
-        published_remark=PUBLISHED_REMARK.format(origin=summary["data_origin"].rstrip(".")) if has_published else "",
+        published=published.tabulate_published(results),
+        published_remark=remark if published.has_published(results) else "",
+        agreement=tuple(parameter_tables.state_agreement(results)),
+        parameter_groups=tuple((title, tuple(folds)) for title, folds in parameter_tables.fold_parameters(results)),
         ridges=parameter_tables.tabulate_ridges(results),
         ridge_statements=tuple(parameter_tables.state_ridges(results)),
         deformation=tuple(deformation),
@@ -108,9 +116,21 @@ def build_context(results: Results, figures: Mapping[str, FigureBlock]) -> Repor
         provenance=tabulate_provenance(results),
         versions=_tabulate_mapping(results.provenance.get("versions"), "Versions.", "Package", "Version"),
         files=_tabulate_mapping(results.provenance.get("files"), "Input files.", "File", "SHA-256"),
-        config=json.dumps(results.provenance.get("config", {}), indent=2, ensure_ascii=False),
+        config=format_config(results.provenance.get("config", {})),
         figures=dict(figures),
     )
+
+
+def format_config(value: object, indent: str = "") -> str:
+    """Return JSON, indented; what holds no lists or objects stands on one line."""
+    inner = f"{indent}  "
+    if isinstance(value, dict) and any(isinstance(one, dict | list) for one in value.values()):
+        lines = [f"{inner}{json.dumps(key)}: {format_config(one, inner)}" for key, one in value.items()]
+        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+    if isinstance(value, list) and any(isinstance(one, dict | list) for one in value):
+        lines = [f"{inner}{format_config(one, inner)}" for one in value]
+        return "[\n" + ",\n".join(lines) + f"\n{indent}]"
+    return json.dumps(value, ensure_ascii=False)
 
 
 def tabulate_data(results: Results) -> Table:

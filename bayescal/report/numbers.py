@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 MICROMETRES = 1e3  # in a millimetre
-ARCSECONDS = 3600.0  # in a degree
+MILLIDEGREES = 1e3  # in a degree
 PER_MILLE = 1e3  # dimensionless parameters are shown in 1e-3
 
 NOTHING = "–"
@@ -66,6 +66,11 @@ def format_odds(nats: float) -> str:
     return f"{odds:.1f} to 1" if odds < 10 else f"{float(f'{odds:.1e}'):,.0f} to 1"
 
 
-def join_words(words: list[str]) -> str:
+def format_span(values: list[float], decimals: int = 1) -> str:
+    """Return ``smallest to largest``, one number where both read alike."""
+    return " to ".join(dict.fromkeys(format_fixed(x, decimals) for x in (min(values), max(values))))
+
+
+def join_words(words: list[str], between: str = "and") -> str:
     """Return ``a, b and c``."""
-    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+    return f" {between} ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from bayescal.geometry import Array
-from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
-from bayescal.report.figures.parameters import scale_of
-from bayescal.report.figures.style import split_symbol
+from bayescal.report.blocks import Cell, Column, Fold, Statement, Table, make_table
 from bayescal.report.numbers import (
     NOTHING,
     count_decimals,
@@ -19,45 +16,63 @@ from bayescal.report.numbers import (
     format_significant,
     join_words,
 )
+from bayescal.report.published import compare_published, has_published, name_table
 from bayescal.report.results import MODEL_ERROR, Results, split_name
+from bayescal.report.symbols import name_parameter, scale_of, write_symbol
+from bayescal.report.variants import (
+    describe_deformation,
+    find_variants,
+    group_variants,
+    label_variant,
+    list_deformations,
+    name_variants,
+)
 
-LENGTH = "mm"
+if TYPE_CHECKING:
+    from bayescal.geometry import Array
+
+OPEN = 3  # variants whose tables are all shown; of more each stands behind a line
 SHOWN_PAIRS = 3
+WIDE = 12  # symbols from which the contraction table has them as rows
 
 
-@dataclass(frozen=True)
-class Published:
-    """Comparison of a least-squares identification with published values.
+def fold_parameters(results: Results) -> list[tuple[str, list[Fold]]]:
+    """Return the tables of all variants, each behind a line that says how far it is from the published one."""
+    groups = []
+    for deformation in list_deformations(results):
+        folds = []
+        for name in find_variants(results, deformation=deformation):
+            title = _title(results, name)
+            if has_published(results, name):
+                comparison = compare_published(results, name)
+                title += (
+                    f": least squares {format_significant(comparison.rms_mm, 2)} mm rms from the published lengths, "
+                    f"{comparison.n_inside} of {comparison.n_known} published values in the posterior's 90 % intervals"
+                )
+            folds.append(Fold(title, (tabulate_parameters(results, name),), len(results.ranking) <= OPEN))
+        words = describe_deformation(deformation)
+        groups.append((words[0].upper() + words[1:], folds))
+    return groups
 
-    Attributes
-    ----------
-    rms_mm : float
-        Root mean square of the differences over all lengths, NaN without any.
-    n_lengths : int
-    n_inside, n_known : int
-        Published values inside the posterior's 90 % interval, and how many there are.
-    """
 
-    rms_mm: float
-    n_lengths: int
-    n_inside: int
-    n_known: int
-
-
-def compare_published(results: Results, variant: str) -> Published:
-    """Compare one variant's least squares and posterior (model error free) with the published values."""
-    rows = results.least_squares[results.least_squares["variant"] == variant]
-    lengths = rows[(rows["unit"] == LENGTH) & rows["difference"].notna()]["difference"].to_numpy()
-    rms = float(np.sqrt(np.mean(np.square(lengths)))) if len(lengths) else float("nan")
-    known = rows[rows["published_offset"].notna()]
-    parameters = results.fit(variant, "free")["parameters"]
-    inside = n = 0
-    for row in known.itertuples():
-        one = parameters.get(f"{row.parameter}[{row.leg}]") or parameters.get(str(row.parameter))
-        if one is not None:
-            n += 1
-            inside += one["q05"] <= one["nominal"] + row.published_offset <= one["q95"]
-    return Published(rms, len(lengths), int(inside), n)
+def state_agreement(results: Results) -> list[Statement]:
+    """Say how far the posteriors of variants lie apart that the evidence does not tell apart."""
+    frame = results.parameters
+    frame = frame[(frame["model_error"] == "free") & (frame["symbol"] != MODEL_ERROR)]
+    words = []
+    for group in group_variants(results, results.ranking):
+        rows = frame[frame["variant"].isin(group)]
+        index = ["symbol", "leg"]  # of the parameters that all have
+        mean, sd = (rows.pivot(index=index, columns="variant", values=what).dropna() for what in ("mean", "sd"))
+        if len(group) > 1 and len(mean):
+            apart = np.ptp(mean.to_numpy(), axis=1) / sd.to_numpy().mean(axis=1)
+            symbol, leg = mean.index[int(apart.argmax())]
+            where = name_parameter(f"{symbol}[{leg}]" if leg else str(symbol))
+            words.append(f"{name_variants(group)} by at most {format_fixed(float(apart.max()), 2)} sd ({where})")
+    if not words:
+        return []
+    text = f"The posterior means of variants that are not told apart differ: {'; '.join(words)}."
+    return [Statement(text)]
 
 
 def tabulate_parameters(results: Results, variant: str) -> Table:
@@ -69,42 +84,42 @@ def tabulate_parameters(results: Results, variant: str) -> Table:
     legs = [leg for leg in results.legs if leg in set(posterior["leg"]) | set(found["leg"])] or [1]
     columns = [Column("", kind="symbol"), Column("Unit", kind="text"), Column("", kind="text")]
     columns += [Column(f"leg {leg}") for leg in legs]
+    least_squares = {str(symbol): rows for symbol, rows in found.groupby("parameter", sort=False)}
     rows = []
-    for symbol in dict.fromkeys(posterior["symbol"]):
-        lines = _list_lines(posterior[posterior["symbol"] == symbol], found[found["parameter"] == symbol], legs)
-        _, unit = scale_of(symbol, str(posterior[posterior["symbol"] == symbol]["unit"].iloc[0]))
+    for symbol, chosen in posterior.groupby("symbol", sort=False):
+        factor, unit = scale_of(str(symbol), str(chosen["unit"].iloc[0]))
+        lines = _list_lines(chosen, least_squares.get(str(symbol), found.iloc[:0]), legs, factor)
         for k, (label, cells) in enumerate(lines):
             span = len(lines) if k == 0 else 0
-            rows.append([Cell(symbol, span=span), Cell(unit, span=span), Cell(label), *(Cell(c) for c in cells)])
-    caption = f"{variant}: offsets of the parameters from nominal, with model error."
+            rows.append([Cell(str(symbol), span=span), Cell(unit, span=span), Cell(label), *(Cell(c) for c in cells)])
+    caption = f"{_title(results, variant)}: offsets from nominal."
     return make_table(caption, columns, rows, _state_fit(results, variant, found))
 
 
-def _list_lines(posterior: pd.DataFrame, found: pd.DataFrame, legs: list[int]) -> list[tuple[str, list[str]]]:
+def _title(results: Results, variant: str) -> str:
+    table = name_table(results, variant)
+    return f"{table[0].upper()}{table[1:]}, {label_variant(variant)}" if table else label_variant(variant)
+
+
+def _list_lines(
+    posterior: pd.DataFrame, found: pd.DataFrame, legs: list[int], factor: float
+) -> list[tuple[str, list[str]]]:
     """Return the lines of one symbol: posterior, least squares, and where there are any the published values."""
-    factor, _ = scale_of(str(posterior["symbol"].iloc[0]), str(posterior["unit"].iloc[0]))
     single = set(posterior["leg"]) == {0}
-    by_leg = posterior.assign(leg=legs[0] if single else posterior["leg"]).set_index("leg")
-    places = min(4, count_decimals(float(factor * by_leg["sd"].min())))
-    offset, sd = factor * (by_leg["mean"] - by_leg["nominal"]), factor * by_leg["sd"]
-    lines = [
-        (
-            "posterior mean ± sd" + (" (machine)" if single else ""),
-            [
-                format_estimate(offset[leg], sd[leg], places, sign=True) if leg in offset.index else NOTHING
-                for leg in legs
-            ],
-        )
-    ]
-    found = found.set_index("leg")
+    places = min(4, count_decimals(float(factor * posterior["sd"].min())))
+    estimates = {
+        legs[0] if single else leg: format_estimate(factor * (mean - nominal), factor * sd, places, sign=True)
+        for leg, mean, nominal, sd in posterior[["leg", "mean", "nominal", "sd"]].itertuples(index=False)
+    }
+    lines = [("posterior mean ± sd" + (" (machine)" if single else ""), [estimates.get(leg, NOTHING) for leg in legs])]
     for label, column in (
         ("least squares", "offset"),
         ("published", "published_offset"),
         ("least squares − published", "difference"),
     ):
-        values = factor * found[column].reindex(legs)
-        if values.notna().any():
-            lines.append((label, [format_fixed(float(x), places, sign=True) for x in values]))
+        values = {leg: factor * x for leg, x in zip(found["leg"], found[column], strict=True) if x == x}
+        if values:
+            lines.append((label, [format_fixed(values.get(leg), places, sign=True) for leg in legs]))
     return lines
 
 
@@ -132,23 +147,19 @@ def tabulate_contraction(results: Results) -> Table:
     frame = frame.assign(contraction=1.0 - (frame["sd"] / frame["prior_sd"]) ** 2)
     grouped = frame.groupby(["variant", "symbol"])["contraction"].agg(["mean", "min"])
     symbols = list(dict.fromkeys(frame["symbol"]))
-    rows = []
-    for name in results.ranking:
-        row: list[str | Cell] = [name]
-        for symbol in symbols:
-            if (name, symbol) not in grouped.index:
-                row.append(NOTHING)
-                continue
-            mean, least = grouped.loc[(name, symbol)].to_numpy(dtype=float)
-            row.append(f"{format_fixed(100 * mean, 1)} ({format_fixed(100 * least, 1)})")
-        rows.append(row)
-    columns = [
-        Column("Variant", kind="name"),
-        *(Column(s, "%", "1 − (sd / prior sd)², mean over legs (least)", symbolic=True) for s in symbols),
-    ]
-    return make_table(
-        "Posterior contraction with model error: 0 % is the prior, 100 % is exactly known.", columns, rows
-    )
+    cells = {
+        (str(name), str(symbol)): f"{format_fixed(100 * mean, 1)} ({format_fixed(100 * least, 1)})"
+        for (name, symbol), mean, least in grouped.itertuples()
+    }
+    caption = "Posterior contraction with model error: 0 % is the prior, 100 % is exactly known."
+    group = "1 − (sd / prior sd)², mean over legs (least)"
+    if len(symbols) > WIDE:
+        columns = [Column("", kind="symbol"), *(Column(label_variant(name), "%", group) for name in results.ranking)]
+        rows = [[s, *(cells.get((name, s), NOTHING) for name in results.ranking)] for s in symbols]
+    else:
+        columns = [Column("Variant", kind="name"), *(Column(s, "%", group, symbolic=True) for s in symbols)]
+        rows = [[label_variant(name), *(cells.get((name, s), NOTHING) for s in symbols)] for name in results.ranking]
+    return make_table(caption, columns, rows)
 
 
 # --- ridges ----------------------------------------------------------------------------------------------------------
@@ -176,7 +187,7 @@ def tabulate_ridges(results: Results) -> Table | None:
         if name in results.draws:
             pairs = rank_pairs(results.draws[name])[:SHOWN_PAIRS]
             texts = [f"{name_parameter(a)}, {name_parameter(b)}: {format_fixed(r, 3, sign=True)}" for a, b, r in pairs]
-            rows.append([name, *texts, *[NOTHING] * (SHOWN_PAIRS - len(texts))])
+            rows.append([label_variant(name), *texts, *[NOTHING] * (SHOWN_PAIRS - len(texts))])
     if not rows:
         return None
     columns = [Column("Variant", kind="name")]
@@ -195,7 +206,7 @@ def state_ridges(results: Results) -> list[Statement]:
         f"{name_parameter(a)} with {name_parameter(b)} ({format_fixed(r, 2, sign=True)})"
         for a, b, r in pairs[:SHOWN_PAIRS]
     ]
-    text = f"In {best} the most correlated pairs are {join_words(named)}." if named else ""
+    text = f"In {label_variant(best)} the most correlated pairs are {join_words(named)}." if named else ""
     if strong:
         kinds = dict.fromkeys(" with ".join(write_symbol(split_name(x)[0]) for x in p[:2]) for p in strong)
         text += (
@@ -205,16 +216,3 @@ def state_ridges(results: Results) -> list[Statement]:
     else:
         text += f" None of the {len(pairs)} pairs exceeds 0.9 in size."
     return [Statement(text)]
-
-
-def name_parameter(name: str) -> str:
-    """Return a parameter's name in words, ``a_x of leg 3``."""
-    symbol, leg = split_name(name)
-    written = write_symbol(symbol)
-    return f"{written} of leg {leg}" if leg else written
-
-
-def write_symbol(symbol: str) -> str:
-    """Return a symbol in running text: Greek letters as such."""
-    head, below, above = split_symbol(symbol)
-    return f"{head}{above}{f'_{below}' if below else ''}"

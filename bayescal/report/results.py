@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py  # type: ignore[import-untyped]  # ships no types
 import numpy as np
@@ -17,11 +17,20 @@ import pandas as pd
 
 from bayescal.errors import InputError
 from bayescal.files import read_json
-from bayescal.geometry import Array
+
+if TYPE_CHECKING:
+    from bayescal.geometry import Array
 
 SETTINGS = {"free": "with model error", "zero": "without model error (τ = 0)"}
 MODEL_ERROR = "tau"
-TEXT_COLUMNS = dict.fromkeys(("variant", "model_error", "pose", "use", "parameter", "unit", "quantity"), str)
+TEXT_COLUMNS = dict.fromkeys(
+    (
+        *("variant", "model_error", "pose", "use", "parameter", "unit", "quantity"),
+        *("claim", "section", "statement", "expected", "found", "verdict", "why"),
+    ),
+    str,
+)
+VERDICTS = ("holds", "does not hold", "not testable")
 
 SUMMARY_KEYS: dict[str, type | tuple[type, ...]] = {
     "experiment": str,
@@ -85,7 +94,19 @@ TABLE_COLUMNS = {
     ),
     "ring": ("pose", "use", "leg", "actuator_displacement_mm", "deflection_um", "deflection_sd_um"),
     "deformation": ("quantity", "leg", "actuator", "mean_1e-3", "sd_1e-3"),
+    "flexure": (
+        "flexure_length_mm",
+        "bending_deg",
+        "across_um",
+        "along_beam_um",
+        "along_pivot_um",
+        "along_circle_um",
+        "circle_error_nm",
+    ),
+    "claims": ("claim", "section", "statement", "expected", "found", "value", "unit", "verdict", "why"),
 }
+REQUIRED = ("predictions", "sensitivity", "least_squares")
+OPTIONAL = (("ring", "deformation"), ("claims",), ("flexure",))  # each group is there as a whole or not at all
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +121,10 @@ class Results:
         Tables of the study.
     ring, deformation : DataFrame or None
         Deflections of the joints and what follows from them; None without targets on the pads.
+    claims : DataFrame or None
+        Statements of the publication, each with a verdict; None where the study tests none.
+    flexure : DataFrame or None
+        Displacement of a flexure joint; None where no model has flexures.
     draws : dict
         For each variant whose posterior file is there, the draws (S,) of each parameter, model error free.
     """
@@ -111,6 +136,8 @@ class Results:
     least_squares: pd.DataFrame
     ring: pd.DataFrame | None = None
     deformation: pd.DataFrame | None = None
+    claims: pd.DataFrame | None = None
+    flexure: pd.DataFrame | None = None
     draws: dict[str, dict[str, Array]] = field(default_factory=dict)
 
     @property
@@ -184,7 +211,7 @@ def read_results(folder: Path) -> Results:
     summary = read_json(folder / "summary.json")
     _check_summary(summary, folder / "summary.json")
     provenance = read_json(folder / "provenance.json")
-    tables = {name: _read_table(folder / "tables" / f"{name}.csv") for name in TABLE_COLUMNS if name not in OPTIONAL}
+    tables = {name: _read_table(folder / "tables" / f"{name}.csv") for name in REQUIRED}
     for name, table in tables.items():
         missing = [v for v in summary["ranking"] if v not in set(table["variant"])]
         if missing:
@@ -192,6 +219,9 @@ def read_results(folder: Path) -> Results:
     _check_settings(tables["predictions"], summary["ranking"], folder / "tables" / "predictions.csv")
     _check_grid(tables["sensitivity"], folder / "tables" / "sensitivity.csv")
     optional = {name: _read_table(folder / "tables" / f"{name}.csv") for name in _find_optional(folder)}
+    optional = {name: table for name, table in optional.items() if len(table)}
+    if "claims" in optional:
+        _check_claims(optional["claims"], folder / "tables" / "claims.csv")
     posteriors = {v: folder / "posterior" / f"{v.replace('/', '-')}.nc" for v in summary["ranking"]}
     draws = {variant: _read_draws(path) for variant, path in posteriors.items() if path.is_file()}
     return Results(summary, provenance, **tables, **optional, draws=draws)
@@ -211,12 +241,17 @@ def _check_grid(sensitivity: pd.DataFrame, path: Path) -> None:
         raise InputError(f"{path}: found {len(sensitivity)} rows, expected each variant once at each tolerance")
 
 
-OPTIONAL = ("ring", "deformation")
+def _check_claims(claims: pd.DataFrame, path: Path) -> None:
+    for row in claims.itertuples():
+        if row.verdict not in VERDICTS:
+            raise InputError(
+                f"{path}: claim {row.claim}: verdict: found {row.verdict!r}, expected one of {', '.join(VERDICTS)}"
+            )
 
 
-def _find_optional(folder: Path) -> tuple[str, ...]:
-    found = [name for name in OPTIONAL if (folder / "tables" / f"{name}.csv").is_file()]
-    return OPTIONAL if found else ()
+def _find_optional(folder: Path) -> list[str]:
+    groups = [names for names in OPTIONAL if any((folder / "tables" / f"{name}.csv").is_file() for name in names)]
+    return [name for names in groups for name in names]
 
 
 def _read_table(path: Path) -> pd.DataFrame:
@@ -229,7 +264,7 @@ def _read_table(path: Path) -> pd.DataFrame:
     missing = [column for column in TABLE_COLUMNS[path.stem] if column not in table.columns]
     if missing:
         raise InputError(f"{path}: found no column {missing[0]!r}, expected {', '.join(TABLE_COLUMNS[path.stem])}")
-    for column in set(TABLE_COLUMNS[path.stem]) - set(TEXT_COLUMNS):
+    for column in set(TABLE_COLUMNS[path.stem]) - set(TEXT_COLUMNS) if len(table) else ():
         if not (pd.api.types.is_numeric_dtype(table[column]) or pd.api.types.is_bool_dtype(table[column])):
             raise InputError(f"{path}: column {column!r}: found text, expected numbers")
     return table

@@ -10,9 +10,10 @@ import pandas as pd
 
 from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
 from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
+from bayescal.report.checks import is_too_narrow, measure_gain, measure_gap
 from bayescal.report.numbers import (
-    ARCSECONDS,
     MICROMETRES,
+    MILLIDEGREES,
     NOTHING,
     count_decimals,
     format_estimate,
@@ -20,13 +21,22 @@ from bayescal.report.numbers import (
     format_pair,
     format_percent,
     format_significant,
+    format_span,
+    join_words,
 )
 from bayescal.report.results import Results
-from bayescal.report.verdict import (
-    is_too_narrow,
-    measure_gap,
-    read_verification_elpd,
+from bayescal.report.variants import (
+    find_variants,
+    group_variants,
+    label_model,
+    label_variant,
+    list_deformations,
+    list_models,
+    name_variants,
+    read_evidence,
+    split_variant,
 )
+from bayescal.report.verdict import read_verification_elpd
 
 VARIANT = Column("Variant", kind="name")
 USES = ("calibration", "verification")
@@ -40,16 +50,16 @@ def tabulate_ranking(results: Results, setting: str) -> Table:
     columns = [
         Column("Rank"),
         VARIANT,
-        Column("Free", "parameters"),
+        Column("Free"),
         Column("Log-evidence", "nat"),
         Column("Difference", "nat"),
         Column("LOO", "nat", "elpd"),
         Column("verification", "nat", "elpd"),
         *(Column(use, "µm", "Position error, mean / max") for use in uses),
-        *(Column(use, "arcsec", "Orientation error, mean / max") for use in uses),
+        *(Column(use, "mdeg", "Orientation error, mean / max") for use in uses),
         Column("rms", "mm", "From nominal"),
         Column("rms", "prior sd", "From nominal"),
-        Column("Converged", kind="text"),
+        Column("Checks", kind="text"),
     ]
     rows: list[list[str | Cell]] = []
     for rank, name in enumerate(names, start=1):
@@ -57,17 +67,17 @@ def tabulate_ranking(results: Results, setting: str) -> Table:
         rows.append(
             [
                 str(rank),
-                name,
+                label_variant(name),
                 str(fit["n_parameters"]),
                 format_evidence(fit["log_evidence"], fit["log_evidence_se"]),
                 format_fixed(fit["log_evidence"] - best, 1),
                 _format_loo(fit),
                 format_fixed(read_verification_elpd(fit), 1),
                 *(_format_errors(fit[use], "position_error_mm", MICROMETRES) for use in uses),
-                *(_format_errors(fit[use], "orientation_error_deg", ARCSECONDS) for use in uses),
+                *(_format_errors(fit[use], "orientation_error_deg", MILLIDEGREES) for use in uses),
                 format_significant(fit["distance_from_nominal"]["rms_mm"]),
                 format_significant(fit["distance_from_nominal"]["rms_prior_sd"]),
-                Cell("yes") if fit["converged"] else Cell("NO", "bad"),
+                Cell("passed") if fit["converged"] else Cell("FAILED", "bad"),
             ]
         )
     title = {"free": "with model error τ", "zero": "without model error (τ = 0)"}[setting]
@@ -78,7 +88,58 @@ def tabulate_ranking(results: Results, setting: str) -> Table:
                 f"(n) n poses with Pareto k above {PARETO_K_LIMIT}: there elpd LOO is not to be trusted.", "warning"
             )
         )
+    if setting == "free":
+        notes += _state_names(results)
     return make_table(f"Ranking {title}.", columns, rows, notes)
+
+
+def _state_names(results: Results) -> list[Statement]:
+    """Say how models are called in config and results, where the report writes them otherwise."""
+    other = [f"{label_model(model)} is {model}" for model in list_models(results) if label_model(model) != model]
+    if not other:
+        return []
+    example = next(name for name in results.ranking if label_variant(name) != name)
+    return [Statement(f"In config and results {join_words(other)}: {label_variant(example)} is {example}.")]
+
+
+def tabulate_effects(results: Results) -> Table | None:
+    """Return the log-evidence by model and deformation, and what either is worth with the other kept; None for one."""
+    models, deformations = list_models(results), list_deformations(results)
+    if len(models) < 2 or len(deformations) < 2:
+        return None
+    letters = {
+        name: chr(ord("A") + k) if k < 26 else str(k)
+        for k, group in enumerate(group_variants(results, results.ranking))
+        for name in group
+    }
+    best = split_variant(results.ranking[0])[1]
+    columns = [
+        Column("Model", kind="text"),
+        *(Column(d, "nat", "Below the best variant") for d in deformations),
+        *(Column(f"{best} − {d}", "nat", "What the deformation adds") for d in deformations if d != best),
+        *(Column(d, "nat", f"Against {label_model(models[0])}, same deformation") for d in deformations),
+    ]
+    top = read_evidence(results, results.ranking[0])
+    rows = []
+    for model in models:
+        own = {d: name for d in deformations for name in find_variants(results, model, d)}
+        value = {d: read_evidence(results, name) for d, name in own.items()}
+        other = {d: read_evidence(results, n) for d in deformations for n in find_variants(results, models[0], d)}
+        row = [label_model(model)]
+        row += [f"{format_fixed(value[d] - top, 1)} {letters[own[d]]}" if d in own else NOTHING for d in deformations]
+        row += [_format_difference(value, best, value, d) for d in deformations if d != best]
+        row += [_format_difference(value, d, other, d) if model != models[0] else NOTHING for d in deformations]
+        rows.append(row)
+    note = (
+        "Variants of one letter are not told apart: within 1 nat, or within twice the error of the estimates, of the "
+        "best of their letter."
+    )
+    return make_table("Log-evidence by model and deformation, with model error.", columns, rows, [Statement(note)])
+
+
+def _format_difference(value: dict[str, float], one: str, reference: dict[str, float], other: str) -> str:
+    there = one in value and other in reference
+    return format_fixed(value[one] - reference[other], 1, sign=True) if there else NOTHING
 
 
 def format_evidence(value: float, se: float) -> str:
@@ -105,7 +166,7 @@ def tabulate_coverage(results: Results) -> Table:
     for name, setting, fit in results.fits():
         chosen = results.predictions["variant"].eq(name) & results.predictions["model_error"].eq(setting)
         frame = results.predictions[chosen]
-        cells: list[str | Cell] = [name, "free" if setting == "free" else "τ = 0"]
+        cells: list[str | Cell] = [label_variant(name), "free" if setting == "free" else "τ = 0"]
         for use in uses:
             share, n = fit[use]["interval_90_coverage"], results.summary["n_poses"][use]
             cells.append(Cell(format_percent(share).rstrip(" %"), "warning" if is_too_narrow(share, n) else "plain"))
@@ -138,7 +199,7 @@ def tabulate_evidence(results: Results) -> Table:
         methods, errors, quality = fit["log_evidence_methods"], fit["log_evidence_method_se"], fit["importance"]
         rows.append(
             [
-                name,
+                label_variant(name),
                 "free" if setting == "free" else "τ = 0",
                 format_evidence(methods["importance"], errors["importance"]),
                 format_evidence(methods["bridge"], errors["bridge"]),
@@ -166,7 +227,12 @@ def tabulate_sensitivity(results: Results) -> Table:
     for name in results.ranking:
         texts = [f"{format_fixed(x, 1)} ({rank:.0f})" for x, rank in zip(wide[name], ranks[name], strict=True)]
         marks = doubtful.sort_index()[name]
-        rows.append([name, *(Cell(t, "warning" if bad else "plain") for t, bad in zip(texts, marks, strict=True))])
+        rows.append(
+            [
+                label_variant(name),
+                *(Cell(t, "warning" if bad else "plain") for t, bad in zip(texts, marks, strict=True)),
+            ]
+        )
     note = Statement(f"Marked where Pareto k exceeds {PARETO_K_LIMIT}.", "warning")
     notes = [note] if doubtful.to_numpy().any() else []
     return make_table("Log-evidence with model error for other tolerances of the lengths.", columns, rows, notes)
@@ -191,7 +257,7 @@ def tabulate_diagnostics(results: Results) -> Table:
         k = fit["elpd_loo_pareto_k_max"]
         rows.append(
             [
-                name,
+                label_variant(name),
                 "free" if setting == "free" else "τ = 0",
                 _limited(fit["rhat_max"], fit["rhat_max"] < RHAT_LIMIT, 4),
                 _limited(fit["ess_bulk_min"], fit["ess_bulk_min"] > ESS_BULK_LIMIT, 0),
@@ -207,22 +273,25 @@ def tabulate_diagnostics(results: Results) -> Table:
 
 
 def tabulate_model_error(results: Results) -> tuple[Table | None, list[Statement]]:
-    """Return τ of each leg with its 90 % interval, and what it says."""
+    """Return τ of each leg with its 90 % interval and what it adds to the evidence, and a sentence per group."""
     frame = results.parameters
     rows_free = frame[(frame["model_error"] == "free") & (frame["symbol"] == "tau")]
     if rows_free.empty:
         return None, []
     legs = sorted(set(rows_free["leg"]))
     columns = [VARIANT, *(Column(f"leg {leg}" if leg else "all legs", "µm", "τ, mean [5 %, 95 %]") for leg in legs)]
-    rows, statements = [], []
+    columns.append(Column("Worth of τ", "nat"))
+    rows = []
     for name in results.ranking:
-        one = rows_free[rows_free["variant"] == name].set_index("leg")
-        values = MICROMETRES * one[["mean", "q05", "q95"]]
-        rows.append([name, *(_format_interval(values, leg) if leg in values.index else NOTHING for leg in legs)])
-        low, high = float(values["mean"].min()), float(values["mean"].max())
-        span = " to ".join(dict.fromkeys(format_significant(x, 2) for x in (low, high)))
-        statements.append(Statement(f"{name}: τ is {span} µm; {_judge_model_error(results, name)}."))
-    return make_table("Model error of each leg.", columns, rows), statements
+        values = MICROMETRES * rows_free[rows_free["variant"] == name].set_index("leg")[["mean", "q05", "q95"]]
+        cells = [_format_interval(values, leg) if leg in values.index else NOTHING for leg in legs]
+        rows.append([label_variant(name), *cells, format_fixed(measure_gain(results, name), 1, sign=True)])
+    note = "Worth of τ: log-evidence with model error less that without; negative where the model suffices."
+    groups = group_variants(results, results.ranking)
+    return (
+        make_table("Model error of each leg.", columns, rows, [Statement(note)]),
+        [_state_group(results, rows_free, group) for group in groups],
+    )
 
 
 def _format_interval(values: pd.DataFrame, leg: int) -> str:
@@ -233,12 +302,18 @@ def _format_interval(values: pd.DataFrame, leg: int) -> str:
     return f"{mean} [{low}, {high}]"
 
 
-def _judge_model_error(results: Results, name: str) -> str:
-    gain = results.fit(name, "free")["log_evidence"] - results.fit(name, "zero")["log_evidence"]
-    worth = format_fixed(abs(gain), 1)
-    if gain > 0:
-        return f"the measurements call for it (log-evidence {worth} nat higher than with τ = 0)"
-    return f"the measurements do not call for it (log-evidence {worth} nat lower than with τ = 0)"
+def _state_group(results: Results, rows: pd.DataFrame, names: list[str]) -> Statement:
+    """Say how large τ is in variants that are alike, and whether the measurements call for it."""
+    values = MICROMETRES * rows[rows["variant"].isin(names)]["mean"]
+    span = " to ".join(dict.fromkeys(format_significant(float(x), 2) for x in (values.min(), values.max())))
+    gains = [measure_gain(results, name) for name in names]
+    call = "call for it" if min(gains) > 0 else "do not call for it" if max(gains) <= 0 else "call for it in some"
+    level = "higher" if min(gains) > 0 else "lower" if max(gains) <= 0 else "higher or lower"
+    worth = format_span([abs(x) for x in gains])
+    return Statement(
+        f"{name_variants(names)}: τ is {span} µm; the measurements {call} (log-evidence {worth} nat {level} than with "
+        "τ = 0)."
+    )
 
 
 def read_prior_scale(results: Results) -> float | None:

@@ -3,125 +3,208 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import pandas as pd
-
-from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
+from bayescal.limits import PARETO_K_LIMIT
+from bayescal.report import checks, claims
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import (
-    ARCSECONDS,
     MICROMETRES,
+    MILLIDEGREES,
     format_fixed,
     format_odds,
-    format_percent,
     format_significant,
+    format_span,
     join_words,
 )
-from bayescal.report.results import SETTINGS, Results, get_number
+from bayescal.report.results import Results, get_number
+from bayescal.report.variants import (
+    NOT_DISTINGUISHABLE,
+    describe_deformation,
+    find_leaders,
+    find_variants,
+    group_variants,
+    label_model,
+    label_variant,
+    list_deformations,
+    list_models,
+    measure_spread,
+    name_variants,
+    read_evidence,
+    split_pairs,
+    split_variant,
+)
 
-INTERVAL = 0.90
-NOT_DISTINGUISHABLE = 1.0  # nats
-STRONG = 5.0
+STRONG = 5.0  # nats
 SMALL_ELPD = 4.0  # nats of elpd below which a difference says little
-FEW = 3  # variants to name one by one
 BEYOND_BELIEF = 15.0  # nats from which odds rest on the assumptions, no longer on the data
 
 
 def state_headline(results: Results) -> str:
-    """Return which variant wins and by how much."""
-    ranking = results.ranking
-    if len(ranking) == 1:
-        return f"{ranking[0]} is the only variant, log-evidence {format_fixed(results.best['log_evidence'], 1)} nat."
-    behind = {name: results.best["log_evidence"] - results.fit(name, "free")["log_evidence"] for name in ranking}
-    tied = [name for name in ranking if not behind[name] > _measure_resolution(results, name)]
-    following = next((name for name in ranking if name not in tied), None)
-    if len(tied) > 1:
-        between = format_fixed(behind[tied[-1]], 2)
-        text = f"{join_words(tied)} cannot be told apart: {between} nat of log-evidence between them"
-        if following is None:
-            return f"{text}."
-        return f"{text}; {following} follows {format_fixed(behind[following], 1)} nat behind."
-    lead, second = behind[ranking[1]], ranking[1]
+    """Return which variant wins and by how much, or which share the first place."""
+    best = results.ranking[0]
+    if len(results.ranking) == 1:
+        evidence = format_fixed(results.best["log_evidence"], 1)
+        return f"{label_variant(best)} is the only variant, log-evidence {evidence} nat."
+    leaders = find_leaders(results)
+    others = [name for name in results.ranking if name not in leaders]
+    if len(leaders) > 1:
+        between = format_fixed(measure_spread(results, leaders), 2)
+        if not others:
+            return f"{name_variants(leaders)} cannot be told apart: {between} nat of log-evidence between them."
+        behind = measure_spread(results, (best, others[0]))
+        words = "explain the measurements best and cannot" if behind > STRONG else "cannot"
+        return (
+            f"{name_variants(leaders)} {words} be told apart: {between} nat of log-evidence between them; "
+            f"{label_variant(others[0])} follows {format_fixed(behind, 1)} nat behind."
+        )
+    lead = measure_spread(results, results.ranking[:2])
     word = "explains the measurements best" if lead > STRONG else "is preferred, not decisively"
-    return f"{ranking[0]} {word}, by {format_fixed(lead, 1)} nat over {second} (odds of about {format_odds(lead)})."
-
-
-def measure_lead(results: Results, setting: str) -> float:
-    """Return by how many nats the best variant of a setting leads; NaN for a single variant."""
-    values = sorted((results.fit(name, setting)["log_evidence"] for name in results.ranking), reverse=True)
-    return values[0] - values[1] if len(values) > 1 else math.nan
-
-
-def _measure_resolution(results: Results, name: str) -> float:
-    """Return the difference to the best variant below which nothing is claimed, nats."""
-    return max(
-        NOT_DISTINGUISHABLE,
-        2 * math.hypot(*(results.fit(n, "free")["log_evidence_se"] for n in (name, results.ranking[0]))),
+    return (
+        f"{label_variant(best)} {word}, by {format_fixed(lead, 1)} nat over {label_variant(results.ranking[1])} "
+        f"(odds of about {format_odds(lead)})."
     )
-
-
-def list_failures(results: Results) -> list[Statement]:
-    """Return everything that speaks against relying on the numbers, posterior by posterior."""
-    failures = []
-    for variant, setting, fit in results.fits():
-        where = f"{variant}, {SETTINGS[setting]}"
-        problems = [str(problem) for problem in fit["problems"]]
-        if not problems and not fit["log_evidence_agrees"]:
-            problems = [f"the two log-evidences differ by {measure_gap(fit):.2f} nat, limit {AGREEMENT}"]
-        if not problems and not fit["converged"]:
-            problems = ["not converged"]
-        failures += [Statement(f"{where}: {problem}", "bad") for problem in problems]
-    return failures
-
-
-def measure_gap(fit: dict[str, Any]) -> float:
-    """Return how far the two log-evidences of a posterior lie apart."""
-    methods = fit["log_evidence_methods"]
-    return abs(float(methods["importance"] - methods["bridge"]))
 
 
 def state_verdict(results: Results) -> list[Statement]:
     """Return the sentences below the headline."""
-    statements = [_state_accuracy(results), *_state_prediction(results), _state_convergence(results)]
-    statements += [
-        *_state_stability(results),
-        *_state_model_error(results),
-        *state_coverage(results),
+    return [
+        *_state_deformations(results),
+        *_state_models(results),
+        *_state_pairs(results),
+        _state_accuracy(results),
+        *_state_prediction(results),
+        *claims.state_claims(results),
+        checks.state_convergence(results),
+        *checks.state_stability(results),
+        *checks.state_model_error(results),
+        *checks.state_coverage(results),
         *_state_odds(results),
     ]
-    return statements
+
+
+def _state_deformations(results: Results) -> list[Statement]:
+    """Say what the best variant's deformation is worth against the others, model by model."""
+    best = split_variant(results.ranking[0])[1]
+    parts = {}
+    for other in (d for d in list_deformations(results) if d != best):
+        gaps = {}
+        for model in list_models(results):
+            pair = find_variants(results, model, best) + find_variants(results, model, other)
+            if len(pair) == 2:
+                gaps[label_model(model)] = read_evidence(results, pair[0]) - read_evidence(results, pair[1])
+        if gaps:
+            parts[other] = (max(gaps.values()), f"of {other} by {_describe_gaps(gaps)}")
+    if not parts or len(results.ranking) < 3:
+        return []
+    nearest_first = "; ".join(text for _, text in sorted(parts.values()))
+    return [Statement(f"With the same model, {best} is ahead {nearest_first}.", lead="Deformation")]
+
+
+def _describe_gaps(gaps: Mapping[str, float]) -> str:
+    """Return differences as spans, those of models alike taken together."""
+    clusters: list[list[str]] = []
+    for label in sorted(gaps, key=lambda label: -gaps[label]):
+        if clusters and gaps[clusters[-1][-1]] - gaps[label] <= NOT_DISTINGUISHABLE:
+            clusters[-1].append(label)
+        else:
+            clusters.append([label])
+    words = []
+    for cluster in clusters:
+        names = [label for label in gaps if label in cluster]
+        whose = f" ({join_words(names)})" if len(gaps) > 1 else ""
+        words.append(f"{format_span([gaps[name] for name in cluster])} nat{whose}")
+    return join_words(words)
+
+
+def _state_models(results: Results) -> list[Statement]:
+    """Say which models the evidence tells apart, deformation by deformation, the best first."""
+    parts = []
+    for deformation in dict.fromkeys(split_variant(name)[1] for name in results.ranking):
+        names = find_variants(results, deformation=deformation)
+        if len(names) > 1:
+            groups = group_variants(results, names)
+            parts.append(f"{describe_deformation(deformation)}, {_describe_groups(results, groups)}")
+    if not parts or len(results.ranking) < 3:
+        return []
+    text = "; ".join(parts)
+    return [Statement(f"{text[0].upper()}{text[1:]}.", lead="Model")]
+
+
+def _describe_groups(results: Results, groups: Sequence[Sequence[str]]) -> str:
+    first, *rest = groups
+    lead = join_words([label_model(split_variant(name)[0]) for name in first])
+    spread = format_fixed(measure_spread(results, first), 1)
+    words = [f"{lead} are not told apart ({spread} nat)" if len(first) > 1 else f"{lead} leads"]
+    reference = read_evidence(results, first[0])
+    for group in rest:
+        models = join_words([label_model(split_variant(name)[0]) for name in group])
+        below = format_span([reference - read_evidence(results, name) for name in group])
+        of = f" {label_model(split_variant(first[0])[0])}" if len(first) > 1 else ""
+        words.append(f"{models} {below} nat below{of}")
+    return ", ".join(words)
+
+
+def _state_pairs(results: Results) -> list[Statement]:
+    apart, tied = split_pairs(results)
+    if not apart or not tied or len(results.ranking) < 3:
+        return []
+    text = (
+        f"Of {len(apart) + len(tied)} pairs of variants the measurements tell {len(apart)} apart, by "
+        f"{format_fixed(min(apart), 1)} nat or more; the other {len(tied)} lie within {format_fixed(max(tied), 1)} nat."
+    )
+    return [Statement(text, lead="Pairs")]
+
+
+def _state_accuracy(results: Results) -> Statement:
+    use = "verification" if results.n_verification else "calibration"
+    leaders = find_leaders(results)
+    texts = {}
+    for key, factor in (("position_error_mm", MICROMETRES), ("orientation_error_deg", MILLIDEGREES)):
+        for which in ("mean", "max"):
+            values = [factor * results.fit(name, "free")[use][key][which] for name in leaders]
+            words = dict.fromkeys(format_significant(x, 2) for x in (min(values), max(values)))
+            texts[key, which] = " to ".join(words)
+    held = "held back from the fit" if results.n_verification else "used in the fit; none were held back"
+    return Statement(
+        f"{name_variants(leaders)}: {texts['position_error_mm', 'mean']} µm mean and "
+        f"{texts['position_error_mm', 'max']} µm largest position error, {texts['orientation_error_deg', 'mean']} mdeg "
+        f"mean and {texts['orientation_error_deg', 'max']} mdeg largest orientation error on the "
+        f"{results.summary['n_poses'][use]} {use} poses ({held}).",
+        lead="Accuracy",
+    )
 
 
 def _state_odds(results: Results) -> list[Statement]:
-    if not measure_lead(results, "free") > BEYOND_BELIEF:
+    others = [name for name in results.ranking if name not in find_leaders(results)]
+    if not others or not measure_spread(results, (results.ranking[0], others[0])) > BEYOND_BELIEF:
         return []
     text = (
         "Odds of this size mean that the measurements rule the other variants out as far as the assumptions hold "
         "(noise model, priors, tolerances); they are no measure of how sure one may be of the assumptions."
     )
-    return [Statement(text)]
+    return [Statement(text, lead="Odds")]
+
+
+# --- predictive density ----------------------------------------------------------------------------------------------
 
 
 def _state_prediction(results: Results) -> list[Statement]:
-    """Say whether cross-validation and the poses held back name the same variant as the evidence."""
+    """Say whether cross-validation and the poses held back name the same variants as the evidence."""
     if len(results.ranking) == 1:
         return []
-    statements = [
-        _compare_order(
-            results, "leave-one-out cross-validation (elpd LOO)", "agrees", lambda fit: float(fit["elpd_loo"])
-        )
-    ]
+    loo = "Leave-one-out cross-validation (elpd LOO)"
+    statements = [_compare_order(results, loo, "agrees", lambda fit: float(fit["elpd_loo"]))]
     if results.n_verification:
-        statements.append(
-            _compare_order(results, "the poses held back for verification (elpd)", "agree", read_verification_elpd)
-        )
+        held = "The poses held back for verification (elpd)"
+        statements.append(_compare_order(results, held, "agree", read_verification_elpd))
     bad = {name: int(results.fit(name, "free")["elpd_loo_n_bad_k"]) for name in results.ranking}
-    doubtful = [f"{name} ({n} {'pose' if n == 1 else 'poses'})" for name, n in bad.items() if n]
+    doubtful = [f"{label_variant(name)} ({n} {'pose' if n == 1 else 'poses'})" for name, n in bad.items() if n]
     if doubtful:
-        text = f"elpd LOO is approximate where Pareto k exceeds {PARETO_K_LIMIT}: {_name_or_count(doubtful, len(bad))}."
-        statements.append(Statement(text, "warning"))
+        named = checks.name_or_count(doubtful, len(bad))
+        text = f"elpd LOO is approximate where Pareto k exceeds {PARETO_K_LIMIT}: {named}."
+        statements.append(Statement(text, "warning", "Prediction"))
     return statements
 
 
@@ -133,149 +216,40 @@ def read_verification_elpd(fit: dict[str, Any]) -> float:
 def _compare_order(results: Results, name: str, verb: str, score: Callable[[dict[str, Any]], float]) -> Statement:
     values = {variant: score(results.fit(variant, "free")) for variant in results.ranking}
     order = sorted(values, key=lambda variant: -values[variant] if values[variant] == values[variant] else math.inf)
-    first, second = order[0], order[1]
-    capital = name[0].upper() + name[1:]
-    best = results.ranking[0]
-    gap = values[first] - values[best if first != best else second]
-    lead = f"{first} first, {format_fixed(gap, 1)} nat ahead of {best if first != best else second}"
+    leaders = find_leaders(results)
+    others = [variant for variant in order if variant not in leaders]
+    first = order[0]
+    if not others or first not in leaders:
+        rival = order[1] if first in leaders else max(leaders, key=values.__getitem__)
+        lead = f"{label_variant(first)} first, {format_fixed(values[first] - values[rival], 1)} nat ahead of "
+        return _judge_order(name, verb, values[first] - values[rival], first in leaders, lead + label_variant(rival))
+    gap = min(values[variant] for variant in leaders) - values[others[0]]
+    among = f"{label_variant(first)} first, "
+    if len(leaders) > 1:
+        spread = format_fixed(max(values.values()) - min(values[variant] for variant in leaders), 1)
+        among = f"the same {len(leaders)} lead with {spread} nat between them, "
+    lead = f"{among}{format_fixed(gap, 1)} nat ahead of {label_variant(others[0])}"
+    if gap > SMALL_ELPD:
+        lead += _describe_rest(results, values)
+    return _judge_order(name, verb, gap, True, lead)
+
+
+def _judge_order(name: str, verb: str, gap: float, agrees: bool, lead: str) -> Statement:
     if not gap > SMALL_ELPD:
-        return Statement(f"{capital} hardly {'separates' if verb == 'agrees' else 'separate'} the best: {lead}.")
-    if first != best:
-        return Statement(f"{capital} dis{verb}: {lead}.", "bad")
-    rest = ""
-    if order != results.ranking:
-        rest = "; further down the order differs" + (f" ({', '.join(order)})" if len(order) <= FEW else "")
-    elif len(order) > 2:
-        rest = ", and the same order throughout"
-    return Statement(f"{capital} {verb}: {lead}{rest}.", "good")
-
-
-def _name_or_count(words: list[str], total: int) -> str:
-    """Return a few variants by name, many as a count."""
-    return join_words(words) if len(words) <= FEW else f"{len(words)} of {total} variants (tables below)"
-
-
-def _state_accuracy(results: Results) -> Statement:
-    use = "verification" if results.n_verification else "calibration"
-    errors = results.best[use]
-    position = {k: format_significant(MICROMETRES * v, 2) for k, v in errors["position_error_mm"].items()}
-    orientation = {k: format_significant(ARCSECONDS * v, 2) for k, v in errors["orientation_error_deg"].items()}
-    held = "held back from the fit" if results.n_verification else "used in the fit; none were held back"
-    text = (
-        f"Accuracy of {results.ranking[0]}: {position['mean']} µm mean and {position['max']} µm largest position "
-        f"error, {orientation['mean']}″ mean and {orientation['max']}″ largest orientation error on the "
-        f"{results.summary['n_poses'][use]} {use} poses ({held})."
-    )
-    return Statement(text)
-
-
-def _state_convergence(results: Results) -> Statement:
-    fits = list(results.fits())
-    failed = sum(1 for _, _, fit in fits if not fit["converged"] or not fit["log_evidence_agrees"])
-    if failed:
-        return Statement(f"{failed} of {len(fits)} posteriors did not pass their checks (listed above).", "bad")
-    gap = max(measure_gap(fit) for _, _, fit in fits)
-    rhat = max(fit["rhat_max"] for _, _, fit in fits)
-    bulk = min(fit["ess_bulk_min"] for _, _, fit in fits)
-    text = (
-        f"All {len(fits)} posteriors converged: R-hat at most {rhat:.4f} (limit {RHAT_LIMIT}), bulk ESS at least "
-        f"{bulk:.0f} (limit {ESS_BULK_LIMIT:.0f}). Both evidence estimators agree to {gap:.3f} nat or better (limit "
-        f"{AGREEMENT})."
-    )
-    return Statement(text, "good")
-
-
-def _state_stability(results: Results) -> list[Statement]:
-    """Say whether the same variant leads under every tolerance of the lengths."""
-    best = results.ranking[0]
-    if len(results.ranking) == 1:
-        return []
-    wide = results.sensitivity_grid
-    span = f"tolerances of the lengths from {wide.index[0]:g} to {wide.index[-1]:g} mm"
-    statements = [_compare_tolerances(wide, best, results.ranking, span)]
-    doubtful = int((results.sensitivity["pareto_k"] > PARETO_K_LIMIT).sum())
-    if doubtful:
-        text = f"{doubtful} of {wide.size} of these evidences are doubtful (importance sampling, Pareto k)."
-        statements.append(Statement(text, "warning"))
-    return statements
-
-
-def _compare_tolerances(wide: pd.DataFrame, best: str, ranking: list[str], span: str) -> Statement:
-    rivals = wide.drop(columns=best)
-    lead = wide[best] - rivals.max(axis=1)
-    lost = lead[lead < -NOT_DISTINGUISHABLE].index
-    if len(lost):
-        where = join_words([f"{rivals.loc[tolerance].idxmax()} at {tolerance:g} mm" for tolerance in lost])
-        return Statement(f"The ranking is not stable over {span}: not {best} comes first but {where}.", "bad")
-    same = all(list(row.sort_values(ascending=False).index) == ranking for _, row in wide.iterrows())
-    whole = "the whole order stays" if same else "further down the order changes"
-    if lead.min() > NOT_DISTINGUISHABLE:
-        stays = f"{best} stays first, never by less than {format_fixed(lead.min(), 1)} nat (at {lead.idxmin():g} mm)"
-    else:
-        stays = f"no other variant gets ahead of {best} by more than {NOT_DISTINGUISHABLE:g} nat"
-    return Statement(f"The ranking is stable over {span}: {stays}; {whole}.", "good")
-
-
-def _state_model_error(results: Results) -> list[Statement]:
-    """Say which variants the data want a model error for, and who leads without it."""
-    gain = {
-        name: results.fit(name, "free")["log_evidence"] - results.fit(name, "zero")["log_evidence"]
-        for name in results.ranking
-    }
-    best = results.ranking[0]
-    worth = format_fixed(abs(gain[best]), 1)
-    if gain[best] < 0:
-        text = f"{best} needs no model error τ: setting it to zero raises its log-evidence by {worth} nat"
-    else:
-        text = f"{best} needs the model error τ: without it its log-evidence falls by {worth} nat"
-    needing = [name for name in results.ranking[1:] if gain[name] > 0]
-    if needing:
-        least = format_fixed(min(gain[name] for name in needing), 1)
-        everyone = len(needing) == len(gain) - 1
-        which = "the other variants fall" if everyone else f"{_name_or_count(needing, len(gain))} fall"
-        text += (
-            f"; without it {which} by {least} nat or more"
-            if len(needing) > 1
-            else f"; {needing[0]} falls by {least} nat"
+        return Statement(
+            f"{name} hardly {'separates' if verb == 'agrees' else 'separate'} the best: {lead}.", lead="Prediction"
         )
-    if len(gain) > 1:
-        leader = max(results.ranking, key=lambda name: results.fit(name, "zero")["log_evidence"])
-        lead = format_fixed(measure_lead(results, "zero"), 1)
-        text += f". With τ = 0 everywhere, {leader} leads by {lead} nat"
-        if leader != best:
-            return [Statement(f"{text}: not the variant that leads with model error.", "warning")]
-    return [Statement(f"{text}.")]
+    if not agrees:
+        return Statement(f"{name} dis{verb}: {lead}.", "bad", "Prediction")
+    return Statement(f"{name} {verb}: {lead}.", "good", "Prediction")
 
 
-def state_coverage(results: Results) -> list[Statement]:
-    """Say how often the 90 % predictive intervals hold the measurements, in both settings."""
-    statements = []
-    for setting, words in SETTINGS.items():
-        coverage = {name: results.fit(name, setting)["calibration"]["interval_90_coverage"] for name in results.ranking}
-        narrow = [
-            name for name, share in coverage.items() if is_too_narrow(share, results.summary["n_poses"]["calibration"])
-        ]
-        span = " to ".join(dict.fromkeys(format_percent(x) for x in (min(coverage.values()), max(coverage.values()))))
-        text = (
-            f"{words[0].upper()}{words[1:]}, the 90 % predictive intervals hold {span} of the calibration measurements"
-        )
-        if narrow:
-            shares = _name_or_count(
-                [f"{name} ({_cover_both(results, name, setting)})" for name in narrow], len(coverage)
-            )
-            text += f": too narrow, so the posteriors claim more than the data bear out, for {shares}"
-        statements.append(Statement(f"{text}.", "warning" if narrow else "plain"))
-    return statements
-
-
-def _cover_both(results: Results, variant: str, setting: str) -> str:
-    fit = results.fit(variant, setting)
-    text = format_percent(fit["calibration"]["interval_90_coverage"])
-    if fit.get("verification"):
-        text += f", verification {format_percent(fit['verification']['interval_90_coverage'])}"
-    return text
-
-
-def is_too_narrow(coverage: float, n_poses: int) -> bool:
-    """Whether a coverage lies two standard errors below 90 %, counting a pose's six components as one trial."""
-    return bool(coverage < INTERVAL - 2 * math.sqrt(INTERVAL * (1 - INTERVAL) / max(n_poses, 1)))
+def _describe_rest(results: Results, values: Mapping[str, float]) -> str:
+    """Say whether the order further down contradicts the evidence by more than a little."""
+    if len(values) < 3:
+        return ""
+    reversed_pairs = checks.list_reversals(results, values, SMALL_ELPD)
+    if not reversed_pairs:
+        return f"; no pair that the evidence tells apart is reversed by more than {SMALL_ELPD:g} nat"
+    n = len(reversed_pairs)
+    return f"; further down {n} {'pair comes' if n == 1 else 'pairs come'} in the other order"

@@ -11,9 +11,9 @@ from markupsafe import Markup, escape
 
 from bayescal.report.blocks import FigureBlock
 from bayescal.report.context import ReportContext, build_context
-from bayescal.report.figures.style import split_symbol
 from bayescal.report.illustrations import list_illustrations, render_png
 from bayescal.report.results import Results, read_results
+from bayescal.report.symbols import split_symbol
 
 PAGE = "report.html"
 
@@ -57,7 +57,10 @@ def _draw_figures(results: Results, folder: Path) -> dict[str, FigureBlock]:
             image = render_png(one.draw)
             path.write_bytes(image)
             source = f"data:image/png;base64,{base64.b64encode(image).decode('ascii')}"
-        blocks[one.name] = FigureBlock(one.name, one.caption, source, one.reason)
+        blocks[one.name] = FigureBlock(one.name, one.caption, source, one.reason, one.section)
+    for path in folder.glob("errors_*.png"):
+        if path.stem not in blocks:
+            path.unlink()
     return blocks
 
 
@@ -67,14 +70,21 @@ def render_page(context: ReportContext) -> str:
     environment = Environment(
         loader=FileSystemLoader(here), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {"symbol": set_symbol, "bind": bind_units}
+    environment.filters |= {"symbol": set_symbol, "bind": bind_units, "prose": set_prose}
     style = Markup((here / "report.css").read_text(encoding="utf-8"))
     return environment.get_template("template.html").render(report=context, style=style)
 
 
 def bind_units(text: str) -> str:
     """Return text in which no line breaks between a number and its unit."""
-    return re.sub(r"(?<=[\d=τ]) (?=%|µm|mm\b|nat\b|[0=±])", "\u00a0", text)
+    return re.sub(r"(?<=[\d=τ]) (?=%|µm|nm\b|mm\b|mdeg\b|nat\b|[0=±])", "\u00a0", text)
+
+
+def set_prose(text: str) -> Markup:
+    """Return running text with units bound to their numbers and symbols such as ``a_x`` and ``ρ^0`` set as such."""
+    escaped = str(escape(bind_units(text)))
+    lowered = re.sub(r"(?<![\w&#])(Δ?[A-Za-zα-ω])_([A-Za-z0-9]{1,2})(?!\w)", r"<i>\1</i><sub>\2</sub>", escaped)
+    return Markup(re.sub(r"(?<![\w&#])([A-Za-zα-ω])\^([A-Za-z0-9])(?!\w)", r"<i>\1</i><sup>\2</sup>", lowered))
 
 
 def set_symbol(symbol: str) -> Markup:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
+from made_up_results import TWELVE, render_text
 
 from bayescal.errors import InputError
-from bayescal.report.blocks import FigureBlock
-from bayescal.report.context import build_context
-from bayescal.report.illustrations import list_illustrations
-from bayescal.report.results import read_results
-from bayescal.report.write import render_page, set_symbol, write_report
+from bayescal.report import write
+from bayescal.report.context import format_config
+from bayescal.report.write import set_prose, set_symbol, write_report
 
 VOID = {"meta", "img", "link", "br", "hr", "input"}
 
@@ -42,7 +43,7 @@ def test_page_is_self_contained_and_well_formed(make_results):
     text = page.read_text(encoding="utf-8")
     reader = Reader(text)
     assert reader.open == []
-    assert reader.tags.count("img") == 8
+    assert reader.tags.count("img") == 9
     assert all(r.startswith(("data:image/png;base64,", "#")) for r in reader.references)
     assert not {"script", "link", "iframe", "object"} & set(reader.tags)
     assert not re.search(r"url\(|@import", text)
@@ -105,7 +106,7 @@ def test_without_draws_and_ring_the_report_says_what_is_left_out(make_results):
 def test_without_verification_poses_the_figures_are_drawn(make_results):
     folder = make_results(verification=False)
     text = write_report(folder).read_text(encoding="utf-8")
-    assert Reader(text).tags.count("img") == 8
+    assert Reader(text).tags.count("img") == 9
     assert '<td class="text plain">none</td>' in text
 
 
@@ -113,9 +114,7 @@ def test_data_origin_and_failures_stand_before_the_headline(make_results):
     def change(summary):
         summary["variants"]["pus/linear"] |= {"converged": False, "problems": ["bulk ESS 12, limit 1000"]}
 
-    results = read_results(make_results(change))
-    figures = {one.name: FigureBlock(one.name, one.caption, None, "not drawn") for one in list_illustrations(results)}
-    text = render_page(build_context(results, figures))
+    text = render_text(make_results(change))
     places = [text.index(s) for s in ("Made up for a test", "bulk ESS 12", 'class="headline"', 'id="ranking"')]
     assert places == sorted(places)
     assert 'class="verdict failed"' in text
@@ -135,3 +134,74 @@ def test_symbols_are_set_with_sub_and_superscripts():
     assert set_symbol("kappa") == "<i>κ</i>"
     assert set_symbol("rho0") == "<i>ρ</i><sup>0</sup>"
     assert set_symbol("<b>") == "&lt;b&gt;"
+
+
+def test_twelve_variants_make_one_page_with_long_tables_folded(make_results):
+    folder = make_results(variants=TWELVE, claims=True, flexure=True)
+    text = write_report(folder).read_text(encoding="utf-8")
+    reader = Reader(text)
+    assert reader.open == []
+    assert reader.tags.count("img") == 12
+    assert {r[1:] for r in reader.references if r.startswith("#")} <= set(re.findall(r'id="([^"]+)"', text))
+    folds = re.findall(r"<details( open)?>\s*<summary>(.*?)</summary>", text)
+    assert not any(is_open for is_open, _ in folds)
+    assert sum("beside" in title or title.startswith("Table ") for _, title in folds) == 12
+    places = [
+        text.index(f'id="{name}"') for name in ("verdict", "ranking", "claims", "errors", "parameters", "flexure")
+    ]
+    assert places == sorted(places)
+
+
+def test_what_is_folded_on_screen_is_open_in_print():
+    style = (Path(write.__file__).parent / "report.css").read_text(encoding="utf-8")
+    print_rules = style[style.index("@media print") :]
+    assert re.search(r"details::details-content \{[^}]*content-visibility: visible;[^}]*\}", print_rules)
+
+
+def test_a_single_variant_is_reported(make_results):
+    text = write_report(make_results(variants={"six_pus/linear": (10.0, 1.0)})).read_text(encoding="utf-8")
+    assert Reader(text).tags.count("img") == 9
+    assert "6-PUS/linear is the only variant, log-evidence 10.0" in text
+
+
+def test_without_published_values_nothing_is_said_of_them(make_results):
+    text = render_text(make_results(variants=TWELVE, published=False))
+    assert "<h2>Parameters</h2>" in text
+    assert "least squares − published" not in text
+    assert "Published values" not in text
+
+
+def test_failed_convergence_opens_the_diagnostics(make_results):
+    def change(summary):
+        summary["variants"]["beam/none"] |= {"converged": False, "problems": ["bulk ESS 12, limit 1000"]}
+
+    text = render_text(make_results(change, variants=TWELVE))
+    assert "Do not rely on these numbers yet." in text
+    assert "beam/none, with model error: bulk ESS 12, limit 1000" in text
+    assert re.search(r"<details open>\s*<summary>Convergence", text)
+
+
+def test_figures_of_deformations_that_are_gone_are_removed(make_results):
+    folder = make_results(variants=TWELVE)
+    (folder / "figures").mkdir()
+    for name in ("errors_quadratic", "flexure"):
+        (folder / "figures" / f"{name}.png").write_bytes(b"of an earlier report")
+    write_report(folder)
+    names = {path.stem for path in (folder / "figures").iterdir()}
+    assert {"errors", "errors_none", "errors_linear", "errors_matrix", "parameters"} <= names
+    assert not {"errors_quadratic", "flexure"} & names
+
+
+def test_the_config_is_shown_as_it_was_given(make_results):
+    folder = make_results()
+    config = {"a": [1, 2], "b": {"c": [{"d": "x [ y ]"}, 0.5], "e": {}}, "f": []}
+    assert json.loads(format_config(config)) == config
+    provenance = json.loads((folder / "provenance.json").read_text())
+    (folder / "provenance.json").write_text(json.dumps(provenance | {"config": config}))
+    assert "&#34;x [ y ]&#34;" in render_text(folder)
+
+
+def test_symbols_in_running_text_are_set_and_all_else_is_escaped():
+    assert set_prose("a_x of 3 mm & ρ^0") == "<i>a</i><sub>x</sub> of 3\u00a0mm &amp; <i>ρ</i><sup>0</sup>"
+    assert set_prose("table_5 six_pus k_12") == "table_5 six_pus <i>k</i><sub>12</sub>"
+    assert set_prose("<a_b>") == "&lt;<i>a</i><sub>b</sub>&gt;"

@@ -34,18 +34,10 @@ def _draw_leg(axes: Axes, rows: pd.DataFrame, kappa: pd.Series, leg: int) -> Non
     colour = leg_colour(leg)
     for use, fill in (("calibration", colour), ("verification", "white")):
         chosen = rows[rows["use"] == use]
-        axes.errorbar(
-            chosen["actuator_displacement_mm"],
-            chosen["deflection_um"],
-            yerr=chosen["deflection_sd_um"],
-            linestyle="none",
-            marker="o",
-            markersize=4,
-            color=colour,
-            markerfacecolor=fill,
-            elinewidth=0.8,
-        )
-    travel = np.array([rows["actuator_displacement_mm"].min(), rows["actuator_displacement_mm"].max()])
-    axes.plot(travel, kappa["mean_1e-3"] * travel, color=INK, linewidth=1.3)  # 1e-3 mm per mm is µm per mm
+        travel, deflection, sd = (chosen[c] for c in ("actuator_displacement_mm", "deflection_um", "deflection_sd_um"))
+        axes.vlines(travel, deflection - sd, deflection + sd, color=colour, linewidth=0.8)
+        axes.plot(travel, deflection, "o", markersize=4, color=fill, markeredgecolor=colour)
+    ends = np.array([rows["actuator_displacement_mm"].min(), rows["actuator_displacement_mm"].max()])
+    axes.plot(ends, kappa["mean_1e-3"] * ends, color=INK, linewidth=1.3)  # 1e-3 mm per mm is µm per mm
     axes.set_title(f"Leg {leg}: κ = ({format_estimate(kappa['mean_1e-3'], kappa['sd_1e-3'])})·10⁻³")
     axes.grid()

@@ -9,10 +9,11 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayescal.report.figures.parameters import scale_of
-from bayescal.report.figures.style import INK, set_symbol
+from bayescal.report.figures.style import INK
+from bayescal.report.symbols import scale_of, set_mathematics
 
 SHOWN_DRAWS = 1500
+FEW = 10  # parameters of which the correlations are written as numbers
 
 
 def draw_ridges(draws: pd.DataFrame, nominal: pd.Series, units: pd.Series, pairs: Sequence[tuple[str, str]]) -> Figure:
@@ -39,8 +40,8 @@ def draw_ridges(draws: pd.DataFrame, nominal: pd.Series, units: pd.Series, pairs
         y_factor, y_unit = scale_of(y, str(units[y]))
         x_values, y_values = x_factor * shown[x], y_factor * shown[y]
         axes.plot(x_values, y_values, linestyle="none", marker=".", markersize=1.6, color=INK, alpha=0.45)
-        axes.set_xlabel(f"{set_symbol(x, 'Δ')} ({x_unit})")
-        axes.set_ylabel(f"{set_symbol(y, 'Δ')} ({y_unit})")
+        axes.set_xlabel(f"{set_mathematics(x, 'Δ')} ({x_unit})")
+        axes.set_ylabel(f"{set_mathematics(y, 'Δ')} ({y_unit})")
         axes.locator_params(nbins=4)
         axes.grid()
     return figure
@@ -50,12 +51,12 @@ def _draw_matrix(axes: Axes, draws: pd.DataFrame) -> None:
     symbols = list(draws.columns)
     matrix = draws.corr().to_numpy()
     axes.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1)
-    labels = [set_symbol(symbol) for symbol in symbols]
+    labels = [set_mathematics(symbol) for symbol in symbols]
     axes.set_xticks(range(len(symbols)), labels)
     axes.set_yticks(range(len(symbols)), labels)
     axes.tick_params(length=0)
     for i, j in np.ndindex(*matrix.shape):
-        if i != j:
+        if i != j and len(symbols) <= FEW:
             colour = "white" if abs(matrix[i, j]) > 0.6 else INK
             text = f"{matrix[i, j]:.2f}".replace("-", "−")
             axes.text(j, i, text, ha="center", va="center", fontsize=8, color=colour)

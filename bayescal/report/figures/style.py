@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
+
+from matplotlib.lines import Line2D
+
+from bayescal.report.symbols import quote
+from bayescal.report.variants import label_model, label_variant, split_variant
 
 # Okabe and Ito's colours, told apart by colour-blind readers
 DEFORMATION_COLOURS = {"none": "#D55E00", "linear": "#0072B2", "matrix": "#009E73"}
@@ -16,6 +20,8 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 INK = "#222222"
 GREY = "#8a8a8a"
 PALE = "#d9d9d9"
+RED = "#b00020"
+FEW = 4  # variants to name one by one in a legend
 
 RC: dict[str, Any] = {
     "font.size": 9.0,
@@ -37,60 +43,53 @@ RC: dict[str, Any] = {
     "figure.constrained_layout.use": True,
 }
 
-GREEK = {"alpha": "α", "beta": "β", "kappa": "κ", "rho": "ρ", "tau": "τ"}
-
 
 @dataclass(frozen=True)
 class VariantStyle:
-    """How a variant is drawn."""
+    """How a variant is drawn: colour by deformation, marker by model."""
 
     colour: str
     marker: str
     label: str
+    model: str
+    deformation: str
+
+
+type Styles = Mapping[str, VariantStyle]
 
 
 def assign_styles(variants: Sequence[str]) -> dict[str, VariantStyle]:
-    """Return the style of each variant ``model/deformation``: colour by deformation, marker by model."""
+    """Return the style of each variant ``model/deformation``: of all of a study, that it be the same in all figures."""
     models = dict.fromkeys(split_variant(name)[0] for name in variants)
     deformations = dict.fromkeys(split_variant(name)[1] for name in variants)
     marker = dict(zip(models, cycle(MARKERS), strict=False))
     others = cycle(OTHER_COLOURS)
     colour = {name: DEFORMATION_COLOURS.get(name) or next(others) for name in deformations}
     return {
-        name: VariantStyle(colour[split_variant(name)[1]], marker[split_variant(name)[0]], quote(name))
-        for name in variants
+        name: VariantStyle(
+            colour[deformation],
+            marker[model],
+            quote(label_variant(name)),
+            quote(label_model(model)),
+            quote(deformation),
+        )
+        for name, (model, deformation) in ((name, split_variant(name)) for name in variants)
     }
 
 
-def split_variant(name: str) -> tuple[str, str]:
-    """Return model and deformation of a variant's name."""
-    model, _, deformation = name.rpartition("/")
-    return model, deformation
+def list_keys(styles: Styles, linewidth: float = 0.0) -> list[Line2D]:
+    """Return legend entries: a few variants one by one, many as colours of deformations and markers of models."""
+    shape: dict[str, Any] = {"markersize": 5, "linewidth": linewidth, "linestyle": "-" if linewidth else "none"}
+    if len(styles) <= FEW:
+        return [Line2D([], [], color=s.colour, marker=s.marker, label=s.label, **shape) for s in styles.values()]
+    colours = {s.deformation: s.colour for s in styles.values()}
+    markers = {s.model: s.marker for s in styles.values()}
+    return [
+        *(Line2D([], [], color=c, label=name, linewidth=3.0) for name, c in colours.items()),
+        *(Line2D([], [], color=INK, marker=m, label=name, **shape) for name, m in markers.items()),
+    ]
 
 
 def leg_colour(leg: int) -> str:
     """Return the colour of a leg, counted from one."""
     return LEG_COLOURS[(leg - 1) % len(LEG_COLOURS)]
-
-
-def quote(text: str) -> str:
-    """Return text that matplotlib sets as it stands."""
-    return text.replace("\\", "").replace("$", r"\$")
-
-
-def split_symbol(symbol: str) -> tuple[str, str, str]:
-    """Return head, subscript and superscript of a parameter's symbol: ``rho0`` is ρ with superscript 0."""
-    found = re.fullmatch(r"([A-Za-z]+)(0?)(?:_([A-Za-z0-9]+))?", symbol)
-    if not found:
-        return symbol, "", ""
-    return GREEK.get(found[1], found[1]), found[3] or "", found[2]
-
-
-def set_symbol(symbol: str, before: str = "") -> str:
-    """Return a symbol as mathematical text, ``before`` put in front of it."""
-    head, below, above = split_symbol(symbol)
-    if not re.fullmatch(r"\w+", head):
-        return f"{before}{quote(symbol)}"
-    lower = f"_{{{below}}}" if below else ""
-    upper = f"^{{{above}}}" if above else ""
-    return f"${before}{head}{lower}{upper}$"

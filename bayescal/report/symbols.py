@@ -1,0 +1,53 @@
+"""Symbols and units of parameters as the report writes them, in tables, text and figures."""
+
+from __future__ import annotations
+
+import re
+
+from bayescal.report.numbers import MICROMETRES, PER_MILLE
+from bayescal.report.results import is_model_error, split_name
+
+GREEK = {"alpha": "α", "beta": "β", "kappa": "κ", "rho": "ρ", "tau": "τ"}
+
+
+def split_symbol(symbol: str) -> tuple[str, str, str]:
+    """Return head, subscript and superscript of a parameter's symbol: ``rho0`` is ρ⁰, ``k1_d`` is k with 1d below."""
+    found = re.fullmatch(r"([A-Za-z]+)(0?)([1-9]?)(?:_([A-Za-z0-9]+))?", symbol)
+    if not found:
+        return symbol, "", ""
+    return GREEK.get(found[1], found[1]), f"{found[3]}{found[4] or ''}", found[2]
+
+
+def quote(text: str) -> str:
+    """Return text that matplotlib sets as it stands."""
+    return text.replace("\\", "").replace("$", r"\$")
+
+
+def set_mathematics(symbol: str, before: str = "") -> str:
+    """Return a symbol as mathematical text for figures, ``before`` put in front of it."""
+    head, below, above = split_symbol(symbol)
+    if not re.fullmatch(r"\w+", head):
+        return f"{before}{quote(symbol)}"
+    lower = f"_{{{below}}}" if below else ""
+    upper = f"^{{{above}}}" if above else ""
+    return f"${before}{head}{lower}{upper}$"
+
+
+def write_symbol(symbol: str) -> str:
+    """Return a symbol in running text: Greek letters as such."""
+    head, below, above = split_symbol(symbol)
+    return f"{head}{above}{f'_{below}' if below else ''}"
+
+
+def name_parameter(name: str) -> str:
+    """Return a parameter's name in words, ``a_x of leg 3``."""
+    symbol, leg = split_name(name)
+    written = write_symbol(symbol)
+    return f"{written} of leg {leg}" if leg else written
+
+
+def scale_of(symbol: str, unit: str) -> tuple[float, str]:
+    """Return the factor and the unit in which a parameter's offsets are shown."""
+    if is_model_error(symbol):
+        return MICROMETRES, "µm"
+    return (PER_MILLE, "10⁻³") if unit == "1" else (1.0, unit)
