@@ -99,10 +99,10 @@ class PoseLikelihood:
         return seen
 
     def _find_projection(self) -> Array:
-        """Return G and A⁰ G less what the bound closure leaves out of A(θ), (P, 6 + N, 6); G alone if that is one.
+        """Return G and, below, the A⁰ G that the bound closure sees, shape (P, 6 + N, N); G alone if that is one.
 
-        What it leaves out is taken from the nominal machine, at the poses that it predicts: where the machine does
-        not close it may be another, and the likely machines close nearly at the measured poses.
+        What the bound closure leaves out of A(θ) is added as it is for the nominal machine, at the poses that this one
+        predicts: elsewhere it would not close, and have derivatives that machines close to the measured poses have not.
         """
         machine, poses, nominal = self.machine, self.poses, self.machine.layout.nominal
         _, n_legs, _ = self._pose_jacobian.shape
@@ -140,8 +140,8 @@ class PoseLikelihood:
         rotation = matrix_from_rotation_vector(-error[:, 3:]) @ self.poses.rotation
         layout = self.machine.layout
         here = self.machine.model.linearise(layout, theta, position, rotation, self._basis)
-        pose_change = np.linalg.solve(self._gain @ here.pose, self._gain @ here.parameters)
-        return seen, here.parameters + (self._pose_jacobian - here.pose) @ pose_change
+        pose_change = np.linalg.solve(self._gain @ here.pose, self._gain)  # per closure
+        return seen, here.parameters + (self._pose_jacobian - here.pose) @ pose_change @ here.parameters
 
     # --- covariance ----------------------------------------------------------------------------------------------
 

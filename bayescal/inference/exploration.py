@@ -25,6 +25,7 @@ DOF = 50.0
 GOOD_ENOUGH = 0.5  # no sharper peak is tried
 ACCEPTABLE = 0.2  # no pilot is run
 MAX_ROUNDS = 2
+PLAUSIBLE = 3.0  # nats that a lesser mode's mass may lose when it is sharpened; beyond, the steps went astray
 TELLING = 0.02  # below it a trial's efficiency is mostly chance, and the later proposal is the better guess
 TRIAL_DRAWS = 2000
 PILOT_STEPS = 100
@@ -117,7 +118,9 @@ def _sharpen(straight: Straightening, main: Peak, modes: list[Mode], curve: bool
         main = refine_peak(straight.log_density, main)
     peaks = [main]
     for mode in modes[1:]:
-        other = refine_peak(straight.log_density, _peak_in(straight, mode))
+        rough = _peak_in(straight, mode)
+        other = refine_peak(straight.log_density, rough)
+        other = other if other.log_evidence > rough.log_evidence - PLAUSIBLE else rough
         if all(np.linalg.norm(np.linalg.solve(p.factor, other.centre - p.centre)) > 1.0 for p in peaks):
             peaks.append(other)
     return straight, peaks

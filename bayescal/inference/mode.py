@@ -10,6 +10,7 @@ from scipy.optimize import OptimizeResult, least_squares, minimize
 from bayescal.coordinates import mirror_direction
 from bayescal.errors import NumericalError
 from bayescal.geometry import Array
+from bayescal.inference.differences import difference_twice
 from bayescal.posterior import Posterior
 
 GRADIENT_TOLERANCE = 1e-3  # per prior sd: a Newton step would gain below 1e-6
@@ -17,6 +18,7 @@ DECREMENT_TOLERANCE = 1e-4
 FAR_AWAY = 1e6  # residual where a vector is no machine: finite, since optimisers subtract
 APPROACH = (1.0, 0.1)  # model errors in mm with which the search for the mode begins
 SAME = 0.03  # prior sds: two climbs that stop at a decrement of 1e-4 may end so far apart
+HESSIAN_STEP = 0.1  # posterior sds
 PATIENCE, HOPELESS = 20, 40.0  # steps after which a climb this many nats below the best is given up
 WORTH_KEEPING = 12.0  # a mode this many nats below the best holds no mass that matters
 
@@ -139,7 +141,7 @@ def _climb(posterior: Posterior, start: Array, floor: float = -np.inf) -> Climb:
 def _characterise(posterior: Posterior, y: Array, log_density: float) -> Mode:
     """Return the mode at y with its covariance; converged where a Newton step would gain next to nothing."""
     gradient, curvature = posterior.gradient(y)
-    covariance = _invert_negative(_compute_hessian(posterior, y, curvature), curvature)
+    covariance = _invert_negative(posterior, y, curvature)
     converged = bool(gradient @ covariance @ gradient < DECREMENT_TOLERANCE)
     return Mode(y, log_density, covariance, converged)
 
@@ -176,26 +178,20 @@ def _fit_geometry(posterior: Posterior, start: Array, tau: Array) -> Array:
     return least_squares(residual, start[:n], jacobian, method="lm", xtol=1e-10, ftol=1e-10).x
 
 
-def _compute_hessian(posterior: Posterior, y: Array, curvature: Array) -> Array:
-    """Return the Hessian by central differences of the exact gradient, steps of a hundredth of a posterior sd."""
-    hessian = np.empty_like(curvature)
-    for k in range(len(y)):
-        step = np.zeros(len(y))
-        step[k] = 1e-2 / np.sqrt(-curvature[k, k])
-        hessian[k] = (posterior.gradient(y + step)[0] - posterior.gradient(y - step)[0]) / (2 * step[k])
-    return 0.5 * (hessian + hessian.T)
-
-
-def _invert_negative(hessian: Array, fallback: Array) -> Array:
+def _invert_negative(posterior: Posterior, y: Array, curvature: Array) -> Array:
     """Return the inverse of minus the Hessian; of the Gauss-Newton one where the exact one is no maximum's."""
-    for candidate in (hessian, fallback):
-        try:
-            factor = np.linalg.cholesky(-candidate)
-        except np.linalg.LinAlgError:
-            continue
-        inverse = np.linalg.inv(factor)
-        return inverse.T @ inverse
-    raise NumericalError("mode search: the Hessian at the mode is not negative definite")
+    try:
+        whitening = np.linalg.cholesky(-curvature)
+    except np.linalg.LinAlgError as error:
+        raise NumericalError("mode search: the Hessian at the mode is not negative definite") from error
+    factor = np.linalg.inv(whitening).T
+    _, hessian = difference_twice(posterior.log_density, y, factor, HESSIAN_STEP)
+    try:
+        inner = np.linalg.inv(np.linalg.cholesky(-hessian))
+    except np.linalg.LinAlgError:
+        return factor @ factor.T
+    covariance = inner.T @ inner
+    return factor @ covariance @ factor.T if np.isfinite(covariance).all() else factor @ factor.T
 
 
 def _mirror_starts(posterior: Posterior, y: Array) -> list[tuple[int, Array]]:

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.special import logsumexp
 
 from bayescal.geometry import Array
-from bayescal.inference.importance import LogDensity, evaluate_in_batches
+from bayescal.inference.differences import difference_twice
+from bayescal.inference.importance import LogDensity
 from bayescal.inference.proposal import MixtureProposal
 from bayescal.inference.straightening import Bend, Curve, Straightening, bend_from_quantiles
 
@@ -54,7 +55,7 @@ def refine_peak(log_density: LogDensity, peak: Peak) -> Peak:
     """Return the peak after Newton steps with gradients and Hessians by differences over a posterior sd."""
     centre, factor = peak.centre, peak.factor
     for _ in range(MAX_STEPS):
-        gradient, hessian = _difference(log_density, centre, factor)
+        gradient, hessian = difference_twice(log_density, centre, factor, STEP)
         if not (np.isfinite(gradient).all() and np.isfinite(hessian).all()):
             return peak
         values, vectors = np.linalg.eigh(-hessian)
@@ -69,24 +70,6 @@ def refine_peak(log_density: LogDensity, peak: Peak) -> Peak:
     if not np.isfinite(found):
         return peak
     return Peak(centre, np.linalg.cholesky(factor @ factor.T), found)
-
-
-def _difference(log_density: LogDensity, centre: Array, factor: Array) -> tuple[Array, Array]:
-    """Return gradient and Hessian in whitened coordinates w, x = centre + factor w."""
-    n = len(centre)
-    unit = STEP * np.eye(n)
-    first, second = np.triu_indices(n, 1)
-    pairs = unit[first] + unit[second]
-    points = np.concatenate([np.zeros((1, n)), unit, -unit, pairs, -pairs])
-    values = evaluate_in_batches(log_density, centre + points @ factor.T)
-    if not np.isfinite(values).all():
-        return np.full(n, np.nan), np.full((n, n), np.nan)
-    middle, up, down, both_up, both_down = np.split(values, np.cumsum([1, n, n, len(pairs)]))
-    gradient, hessian = (up - down) / (2 * STEP), np.zeros((n, n))
-    off = both_up + both_down - (up + down)[first] - (up + down)[second] + 2 * middle
-    hessian[first, second] = hessian[second, first] = off / (2 * STEP**2)
-    hessian[np.diag_indices(n)] = (up + down - 2 * middle) / STEP**2
-    return gradient, hessian
 
 
 def bend_at(straight: Straightening, peak: Peak) -> tuple[Straightening, Peak]:

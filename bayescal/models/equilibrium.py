@@ -112,6 +112,10 @@ class LegLoads:
         return self.phi - 2.0 * self.state.turn
 
     @cached_property
+    def _across(self) -> Array:
+        return cross(self.state.axis, self._lean)
+
+    @cached_property
     def _twist(self) -> Array:
         """Component of φ along the leg, shape (..., N, 1)."""
         return dot(self.phi, self.state.axis)[..., None]
@@ -128,9 +132,7 @@ class LegLoads:
     @cached_property
     def force(self) -> Array:
         """F, shape (..., N, 3), N."""
-        axis = self.state.axis
-        along = (self.chain.axial * self.state.elongation)[..., None] * axis
-        return along + self._slim * cross(axis, self._lean)
+        return (self.chain.axial * self.state.elongation)[..., None] * self.state.axis + self._slim * self._across
 
     def wrench(self) -> Array:
         """Return F and M + a x F, shape (..., N, 6), N and N mm."""
@@ -139,21 +141,15 @@ class LegLoads:
         return self._at_origin(self.force, moment)
 
     def by_chain(self) -> Array:
-        """Return the wrench's derivative by the chain's stiffness, in which it is linear, shape (..., N, 4, 6)."""
+        """Return the wrench's derivative by k_a, k_t, k_n, k_f and (k_n + k_f) / l, shape (..., N, 5, 6)."""
         state, axis = self.state, self.state.axis
-        turned = self._twist * axis
-        across = cross(axis, self._lean) / state.length[..., None]
-        force, moment = np.zeros((2, *axis.shape[:-1], 4, 3))
+        force, moment = np.zeros((2, *axis.shape[:-1], 5, 3))
         force[..., 0, :] = state.elongation[..., None] * axis
-        moment[..., 1, :] = turned
-        force[..., 2, :], moment[..., 2, :] = across, self.phi - turned - state.turn
-        force[..., 3, :], moment[..., 3, :] = across, -state.turn
+        moment[..., 1, :] = self._twist * axis
+        moment[..., 2, :] = self.phi - moment[..., 1, :] - state.turn
+        moment[..., 3, :] = -state.turn
+        force[..., 4, :] = self._across
         return self._at_origin(force, moment, 1)
-
-    def by_length(self) -> Array:
-        """Return the wrench's derivative by l where it stands in (k_n + k_f) / l, shape (..., N, 6)."""
-        force = -self._slim / self.state.length[..., None] * cross(self.state.axis, self._lean)
-        return self._at_origin(force, np.zeros_like(force))
 
     def by_state(self, changes: Changes) -> Array:
         """Return the wrench's derivative through e, z and ψ, shape (..., N, m, 6)."""
@@ -231,14 +227,15 @@ class Equilibrium:
 
     @cached_property
     def _chain_slopes(self) -> Array:
-        """Derivatives of s times the chain's stiffness by `SYMBOLS`, shape (..., N, 8, 4)."""
-        slopes = differentiate_chain(list(self._values.values()))
-        rows = []
+        """Derivatives of k_a, k_t, k_n, k_f and (k_n + k_f) / l, all times s, by `SYMBOLS`, shape (..., N, 8, 5)."""
+        slopes, length = differentiate_chain(list(self._values.values())), self._values["l"]
+        slim, rows = (self._chain.near + self._chain.far) / length, []
         for symbol in SYMBOLS:
             parts = [self._scale * part for part in vars(slopes[symbol]).values()]
             if symbol in self._scale_slopes:
                 whole = vars(self._chain).values()
                 parts = [p + self._scale_slopes[symbol] * w for p, w in zip(parts, whole, strict=True)]
+            parts.append((parts[2] + parts[3] - (slim if symbol == "l" else 0.0)) / length)
             rows.append(np.stack(parts, axis=-1))
         return np.stack(rows, axis=-2)
 
@@ -283,7 +280,7 @@ class Equilibrium:
         """
         to_rows = self.to_elongation.T
         rows = self._chain_slopes @ (-loads.by_chain() @ to_rows)
-        rows[..., SYMBOLS.index("l"), :] += by_length - loads.by_length() @ to_rows
+        rows[..., SYMBOLS.index("l"), :] += by_length
         columns = dict(zip(SYMBOLS, np.moveaxis(rows, (-2, -1), (0, -2)), strict=True))
         for symbol in SYMBOLS[:N_GLOBAL]:
             columns[symbol] = columns[symbol].sum(axis=-1, keepdims=True)

@@ -23,8 +23,8 @@ from bayescal.workspace import Workspace
 
 MAX_STEPS = 30
 STEP_TOLERANCE = 1e-11
-CLOSED = 2e-14  # largest closure at a home pose, in leg lengths: 1e-11 mm for half a metre
-INNER_STEPS = 3
+CLOSED = 2e-14  # largest closure at a home pose by the machine's size: 1e-11 mm for half a metre
+INNER_STEPS = 3  # each gains what the machine is like the nominal one, two digits or one
 LARGEST_STEP = 100.0  # mm, rad
 SMALLEST_VERSINE = 2.0**-53  # for which angle and sine are not yet zero
 SIX = 6
@@ -99,6 +99,12 @@ class HomeSolver:
     def _offset(self) -> Array:
         return (self.slope @ self.layout.nominal)[:, None]
 
+    @cached_property
+    def _tolerance(self) -> float:
+        """Largest closure in mm; what the largest coordinate leaves to rounding is a hundredth of it."""
+        lengths = [self.layout.take(self.layout.nominal, s) for s in ("a_x", "a_y", "a_z", "l", "rho0")]
+        return CLOSED * float(np.abs(np.concatenate([self.position, *lengths])).max())
+
     @np.errstate(all="ignore")  # far out iterations diverge: NaN in the end
     def solve(self, theta: Array) -> BatchHome:
         """Return the home poses of parameter vectors (B, D) near the nominal machine, for hot loops.
@@ -118,13 +124,13 @@ class HomeSolver:
         body = np.empty((3, 3 + n_legs, len(theta)))  # axes and joints of the platform, from its origin
         np.einsum("kmb,mj->kjb", turn_by(step[3:]), self.rotation, out=body[:, :3])
         np.einsum("kmb,mib->kib", body[:, :3], joint, out=body[:, 3:])
-        slope, tolerance = np.empty((6, *leg_length.shape)), CLOSED * leg_length
+        slope = np.empty((6, *leg_length.shape))
         for _ in range(MAX_STEPS):
             vector = (position[:, None] - lower) + body[:, 3:]
             length = np.sqrt(np.einsum("kib,kib->ib", vector, vector))
             residual = leg_length - length
             seen = np.abs(residual if self.projection is None else self.projection @ residual)
-            moving = (seen > tolerance).any(axis=0)  # not where it is NaN
+            moving = (seen > self._tolerance).any(axis=0)  # not where it is NaN
             if not moving.any():
                 break
             np.divide(vector, length, out=slope[:3])
@@ -134,7 +140,7 @@ class HomeSolver:
             position = position + step[:3]
             body = np.einsum("kmb,mib->kib", turn_by(step[3:]), body)
         rotation, arm = body[:, :3], body[:, 3:]
-        lost = ~(seen <= tolerance).all(axis=0)
+        lost = ~(seen <= self._tolerance).all(axis=0)
         if lost.any():
             for part in (position, body, vector, length):
                 part[..., lost] = np.nan

@@ -145,7 +145,8 @@ def scatter_rows(layout: ParameterLayout, *parts: dict[str, Array]) -> Array:
     rows = np.zeros((*np.broadcast_shapes(*(c.shape[:-1] for part in parts for c in part.values())), layout.size))
     for part in parts:
         for symbol, column in part.items():
-            rows[..., layout.index[symbol]] += column
+            where = layout.index[symbol]  # the values of a symbol stand together
+            rows[..., where[0] : where[-1] + 1] += column
     return rows
 
 

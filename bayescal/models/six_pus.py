@@ -100,8 +100,8 @@ class SixPusClosure(BoundClosure):
         features = np.empty((self._design.shape[-1], n_legs, len(theta)))
         lower, direction = features[-6:-3], features[-3:]
         features[0] = 1.0
-        features[1 : 1 + n_linear] = parameters[self._linear]
-        direction[:2] = parameters[self._direction]
+        np.take(parameters, self._linear, axis=0, out=features[1 : 1 + n_linear], mode="clip")  # others would buffer
+        np.take(parameters, self._direction, axis=0, out=direction[:2], mode="clip")
         with np.errstate(invalid="ignore"):
             np.sqrt(1.0 - direction[0] * direction[0] - direction[1] * direction[1], out=direction[2])
         np.multiply(parameters[self._layout.index["rho0"]], direction, out=lower)

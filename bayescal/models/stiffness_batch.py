@@ -39,7 +39,7 @@ class EquilibriumClosure(SixPusClosure):
         super().__init__(layout, position, rotation, basis)
         self._homes, self._turns = home_solver(layout), BatchTurns(rotation)
         self._to_elongation, self._reference = to_elongation, reference
-        self._external = external.T[..., None]
+        self._external = external.T[..., None] if external.any() else None
 
     def evaluate(self, theta: Array) -> Array:
         """Return f, shape (N, P, B)."""
@@ -51,17 +51,18 @@ class EquilibriumClosure(SixPusClosure):
         home = self._homes.solve(theta)
         phi = self._turns.evaluate(home.rotation)
         balance = self._workspace.take("balance", 6, *phi.shape[1:])
-        np.multiply(self._external, scale, out=balance)
-        self._axial = self._subtract_loads(balance, arm, chain, length, home, phi)
+        self._axial = self._balance_loads(balance, arm, chain, length, home, phi)
+        if self._external is not None:
+            balance += self._external * scale
         return self._elongate(balance, "closure")
 
     @abstractmethod
-    def _subtract_loads(
+    def _balance_loads(
         self, balance: Array, arm: Array, chain: ChainStiffness, length: Array, home: BatchHome, phi: Array
     ) -> Array:
-        """Subtract all legs' loads from wrenches (6, P, B); return minus k_a per square of the slope, (N, P or 1, B).
+        """Find minus the sum of all legs' loads (6, P, B); return -k_a per square of the slope, (N, P or 1, B).
 
-        Stiffnesses and lengths have the shape (N, B), φ has (3, P, B); the lever arms (3, N, P, B) are overwritten.
+        Stiffnesses and lengths have the shape (N, B), φ has (3, P, B); lever arms (3, N, P, B) may be overwritten.
         """
 
     def _elongate(self, wrench: Array, name: str) -> Array:
@@ -82,12 +83,12 @@ class EquilibriumClosure(SixPusClosure):
 class StiffnessClosure(EquilibriumClosure):
     """Loads along the legs as they stand; the slope holds -g = -|g| z and -a x g."""
 
-    def _subtract_loads(
+    def _balance_loads(
         self, balance: Array, arm: Array, chain: ChainStiffness, length: Array, home: BatchHome, phi: Array
     ) -> Array:
         vector, slim = self._slope[:3], (chain.near + chain.far) / length
         across = home.vector * (2.0 * slim / home.length)  # 2 k_s z^0
-        inverse = np.reciprocal(self._length, out=self._take("inverse"))
+        inverse = np.reciprocal(self._length, out=self._length)  # lengths are not needed any more
         scale, work = self._take("scale"), self._take("work")
         # along z: (k_a e + 2 k_s c) / |g| = k_a - (k_a l + 2 k_s z^0 · (-g) / |g|) / |g|
         np.einsum("kipb,kib->ipb", vector, across, out=scale)
@@ -95,7 +96,7 @@ class StiffnessClosure(EquilibriumClosure):
         scale += (chain.axial * length)[:, None]
         scale *= inverse
         np.subtract(chain.axial[:, None], scale, out=scale)
-        balance += np.einsum("kipb,ipb->kpb", self._slope, scale, out=self._workspace.take("wrench", *balance.shape))
+        np.einsum("kipb,ipb->kpb", self._slope, scale, out=balance)
         # along z once more: its moment by the platform's turn
         np.einsum("kipb,kpb->ipb", vector, phi, out=scale)
         scale *= inverse
@@ -127,7 +128,7 @@ class FixedStiffnessClosure(EquilibriumClosure):
     Then F = (k_a e - 2 k_s z^0 · g / l) z^0 + k_s z^0 x φ + 2 k_s g / l. The slope is left with -z^0 and -a x z^0.
     """
 
-    def _subtract_loads(
+    def _balance_loads(
         self, balance: Array, arm: Array, chain: ChainStiffness, length: Array, home: BatchHome, phi: Array
     ) -> Array:
         vector, slim = self._slope[:3], (chain.near + chain.far) / length
@@ -139,8 +140,8 @@ class FixedStiffnessClosure(EquilibriumClosure):
         np.multiply(vector, -lean[:, None], out=force)
         force += scale * start[:, :, None]
         force += cross_first_axis((slim * start)[:, :, None], phi[:, None])
-        balance[:3] -= force.sum(axis=1)
-        balance[3:] -= cross_first_axis(arm, force, out=moment).sum(axis=1)
+        np.negative(force.sum(axis=1), out=balance[:3])
+        np.negative(cross_first_axis(arm, force, out=moment).sum(axis=1), out=balance[3:])
         balance[3:] -= phi * chain.near.sum(axis=0)
         twist = np.einsum("ib,jib,kib->jkb", chain.torsional - chain.near, start, start)
         balance[3:] -= np.einsum("jkb,kpb->jpb", twist, phi)
