@@ -79,17 +79,18 @@ class Coordinates:
         legs = np.flatnonzero(both)
         if not len(legs):
             return None
-        where = {int(k): j for j, k in enumerate(self.free)}
-        sd = np.array([max(self.scale[where[int(index[s][leg])]] for s in ("u_x", "u_y")) for leg in legs])
+        sd = np.maximum(*(self.scale[np.searchsorted(self.free, index[s][legs])] for s in ("u_x", "u_y")))
         vectors = np.concatenate([self.leg_slope[legs], np.ones((len(legs), 1))], axis=1)
         clear, circles = find_circles(actuator_directions(self.layout, self.start)[legs], vectors, sd)
         return (legs[clear], circles) if clear.any() else None
 
+    @cached_property
     def _on_circles(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return where the coordinates of gain and azimuth stand in y."""
+        """Where the coordinates of gain and azimuth stand in y."""
         assert self._circles is not None
         legs, _ = self._circles
-        return tuple(np.searchsorted(self.free, self.layout.index[s][legs]) for s in ("u_x", "u_y"))
+        gain, azimuth = (np.searchsorted(self.free, self.layout.index[s][legs]) for s in ("u_x", "u_y"))
+        return gain, azimuth
 
     @cached_property
     def log_scale(self) -> float:
@@ -146,7 +147,7 @@ class Coordinates:
             theta[..., self.free[inside]] = lower + width * ndtr(y[..., inside])
         if self._circles is not None:
             legs, circles = self._circles
-            gain, azimuth = self._on_circles()
+            gain, azimuth = self._on_circles
             w = circles.gain + y[..., gain] * self.scale[gain] * circles.sine
             u_x, u_y = circles.directions(w, y[..., azimuth] * self.scale[azimuth] / circles.sine)
             theta[..., self.layout.index["u_x"][legs]], theta[..., self.layout.index["u_y"][legs]] = u_x, u_y
@@ -158,7 +159,7 @@ class Coordinates:
         y[..., self.bounded] = ndtri(self._share(theta))
         if self._circles is not None:
             legs, circles = self._circles
-            gain, azimuth = self._on_circles()
+            gain, azimuth = self._on_circles
             w, psi = circles.polar(actuator_directions(self.layout, theta)[..., legs, :])
             y[..., gain] = (w - circles.gain) / (self.scale[gain] * circles.sine)
             y[..., azimuth] = psi * circles.sine / self.scale[azimuth]

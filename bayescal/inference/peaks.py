@@ -17,7 +17,7 @@ from bayescal.geometry import Array
 from bayescal.inference.differences import difference_twice
 from bayescal.inference.importance import LogDensity
 from bayescal.inference.proposal import MixtureProposal
-from bayescal.inference.straightening import Bend, Curve, Straightening, bend_from_quantiles
+from bayescal.inference.straightening import QUANTILES, Bend, Curve, Straightening, bend_from_quantiles
 
 STEP = 1.0  # posterior sds
 MAX_STEPS = 3
@@ -25,7 +25,6 @@ CURVATURE_BOUNDS = (0.1, 10.0)  # of a step's curvature in units of the last one
 LONGEST_STEP = 4.0
 SETTLED_GAIN, SETTLED_CURVATURE = 0.01, 0.05
 GRID = np.linspace(-5.0, 5.0, 81)  # of a model error's coordinate ζ, standard normal under the prior
-QUANTILES = (0.05, 0.5, 0.95)
 CURVE_STEP = 1.5
 
 

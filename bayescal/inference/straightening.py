@@ -22,7 +22,8 @@ from bayescal.geometry import Array
 from bayescal.inference.mode import Mode
 from bayescal.posterior import Posterior
 
-TAIL = float(ndtri(0.95))
+QUANTILES = (0.05, 0.5, 0.95)
+TAIL = float(ndtri(QUANTILES[-1]))
 STEEPEST = 0.95  # |B| / A; the bend stays invertible with a slope that is not lost to rounding
 
 
@@ -54,7 +55,7 @@ class Bend:
 
 def fit_bend(zeta: Array) -> Bend:
     """Return the bend that maps the 5, 50 and 95 % quantiles of draws (B, k) to those of a standard normal."""
-    return bend_from_quantiles(*np.quantile(zeta, [0.05, 0.5, 0.95], axis=0))
+    return bend_from_quantiles(*np.quantile(zeta, QUANTILES, axis=0))
 
 
 def bend_from_quantiles(low: Array, middle: Array, high: Array) -> Bend:
