@@ -8,6 +8,7 @@ Two shears of unit Jacobian take the curvature u_z = sqrt(1 - u_x² - u_y²) out
   direction (RR-8096 eqs. 38 to 40), which is what κ and u together can tell.
 
 Where κ is not free, both components of a direction are replaced by its gain and its azimuth about the leg (`circles`).
+Struts have neither u nor ρ^0, and ridges that are straight as they stand.
 
 Every coordinate is then scaled by the prior's standard deviation. A parameter between bounds is not sheared; its
 coordinate y is standard normal under the uniform prior, θ = lower + (upper - lower) Φ(y), so that no climb and no
@@ -43,7 +44,7 @@ class Coordinates:
     scale : ndarray, shape (n,)
         Unit of each coordinate.
     leg_slope : ndarray, shape (N, 2)
-        z_x / z_z and z_y / z_z of the nominal legs.
+        z_x / z_z and z_y / z_z of the nominal legs; not used without actuator directions.
     lower, upper : ndarray, shape (n,)
         Bounds of each free parameter, infinite where there are none.
     """

@@ -10,13 +10,15 @@ import numpy as np
 from bayescal.deformations.base import Deformation, DeformationBasis
 from bayescal.errors import InputError, NumericalError
 from bayescal.geometry import Array, matrix_from_rotation_vector
-from bayescal.mechanism import Mechanism
+from bayescal.mechanism import Drive, Mechanism
+from bayescal.models import MODELS
 from bayescal.models.base import KinematicModel, Linearisation, newton_step
 from bayescal.models.home import guess_level_pose
 from bayescal.parameters import ParameterLayout
 
 STEP_TOLERANCE = 1e-10
 SINGULAR_CONDITION = 1e8
+DRIVEN: dict[Drive, str] = {"base": "actuators at the base", "strut": "struts"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +28,10 @@ class Machine:
     mechanism: Mechanism
     model: KinematicModel
     deformation: Deformation
+
+    def __post_init__(self) -> None:
+        """Check that the model takes the mechanism's drive."""
+        check_drive(type(self.model), self.mechanism)
 
     @cached_property
     def layout(self) -> ParameterLayout:
@@ -41,6 +47,22 @@ class Machine:
         return self.model.linearise(self.layout, theta, position, rotation, self.basis(actuators))
 
 
+def check_drive(model: type[KinematicModel], mechanism: Mechanism) -> None:
+    """Raise InputError where a model does not take the drive of a mechanism."""
+    if model.drive != mechanism.drive:
+        fitting = sorted(name for name, other in MODELS.items() if other.drive == mechanism.drive)
+        raise InputError(
+            f"model {model.name!r}: found {DRIVEN[mechanism.drive]} in mechanism {mechanism.name!r}, "
+            f"expected {'one of ' if len(fitting) > 1 else ''}{', '.join(fitting)}"
+        )
+
+
+def build_machine(model: type[KinematicModel], mechanism: Mechanism, deformation: Deformation) -> Machine:
+    """Return a mechanism seen through a model; InputError where the mechanism is not one for the model."""
+    check_drive(model, mechanism)
+    return Machine(mechanism, model.from_mechanism(mechanism), deformation)
+
+
 @dataclass(frozen=True)
 class ForwardKinematics:
     """Poses found by Newton's method, with how it ended."""
@@ -52,7 +74,9 @@ class ForwardKinematics:
 
 
 def guess_home_pose(mechanism: Mechanism) -> tuple[Array, Array]:
-    """Return a level pose above the base from which Newton's method finds the home pose."""
+    """Return a level pose from which Newton's method finds the home pose: the stated one, or one above the base."""
+    if mechanism.home_position is not None:
+        return np.array(mechanism.home_position), np.eye(3)
     try:
         return guess_level_pose(mechanism.home_joints, mechanism.platform_points, mechanism.leg_lengths)
     except InputError as error:
@@ -208,3 +232,12 @@ def compute_home_legs(machine: Machine) -> Array:
     """Return the nominal vectors from lower to upper joint at the home pose, shape (N, 3), base frame, mm."""
     home, mechanism = check_home_pose(machine), machine.mechanism
     return home.position + mechanism.platform_points @ home.rotation.T - mechanism.home_joints
+
+
+def compute_leg_slopes(machine: Machine) -> Array:
+    """Return z_x / z_z and z_y / z_z of the nominal legs at the home pose, shape (N, 2); zeros for struts.
+
+    They tell how an actuator's direction acts along its leg. A strut has none, and may be horizontal.
+    """
+    legs = compute_home_legs(machine)
+    return np.zeros((len(legs), 2)) if machine.mechanism.drive == "strut" else legs[:, :2] / legs[:, 2:]

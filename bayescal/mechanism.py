@@ -1,8 +1,13 @@
-"""The machine as it was designed: nominal geometry of a parallel mechanism of N prismatic-universal-spherical legs."""
+"""The machine as it was designed: nominal geometry of a parallel mechanism of N legs.
+
+What an actuator moves is the machine's drive: the joint at the base of a leg of fixed length (prismatic-universal-
+spherical legs), or the length of a strut between two joints that stay where they are (universal-prismatic-spherical).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -10,6 +15,8 @@ from bayescal.errors import InputError
 from bayescal.geometry import Array
 
 MIN_LEGS = 6
+
+type Drive = Literal["base", "strut"]
 
 
 @dataclass(frozen=True)
@@ -69,20 +76,20 @@ class ExternalLoad:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """Nominal geometry of an N-leg P-U-S platform, frames and symbols of RR-8096 section 2.2.
+    """Nominal geometry of an N-leg platform, frames and symbols of RR-8096 section 2.2.
 
     Attributes
     ----------
     name : str
         Name of the machine.
     base_points : ndarray, shape (N, 3)
-        a_i, attachment of actuator i, base frame, mm.
+        a_i, attachment of actuator i or lower joint of strut i, base frame, mm.
     platform_points : ndarray, shape (N, 3)
         b_i, joint of leg i on the platform, platform frame, mm.
     directions : ndarray, shape (N, 3)
-        u_i, unit direction of actuator i, base frame.
+        u_i, unit direction of actuator i, base frame; zeros for struts.
     leg_lengths : ndarray, shape (N,)
-        l_i, mm.
+        l_i, mm; of a strut, its length at the initial actuator position.
     initial_actuator_positions : ndarray, shape (N,)
         rho_i^0, mm; displacements are measured from here.
     actuator_range : float
@@ -91,6 +98,10 @@ class Mechanism:
         For the models that know of flexures.
     load : ExternalLoad
         For the models that know of forces.
+    drive : {"base", "strut"}
+        Whether actuators move the joints at the base or change the lengths of struts.
+    home_position : tuple of 3 floats, optional
+        Where the platform's origin stands at home, level, base frame, mm; the start of the search for the home pose.
     """
 
     name: str
@@ -102,12 +113,14 @@ class Mechanism:
     actuator_range: float
     flexures: Flexures | None = None
     load: ExternalLoad = ExternalLoad()
+    drive: Drive = "base"
+    home_position: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check the shapes and that the directions point upwards, as u_z = sqrt(1 - u_x² - u_y²) requires."""
+        """Check the number of legs and that directions point upwards, as u_z = sqrt(1 - u_x² - u_y²) requires."""
         if self.n_legs < MIN_LEGS:
             raise InputError(f"mechanism {self.name!r}: found {self.n_legs} legs, expected at least {MIN_LEGS}")
-        if np.any(self.directions[:, 2] <= 0):
+        if self.drive == "base" and np.any(self.directions[:, 2] <= 0):
             leg = int(np.argmin(self.directions[:, 2])) + 1
             raise InputError(
                 f"mechanism {self.name!r}: direction of leg {leg} has z <= 0, expected it to point upwards"
@@ -120,5 +133,7 @@ class Mechanism:
 
     @property
     def home_joints(self) -> Array:
-        """Lower joints c_i = a_i + rho_i^0 u_i at the initial actuator positions, shape (N, 3), mm."""
+        """Lower joints at the initial actuator positions, shape (N, 3), mm: c_i = a_i + rho_i^0 u_i, a_i of a strut."""
+        if self.drive == "strut":
+            return self.base_points
         return self.base_points + self.initial_actuator_positions[:, None] * self.directions

@@ -12,7 +12,7 @@ from scipy.special import erfcinv, erfinv, ndtr
 from bayescal.coordinates import Coordinates
 from bayescal.errors import InputError
 from bayescal.geometry import Array
-from bayescal.kinematics import compute_home_legs
+from bayescal.kinematics import compute_leg_slopes
 from bayescal.likelihood import PoseLikelihood
 from bayescal.parameters import ParameterLayout
 from bayescal.priors import HalfNormalPrior, Prior, UniformPrior
@@ -116,11 +116,11 @@ class Posterior:
         free = np.array(sorted(position[name] for name in self.priors), dtype=int)
         ordered = [self.priors[layout.names[k]] for k in free]
         start[free] = [prior.mean for prior in ordered]
-        legs = compute_home_legs(self.likelihood.machine)
+        slopes = compute_leg_slopes(self.likelihood.machine)
         bounds = [(p.lower, p.upper) if isinstance(p, UniformPrior) else (-np.inf, np.inf) for p in ordered]
         lower, upper = np.array(bounds).reshape(-1, 2).T
         scale = np.array([p.sd for p in ordered])
-        return Coordinates(layout, start, free, scale, legs[:, :2] / legs[:, 2:], lower, upper)
+        return Coordinates(layout, start, free, scale, slopes, lower, upper)
 
     @cached_property
     def _ordered_priors(self) -> tuple[Prior, ...]:

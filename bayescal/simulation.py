@@ -18,7 +18,7 @@ from bayescal.config.schema import SimulationConfig, TargetRingConfig
 from bayescal.deformations import MatrixDeformation
 from bayescal.errors import InputError
 from bayescal.geometry import Array, matrix_from_rotation_vector
-from bayescal.kinematics import Machine, check_home_pose, solve_forward_kinematics
+from bayescal.kinematics import Machine, build_machine, check_home_pose, solve_forward_kinematics
 from bayescal.mechanism import Mechanism
 from bayescal.models import MODELS
 from bayescal.photogrammetry.survey import BODIES, REFERENCE_COLUMNS, TARGET_COLUMNS, BodyTargets, Survey
@@ -66,8 +66,8 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     mechanism = load_mechanism(folder / config.mechanism)
     n_legs = mechanism.n_legs
     matrix = 1e-3 * read_matrix(folder / config.truth.deformation_matrix, n_legs)
-    model = look_up(MODELS, config.model, "model", folder).from_mechanism(mechanism)
-    machine = Machine(mechanism, model, MatrixDeformation(matrix))
+    model = look_up(MODELS, config.model, "model", folder)
+    machine = build_machine(model, mechanism, MatrixDeformation(matrix))
     check_home_pose(machine)
     theta = machine.layout.nominal.copy()
     for symbol, offset in config.truth.offsets.items():
@@ -137,8 +137,8 @@ def _ring_matrix(twin: Twin) -> Array:
 def make_targets(config: SimulationConfig, mechanism: Mechanism) -> tuple[BodyTargets, BodyTargets]:
     """Return the targets of base and platform in their body frames, not yet measured."""
     nothing = np.empty((0, 0, 3))
-    base = _rings(config.targets.base)
-    rigid = _rings(config.targets.platform)
+    base = make_rings(config.targets.base)
+    rigid = make_rings(config.targets.platform)
     pads = []
     for joint in mechanism.platform_points:
         azimuth = 2 * np.pi * np.arange(config.targets.per_pad) / config.targets.per_pad
@@ -156,7 +156,8 @@ def make_targets(config: SimulationConfig, mechanism: Mechanism) -> tuple[BodyTa
     )
 
 
-def _rings(rings: list[TargetRingConfig]) -> Array:
+def make_rings(rings: list[TargetRingConfig]) -> Array:
+    """Return the targets of rings, shape (n, 3), mm, body frame."""
     points = []
     for ring in rings:
         azimuth = np.radians(ring.azimuth_deg) + 2 * np.pi * np.arange(ring.count) / ring.count

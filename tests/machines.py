@@ -6,6 +6,8 @@ held were recovered from its tables. Whatever is simulated here is a twin, never
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bayescal.deformations import DEFORMATIONS, Deformation, NominalDeformation
@@ -92,6 +94,7 @@ FREE_SYMBOLS = {
     "matrix": ("a_x", "a_y", "b_x", "b_y", "l", "kappa"),
 }
 SIX_LEGS_ONLY = ("stiffness", "stiffness_fixed")  # six equations of equilibrium
+PERFECT_JOINTS = ("six_pus", "six_ups")  # nothing in these refers to the home pose
 PRIOR_SD = {"u_x": 0.05, "u_y": 0.05, "kappa": 0.01}
 
 
@@ -143,6 +146,17 @@ def build_random_mechanism(n_legs: int, seed: int) -> Mechanism:
     )
 
 
+def put_on_struts(mechanism: Mechanism) -> Mechanism:
+    """Return a machine with struts in place of a machine's legs at home."""
+    still = np.zeros_like(mechanism.directions)
+    return replace(mechanism, base_points=mechanism.home_joints, directions=still, drive="strut")
+
+
+def build_hexapod(**changes: object) -> Mechanism:
+    """Return struts between the telescope's joints at home, with fields of the telescope replaced by name."""
+    return put_on_struts(build_telescope(**changes))
+
+
 def spread_of(layout: ParameterLayout) -> np.ndarray:
     """Return how far each parameter is moved about nominal: 1 mm, 0.02, a tenth of a stiffness; shape (D,)."""
     scale = {"mm": 1.0, "1": 0.02}
@@ -176,8 +190,10 @@ def build_deformation(name: str, n_legs: int = 6) -> Deformation:
 
 
 def build_machine(deformation: str = "matrix", mechanism: Mechanism | None = None, model: str = "six_pus") -> Machine:
-    """Return a machine; without a mechanism, the telescope."""
+    """Return a machine, its legs replaced by struts where the model takes these; without a mechanism, the telescope."""
     mechanism = mechanism or build_telescope()
+    if MODELS[model].drive == "strut" and mechanism.drive == "base":
+        mechanism = put_on_struts(mechanism)
     return Machine(mechanism, build_model(model, mechanism), build_deformation(deformation, mechanism.n_legs))
 
 

@@ -179,7 +179,7 @@ def test_offset_of_kappa_leaves_the_ring_alone(config):
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ('model = "six_pus"', 'model = "six_pas"', "model: found 'six_pas', did you mean 'six_pus'?"),
+        ('model = "six_pus"', 'model = "six_puss"', "model: found 'six_puss', did you mean 'six_pus'?"),
         ("kappa = [", "kapa = [", "truth.offsets: found 'kapa', did you mean 'kappa'?"),
         ("l = [0.37, ", "l = [", "truth.offsets.l: found 5 values, expected 1 or 6"),
         ('calibration = "calib', 'calibration = "kalib', "no such file"),

@@ -12,6 +12,7 @@ from typing import Any, get_args
 import numpy as np
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
+from bayescal.config.calibration_schema import HexapodCalibrationsConfig
 from bayescal.config.schema import (
     BeamSectionConfig,
     LoadConfig,
@@ -22,35 +23,43 @@ from bayescal.config.schema import (
     SimulationConfig,
     StudyConfig,
 )
+from bayescal.config.selection_schema import SelectionConfig
 from bayescal.errors import InputError
 from bayescal.files import read_text
 from bayescal.geometry import Array
 from bayescal.mechanism import BeamSection, ExternalLoad, Flexures, Mechanism, section_of_rod
 
 MPA_PER_GPA = 1e3
+UPWARDS = [0.0, 0.0, 1.0]
+SHORTEST = 1e-6  # mm; what rounding leaves of no length is less
 
-type Experiment = StudyConfig | PoseMethodsConfig
+type Experiment = StudyConfig | PoseMethodsConfig | SelectionConfig | HexapodCalibrationsConfig
 
-EXPERIMENTS: dict[str, type[Experiment]] = {"study": StudyConfig, "pose_methods": PoseMethodsConfig}
+EXPERIMENTS: dict[str, type[Experiment]] = {
+    "study": StudyConfig,
+    "pose_methods": PoseMethodsConfig,
+    "pose_selection": SelectionConfig,
+    "hexapod_calibrations": HexapodCalibrationsConfig,
+}
 
 
-def load_experiment(path: Path) -> StudyConfig | PoseMethodsConfig:
+def load_experiment(path: Path) -> Experiment:
     """Return the checked config of an experiment; its ``kind`` says which schema holds."""
-    content, text = _read_toml(path)
+    content, text = read_toml(path)
     kind = content.get("kind")
     if not isinstance(kind, str) or kind not in EXPERIMENTS:
         hint = _suggest(str(kind), EXPERIMENTS)
         raise InputError(f"{path}: kind: found {kind!r}{hint}, expected {_one_of(EXPERIMENTS)}")
-    return _check(EXPERIMENTS[kind], content, path, text)
+    return check_section(EXPERIMENTS[kind], content, path, text)
 
 
 def load_simulation(path: Path) -> SimulationConfig:
     """Return the checked config of a simulation."""
-    content, text = _read_toml(path)
+    content, text = read_toml(path)
     kind = content.get("kind")
     if kind != "simulation":
         raise InputError(f"{path}: kind: found {kind!r}{_suggest(str(kind), ['simulation'])}, expected 'simulation'")
-    return _check(SimulationConfig, content, path, text)
+    return check_section(SimulationConfig, content, path, text)
 
 
 def load_mechanism(path: Path) -> Mechanism:
@@ -61,15 +70,38 @@ def load_mechanism(path: Path) -> Mechanism:
     InputError
         Where the file is not a mechanism, or its lists do not have one entry per leg.
     """
-    content, text = _read_toml(path)
-    config = _check(MechanismConfig, content, path, text)
-    base, platform = _points(config.base), _points(config.platform)
+    content, text = read_toml(path)
+    config = check_section(MechanismConfig, content, path, text)
+    home, base = _home(config, path, text), points_of(config.base)
+    legs = _legs(config, base, home, path)
+    try:
+        return Mechanism(
+            name=config.name,
+            base_points=base,
+            platform_points=legs["platform"],
+            directions=legs["legs.direction"],
+            leg_lengths=legs["legs.length_mm"],
+            initial_actuator_positions=legs["legs.initial_actuator_position_mm"],
+            actuator_range=config.legs.actuator_range_mm,
+            flexures=_flexures(config, legs),
+            load=_load(config.load),
+            drive=config.legs.drive,
+            home_position=home,
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _legs(
+    config: MechanismConfig, base: Array, home: tuple[float, float, float] | None, path: Path
+) -> dict[str, Array]:
+    """Return what there is of every leg, shapes (N, ...), by the names of the fields."""
     n_legs = len(base)
-    directions = np.atleast_2d(np.array(config.legs.direction, dtype=np.float64))
+    given = 0.0 if home is not None else config.legs.length_mm
     columns = {
-        "platform": platform,
-        "legs.length_mm": np.atleast_1d(np.array(config.legs.length_mm)),
-        "legs.direction": directions,
+        "platform": points_of(config.platform),
+        "legs.length_mm": np.atleast_1d(np.array(given, dtype=np.float64)),
+        "legs.direction": _directions(config, path),
         "legs.initial_actuator_position_mm": np.atleast_1d(np.array(config.legs.initial_actuator_position_mm)),
     }
     if config.flexures is not None:
@@ -78,9 +110,8 @@ def load_mechanism(path: Path) -> Mechanism:
     for field, values in columns.items():
         if len(values) not in ((1, n_legs) if field != "platform" else (n_legs,)):
             raise InputError(f"{path}: {field}: found {len(values)} legs, expected {n_legs} as in base")
-    norms = np.linalg.norm(directions, axis=1, keepdims=True)
-    if np.any(norms == 0):
-        raise InputError(f"{path}: legs.direction: found a zero vector, expected a direction")
+    if home is not None:
+        columns["legs.length_mm"] = _span(base, np.array(home) + columns["platform"], path)
     if config.flexures is not None:
         lengths, flexures = np.broadcast_arrays(columns["legs.length_mm"], columns["flexures.length_mm"])
         if np.any(flexures >= lengths):
@@ -89,21 +120,45 @@ def load_mechanism(path: Path) -> Mechanism:
                 f"{path}: flexures.length_mm: found {flexures[leg]:g} mm on a leg of {lengths[leg]:g} mm, "
                 "expected flexures shorter than their leg"
             )
-    full = {field: np.broadcast_to(v, (n_legs, *v.shape[1:])) for field, v in columns.items()}
-    try:
-        return Mechanism(
-            name=config.name,
-            base_points=base,
-            platform_points=platform,
-            directions=np.broadcast_to(directions / norms, (n_legs, 3)),
-            leg_lengths=full["legs.length_mm"],
-            initial_actuator_positions=full["legs.initial_actuator_position_mm"],
-            actuator_range=config.legs.actuator_range_mm,
-            flexures=_flexures(config, full),
-            load=_load(config.load),
-        )
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    return {field: np.broadcast_to(v, (n_legs, *v.shape[1:])) for field, v in columns.items()}
+
+
+def _directions(config: MechanismConfig, path: Path) -> Array:
+    """Return unit vectors, shape (1 or N, 3); zeros for struts."""
+    if config.legs.drive == "strut":
+        return np.zeros((1, 3))
+    given = UPWARDS if config.legs.direction is None else config.legs.direction
+    directions = np.atleast_2d(np.array(given, dtype=np.float64))
+    norms = np.linalg.norm(directions, axis=1, keepdims=True)
+    if np.any(norms == 0):
+        raise InputError(f"{path}: legs.direction: found a zero vector, expected a direction")
+    return directions / norms
+
+
+def _home(config: MechanismConfig, path: Path, text: str) -> tuple[float, float, float] | None:
+    """Return the home position in mm, None where the legs' lengths are given instead."""
+    line = _find_line(text, ["legs"])
+    legs = f"{path}, line {line}: legs" if line else f"{path}: legs"
+    if config.home is None:
+        if config.legs.length_mm is None:
+            instead = " or [home]" if config.legs.drive == "strut" else ""
+            raise InputError(f"{legs}.length_mm: missing, expected a value{instead}")
+        return None
+    if config.legs.drive == "base":
+        raise InputError(f"{legs}.drive: found 'base' with [home], expected 'strut', or no [home]")
+    if config.legs.length_mm is not None:
+        raise InputError(f"{legs}.length_mm: found lengths beside [home], expected one of them, since home has them")
+    x, y, z = config.home.position_mm
+    return x, y, z
+
+
+def _span(lower: Array, upper: Array, path: Path) -> Array:
+    """Return the distances between joints, shape (N,), mm."""
+    lengths = np.linalg.norm(upper - lower, axis=1)
+    if np.any(lengths < SHORTEST):
+        leg = int(np.argmin(lengths)) + 1
+        raise InputError(f"{path}: home.position_mm: found both joints of leg {leg} in one place, expected a length")
+    return lengths
 
 
 def _flexures(config: MechanismConfig, full: dict[str, Array]) -> Flexures | None:
@@ -130,7 +185,8 @@ def _load(config: LoadConfig) -> ExternalLoad:
     return ExternalLoad((fx, fy, fz), (mx, my, mz), (gx, gy, gz), (cx, cy, cz))
 
 
-def _points(config: PointsConfig) -> Array:
+def points_of(config: PointsConfig) -> Array:
+    """Return points, shape (n, 3), mm."""
     if config.points_mm is not None:
         return np.array(config.points_mm, dtype=np.float64)
     azimuth = np.radians(config.azimuth_deg or [])
@@ -139,7 +195,8 @@ def _points(config: PointsConfig) -> Array:
     return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), height], axis=1)
 
 
-def _read_toml(path: Path) -> tuple[dict[str, Any], str]:
+def read_toml(path: Path) -> tuple[dict[str, Any], str]:
+    """Return a TOML file's content and its text; InputError where it is none."""
     text = read_text(path, "a TOML config")
     try:
         return tomllib.loads(text), text
@@ -147,7 +204,8 @@ def _read_toml(path: Path) -> tuple[dict[str, Any], str]:
         raise InputError(f"{path}: not valid TOML: {error}") from error
 
 
-def _check[S: Section](schema: type[S], content: dict[str, Any], path: Path, text: str) -> S:
+def check_section[S: Section](schema: type[S], content: dict[str, Any], path: Path, text: str) -> S:
+    """Return content as a section; InputError with file, line, field, found and expected where it is none."""
     try:
         return schema.model_validate(content)
     except ValidationError as error:
@@ -185,7 +243,7 @@ def _describe(error: ValidationError, schema: type[Section], path: Path, text: s
 
 def _keys_of(location: tuple[int | str, ...]) -> list[int | str]:
     """Return a fault's location without the parts that name a branch of a union."""
-    branches = {"normal", "uniform", "fixed", "float", "constrained-float"}
+    branches = {"normal", "uniform", "fixed", "float", "constrained-float", "observability", "accuracy", "numbers"}
     return [part for part in location if part not in branches and not str(part).startswith(("function-", "list["))]
 
 

@@ -43,12 +43,29 @@ class PointsConfig(Section):
 
 
 class LegsConfig(Section):
-    """Lengths, actuator directions and initial actuator positions: one value for all legs or one per leg."""
+    """Lengths, actuator directions and initial actuator positions: one value for all legs or one per leg.
 
-    length_mm: PositivePerLeg
-    direction: Vector | list[Vector] = Field(default=[0.0, 0.0, 1.0])
+    Actuators drive the joints at the ``base`` along their directions, or each the length of a ``strut``; the lengths of
+    struts may follow from the home pose.
+    """
+
+    drive: Literal["base", "strut"] = "base"
+    length_mm: PositivePerLeg | None = None
+    direction: Vector | list[Vector] | None = None
     initial_actuator_position_mm: PerLeg = 0.0
     actuator_range_mm: Positive
+
+    @model_validator(mode="after")
+    def _check_drive(self) -> Self:
+        if self.drive == "strut" and self.direction is not None:
+            raise ValueError("found direction with drive 'strut', expected none, since a strut acts along itself")
+        return self
+
+
+class HomeConfig(Section):
+    """Where the platform's origin stands at home, base frame, with the platform level."""
+
+    position_mm: Vector
 
 
 class FlexuresConfig(Section):
@@ -96,12 +113,13 @@ class LoadConfig(Section):
 
 
 class MechanismConfig(Section):
-    """A platform on prismatic-universal-spherical legs."""
+    """A platform on legs, driven at the base or as struts."""
 
     name: str
     base: PointsConfig
     platform: PointsConfig
     legs: LegsConfig
+    home: HomeConfig | None = None
     flexures: FlexuresConfig | None = None
     stiffness: StiffnessConfig | None = None
     load: LoadConfig = LoadConfig()

@@ -8,6 +8,7 @@ import numpy as np
 from arviz_stats.base import array_stats
 
 from bayescal.geometry import Array
+from bayescal.limits import ESS_BULK_LIMIT, ESS_TAIL_LIMIT, RHAT_LIMIT
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,6 +18,18 @@ class Diagnostics:
     rhat: Array
     ess_bulk: Array
     ess_tail: Array
+
+    def list_problems(self) -> list[str]:
+        """Return in words which limits are not kept; empty where all are."""
+        rhat, bulk, tail = float(self.rhat.max()), float(self.ess_bulk.min()), float(self.ess_tail.min())
+        problems = []
+        if not rhat < RHAT_LIMIT:
+            problems.append(f"R-hat {rhat:.3f}, limit {RHAT_LIMIT}")
+        if not bulk > ESS_BULK_LIMIT:
+            problems.append(f"bulk ESS {bulk:.0f}, limit {ESS_BULK_LIMIT:.0f}")
+        if not tail > ESS_TAIL_LIMIT:
+            problems.append(f"tail ESS {tail:.0f}, limit {ESS_TAIL_LIMIT:.0f}")
+        return problems
 
 
 def diagnose(draws: Array) -> Diagnostics:

@@ -4,10 +4,11 @@ from bayescal.models.base import BoundClosure, KinematicModel, Linearisation
 from bayescal.models.beam import Beam
 from bayescal.models.jacobian import Jacobian
 from bayescal.models.six_pus import SixPus
+from bayescal.models.six_ups import SixUps
 from bayescal.models.stiffness import FixedStiffness, Stiffness
 
 MODELS: dict[str, type[KinematicModel]] = {
-    model.name: model for model in (SixPus, Jacobian, Beam, Stiffness, FixedStiffness)
+    model.name: model for model in (SixPus, Jacobian, Beam, Stiffness, FixedStiffness, SixUps)
 }
 
 __all__ = [
@@ -19,5 +20,6 @@ __all__ = [
     "KinematicModel",
     "Linearisation",
     "SixPus",
+    "SixUps",
     "Stiffness",
 ]

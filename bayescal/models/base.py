@@ -16,7 +16,7 @@ import numpy as np
 from bayescal.deformations.base import DeformationBasis
 from bayescal.errors import NumericalError
 from bayescal.geometry import Array
-from bayescal.mechanism import Mechanism
+from bayescal.mechanism import Drive, Mechanism
 from bayescal.parameters import ParameterBlock, ParameterLayout
 
 
@@ -82,10 +82,11 @@ class BoundClosure(ABC):
 
 
 class KinematicModel(ABC):
-    """A kinematic model: a name, its parameters and its closure."""
+    """A kinematic model: a name, the drive of the machines it takes, its parameters and its closure."""
 
     name: ClassVar[str]
     title: ClassVar[str]
+    drive: ClassVar[Drive] = "base"
 
     @classmethod
     def from_mechanism(cls, mechanism: Mechanism) -> Self:

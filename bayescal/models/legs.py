@@ -1,6 +1,7 @@
 """The vectors from the lower to the upper joint of every leg, and how anything that depends on them is differentiated.
 
-Leg i goes from c = a + ρ u to p + R b*, with b* = b + Δb_z e_z (RR-8096 eq. 5): g = p + R b* - c.
+Leg i goes from c = a + ρ u to p + R b*, with b* = b + Δb_z e_z (RR-8096 eq. 5): g = p + R b* - c. A strut's lower
+joint stays at a; its layout has neither u nor ρ^0.
 """
 
 from __future__ import annotations
@@ -12,6 +13,11 @@ import numpy as np
 from bayescal.deformations.base import DeformationBasis
 from bayescal.geometry import Array
 from bayescal.parameters import ParameterLayout
+
+
+def lower_joints_travel(layout: ParameterLayout) -> bool:
+    """Return whether actuators move the lower joints along u; otherwise they change the legs' lengths."""
+    return "rho0" in layout.index
 
 
 def actuator_directions(layout: ParameterLayout, theta: Array) -> Array:
@@ -73,9 +79,9 @@ class LegVectors:
     basis : DeformationBasis
     rotation : ndarray, shape (..., 3, 3)
     direction, arm, vector, axis : ndarray, shape (..., N, 3)
-        u, R b* and g in mm, z = g / |g|; base frame.
+        u, R b* and g in mm, z = g / |g|; base frame. u is zero for struts.
     travel, length : ndarray, shape (..., N)
-        ρ and |g| in mm.
+        ρ, zero for struts, and |g| in mm.
     """
 
     layout: ParameterLayout
@@ -103,11 +109,12 @@ class LegVectors:
 
     def columns(self, covector: Array, joint_covector: Array) -> dict[str, Array]:
         """Return the derivatives by the legs' parameters, those by b* with covectors of their own, (..., N, 3)."""
-        slope = self.direction[..., :2] / self.direction[..., 2:]
         columns = {f"a_{name}": -covector[..., k] for k, name in enumerate("xyz")}
-        for k, name in enumerate("xy"):
-            columns[f"u_{name}"] = -self.travel * (covector[..., k] - covector[..., 2] * slope[..., k])
-        columns["rho0"] = -dot(covector, self.direction)
+        if lower_joints_travel(self.layout):
+            slope = self.direction[..., :2] / self.direction[..., 2:]
+            for k, name in enumerate("xy"):
+                columns[f"u_{name}"] = -self.travel * (covector[..., k] - covector[..., 2] * slope[..., k])
+            columns["rho0"] = -dot(covector, self.direction)
         local, along_z = joint_covector @ self.rotation, dot(joint_covector, self.platform_z)
         columns |= {f"b_{name}": local[..., k] for k, name in enumerate("xyz")}
         return columns | {symbol: along_z * c for symbol, c in self.basis.coefficients.items()}
@@ -129,8 +136,12 @@ def compute_leg_vectors(
     layout: ParameterLayout, theta: Array, position: Array, rotation: Array, basis: DeformationBasis
 ) -> LegVectors:
     """Return the leg vectors; shapes and frames as in `KinematicModel.linearise`."""
-    direction = actuator_directions(layout, theta)
-    travel = layout.take(theta, "rho0") + basis.displacement
+    if lower_joints_travel(layout):
+        direction = actuator_directions(layout, theta)
+        travel = layout.take(theta, "rho0") + basis.displacement
+    else:
+        travel = np.zeros(basis.displacement.shape[-1])
+        direction = np.zeros((*travel.shape, 3))
     joint = layout.take_vector(theta, "b")
     joint = np.broadcast_to(joint, np.broadcast_shapes(joint.shape, (*basis.displacement.shape, 3))).copy()
     joint[..., 2] += basis.deflection(layout, theta)

@@ -11,10 +11,9 @@ import numpy as np
 from bayescal.config.schema import StudyConfig
 from bayescal.geometry import Array
 from bayescal.inference.bridge import estimate_by_bridge
-from bayescal.inference.diagnostics import diagnose
-from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import Exploration, count_walkers, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
+from bayescal.inference.sampling import sample_posterior
 from bayescal.likelihood import PoseLikelihood
 from bayescal.posterior import Posterior
 from bayescal.prediction import Prediction, predict
@@ -102,30 +101,25 @@ def _sample(
     sampler, straight = inputs.config.sampler, exploration.straight
     posterior = straight.posterior
     walkers = count_walkers(posterior.n_parameters, sampler.walkers)
-    ensembles = [
-        run_ensemble(straight.log_density, exploration.proposal, seed, walkers, sampler.burn_in, sampler.steps)
-        for seed in ensemble_seed.spawn(sampler.ensembles)
-    ]
-    draws = np.stack([ensemble.draws for ensemble in ensembles])
-    density = np.stack([ensemble.log_density for ensemble in ensembles])
+    sample = sample_posterior(
+        exploration, ensemble_seed, sampler.ensembles, sampler.walkers, sampler.burn_in, sampler.steps
+    )
+    y, natural, density, diagnostics = sample.y, sample.natural, sample.log_density, sample.diagnostics
     bridge = estimate_by_bridge(
         straight.log_density,
-        draws,
+        sample.straight,
         density,
         np.random.default_rng(bridge_seed),
         inputs.config.evidence.draws,
         exploration.proposal,
     )
-    y = straight.y_from_x(draws.reshape(-1, posterior.n_parameters)).reshape(draws.shape)
-    natural = posterior.natural(y)
-    diagnostics = diagnose(natural)
     # thin in time, the same steps of every walker, and keep the order walker by walker
     keep = max(1, -(-sampler.steps * walkers // KEPT_DRAWS))
     kept = y[:, :, ::keep].reshape(sampler.ensembles, -1, posterior.n_parameters)
     return {
         "bridge": np.array([bridge.log_evidence, bridge.standard_error]),
         "bridge_converged": np.array(bridge.converged, dtype=float),
-        "acceptance": np.array([ensemble.acceptance for ensemble in ensembles]),
+        "acceptance": sample.acceptance,
         "mean": natural.mean(axis=(0, 1, 2)),
         "sd": natural.std(axis=(0, 1, 2)),
         "q05": np.quantile(natural, 0.05, axis=(0, 1, 2)),

@@ -18,7 +18,7 @@ from bayescal.config.schema import FixedConfig, NormalConfig, StudyConfig, Varia
 from bayescal.deformations import DEFORMATIONS, NominalDeformation
 from bayescal.errors import InputError, PoseInputError
 from bayescal.geometry import Array
-from bayescal.kinematics import Machine, check_home_pose
+from bayescal.kinematics import Machine, build_machine, check_home_pose
 from bayescal.likelihood import PoseLikelihood
 from bayescal.measured_poses import MeasuredPoses
 from bayescal.mechanism import Mechanism
@@ -121,11 +121,10 @@ class StudyInputs:
         """Return the mechanism seen through a variant."""
         where = self.folder
         found = look_up(MODELS, variant.model, "variants.model", where)
-        with _naming(where / self.config.mechanism):
-            model = found.from_mechanism(self.mechanism)
         kind = look_up(DEFORMATIONS, variant.deformation, "variants.deformation", where)
-        nominal = NominalDeformation(self.config.deformation.kappa, lambda: self.matrix)
-        return Machine(self.mechanism, model, kind.from_nominal(nominal))
+        deformation = kind.from_nominal(NominalDeformation(self.config.deformation.kappa, lambda: self.matrix))
+        with naming(where / self.config.mechanism):
+            return build_machine(found, self.mechanism, deformation)
 
     @property
     def matrix_from_targets(self) -> bool:
@@ -146,12 +145,15 @@ class StudyInputs:
 
     def likelihood(self, variant: VariantConfig, verification: bool) -> PoseLikelihood:
         """Return the density of the poses of one use under a variant."""
-        machine, poses = self.machine(variant), self.poses(verification)
-        extra = None
-        if machine.deformation.uses_matrix and self.matrix_from_targets:
-            extra = self._matrix_variance(poses.actuators - self.mechanism.initial_actuator_positions)
         noise = self.config.data.actuator_noise_um * MICROMETRE
-        return PoseLikelihood(machine, poses, noise, extra)
+        extra = self.matrix_variance(variant, verification)
+        return PoseLikelihood(self.machine(variant), self.poses(verification), noise, extra)
+
+    def matrix_variance(self, variant: VariantConfig, verification: bool) -> Array | None:
+        """Return v_ni of the poses of one use (P, N) in mm² where a variant's K was measured, otherwise None."""
+        if not (self.machine(variant).deformation.uses_matrix and self.matrix_from_targets):
+            return None
+        return self._matrix_variance(self.poses(verification).actuators - self.mechanism.initial_actuator_positions)
 
     def _matrix_variance(self, displacement: Array) -> Array:
         """Return the variance of Δb_z (P, N) in mm² that the uncertainty of the rest of K leaves.
@@ -191,13 +193,13 @@ class StudyInputs:
                 continue
             block = blocks[symbol]
             if isinstance(config, FixedConfig):
-                offsets = _per_leg(config.offset, len(block.nominal), symbol)
+                offsets = per_leg(config.offset, len(block.nominal), symbol)
                 fixed |= {n: v + o for n, v, o in zip(block.names, block.nominal, offsets, strict=True)}
             elif symbol in variant.free:
                 widths = config.sd if isinstance(config, NormalConfig) else config.half_width
                 if tolerance is not None and block.unit == LENGTHS and isinstance(config, NormalConfig):
                     widths = tolerance
-                spread = _per_leg(widths, len(block.nominal), symbol)
+                spread = per_leg(widths, len(block.nominal), symbol)
                 normal = isinstance(config, NormalConfig)
                 for name, value, width in zip(block.names, block.nominal, spread, strict=True):
                     priors[name] = NormalPrior(value, width) if normal else UniformPrior(value - width, value + width)
@@ -228,7 +230,8 @@ def hash_identity(identity: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(identity, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-def _per_leg(value: float | list[float], n: int, symbol: str) -> list[float]:
+def per_leg(value: float | list[float], n: int, symbol: str) -> list[float]:
+    """Return one value per leg; InputError for a list of another length."""
     values = value if isinstance(value, list) else [value] * n
     if len(values) != n:
         expected = "1" if n == 1 else f"1 or {n}, one per leg"
@@ -237,7 +240,7 @@ def _per_leg(value: float | list[float], n: int, symbol: str) -> list[float]:
 
 
 @contextmanager
-def _naming(what: Path | str) -> Iterator[None]:
+def naming(what: Path | str) -> Iterator[None]:
     """Put the name of a file or a variant before what is wrong with it."""
     try:
         yield
@@ -264,16 +267,16 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
     mechanism = load_mechanism(folder / config.mechanism)
     data = config.data
     survey = read_survey(folder / data.targets, folder / data.actuators, folder / data.reference, mechanism.n_legs)
-    with _naming(folder / data.targets):
+    with naming(folder / data.targets):
         extraction = extract_poses(survey, data.target_noise_um * MICROMETRE, data.pose_method)
     inputs = StudyInputs(config, folder, mechanism, survey, extraction)
-    with _naming(folder / data.targets):
+    with naming(folder / data.targets):
         _measure_ring(inputs)
     for variant in config.variants:
         machine = inputs.machine(variant)
-        with _naming(folder / config.mechanism):
+        with naming(folder / config.mechanism):
             check_home_pose(machine)
-        with _naming(f"variant {variant.name!r}"):
+        with naming(f"variant {variant.name!r}"):
             inputs.posterior(variant, with_model_error=True).check_machine()
         if variant.published is not None:
             read_published(folder / variant.published, mechanism.n_legs)

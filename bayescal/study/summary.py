@@ -12,7 +12,8 @@ import numpy as np
 import xarray as xr
 
 from bayescal.geometry import Array
-from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
+from bayescal.inference.diagnostics import Diagnostics
+from bayescal.limits import AGREEMENT, PARETO_K_LIMIT
 from bayescal.prediction import Prediction, compute_elpd
 from bayescal.study.fit import Arrays, read_prediction
 from bayescal.study.inputs import StudyInputs
@@ -128,16 +129,7 @@ def summarise_fit(
 
 def list_problems(arrays: Arrays) -> list[str]:
     """Return what speaks against a posterior, in words; empty where it converged."""
-    problems = []
-    rhat, bulk, tail = (
-        float(arrays[n].max() if n == "rhat" else arrays[n].min()) for n in ("rhat", "ess_bulk", "ess_tail")
-    )
-    if not rhat < RHAT_LIMIT:
-        problems.append(f"R-hat {rhat:.3f}, limit {RHAT_LIMIT}")
-    if not bulk > ESS_BULK_LIMIT:
-        problems.append(f"bulk ESS {bulk:.0f}, limit {ESS_BULK_LIMIT:.0f}")
-    if not tail > ESS_TAIL_LIMIT:
-        problems.append(f"tail ESS {tail:.0f}, limit {ESS_TAIL_LIMIT:.0f}")
+    problems = Diagnostics(*(arrays[name] for name in ("rhat", "ess_bulk", "ess_tail"))).list_problems()
     if not arrays["modes_converged"]:
         problems.append("the mode search did not converge")
     if not arrays["bridge_converged"]:

@@ -166,7 +166,7 @@ def test_bound_closure_is_the_closure(scene, n_legs, rng):
 
 
 def test_bound_pose_derivative_is_linear(scene, n_legs, rng):
-    """Exact for the 6-PUS; what the others may leave out, the likelihood's tests bound."""
+    """Exact for perfect joints; what the others may leave out, the likelihood's tests bound."""
     machine, batch = scene.machine, 3
     theta = scene.theta + 0.1 * machines.spread_of(machine.layout) * rng.standard_normal((batch, machine.layout.size))
     bound = machine.model.bind(machine.layout, scene.position, scene.rotation, machine.basis(scene.actuators))
@@ -176,7 +176,7 @@ def test_bound_pose_derivative_is_linear(scene, n_legs, rng):
     first, second = bound.along(error).copy(), bound.along(other).copy()
     assert first.shape == (n_legs, N_POSES, batch)
     np.testing.assert_allclose(bound.along(2.0 * error - other), 2.0 * first - second, rtol=0, atol=1e-12)
-    if machine.model.name == "six_pus":
+    if machine.model.name in machines.PERFECT_JOINTS:
         expected = np.einsum("bpij,jpb->ipb", scene.linearise(theta=theta[:, None]).pose, error)
         np.testing.assert_allclose(first, expected, rtol=0, atol=1e-11)
 

@@ -11,7 +11,7 @@ import numpy as np
 from bayescal.deformations import DEFORMATIONS, NominalDeformation
 from bayescal.errors import InputError
 from bayescal.geometry import Array
-from bayescal.kinematics import Machine
+from bayescal.kinematics import Machine, build_machine
 from bayescal.least_squares import LeastSquaresFit
 from bayescal.likelihood import PoseLikelihood
 from bayescal.measured_poses import MeasuredPoses
@@ -95,7 +95,7 @@ class Subject:
         """Return the mechanism seen through a model and a deformation; None where it lacks what they need."""
         try:
             kind = DEFORMATIONS[deformation].from_nominal(self.nominal)
-            machine = Machine(self.mechanism, MODELS[model].from_mechanism(self.mechanism), kind)
+            machine = build_machine(MODELS[model], self.mechanism, kind)
             _ = machine.layout
         except InputError:
             return None

@@ -1,0 +1,59 @@
+"""Draws of an explored posterior by independent ensembles, in all coordinates that somebody needs, with diagnostics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayescal.geometry import Array
+from bayescal.inference.diagnostics import Diagnostics, diagnose
+from bayescal.inference.ensemble import run_ensemble
+from bayescal.inference.exploration import Exploration, count_walkers
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Draws of E ensembles of W walkers in S steps, of n parameters.
+
+    Attributes
+    ----------
+    straight, y, natural : ndarray, shape (E, W, S, n)
+        In the proposal's coordinates, in sampling coordinates, in natural units.
+    log_density : ndarray, shape (E, W, S)
+        In the proposal's coordinates.
+    acceptance : ndarray, shape (E,)
+    diagnostics : Diagnostics
+        Of the natural units.
+    """
+
+    straight: Array
+    y: Array
+    natural: Array
+    log_density: Array
+    acceptance: Array
+    diagnostics: Diagnostics
+
+
+def sample_posterior(
+    exploration: Exploration,
+    seed: np.random.SeedSequence,
+    n_ensembles: int,
+    n_walkers: int,
+    n_burn_in: int,
+    n_steps: int,
+) -> Sample:
+    """Return draws from ensembles that start at the exploration's proposal; a seed of its own for each."""
+    straight = exploration.straight
+    posterior = straight.posterior
+    walkers = count_walkers(posterior.n_parameters, n_walkers)
+    ensembles = [
+        run_ensemble(straight.log_density, exploration.proposal, own, walkers, n_burn_in, n_steps)
+        for own in seed.spawn(n_ensembles)
+    ]
+    draws = np.stack([ensemble.draws for ensemble in ensembles])
+    y = straight.y_from_x(draws.reshape(-1, posterior.n_parameters)).reshape(draws.shape)
+    natural = posterior.natural(y)
+    density = np.stack([ensemble.log_density for ensemble in ensembles])
+    acceptance = np.array([ensemble.acceptance for ensemble in ensembles])
+    return Sample(draws, y, natural, density, acceptance, diagnose(natural))

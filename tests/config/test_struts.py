@@ -1,0 +1,77 @@
+"""Mechanism files of struts: lengths given or from the home pose, and every fault as one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import studies
+
+from bayescal.config import load_mechanism
+from bayescal.errors import InputError
+
+M2 = studies.EXPERIMENTS / "audit" / "m2_hexapod_mechanism.toml"
+TELESCOPE = studies.TELESCOPE / "mechanism.toml"
+HOME = "[home]\nposition_mm = [0.0, 0.0, -703.0]\n"
+STRUT = 'drive = "strut"'
+
+
+def fail(path: Path) -> str:
+    """Return the one-line message with which a mechanism is refused."""
+    with pytest.raises(InputError) as caught:
+        load_mechanism(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(str(path))
+    assert "expected" in message
+    return message
+
+
+def test_lengths_of_struts_are_given_or_follow_from_home(tmp_path):
+    path = tmp_path / "mechanism.toml"
+    by_home, text = load_mechanism(M2), M2.read_text()
+    assert (by_home.drive, by_home.home_position) == ("strut", (0.0, 0.0, -703.0))
+    expected = np.linalg.norm(by_home.platform_points + by_home.home_position - by_home.base_points, axis=1)
+    np.testing.assert_array_equal(by_home.leg_lengths, expected)
+    assert (by_home.home_joints == by_home.base_points).all()
+    assert not by_home.directions.any()
+    path.write_text(text.replace(HOME, "").replace(STRUT, f"{STRUT}\nlength_mm = {expected.tolist()}"))
+    given = load_mechanism(path)
+    np.testing.assert_array_equal(given.leg_lengths, expected)
+    assert given.home_position is None
+
+
+def test_drive_of_the_telescope_is_at_the_base():
+    telescope = load_mechanism(TELESCOPE)
+    assert (telescope.drive, telescope.home_position) == ("base", None)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        (STRUT, f"{STRUT}\ndirection = [0.0, 0.0, 1.0]", "line 32: legs: found direction with drive 'strut', expected"),
+        (STRUT, f"{STRUT}\nlength_mm = 493.0", "line 32: legs.length_mm: found lengths beside [home], expected one of"),
+        (HOME, "", "line 30: legs.length_mm: missing, expected a value or [home]"),
+        (STRUT, 'drive = "base"', "line 32: legs.drive: found 'base' with [home], expected 'strut', or no [home]"),
+        (STRUT, 'drive = "strat"', "line 33: legs.drive: found 'strat', expected 'base' or 'strut'"),
+        (STRUT, f"{STRUT}\ninitial_actuator_position_mm = [1, 2]", "legs.initial_actuator_position_mm: found 2 legs"),
+        ("position_mm = [0.0, ", "position_mm = [", "line 30: home.position_mm: found [0.0, -703.0], expected: list"),
+        ("position_mm", "position", "line 30: home.position: unknown key, did you mean 'position_mm'?"),
+        ("-703.0]", "-1196.0]", "home.position_mm: found both joints of leg 1 in one place, expected a length"),
+        ("    [1256.87, -419.29, 931.6],\n", "", "platform: found 5 legs, expected 6 as in base"),
+    ],
+)
+def test_faulty_struts(tmp_path, old, new, expected):
+    path = tmp_path / "mechanism.toml"
+    path.write_text(M2.read_text())
+    studies.edit(path, old, new)
+    assert expected in fail(path)
+
+
+def test_legs_driven_at_the_base_need_their_lengths(tmp_path):
+    path = tmp_path / "mechanism.toml"
+    path.write_text(TELESCOPE.read_text())
+    studies.edit(path, "length_mm = 500.0\n", "")
+    line = studies.find_line(path, "[legs]")
+    assert fail(path) == f"{path}, line {line}: legs.length_mm: missing, expected a value"
