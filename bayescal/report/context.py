@@ -17,7 +17,7 @@ NOTATION = (
     ("a", "joint of a leg's actuator on the base, base frame", "section 2.2"),
     ("b", "joint of a leg on the platform, platform frame", "section 2.2"),
     ("u", "direction of an actuator, a unit vector", "eq. 5"),
-    ("l", "length of a leg", "eqs. 5, 7, 30"),
+    ("l", "length of a leg; of a strut, at the initial position of its actuator", "eqs. 5, 7, 30"),
     ("rho", "position of an actuator; Δρ its displacement from the initial position", "eqs. 5, 7"),
     ("rho0", "initial position of an actuator", "eq. 9"),
     (

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
 import pandas as pd
-from matplotlib import rc_context
-from matplotlib.figure import Figure
 
 from bayescal.report.figures.deformation import draw_deflections
 from bayescal.report.figures.errors import draw_bounds, draw_error_bars
@@ -20,7 +15,8 @@ from bayescal.report.figures.overview import draw_overview
 from bayescal.report.figures.parameters import draw_model_error, draw_parameters
 from bayescal.report.figures.ridges import draw_ridges
 from bayescal.report.figures.sensitivity import draw_sensitivity
-from bayescal.report.figures.style import RC, Styles, assign_styles
+from bayescal.report.figures.style import Styles, assign_styles
+from bayescal.report.page import Illustration
 from bayescal.report.parameter_tables import choose_leg, rank_pairs
 from bayescal.report.results import MODEL_ERROR, SETTINGS, Results, split_name
 from bayescal.report.sections import read_prior_scale
@@ -36,23 +32,11 @@ from bayescal.report.variants import (
     read_evidence,
 )
 
-DPI = 120
 BARS = (
     "each bar is as high as the largest error, the line across it is the mean, both as numbers. Errors of the "
     "posterior mean prediction with model error"
 )
 REPORT_FIGURES = {"none": 15, "linear": 16, "matrix": 17}  # of RR-8096, by deformation
-
-
-@dataclass(frozen=True)
-class Illustration:
-    """A figure to draw, or the reason why it cannot be drawn; ``section`` is where it belongs."""
-
-    name: str
-    caption: str
-    draw: Callable[[], Figure] | None
-    reason: str = ""
-    section: str = ""
 
 
 def list_illustrations(results: Results) -> list[Illustration]:
@@ -78,14 +62,6 @@ def list_illustrations(results: Results) -> list[Illustration]:
             lambda: draw_sensitivity(results.sensitivity_grid, styles),
         ),
     ]
-
-
-def render_png(draw: Callable[[], Figure]) -> bytes:
-    """Return a figure as PNG; the same figure gives the same bytes."""
-    buffer = io.BytesIO()
-    with rc_context(RC):  # type: ignore[arg-type]  # its keys are a literal type of three hundred names
-        draw().savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    return buffer.getvalue()
 
 
 def _show_overview(results: Results, styles: Styles) -> Illustration:

@@ -17,22 +17,20 @@ import pandas as pd
 
 from bayescal.errors import InputError
 from bayescal.files import read_json
+from bayescal.report.reading import NUMBER, Kinds, check_keys, read_table
 
 if TYPE_CHECKING:
     from bayescal.geometry import Array
 
 SETTINGS = {"free": "with model error", "zero": "without model error (τ = 0)"}
 MODEL_ERROR = "tau"
-TEXT_COLUMNS = dict.fromkeys(
-    (
-        *("variant", "model_error", "pose", "use", "parameter", "unit", "quantity"),
-        *("claim", "section", "statement", "expected", "found", "verdict", "why"),
-    ),
-    str,
+TEXT_COLUMNS = (
+    *("variant", "model_error", "pose", "use", "parameter", "unit", "quantity"),
+    *("claim", "section", "statement", "expected", "found", "verdict", "why"),
 )
 VERDICTS = ("holds", "does not hold", "not testable")
 
-SUMMARY_KEYS: dict[str, type | tuple[type, ...]] = {
+SUMMARY_KEYS: dict[str, Kinds] = {
     "experiment": str,
     "title": str,
     "data_origin": str,
@@ -43,8 +41,7 @@ SUMMARY_KEYS: dict[str, type | tuple[type, ...]] = {
     "variants": dict,
     "ranking": list,
 }
-NUMBER = (int, float)
-FIT_KEYS: dict[str, type | tuple[type, ...]] = {
+FIT_KEYS: dict[str, Kinds] = {
     **dict.fromkeys(("n_parameters", "log_evidence", "log_evidence_se", "elpd_loo", "elpd_loo_se"), NUMBER),
     **dict.fromkeys(("elpd_loo_n_bad_k", "elpd_loo_pareto_k_max", "rhat_max", "ess_bulk_min", "ess_tail_min"), NUMBER),
     **dict.fromkeys(("acceptance", "wall_seconds"), NUMBER),
@@ -61,7 +58,7 @@ NESTED_KEYS = {
     "importance": ("efficiency", "pareto_k", "n_draws"),
     "distance_from_nominal": ("rms_mm", "rms_prior_sd"),
 }
-ERROR_KEYS: dict[str, type | tuple[type, ...]] = {
+ERROR_KEYS: dict[str, Kinds] = {
     "position_error_mm": dict,
     "orientation_error_deg": dict,
     "interval_90_coverage": NUMBER,
@@ -255,19 +252,7 @@ def _find_optional(folder: Path) -> list[str]:
 
 
 def _read_table(path: Path) -> pd.DataFrame:
-    try:
-        table = pd.read_csv(path, dtype=TEXT_COLUMNS, keep_default_na=False, na_values=[""])
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file, expected a study's table") from error
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as a table ({error})") from error
-    missing = [column for column in TABLE_COLUMNS[path.stem] if column not in table.columns]
-    if missing:
-        raise InputError(f"{path}: found no column {missing[0]!r}, expected {', '.join(TABLE_COLUMNS[path.stem])}")
-    for column in set(TABLE_COLUMNS[path.stem]) - set(TEXT_COLUMNS) if len(table) else ():
-        if not (pd.api.types.is_numeric_dtype(table[column]) or pd.api.types.is_bool_dtype(table[column])):
-            raise InputError(f"{path}: column {column!r}: found text, expected numbers")
-    return table
+    return read_table(path, TABLE_COLUMNS[path.stem], TEXT_COLUMNS, "a study's table")
 
 
 def _read_draws(path: Path) -> dict[str, Array]:
@@ -287,43 +272,34 @@ def _read_draws(path: Path) -> dict[str, Array]:
 
 
 def _check_summary(summary: dict[str, Any], path: Path) -> None:
-    _check_keys(summary, SUMMARY_KEYS, path, "")
-    _check_keys(summary["n_poses"], dict.fromkeys(("calibration", "verification"), NUMBER), path, "n_poses.")
-    extraction: dict[str, type | tuple[type, ...]] = {"method": str, "rejected_targets": list}
-    _check_keys(summary["pose_extraction"], extraction, path, "pose_extraction.")
+    check_keys(summary, SUMMARY_KEYS, path, "")
+    check_keys(summary["n_poses"], dict.fromkeys(("calibration", "verification"), NUMBER), path, "n_poses.")
+    extraction: dict[str, Kinds] = {"method": str, "rejected_targets": list}
+    check_keys(summary["pose_extraction"], extraction, path, "pose_extraction.")
     if not summary["variants"] or sorted(summary["ranking"]) != sorted(summary["variants"]):
         raise InputError(
             f"{path}: ranking: found {summary['ranking']}, expected each of {list(summary['variants'])} once"
         )
     uses = [use for use in ("calibration", "verification") if summary["n_poses"][use]]
     for name, fit in summary["variants"].items():
-        _check_keys(summary["variants"], {name: dict}, path, "variants.")
+        check_keys(summary["variants"], {name: dict}, path, "variants.")
         _check_fit(fit, uses, path, f"variants.{name}.")
-        _check_keys(fit, {"without_model_error": dict}, path, f"variants.{name}.")
+        check_keys(fit, {"without_model_error": dict}, path, f"variants.{name}.")
         _check_fit(fit["without_model_error"], uses, path, f"variants.{name}.without_model_error.")
 
 
 def _check_fit(fit: dict[str, Any], uses: list[str], path: Path, where: str) -> None:
-    _check_keys(fit, FIT_KEYS, path, where)
+    check_keys(fit, FIT_KEYS, path, where)
     for key, inner in NESTED_KEYS.items():
-        _check_keys(fit[key], dict.fromkeys(inner, NUMBER), path, f"{where}{key}.")
+        check_keys(fit[key], dict.fromkeys(inner, NUMBER), path, f"{where}{key}.")
     for name, values in fit["parameters"].items():
-        _check_keys(fit["parameters"], {name: dict}, path, f"{where}parameters.")
-        _check_keys(values, {**dict.fromkeys(PARAMETER_KEYS, NUMBER), "unit": str}, path, f"{where}parameters.{name}.")
+        check_keys(fit["parameters"], {name: dict}, path, f"{where}parameters.")
+        check_keys(values, {**dict.fromkeys(PARAMETER_KEYS, NUMBER), "unit": str}, path, f"{where}parameters.{name}.")
     for use in uses:
-        _check_keys(fit, {use: dict}, path, where)
-        _check_keys(fit[use], ERROR_KEYS, path, f"{where}{use}.")
+        check_keys(fit, {use: dict}, path, where)
+        check_keys(fit[use], ERROR_KEYS, path, f"{where}{use}.")
         for key in ("position_error_mm", "orientation_error_deg"):
-            _check_keys(fit[use][key], dict.fromkeys(("mean", "max"), NUMBER), path, f"{where}{use}.{key}.")
-
-
-def _check_keys(content: Any, keys: Mapping[str, type | tuple[type, ...]], path: Path, where: str) -> None:
-    for key, kind in keys.items():
-        value = content.get(key)
-        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-            found = "nothing" if value is None else type(value).__name__
-            wanted = "a number" if kind == NUMBER else getattr(kind, "__name__", str(kind))
-            raise InputError(f"{path}: {where}{key}: found {found}, expected {wanted}")
+            check_keys(fit[use][key], dict.fromkeys(("mean", "max"), NUMBER), path, f"{where}{use}.{key}.")
 
 
 def get_number(content: Mapping[str, Any], key: str) -> float:

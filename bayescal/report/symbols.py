@@ -33,6 +33,16 @@ def set_mathematics(symbol: str, before: str = "") -> str:
     return f"${before}{head}{lower}{upper}$"
 
 
+def set_parameter(name: str) -> str:
+    """Return a parameter as mathematical text for figures, its leg below the symbol."""
+    symbol, leg = split_name(name)
+    head, below, above = split_symbol(symbol)
+    if not re.fullmatch(r"\w+", head):
+        return quote(name)
+    marks = ",".join(part for part in (below, str(leg) if leg else "") if part)
+    return f"${head}{f'_{{{marks}}}' if marks else ''}{f'^{{{above}}}' if above else ''}$"
+
+
 def write_symbol(symbol: str) -> str:
     """Return a symbol in running text: Greek letters as such."""
     head, below, above = split_symbol(symbol)

@@ -1,13 +1,31 @@
-"""What a run says on the terminal: the ranking, what speaks against it, and where the report is."""
+"""What a run says on the terminal: the ranking or the verdict, what speaks against it, and where the report is."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 from rich.console import Console
 from rich.table import Table
+
+from bayescal.report.audit.results import AuditResults
+from bayescal.report.audit.tables import name_verdict
+from bayescal.report.audit.verdict import list_failures, state_headline, state_verdict
+from bayescal.report.audit.words import (
+    format_contraction,
+    format_probability,
+    format_range,
+    format_sd,
+    format_share,
+    name_requirement,
+    name_unit,
+)
+from bayescal.report.symbols import write_symbol
+
+MARKS = {"good": "+", "plain": " ", "warning": "!", "bad": "x"}
+LEAST_WIDTH, MOST_WIDTH = 80, 120
 
 
 def print_ranking(summary: dict[str, Any], out: Path) -> None:
@@ -63,3 +81,67 @@ def print_comparison(comparison: pd.DataFrame) -> None:
             str(row["converged"]),
         )
     console.print(table)
+
+
+def print_audit(summary: dict[str, Any], out: Path) -> None:
+    """Print the verdict of an audit, what is known of each symbol, the requirements and the place of the report."""
+    found = Console()
+    width = min(MOST_WIDTH, max(LEAST_WIDTH, found.width)) if found.is_terminal else 100
+    console = Console(width=width, highlight=False, markup=False)
+    results = AuditResults(summary, {})
+    console.print(summary["title"])
+    for failure in list_failures(results):
+        console.print(f"DO NOT RELY ON THIS: {failure.text}")
+    console.print(state_headline(results))
+    for statement in state_verdict(results):
+        grid = Table.grid(padding=(0, 1))
+        grid.add_row(MARKS[statement.level], f"{statement.lead}: {_write_symbols(statement.text, results.symbols)}")
+        console.print(grid)
+    console.print(_tabulate_symbols(results))
+    if results.requirements:
+        console.print(_tabulate_requirements(results))
+    console.print(f"report: {out / 'audit.html'}", soft_wrap=True)
+
+
+def _write_symbols(text: str, symbols: list[str]) -> str:
+    """Return text with Greek letters as such."""
+    written = {symbol: write_symbol(symbol) for symbol in symbols}
+    return re.sub(r"(?<![\w.])[A-Za-z]\w*", lambda found: written.get(found[0], found[0]), text)
+
+
+def _tabulate_symbols(results: AuditResults) -> Table:
+    table = Table()
+    for heading in ("symbol", "unit", "tolerance", "remains", "contraction", "verdict", "to do"):
+        table.add_column(heading, justify="left" if heading in ("symbol", "unit", "verdict", "to do") else "right")
+    for symbol, group in results.parameters.groupby("symbol", sort=False):
+        counts = group["verdict"].value_counts()
+        several = len(counts) > 1
+        verdicts = [f"{n} {name_verdict(str(v))}" if several else name_verdict(str(v)) for v, n in counts.items()]
+        free = group["recommended"]
+        table.add_row(
+            write_symbol(str(symbol)),
+            name_unit(str(group["unit"].iloc[0])),
+            format_range(list(group["prior_sd"]), format_sd),
+            format_range(list(group["posterior_sd"]), format_sd),
+            format_range(list(group["contraction"]), format_contraction),
+            ", ".join(verdicts),
+            "free" if free.all() else "partly" if free.any() else "fix",
+        )
+    return table
+
+
+def _tabulate_requirements(results: AuditResults) -> Table:
+    table = Table()
+    for heading in ("requirement", "limit", "predicted sd", "of limit", "probability", "before"):
+        table.add_column(heading, justify="left" if heading == "requirement" else "right")
+    for r in results.requirements:
+        unit = name_unit(r.unit)
+        table.add_row(
+            name_requirement(r.name),
+            f"{r.limit:g} {unit}",
+            f"{format_sd(r.predicted_sd)} {unit}",
+            format_share(r.predicted_sd / r.limit),
+            format_probability(r.probability),
+            format_probability(r.prior_probability),
+        )
+    return table

@@ -9,7 +9,7 @@ from itertools import combinations
 from bayescal.report.numbers import join_words
 from bayescal.report.results import Results
 
-MODEL_LABELS = {"six_pus": "6-PUS", "jacobian": "Jacobian", "stiffness_fixed": "stiffness (fixed)"}
+MODEL_LABELS = {"six_pus": "6-PUS", "six_ups": "6-UPS", "jacobian": "Jacobian", "stiffness_fixed": "stiffness (fixed)"}
 NOT_DISTINGUISHABLE = 1.0  # nats
 
 

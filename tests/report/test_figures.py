@@ -15,7 +15,8 @@ from matplotlib.colors import to_hex
 from bayescal.report.figures.flexure import choose_flexure, draw_flexure
 from bayescal.report.figures.joints import find_magnification, locate_joints, measure_moves
 from bayescal.report.figures.style import DEFORMATION_COLOURS, RC, assign_styles, list_keys
-from bayescal.report.illustrations import list_illustrations, render_png
+from bayescal.report.illustrations import list_illustrations
+from bayescal.report.page import render_png
 from bayescal.report.results import read_results
 
 

@@ -13,7 +13,8 @@ from made_up_results import TWELVE, render_text
 from bayescal.errors import InputError
 from bayescal.report import write
 from bayescal.report.context import format_config
-from bayescal.report.write import set_prose, set_symbol, write_report
+from bayescal.report.page import set_prose, set_symbol
+from bayescal.report.write import write_report
 
 VOID = {"meta", "img", "link", "br", "hr", "input"}
 

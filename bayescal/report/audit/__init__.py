@@ -1,0 +1,1 @@
+"""The report of an audit: from its directory to one page."""
