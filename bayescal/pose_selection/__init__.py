@@ -1,0 +1,38 @@
+"""Which poses to measure: candidates, criteria and methods for any machine."""
+
+from __future__ import annotations
+
+from bayescal.pose_selection.candidates import (
+    Candidates,
+    candidates_at,
+    candidates_at_actuators,
+    even_candidates,
+    factorial_candidates,
+    random_candidates,
+)
+from bayescal.pose_selection.criteria import CRITERIA, Criterion
+from bayescal.pose_selection.domain import ActuatorBox, PoseDomain, WorkspaceBox
+from bayescal.pose_selection.methods import METHODS, Selection, SelectionMethod
+from bayescal.pose_selection.observability import compute_observability
+from bayescal.pose_selection.problem import SelectionProblem
+from bayescal.pose_selection.select import select
+
+__all__ = [
+    "CRITERIA",
+    "METHODS",
+    "ActuatorBox",
+    "Candidates",
+    "Criterion",
+    "PoseDomain",
+    "Selection",
+    "SelectionMethod",
+    "SelectionProblem",
+    "WorkspaceBox",
+    "candidates_at",
+    "candidates_at_actuators",
+    "compute_observability",
+    "even_candidates",
+    "factorial_candidates",
+    "random_candidates",
+    "select",
+]

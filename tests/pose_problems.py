@@ -1,0 +1,65 @@
+"""Machines, domains and problems of pose selection that the tests share."""
+
+from __future__ import annotations
+
+import audit_problems
+import machines
+import numpy as np
+import studies
+
+from bayescal.audit.design import Knowledge, Plan
+from bayescal.config import load_mechanism
+from bayescal.pose_selection import ActuatorBox, SelectionProblem, WorkspaceBox, random_candidates
+from bayescal.pose_selection.criteria import O1, O2, O3, O4, O5, AOptimality, DOptimality, IOptimality
+from bayescal.sensors import PoseSensor
+
+YU_HALF = np.concatenate([np.full(3, 100.0), np.radians(np.full(3, 10.0))])
+YU_TOLERANCE = 0.5
+PLAN = Plan(np.empty((0, 6)), (PoseSensor(1e-3, np.radians(1e-4)),), 1e-4)
+LIMITS = np.array([1e-3, 1e-3, 1e-3, 1e-5, 1e-5, np.inf])
+IDENTIFIABLE = ("a_x", "a_y", "b_x", "b_y", "u_x", "u_y", "l")  # RR-8096 eq. 37
+CRITERIA = ("O1", "O2", "O3", "O4", "O5", "D", "A", "I")
+INDICES = CRITERIA[:5]
+
+
+def yu_knowledge(symbols: tuple[str, ...] | None = None) -> Knowledge:
+    """Return Yu's large geometry with all 42 parameters free, or those of some symbols."""
+    machine = machines.build_machine(
+        "none", load_mechanism(studies.EXPERIMENTS / "audit/yu2023_mechanism.toml"), "six_ups"
+    )
+    names = [name for name in machine.layout.names if symbols is None or name.partition("[")[0] in symbols]
+    return Knowledge(machine, dict.fromkeys(names, YU_TOLERANCE))
+
+
+def yu_domain(symbols: tuple[str, ...] | None = None) -> WorkspaceBox:
+    """Return ±100 mm and ±10 deg about home."""
+    return WorkspaceBox(yu_knowledge(symbols), YU_HALF)
+
+
+def telescope_domain(half: np.ndarray | None = None) -> ActuatorBox:
+    """Return the telescope's actuator range, the identifiable parameters of RR-8096 free."""
+    return ActuatorBox(audit_problems.build_knowledge(machines.build_machine("none"), IDENTIFIABLE), half)
+
+
+def build_criterion(name: str, domain=None):
+    """Return a criterion; I over 20 poses of the domain."""
+    if name in INDICES:
+        return {"O1": O1, "O2": O2, "O3": O3, "O4": O4, "O5": O5}[name]()
+    if name in "DA":
+        return {"D": DOptimality, "A": AOptimality}[name](PLAN)
+    workspace = random_candidates(domain, 20, np.random.default_rng(99)).sensitivity
+    return IOptimality(PLAN, workspace=workspace, sd=domain.knowledge.sd, limits=LIMITS)
+
+
+def build_problem(
+    name: str, n_candidates: int = 60, n: int = 9, seed: int = 0, domain=None, **fields
+) -> SelectionProblem:
+    """Return a problem on Yu's machine with random candidates."""
+    domain = domain or yu_domain()
+    candidates = random_candidates(domain, n_candidates, np.random.default_rng(seed))
+    return SelectionProblem(candidates, build_criterion(name, domain), n, **fields)
+
+
+def small_problem(name: str, n_candidates: int = 12, n: int = 5, seed: int = 0) -> SelectionProblem:
+    """Return a problem small enough for all subsets to be judged: 18 parameters, for which 3 poses would do."""
+    return build_problem(name, n_candidates, n, seed, yu_domain(("a_x", "b_y", "l")))

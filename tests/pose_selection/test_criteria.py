@@ -1,0 +1,174 @@
+"""Indices against singular values, updates and bounds against sets judged anew, gradients against differences."""
+
+from __future__ import annotations
+
+import machines
+import numpy as np
+import pose_problems
+import pytest
+
+from bayescal.audit.sensitivity import compute_sensitivity
+from bayescal.pose_selection import SelectionProblem, compute_observability, random_candidates
+from bayescal.pose_selection.criteria import CRITERIA, O1
+from bayescal.pose_selection.criteria.spectral import FINE, ROUGH
+from bayescal.pose_selection.objective import PoseObjective
+
+NINE = np.arange(9)
+
+
+def formulas(rows: np.ndarray, n_poses: int) -> dict[str, float]:
+    """Return the indices as Yu prints them, from the eigenvalues of JᵀJ in extended precision where they are sums."""
+    sigma = np.linalg.svd(rows)[1].astype(np.longdouble)
+    n = len(sigma)
+    return {
+        "O1": float(np.prod(sigma ** (np.longdouble(1) / n)) / np.sqrt(np.longdouble(n_poses))),
+        "O2": float(sigma[-1] / sigma[0]),
+        "O3": float(sigma[-1]),
+        "O4": float(sigma[-1] ** 2 / sigma[0]),
+        "O5": float(1 / np.sum(1 / sigma)),
+    }
+
+
+def test_every_criterion_is_named_with_its_source():
+    assert set(CRITERIA) == set(pose_problems.CRITERIA)
+    for name, criterion in CRITERIA.items():
+        assert criterion.name == name
+        assert any(character.isdigit() for character in criterion.source)
+
+
+def test_jacobian_is_the_audits():
+    domain = pose_problems.yu_domain()
+    candidates = random_candidates(domain, 30, np.random.default_rng(1))
+    audited = compute_sensitivity(domain.knowledge, candidates.placed.actuators)
+    np.testing.assert_allclose(audited.poses.position, candidates.placed.position, atol=1e-8)
+    scale = np.abs(audited.slope).max(axis=(0, 2), keepdims=True)
+    np.testing.assert_allclose(candidates.sensitivity.slope / scale, audited.slope / scale, atol=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_indices_against_singular_values(seed):
+    problem = pose_problems.build_problem("O1", 40, 12, seed)
+    sets = np.stack([problem.draw_set(np.random.default_rng(k)) for k in range(5)])
+    found = compute_observability(problem.blocks[sets])
+    for place, members in enumerate(sets):
+        expected = formulas(problem.blocks[members].reshape(-1, 42), 12)
+        assert {name: values[place] for name, values in found.items()} == pytest.approx(expected, rel=1e-12)
+
+
+def test_too_few_rows_are_worth_nothing():
+    found = compute_observability(pose_problems.build_problem("O1").blocks[:6])
+    assert {name: float(value) for name, value in found.items()} == dict.fromkeys(pose_problems.INDICES, 0.0)
+
+
+def test_bayesian_criteria_against_the_posterior_covariance():
+    knowledge = pose_problems.yu_knowledge()
+    for name in "DAI":
+        problem = pose_problems.build_problem(name)
+        slope = problem.candidates.sensitivity.slope[NINE].reshape(-1, 42)
+        noise = np.tile(np.concatenate([np.full(3, 1e-3), np.full(3, np.radians(1e-4))]), 9)
+        own = problem.candidates.sensitivity.pose_noise(pose_problems.PLAN)[NINE]
+        covariance = np.diag(noise**2)
+        for k in NINE:
+            covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += own[k]
+        prior = np.diag(knowledge.sd**-2)
+        posterior = np.linalg.inv(prior + slope.T @ np.linalg.solve(covariance, slope))
+        if name == "D":
+            expected = -0.5 * (np.linalg.slogdet(posterior)[1] + np.linalg.slogdet(prior)[1])
+        elif name == "A":
+            expected = -np.mean(np.diagonal(posterior) / knowledge.sd**2)
+        else:
+            workspace = problem.criterion.workspace.slope
+            variance = np.einsum("wki,ij,wkj->wk", workspace, posterior, workspace)
+            expected = -np.mean(np.sum(variance / pose_problems.LIMITS**2, axis=1))
+        assert problem.value_of(problem.blocks[NINE]) == pytest.approx(expected, rel=1e-7)
+
+
+@pytest.mark.parametrize("measured", [False, True])
+@pytest.mark.parametrize("name", pose_problems.CRITERIA)
+def test_updates_equal_sets_judged_anew(name, measured):
+    fields = {}
+    if measured:
+        actuators = pose_problems.build_problem("O1", seed=5).candidates.placed.actuators
+        fields = {"measured": actuators[:4]}
+    problem = pose_problems.build_problem(name, **fields)
+    scorer = problem.scorer()
+    scorer.start(range(9))
+    rng = np.random.default_rng(2)
+    for step in range(30):  # beyond a refresh
+        added = int(rng.choice(np.setdiff1d(np.arange(60), scorer.members)))
+        scorer.add(added)
+        scorer.drop(int(rng.choice(scorer.members)))
+        members = list(scorer.members)
+        assert scorer.value() == pytest.approx(problem.value_of(problem.blocks[members]), rel=1e-10)
+        if step % 7 and step != 29:
+            continue
+        expected = [problem.value_of(problem.blocks[[*members, k]]) for k in range(60)]
+        np.testing.assert_allclose(scorer.values_added(), expected, rtol=1e-10)
+        expected = [problem.value_of(problem.blocks[[m for m in members if m != k]]) for k in members]
+        np.testing.assert_allclose(scorer.values_dropped(), expected, rtol=1e-10)
+
+
+def test_updates_of_a_set_too_small():
+    problem = pose_problems.build_problem("O1")
+    scorer = problem.scorer()
+    scorer.start(range(6))
+    expected = [problem.value_of(problem.blocks[[*range(6), k]]) for k in range(60)]
+    np.testing.assert_allclose(scorer.values_added()[6:], expected[6:], rtol=1e-9)
+    assert scorer.value() == 0.0
+    assert not scorer.values_dropped().any()
+
+
+@pytest.mark.parametrize("name", ["O2", "O3", "O4", "O5"])
+@pytest.mark.parametrize("seed", range(4))
+def test_bounds_find_what_judging_all_finds(name, seed):
+    problem = pose_problems.build_problem(name, 300, 12, seed)
+    scorer = problem.scorer()
+    scorer.start(problem.draw_set(np.random.default_rng(seed)).tolist())
+    outside = np.ones(300, dtype=bool)
+    outside[scorer.members] = False
+    every = np.where(outside, scorer.values_added(), -np.inf)
+    best, value = scorer.best_added(outside)
+    assert (best, value) == (int(np.argmax(every)), float(every.max()))
+    assert scorer.n_evaluations < outside.sum() / 2
+    every = scorer.values_dropped()
+    assert scorer.best_dropped() == (scorer.members[int(np.argmax(every))], float(every.max()))
+
+
+@pytest.mark.parametrize("name", pose_problems.CRITERIA)
+@pytest.mark.parametrize("domain", ["yu", "telescope"])
+def test_gradient_by_the_poses(name, domain):
+    box = pose_problems.yu_domain() if domain == "yu" else pose_problems.telescope_domain()
+    problem = pose_problems.build_problem(name, 30, 9, domain=box)
+    objective = PoseObjective(problem)
+    shares = np.random.default_rng(3).uniform(-0.9, 0.9, (9, 6))
+    value, gradient = objective.value_and_gradient(shares)
+    assert value == problem.value_of(box.linearise(box.place(shares)).slope) or name in "DAI"
+
+    def moved(points):
+        return np.array([objective.value(point.reshape(9, 6)) for point in points])
+
+    expected = machines.stencil_derivative(moved, shares.ravel(), np.full(54, 1e-3)).reshape(9, 6)
+    assert np.abs(gradient - expected).max() < 1e-6 * np.abs(expected).max()
+
+
+def test_implicit_rows_are_the_closures():
+    domain = pose_problems.telescope_domain()
+    problem = SelectionProblem(random_candidates(domain, 30, np.random.default_rng(0)), O1(implicit=True), 10)
+    legs = np.array([int(name[-2]) for name in domain.knowledge.names])
+    for leg in range(6):  # each leg's row knows its own parameters only
+        assert not problem.blocks[:, leg, legs != leg + 1].any()
+    implicit = problem.candidates.sensitivity
+    np.testing.assert_allclose(implicit.by_pose @ implicit.slope, -problem.blocks, atol=1e-9)
+
+
+@pytest.mark.parametrize("low", [1, ROUGH, FINE])
+@pytest.mark.parametrize("name", ["O2", "O3", "O4", "O5"])
+def test_bounds_are_bounds(name, low):
+    problem = pose_problems.build_problem(name, 200, 12)
+    scorer = problem.scorer()
+    scorer.start(range(12))
+    decomposed = scorer._decompose()
+    every = np.arange(200)
+    assert np.all(scorer._bounds(*decomposed, every, 1.0, low) >= scorer.values_added())
+    dropped = scorer._bounds(*decomposed, np.array(scorer.members), -1.0, low)
+    assert np.all(dropped >= scorer.values_dropped())
