@@ -1,0 +1,47 @@
+"""Settings of simulated calibrations that the tests share."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import studies
+
+from bayescal.calibration_study.setting import Setting, read_setting
+from bayescal.config import HexapodCalibrationsConfig, load_experiment
+
+HEXAPOD = studies.EXPERIMENTS / "hexapod"
+SHIPPED = ("table4", "table8", "figure10")
+SCALE = np.repeat([1e-3, np.radians(1e-4)], 3)
+SMALL = {
+    "candidates": "150",
+    "list_length": "5",
+    "iterations": "3",
+    "verification_poses": "7",
+    "repeats": "4",
+    "selections": "2",
+    "parameter_sets": "3",
+    "noise_draws": "4",
+}
+
+
+def load_setting(name: str = "table8") -> Setting:
+    """Return the setting of a shipped experiment."""
+    config = load_experiment(HEXAPOD / f"{name}.toml")
+    assert isinstance(config, HexapodCalibrationsConfig)
+    return read_setting(config, HEXAPOD)
+
+
+def copy_tiny(name: str, folder: Path) -> Path:
+    """Copy the shipped experiments to a folder, one of them with little to do; return its config."""
+    shutil.copytree(HEXAPOD, folder / "hexapod")
+    shutil.copytree(studies.EXPERIMENTS / "audit", folder / "audit")
+    path = folder / "hexapod" / f"{name}.toml"
+    text = path.read_text()
+    for key, value in SMALL.items():
+        text = re.sub(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)
+    text = text.replace("poses = [20, 25, 30, 35, 40, 45, 50, 60, 80]", "poses = [12, 24]")
+    path.write_text(text)
+    return path
