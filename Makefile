@@ -4,10 +4,11 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: study test test-slow check data benchmark clean help
+.PHONY: study audits test test-slow check data benchmark clean help
 
 help:
 	@echo "make study      the telescope study: environment, run, ranking, report (about a minute)"
+	@echo "make audits     all shipped identifiability audits"
 	@echo "make test       environment and the test suite"
 	@echo "make test-slow  the slow statistical suites"
 	@echo "make check      linter, types, import contracts"
@@ -17,8 +18,13 @@ help:
 study: $(STAMP)
 	$(THREADS) $(BIN)/bayescal run experiments/telescope/study.toml
 
+audits: $(STAMP)
+	@for design in $(filter-out %_mechanism.toml,$(wildcard experiments/audit/*.toml)); do \
+	  echo "$$design" && $(THREADS) $(BIN)/bayescal audit $$design || exit $$?; \
+	done
+
 test: $(STAMP)
-	$(THREADS) $(BIN)/python -m pytest -q
+	$(THREADS) $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
 test-slow: $(STAMP)
 	$(THREADS) $(BIN)/python -m pytest -q -m slow
