@@ -17,9 +17,11 @@ _HOMES = {
     "PoseLikelihood": "bayescal.likelihood",
     "Posterior": "bayescal.posterior",
     "build_twin": "bayescal.simulation",
+    "compute_audit": "bayescal.audit.run",
     "explore": "bayescal.inference.exploration",
     "extract_poses": "bayescal.photogrammetry.poses",
     "identify": "bayescal.least_squares",
+    "load_audit": "bayescal.config",
     "load_experiment": "bayescal.config",
     "load_inputs": "bayescal.study.inputs",
     "load_mechanism": "bayescal.config",
@@ -29,6 +31,7 @@ _HOMES = {
     "run_study": "bayescal.study.run",
     "simulate_survey": "bayescal.simulation",
     "solve_forward_kinematics": "bayescal.kinematics",
+    "write_audit": "bayescal.audit.run",
     "write_report": "bayescal.report.write",
 }
 

@@ -36,7 +36,7 @@ def run(
     resume: Annotated[bool, typer.Option("--resume", help="Take up an interrupted run of the same config.")] = False,
 ) -> None:
     """Run an experiment and write its results and its report."""
-    from bayescal.config import PoseMethodsConfig, load_experiment
+    from bayescal.config import HexapodCalibrationsConfig, PoseMethodsConfig, SelectionConfig, load_experiment
 
     config = load_experiment(experiment)
     if seed is not None:
@@ -49,9 +49,23 @@ def run(
         return
     import joblib
 
+    count = workers if workers is not None else joblib.cpu_count()
+    if isinstance(config, SelectionConfig):
+        from bayescal.selection_study.run import run_pose_selection
+        from bayescal.study.inputs import naming
+
+        with naming(experiment):
+            typer.echo(run_pose_selection(config, experiment.parent, where, count))
+        return
+    if isinstance(config, HexapodCalibrationsConfig):
+        from bayescal.calibration_study.run import run_hexapod_calibrations
+        from bayescal.study.inputs import naming
+
+        with naming(experiment):
+            typer.echo(run_hexapod_calibrations(config, experiment.parent, where, count))
+        return
     from bayescal.study.run import run_study
 
-    count = workers if workers is not None else joblib.cpu_count()
     interrupted = f"bayescal: interrupted; finished work is kept, go on with --resume (in {where}.partial)"
     try:
         with _end_on_interrupt(interrupted) if count == 1 else nullcontext():
@@ -120,9 +134,38 @@ def poses_from_targets(
         typer.echo(f"wrote {out}")
 
 
+@app.command(epilog="Example: bayescal audit experiments/audit/telescope.toml")
+def audit(
+    design: Annotated[Path, typer.Argument(metavar="DESIGN.toml", help="Machine, tolerances, plan and requirements.")],
+    out: Annotated[Path | None, typer.Option(help="Directory for the results; default results/NAME.")] = None,
+) -> None:
+    """Tell what a machine's measurements can and cannot determine, before it is built or after."""
+    from bayescal.audit.run import write_audit
+    from bayescal.config.load_audit import load_audit
+    from bayescal.report.terminal import print_audit
+    from bayescal.study.inputs import naming
+
+    config = load_audit(design)
+    where = out if out is not None else Path("results") / config.name
+    with naming(design):
+        summary = write_audit(config, design.parent, where)
+    print_audit(summary, where)
+    if not summary.get("posterior", {"converged": True})["converged"]:
+        raise NumericalError(
+            f"{where}: the posterior did not converge, see the report; the results are written all the same"
+        )
+
+
 @app.command(epilog="Example: bayescal report results/telescope")
-def report(results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Results directory of a study.")]) -> None:
+def report(
+    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Results directory of a study or of an audit.")],
+) -> None:
     """Write the report of a results directory anew."""
+    if (results / "audit.json").is_file():
+        from bayescal.report.audit.write import write_audit_report
+
+        typer.echo(f"wrote {write_audit_report(results)}")
+        return
     from bayescal.report.write import write_report
 
     typer.echo(f"wrote {write_report(results)}")

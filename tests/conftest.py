@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import sys
+
 import machines
 import numpy as np
 import pytest
+
+from bayescal import cli
 
 
 @pytest.fixture
@@ -20,3 +24,17 @@ def twin():
     truth = machines.telescope_truth(machine)
     rng = np.random.default_rng(7)
     return machines.simulate_poses(machine, truth, machines.table_3_actuators(), np.zeros(6), rng)
+
+
+@pytest.fixture
+def call(monkeypatch, capsys):
+    """Return a function that calls the command line in this process: exit code, standard output, standard error."""
+
+    def call_main(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["bayescal", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as exit_info:
+            cli.main()
+        return int(exit_info.value.code or 0), *capsys.readouterr()
+
+    return call_main
