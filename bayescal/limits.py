@@ -15,3 +15,7 @@ DEAD = 0.1
 """Contraction below which hardly anything was learnt."""
 NINETY_FIVE = 1.96
 """Standard deviations to either side that hold 95 % of a normal."""
+
+# what optimisers are told
+FAR_AWAY = 1e6
+"""Residual where a vector is no machine: finite, since optimisers subtract."""

@@ -7,16 +7,19 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.special import erfcinv, erfinv, ndtr
 
-from bayescal.coordinates import Coordinates
+from bayescal.coordinates import Coordinates, mirror_direction
 from bayescal.errors import InputError
 from bayescal.geometry import Array
 from bayescal.kinematics import compute_leg_slopes
 from bayescal.likelihood import PoseLikelihood
+from bayescal.limits import FAR_AWAY
 from bayescal.parameters import ParameterLayout
 from bayescal.priors import HalfNormalPrior, Prior, UniformPrior
 
+APPROACH = (1.0, 0.1)  # model errors in mm with which the search for the mode begins
 HALF_LOG_TWO_PI = 0.5 * np.log(2 * np.pi)
 
 
@@ -51,6 +54,16 @@ class ModelError:
         """Return dτ/dζ in mm."""
         assert self.scale is not None
         return 0.5 * self.scale * np.exp(0.5 * ((tau / self.scale) ** 2 - zeta**2))
+
+
+@dataclass(frozen=True, eq=False)
+class Funnel:
+    """How the geometry depends on the model errors around a point; see `bayescal.inference.target.Funnel`."""
+
+    information: Array
+    prior: Array
+    rest: Array
+    tau: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,3 +297,71 @@ class Posterior:
             per_leg, curvature = per_leg.sum(keepdims=True), curvature.sum(keepdims=True)
         gradient[n:] = per_leg * speed - zeta
         hessian[n:, n:] = -curvature * np.outer(speed, speed) - np.eye(len(zeta))
+
+    # --- climbing ------------------------------------------------------------------------------------------------
+
+    def approach(self) -> Array:
+        """Return a start near the mode, shape (n,): the nominal machine, led to the data by ever smaller model errors.
+
+        Far off, everything seems to be the fault of every parameter; a coarse look moves only those that matter, and
+        what is hardly determined stays near its prior.
+        """
+        y = np.zeros(self.n_parameters)
+        for tau in APPROACH:
+            y = self._fit_geometry(y, np.full(self.likelihood.n_legs, tau))
+        return y
+
+    def polish(self, y: Array) -> Array:
+        """Return y, shape (n,), with the geometry of least squares at its model errors."""
+        return self._fit_geometry(y, np.broadcast_to(self.tau(y[None]), (1, self.likelihood.n_legs))[0])
+
+    def _fit_geometry(self, start: Array, tau: Array) -> Array:
+        """Return y with the geometry of least squares, whitened errors and priors together, at model errors (N,)."""
+        n = self.n_geometry
+        whitening = np.linalg.inv(np.linalg.cholesky(self.likelihood.leg_covariance(tau)))
+
+        def residual(y: Array) -> Array:
+            theta = self.coordinates.theta_from_y(y[None])
+            errors = self.likelihood.leg_errors(theta)[0]
+            white = np.einsum("pij,pj->pi", whitening, errors).ravel()
+            value = np.concatenate([white, self.prior_residual(y, theta[0])])
+            return np.where(np.isfinite(value) & self._layout.inside(theta)[0], value, FAR_AWAY)
+
+        def jacobian(y: Array) -> Array:
+            slope, prior_slope = self.residual_slope(self.coordinates.theta_from_y(y[None])[0])
+            return np.concatenate([np.einsum("pij,pjk->pik", whitening, slope).reshape(-1, n), prior_slope])
+
+        found = start.copy()
+        found[:n] = least_squares(residual, start[:n], jacobian, method="lm", xtol=1e-10, ftol=1e-10).x
+        return found
+
+    def mirror_images(self, y: Array) -> list[tuple[int, Array]]:
+        """Return legs, and coordinates with the leg's direction mirrored to the other solution of the same gain."""
+        coordinates, layout = self.coordinates, self._layout
+        if "u_x" not in layout.index:
+            return []
+        kappa_free = np.isin(layout.index["kappa"], coordinates.free) if "kappa" in layout.index else None
+        images = []
+        for leg, position in enumerate(layout.index["u_x"]):
+            if position not in coordinates.free or (kappa_free is not None and kappa_free[leg]):
+                continue
+            if layout.index["u_y"][leg] in coordinates.free:
+                continue  # with both components free a circle of equal gain joins the two
+            theta = coordinates.theta_from_y(y[None, : self.n_geometry])[0]
+            theta = mirror_direction(layout, theta, leg, coordinates.leg_slope[leg, 0], coordinates.free)
+            image = y.copy()
+            image[: self.n_geometry] = coordinates.y_from_theta(theta)
+            images.append((leg, image))
+        return images
+
+    def funnel(self, y: Array) -> Funnel | None:
+        """Return how the geometry depends on the model errors at y, shape (n,); None where there are none."""
+        if self.model_error.scale is None:
+            return None
+        likelihood = self.likelihood
+        tau = np.broadcast_to(self.tau(y[None]), (1, likelihood.n_legs))[0]
+        inverse = np.linalg.inv(likelihood.leg_covariance(tau))
+        variance = 1.0 / np.diagonal(inverse, axis1=-2, axis2=-1).mean(axis=0)
+        rest = np.maximum(variance / likelihood.actuator_weight.mean(axis=0) - tau**2, 1e-12)
+        information, prior = self.information(y)
+        return Funnel(information, prior, rest, tau)

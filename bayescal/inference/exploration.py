@@ -19,7 +19,7 @@ from bayescal.inference.mode import Mode, find_modes
 from bayescal.inference.peaks import Peak, bend_at, curve_at, proposal_from_peaks, refine_peak
 from bayescal.inference.proposal import MixtureProposal, proposal_from_draws
 from bayescal.inference.straightening import Straightening, straighten
-from bayescal.posterior import Posterior
+from bayescal.inference.target import Target
 
 DOF = 50.0
 GOOD_ENOUGH = 0.5  # no sharper peak is tried
@@ -60,7 +60,7 @@ def count_walkers(n_parameters: int, n_walkers: int) -> int:
     return max(n_walkers, 2 * n_parameters + 2) // 2 * 2
 
 
-def explore(posterior: Posterior, seed: np.random.SeedSequence, n_walkers: int = 128) -> Exploration:
+def explore(posterior: Target, seed: np.random.SeedSequence, n_walkers: int = 128) -> Exploration:
     """Find the modes, straighten the coordinates and fit a proposal.
 
     Laplace's approximation first; where a trial shows that it is not good enough, peaks refined over a posterior sd in

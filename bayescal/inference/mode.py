@@ -5,18 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import OptimizeResult, least_squares, minimize
+from scipy.optimize import OptimizeResult, minimize
 
-from bayescal.coordinates import mirror_direction
 from bayescal.errors import NumericalError
 from bayescal.geometry import Array
 from bayescal.inference.differences import difference_twice
-from bayescal.posterior import Posterior
+from bayescal.inference.target import Target
+from bayescal.limits import FAR_AWAY
 
 GRADIENT_TOLERANCE = 1e-3  # per prior sd: a Newton step would gain below 1e-6
 DECREMENT_TOLERANCE = 1e-4
-FAR_AWAY = 1e6  # residual where a vector is no machine: finite, since optimisers subtract
-APPROACH = (1.0, 0.1)  # model errors in mm with which the search for the mode begins
 SAME = 0.03  # prior sds: two climbs that stop at a decrement of 1e-4 may end so far apart
 HESSIAN_STEP = 0.1  # posterior sds
 PATIENCE, HOPELESS = 20, 40.0  # steps after which a climb this many nats below the best is given up
@@ -53,7 +51,7 @@ class Mode:
         return self.log_density + 0.5 * log_det + 0.5 * len(self.y) * np.log(2 * np.pi)
 
 
-def find_modes(posterior: Posterior) -> list[Mode]:
+def find_modes(posterior: Target) -> list[Mode]:
     """Return the posterior's modes, best first: the one found from the nominal machine and its mirror images.
 
     With u_x free and κ fixed the actuator gain u_z + (z_x / z_z) u_x has two solutions for u_x in every leg; each is
@@ -66,14 +64,14 @@ def find_modes(posterior: Posterior) -> list[Mode]:
     return [first, *(m for m in modes if m.converged and m.log_evidence > first.log_evidence - WORTH_KEEPING)]
 
 
-def _climb_mirror_images(posterior: Posterior) -> tuple[Climb, list[Climb]]:
+def _climb_mirror_images(posterior: Target) -> tuple[Climb, list[Climb]]:
     """Return the best mode that mirroring single legs reaches, and the others seen on the way."""
-    best = _climb(posterior, _approach(posterior))
+    best = _climb(posterior, posterior.approach())
     others: list[Climb] = []
     came_from = -1
     while True:
         improved = False
-        for leg, start in _mirror_starts(posterior, best[0]):
+        for leg, start in posterior.mirror_images(best[0]):
             if leg == came_from:
                 continue  # leads back
             other = _climb(posterior, start, best[1] - HOPELESS)
@@ -86,7 +84,7 @@ def _climb_mirror_images(posterior: Posterior) -> tuple[Climb, list[Climb]]:
             return best, others
 
 
-def find_mode(posterior: Posterior, start: Array) -> Mode:
+def find_mode(posterior: Target, start: Array) -> Mode:
     """Climb to a mode from a start in sampling coordinates, shape (n,).
 
     Raises
@@ -97,16 +95,14 @@ def find_mode(posterior: Posterior, start: Array) -> Mode:
     return _characterise(posterior, *_climb(posterior, start))
 
 
-def _climb(posterior: Posterior, start: Array, floor: float = -np.inf) -> Climb:
+def _climb(posterior: Target, start: Array, floor: float = -np.inf) -> Climb:
     """Return a local maximum and its log-density: geometry by least squares, then everything by a trust region.
 
     A climb that is still below the floor after PATIENCE steps is given up where it is.
     """
     if not np.isfinite(posterior.log_density(start[None])[0]):
         raise NumericalError("mode search: the density is not finite at the start, expected a machine near nominal")
-    y = start.copy()
-    tau = np.broadcast_to(posterior.tau(start[None]), (1, posterior.likelihood.n_legs))[0]
-    y[: posterior.n_geometry] = _fit_geometry(posterior, start, tau)
+    y = posterior.polish(start)
     known: dict[bytes, tuple[Array, Array]] = {}
 
     def derivatives(x: Array) -> tuple[Array, Array]:
@@ -138,7 +134,7 @@ def _climb(posterior: Posterior, start: Array, floor: float = -np.inf) -> Climb:
     return result.x, float(-result.fun)
 
 
-def _characterise(posterior: Posterior, y: Array, log_density: float) -> Mode:
+def _characterise(posterior: Target, y: Array, log_density: float) -> Mode:
     """Return the mode at y with its covariance; converged where a Newton step would gain next to nothing."""
     gradient, curvature = posterior.gradient(y)
     covariance = _invert_negative(posterior, y, curvature)
@@ -146,39 +142,7 @@ def _characterise(posterior: Posterior, y: Array, log_density: float) -> Mode:
     return Mode(y, log_density, covariance, converged)
 
 
-def _approach(posterior: Posterior) -> Array:
-    """Return a start near the mode: the nominal machine, led to the data by ever smaller model errors.
-
-    Far off, everything seems to be the fault of every parameter; a coarse look moves only those that matter, and what
-    is hardly determined stays near its prior.
-    """
-    y = np.zeros(posterior.n_parameters)
-    for tau in APPROACH:
-        y[: posterior.n_geometry] = _fit_geometry(posterior, y, np.full(posterior.likelihood.n_legs, tau))
-    return y
-
-
-def _fit_geometry(posterior: Posterior, start: Array, tau: Array) -> Array:
-    """Return the geometry of least squares, whitened errors and priors together, at model errors (N,) in mm."""
-    n = posterior.n_geometry
-    whitening = np.linalg.inv(np.linalg.cholesky(posterior.likelihood.leg_covariance(tau)))
-    coordinates, layout = posterior.coordinates, posterior.coordinates.layout
-
-    def residual(y: Array) -> Array:
-        theta = coordinates.theta_from_y(y[None])
-        errors = posterior.likelihood.leg_errors(theta)[0]
-        white = np.einsum("pij,pj->pi", whitening, errors).ravel()
-        value = np.concatenate([white, posterior.prior_residual(y, theta[0])])
-        return np.where(np.isfinite(value) & layout.inside(theta)[0], value, FAR_AWAY)
-
-    def jacobian(y: Array) -> Array:
-        slope, prior_slope = posterior.residual_slope(coordinates.theta_from_y(y[None])[0])
-        return np.concatenate([np.einsum("pij,pjk->pik", whitening, slope).reshape(-1, n), prior_slope])
-
-    return least_squares(residual, start[:n], jacobian, method="lm", xtol=1e-10, ftol=1e-10).x
-
-
-def _invert_negative(posterior: Posterior, y: Array, curvature: Array) -> Array:
+def _invert_negative(posterior: Target, y: Array, curvature: Array) -> Array:
     """Return the inverse of minus the Hessian; of the Gauss-Newton one where the exact one is no maximum's."""
     try:
         whitening = np.linalg.cholesky(-curvature)
@@ -192,23 +156,3 @@ def _invert_negative(posterior: Posterior, y: Array, curvature: Array) -> Array:
         return factor @ factor.T
     covariance = inner.T @ inner
     return factor @ covariance @ factor.T if np.isfinite(covariance).all() else factor @ factor.T
-
-
-def _mirror_starts(posterior: Posterior, y: Array) -> list[tuple[int, Array]]:
-    """Return legs, and coordinates with the leg's direction mirrored to the other solution of the same gain."""
-    coordinates, layout = posterior.coordinates, posterior.coordinates.layout
-    if "u_x" not in layout.index:
-        return []
-    kappa_free = np.isin(layout.index["kappa"], coordinates.free) if "kappa" in layout.index else None
-    starts = []
-    for leg, position in enumerate(layout.index["u_x"]):
-        if position not in coordinates.free or (kappa_free is not None and kappa_free[leg]):
-            continue
-        if layout.index["u_y"][leg] in coordinates.free:
-            continue  # with both components free a circle of equal gain joins the two
-        theta = coordinates.theta_from_y(y[None, : posterior.n_geometry])[0]
-        theta = mirror_direction(layout, theta, leg, coordinates.leg_slope[leg, 0], coordinates.free)
-        start = y.copy()
-        start[: posterior.n_geometry] = coordinates.y_from_theta(theta)
-        starts.append((leg, start))
-    return starts

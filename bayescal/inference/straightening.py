@@ -20,7 +20,7 @@ from scipy.special import ndtri
 
 from bayescal.geometry import Array
 from bayescal.inference.mode import Mode
-from bayescal.posterior import Posterior
+from bayescal.inference.target import Target
 
 QUANTILES = (0.05, 0.5, 0.95)
 TAIL = float(ndtri(QUANTILES[-1]))
@@ -106,7 +106,7 @@ class Straightening:
 
     Attributes
     ----------
-    posterior : Posterior
+    posterior : Target
     centre : ndarray, shape (n,)
         The mode.
     blocks : tuple of LegBlock
@@ -119,7 +119,7 @@ class Straightening:
         Shears along the free u_x and u_y; these are moved by none of them, so that the order does not matter.
     """
 
-    posterior: Posterior
+    posterior: Target
     centre: Array
     blocks: tuple[LegBlock, ...]
     rest: Array
@@ -186,23 +186,21 @@ class Straightening:
     def tilted_coordinates(self) -> list[tuple[int, np.ndarray]]:
         """Return the coordinates of free directions u_x and u_y, each with the other coordinates of its leg."""
         tilted = np.array([name.startswith(("u_x[", "u_y[")) for name in self.posterior.names])
+        if not tilted.any():
+            return []
         return [
             (int(k), index[~tilted[index]]) for index in self.posterior.leg_coordinates() for k in index[tilted[index]]
         ]
 
 
-def straighten(posterior: Posterior, mode: Mode) -> Straightening:
+def straighten(posterior: Target, mode: Mode) -> Straightening:
     """Return the stretch that belongs to a mode; the identity where there is no model error to stretch for."""
-    likelihood = posterior.likelihood
-    tau = np.broadcast_to(posterior.tau(mode.y[None]), (1, likelihood.n_legs))[0]
-    variance = 1.0 / np.diagonal(np.linalg.inv(likelihood.leg_covariance(tau)), axis1=-2, axis2=-1).mean(axis=0)
-    rest = np.maximum(variance / likelihood.actuator_weight.mean(axis=0) - tau**2, 1e-12)
-    if posterior.model_error.scale is None:
-        return Straightening(posterior, mode.y, (), rest, tau)
-    information, prior = posterior.information(mode.y)
+    funnel = posterior.funnel(mode.y)
+    if funnel is None:
+        return Straightening(posterior, mode.y, (), np.empty(0), np.empty(0))
     blocks = []
     for leg, index in enumerate(posterior.leg_coordinates()):
         local = np.ix_(index, index)
-        eigenvalues, basis = eigh(information[local], prior[local])
+        eigenvalues, basis = eigh(funnel.information[local], funnel.prior[local])
         blocks.append(LegBlock(leg, index, basis, np.linalg.inv(basis), np.maximum(eigenvalues, 0.0)))
-    return Straightening(posterior, mode.y, tuple(blocks), rest, tau)
+    return Straightening(posterior, mode.y, tuple(blocks), funnel.rest, funnel.tau)

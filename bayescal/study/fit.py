@@ -73,7 +73,7 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
         "modes_converged": np.array(all(mode.converged for mode in exploration.modes), dtype=float),
     }
     if task.tolerance is None:
-        arrays |= _sample(inputs, task, exploration, ensemble_seed, bridge_seed, predict_seed)
+        arrays |= _sample(inputs, task, posterior, exploration, ensemble_seed, bridge_seed, predict_seed)
     arrays["wall_seconds"] = np.array(time.perf_counter() - began)
     return arrays
 
@@ -93,13 +93,13 @@ def _importance(config: StudyConfig, exploration: Exploration, seed: np.random.S
 def _sample(
     inputs: StudyInputs,
     task: Task,
+    posterior: Posterior,
     exploration: Exploration,
     ensemble_seed: np.random.SeedSequence,
     bridge_seed: np.random.SeedSequence,
     predict_seed: np.random.SeedSequence,
 ) -> Arrays:
     sampler, straight = inputs.config.sampler, exploration.straight
-    posterior = straight.posterior
     walkers = count_walkers(posterior.n_parameters, sampler.walkers)
     sample = sample_posterior(
         exploration, ensemble_seed, sampler.ensembles, sampler.walkers, sampler.burn_in, sampler.steps
