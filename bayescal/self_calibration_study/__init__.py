@@ -1,0 +1,1 @@
+"""Simulated self-calibrations of a machine with different sensors, and of many plausible machines."""
