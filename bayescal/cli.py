@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +16,12 @@ import typer
 from bayescal.errors import BayescalError, InputError, NumericalError
 
 INTERRUPTED = 130
+RUNNERS = {
+    "pose_methods": ("bayescal.study.pose_methods", "run_pose_methods"),
+    "pose_selection": ("bayescal.selection_study.run", "run_pose_selection"),
+    "hexapod_calibrations": ("bayescal.calibration_study.run", "run_hexapod_calibrations"),
+}
+"""What runs an experiment of a kind, given config, folder, results directory and workers; it returns what to print."""
 
 app = typer.Typer(
     add_completion=False,
@@ -36,33 +43,21 @@ def run(
     resume: Annotated[bool, typer.Option("--resume", help="Take up an interrupted run of the same config.")] = False,
 ) -> None:
     """Run an experiment and write its results and its report."""
-    from bayescal.config import HexapodCalibrationsConfig, PoseMethodsConfig, SelectionConfig, load_experiment
+    import joblib
+
+    from bayescal.config import StudyConfig, load_experiment
 
     config = load_experiment(experiment)
     if seed is not None:
         config = config.model_copy(update={"seed": seed})
     where = out if out is not None else Path("results") / config.name
-    if isinstance(config, PoseMethodsConfig):
-        from bayescal.study.pose_methods import run_pose_methods
-
-        typer.echo(run_pose_methods(config, where))
-        return
-    import joblib
-
     count = workers if workers is not None else joblib.cpu_count()
-    if isinstance(config, SelectionConfig):
-        from bayescal.selection_study.run import run_pose_selection
+    if not isinstance(config, StudyConfig):
         from bayescal.study.inputs import naming
 
+        module, function = RUNNERS[config.kind]
         with naming(experiment):
-            typer.echo(run_pose_selection(config, experiment.parent, where, count))
-        return
-    if isinstance(config, HexapodCalibrationsConfig):
-        from bayescal.calibration_study.run import run_hexapod_calibrations
-        from bayescal.study.inputs import naming
-
-        with naming(experiment):
-            typer.echo(run_hexapod_calibrations(config, experiment.parent, where, count))
+            typer.echo(getattr(import_module(module), function)(config, experiment.parent, where, count))
         return
     from bayescal.study.run import run_study
 
@@ -143,12 +138,13 @@ def audit(
     from bayescal.audit.run import write_audit
     from bayescal.config.load_audit import load_audit
     from bayescal.report.terminal import print_audit
+    from bayescal.selection_study.for_audit import propose_i_optimal
     from bayescal.study.inputs import naming
 
     config = load_audit(design)
     where = out if out is not None else Path("results") / config.name
     with naming(design):
-        summary = write_audit(config, design.parent, where)
+        summary = write_audit(config, design.parent, where, propose_i_optimal)
     print_audit(summary, where)
     if not summary.get("posterior", {"converged": True})["converged"]:
         raise NumericalError(

@@ -17,8 +17,12 @@ from bayescal.study.store import PROVENANCE_FILE, Store
 MICROMETRE = 1e-3
 
 
-def run_pose_methods(config: PoseMethodsConfig, out: Path) -> str:
-    """Run the comparison, put its table and figure in ``out`` and return a one-line summary."""
+def run_pose_methods(config: PoseMethodsConfig, folder: Path, out: Path, workers: int = 1) -> str:
+    """Run the comparison, put its table and figure in ``out`` and return a one-line summary.
+
+    It reads no files from ``folder`` and is too short for ``workers``.
+    """
+    del folder, workers
     identity = {"config": {k: v for k, v in dump_config(config).items() if k != "title"}, "files": {}}
     store = Store(out)
     store.check_results(identity)
@@ -31,13 +35,13 @@ def run_pose_methods(config: PoseMethodsConfig, out: Path) -> str:
         np.random.default_rng(config.seed),
     )
     summary = summarise_comparison(comparison)
-    folder = store.stage()
-    comparison.to_csv(folder / "repeats.csv", index=False, float_format="%.9g", lineterminator="\n")
-    summary.to_csv(folder / "summary.csv", index=False, float_format="%.9g", lineterminator="\n")
-    draw_pose_methods(summary).savefig(folder / "figure5.png", dpi=120, metadata={"Software": None})
+    staged = store.stage()
+    comparison.to_csv(staged / "repeats.csv", index=False, float_format="%.9g", lineterminator="\n")
+    summary.to_csv(staged / "summary.csv", index=False, float_format="%.9g", lineterminator="\n")
+    draw_pose_methods(summary).savefig(staged / "figure5.png", dpi=120, metadata={"Software": None})
     text = json.dumps(identity, sort_keys=True, separators=(",", ":"))
     provenance = {"config_sha256": hashlib.sha256(text.encode()).hexdigest(), **identity}
-    (folder / PROVENANCE_FILE).write_text(json.dumps(provenance, indent=1) + "\n")
+    (staged / PROVENANCE_FILE).write_text(json.dumps(provenance, indent=1) + "\n")
     store.publish()
     means = comparison.groupby("method")[["position_error_mm", "orientation_error_deg", "axis_error_deg"]].mean()
     parts = [
