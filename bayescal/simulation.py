@@ -65,7 +65,8 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     """
     mechanism = load_mechanism(folder / config.mechanism)
     n_legs = mechanism.n_legs
-    matrix = 1e-3 * read_matrix(folder / config.truth.deformation_matrix, n_legs)
+    name = config.truth.deformation_matrix
+    matrix = np.zeros((n_legs, n_legs)) if name is None else 1e-3 * read_matrix(folder / name, n_legs)
     model = look_up(MODELS, config.model, "model", folder)
     machine = build_machine(model, mechanism, MatrixDeformation(matrix))
     check_home_pose(machine)
@@ -143,7 +144,7 @@ def make_targets(config: SimulationConfig, mechanism: Mechanism) -> tuple[BodyTa
     for joint in mechanism.platform_points:
         azimuth = 2 * np.pi * np.arange(config.targets.per_pad) / config.targets.per_pad
         circle = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=1)
-        pads.append(joint + config.targets.pad_radius_mm * circle)
+        pads.append(joint + (config.targets.pad_radius_mm or 0.0) * circle)
     reference = np.round(np.concatenate([rigid, *pads]), DECIMALS)
     leg = np.concatenate(
         [np.zeros(len(rigid), int), np.repeat(np.arange(1, mechanism.n_legs + 1), config.targets.per_pad)]

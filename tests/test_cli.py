@@ -331,9 +331,11 @@ def test_simulate_writes_the_survey(call, study):
     assert Path("other/targets.csv").read_text() != Path("new/data/targets.csv").read_text()
 
 
-def test_shipped_data_come_from_the_shipped_config(call, tmp_path):
-    assert call("simulate", studies.TELESCOPE / "simulate.toml", "--out", tmp_path)[0] == 0
-    assert studies.snapshot(tmp_path) == studies.snapshot(studies.TELESCOPE / "data")
+@pytest.mark.parametrize("folder", ["telescope", "m2_hexapod"])
+def test_shipped_data_come_from_the_shipped_config(call, tmp_path, folder):
+    shipped = studies.EXPERIMENTS / folder
+    assert call("simulate", shipped / "simulate.toml", "--out", tmp_path)[0] == 0
+    assert studies.snapshot(tmp_path) == studies.snapshot(shipped / "data")
 
 
 def test_simulation_out_of_reach_is_3(call, study):
@@ -421,17 +423,20 @@ def test_shipped_pose_extraction_runs_tiny(call, tmp_path):
 
 
 STUDIES = [
-    ("table6", 4),
-    *(pytest.param(f"table{k}", 4, marks=pytest.mark.slow) for k in (5, 7)),
-    *(pytest.param(name, 12, marks=pytest.mark.slow) for name in ("study", "ridges")),
+    ("telescope/table6", 4),
+    *(pytest.param(f"telescope/table{k}", 4, marks=pytest.mark.slow) for k in (5, 7)),
+    *(pytest.param(f"telescope/{name}", 12, marks=pytest.mark.slow) for name in ("study", "ridges")),
+    ("m2_hexapod/study", 3),
+    ("m2_hexapod/lengths", 1),
 ]
 
 
 @pytest.mark.parametrize(("name", "n_variants"), STUDIES)
-def test_shipped_telescope_study_runs_tiny(call, tmp_path, monkeypatch, quick, name, n_variants):
+def test_shipped_study_runs_tiny(call, tmp_path, monkeypatch, quick, name, n_variants):
     for effort in ("MAX_PILOTS", "MAX_ROUNDS"):  # they would take most of the time
         monkeypatch.setattr(exploration, effort, 0)
-    path = studies.copy_small(studies.TELESCOPE / f"{name}.toml", tmp_path / "copy")
+    path = studies.copy_small(studies.EXPERIMENTS / f"{name}.toml", tmp_path / "copy")
+    shutil.copytree(studies.EXPERIMENTS / "audit", tmp_path / "audit")  # has a mechanism that a study refers to
     kept = {f"C{k:02d}" for k in range(1, 16)} | {"V01"}
     for table in ("targets", "actuators"):
         data = path.parent / "data" / f"{table}.csv"
@@ -454,7 +459,8 @@ def test_every_shipped_experiment_is_run_here():
         *(f"hexapod/{name}.toml" for name in (*hexapod_settings.SHIPPED, "small_mechanism")),  # in calibration_study
         "pose_extraction/figure5.toml",
         *(f"pose_selection/{name}.toml" for name in ("hexapod_i_optimal", "rr8096_figure14", "yu2023_table1")),
+        "m2_hexapod/simulate.toml",
         "telescope/mechanism.toml",
         "telescope/simulate.toml",
-        *(f"telescope/{name}.toml" for name in names),
+        *(f"{name}.toml" for name in names),
     }

@@ -14,6 +14,11 @@ from bayescal.study.inputs import hash_identity, load_inputs
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "telescope"
+STUDIES = {
+    "telescope": "telescope/study.toml",
+    "m2_hexapod": "m2_hexapod/study.toml",
+    "m2_hexapod_lengths": "m2_hexapod/lengths.toml",
+}
 
 
 @pytest.fixture(scope="module")
@@ -21,11 +26,12 @@ def summary():
     return json.loads((RESULTS / "summary.json").read_text())
 
 
-def test_results_are_those_of_the_committed_config(summary):
-    path = ROOT / "experiments" / "telescope" / "study.toml"
+@pytest.mark.parametrize("name", STUDIES)
+def test_results_are_those_of_the_committed_config(name):
+    path, results = ROOT / "experiments" / STUDIES[name], ROOT / "results" / name
     current = hash_identity(load_inputs(load_experiment(path), path.parent).identity())
-    assert json.loads((RESULTS / "provenance.json").read_text())["config_sha256"] == current
-    assert summary["config_sha256"] == current
+    for file in ("provenance.json", "summary.json"):
+        assert json.loads((results / file).read_text())["config_sha256"] == current
 
 
 def test_readme_quotes_the_results(summary):
@@ -40,7 +46,9 @@ def test_readme_quotes_the_results(summary):
         assert re.search(row, readme), row
 
 
-def test_evidences_agree_and_all_converged(summary):
+@pytest.mark.parametrize("name", STUDIES)
+def test_evidences_agree_and_all_converged(name):
+    summary = json.loads((ROOT / "results" / name / "summary.json").read_text())
     for fit in summary["variants"].values():
         for one in (fit, fit["without_model_error"]):
             methods = one["log_evidence_methods"]

@@ -184,6 +184,7 @@ def test_offset_of_kappa_leaves_the_ring_alone(config):
         ("l = [0.37, ", "l = [", "truth.offsets.l: found 5 values, expected 1 or 6"),
         ('calibration = "calib', 'calibration = "kalib', "no such file"),
         ('calibration = "calibration_conf', 'calibration = "deformation_conf', "no such file"),
+        ("pad_radius_mm = 12.0", "", "found per_pad 2 without pad_radius_mm, expected both"),
     ],
 )
 def test_faulty_simulation(config, old, new, expected):

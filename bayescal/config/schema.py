@@ -288,9 +288,9 @@ class PoseMethodsConfig(Section):
 
 
 class TruthConfig(Section):
-    """The machine behind the simulated data: nominal plus offsets, and a deformation matrix."""
+    """The machine behind the simulated data: nominal plus offsets, and a deformation matrix; rigid without one."""
 
-    deformation_matrix: str
+    deformation_matrix: str | None = None
     offsets: dict[str, PerLeg]
 
 
@@ -319,12 +319,18 @@ class TargetRingConfig(Section):
 
 
 class TargetsConfig(Section):
-    """Targets on the rigid parts of both bodies, and on the pads that carry the legs' joints."""
+    """Targets on the rigid parts of both bodies and, where there are any, on the pads that carry the legs' joints."""
 
     base: Annotated[list[TargetRingConfig], Field(min_length=1)]
     platform: Annotated[list[TargetRingConfig], Field(min_length=1)]
-    per_pad: Annotated[int, Field(ge=1)]
-    pad_radius_mm: Positive
+    per_pad: Annotated[int, Field(ge=0)] = 0
+    pad_radius_mm: Positive | None = None
+
+    @model_validator(mode="after")
+    def _check_pads(self) -> Self:
+        if self.per_pad and self.pad_radius_mm is None:
+            raise ValueError(f"found per_pad {self.per_pad} without pad_radius_mm, expected both")
+        return self
 
 
 class MeasurementFrameConfig(Section):

@@ -6,28 +6,13 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from bayescal.report import claims, parameter_tables, published, sections
+from bayescal.report import claims, notation, parameter_tables, published, sections
 from bayescal.report.blocks import Cell, Column, FigureBlock, Fold, Statement, Table, make_table
 from bayescal.report.checks import list_failures, title_failures
 from bayescal.report.numbers import NOTHING, format_fixed
 from bayescal.report.results import Results, get_number
+from bayescal.report.variants import is_on_struts
 from bayescal.report.verdict import state_headline, state_verdict
-
-NOTATION = (
-    ("a", "joint of a leg's actuator on the base, base frame", "section 2.2"),
-    ("b", "joint of a leg on the platform, platform frame", "section 2.2"),
-    ("u", "direction of an actuator, a unit vector", "eq. 5"),
-    ("l", "length of a leg; of a strut, at the initial position of its actuator", "eqs. 5, 7, 30"),
-    ("rho", "position of an actuator; Δρ its displacement from the initial position", "eqs. 5, 7"),
-    ("rho0", "initial position of an actuator", "eq. 9"),
-    (
-        "kappa",
-        "deflection of a platform joint per displacement: of its own actuator (linear), the diagonal of K (matrix)",
-        "eq. 1",
-    ),
-    ("K", "deflection of all platform joints per displacement of all actuators", "eqs. 2 to 4"),
-    ("tau", "model error: standard deviation of what the model leaves unexplained along a leg; not in RR-8096", ""),
-)
 
 
 @dataclass(frozen=True)
@@ -54,6 +39,7 @@ class ReportContext:
     parameter_groups: tuple[tuple[str, tuple[Fold, ...]], ...]
     ridges: Table | None
     ridge_statements: tuple[Statement, ...]
+    has_deformation: bool
     deformation: tuple[Table, ...]
     deformation_statements: tuple[Statement, ...]
     model_error: Table | None
@@ -63,6 +49,7 @@ class ReportContext:
     diagnostics: Table
     data: Table
     notation: Table
+    notation_sources: str
     provenance: Table
     versions: Table
     files: Table
@@ -104,6 +91,7 @@ def build_context(results: Results, figures: Mapping[str, FigureBlock]) -> Repor
         parameter_groups=tuple((title, tuple(folds)) for title, folds in parameter_tables.fold_parameters(results)),
         ridges=parameter_tables.tabulate_ridges(results),
         ridge_statements=tuple(parameter_tables.state_ridges(results)),
+        has_deformation=results.ring is not None or not is_on_struts(results),
         deformation=tuple(deformation),
         deformation_statements=tuple(deformation_statements),
         model_error=model_error,
@@ -112,7 +100,8 @@ def build_context(results: Results, figures: Mapping[str, FigureBlock]) -> Repor
         sensitivity=sections.tabulate_sensitivity(results),
         diagnostics=sections.tabulate_diagnostics(results),
         data=tabulate_data(results),
-        notation=tabulate_notation(),
+        notation=notation.tabulate_notation(results),
+        notation_sources=notation.name_sources(results),
         provenance=tabulate_provenance(results),
         versions=_tabulate_mapping(results.provenance.get("versions"), "Versions.", "Package", "Version"),
         files=_tabulate_mapping(results.provenance.get("files"), "Input files.", "File", "SHA-256"),
@@ -153,15 +142,6 @@ def tabulate_data(results: Results) -> Table:
     )
     columns = [Column("", kind="text"), Column("", kind="text")]
     return make_table("Measurements.", columns, rows, [Statement(note)])
-
-
-def tabulate_notation() -> Table:
-    """Return the symbols and where RR-8096 defines them."""
-    columns = [Column("Symbol", kind="symbol"), Column("Meaning", kind="text"), Column("RR-8096", kind="text")]
-    rows = [[symbol, meaning, where or NOTHING] for symbol, meaning, where in NOTATION]
-    return make_table(
-        "Notation; subscripts x, y, z are components, a leg's number stands in the column's heading.", columns, rows
-    )
 
 
 def tabulate_provenance(results: Results) -> Table:

@@ -25,6 +25,7 @@ from bayescal.report.variants import (
     describe_deformation,
     find_variants,
     group_variants,
+    is_on_struts,
     label_model,
     label_variant,
     list_deformations,
@@ -55,10 +56,10 @@ def list_illustrations(results: Results) -> list[Illustration]:
         _show_model_error(results, frame, styles),
         Illustration(
             "sensitivity",
-            "Log-evidence with model error against the prior tolerance of the lengths. Left: each variant below its "
-            "own largest value; right: each variant below the best one at the same tolerance, logarithmic beyond 1 "
-            "nat. Models stand a little side by side at each tolerance, so that equal ones are seen. The ranking is "
-            "stable where no lines cross on the right (ranks: table below).",
+            "Log-evidence with model error against the prior tolerance of the lengths, one for all parameters in mm. "
+            "Left: each variant below its own largest value; right: each variant below the best one at the same "
+            "tolerance, logarithmic beyond 1 nat. Models stand a little side by side at each tolerance, so that equal "
+            "ones are seen. The ranking is stable where no lines cross on the right (ranks: table below).",
             lambda: draw_sensitivity(results.sensitivity_grid, styles),
         ),
     ]
@@ -76,7 +77,7 @@ def _show_overview(results: Results, styles: Styles) -> Illustration:
         "Left: how far each variant's log-evidence with model error lies below the best one, logarithmic beyond 1 nat. "
         f"Middle and right: errors of the posterior mean prediction on the {use} poses; full bar: mean, pale bar: "
         "largest, both as numbers. Diamonds: the same with the model error set to zero (left: below the best of those; "
-        f"else: mean).{bands} Position error is the distance between measured and predicted platform centre, "
+        f"else: mean).{bands} Position error is the distance between measured and predicted origin of the platform, "
         "orientation error the angle between measured and predicted platform."
     )
     draw = partial(draw_overview, groups, behind, results.predictions, use, styles)
@@ -85,13 +86,16 @@ def _show_overview(results: Results, styles: Styles) -> Illustration:
 
 def _list_errors(results: Results, styles: Styles) -> list[Illustration]:
     """Return the bars of every deformation, on common axes; of a single model all deformations together."""
+    on_struts = is_on_struts(results)  # RR-8096's telescope is not
     if len(list_models(results)) == 1:
         names = list(styles)
         draw = partial(draw_error_bars, results.predictions, names, styles, "")
-        return [Illustration("errors_all", f"After RR-8096 figures 15 to 17: {BARS}.", draw, section="errors")]
+        caption = f"{BARS[0].upper()}{BARS[1:]}." if on_struts else f"After RR-8096 figures 15 to 17: {BARS}."
+        return [Illustration("errors_all", caption, draw, section="errors")]
     shown = []
     for k, deformation in enumerate(list_deformations(results), start=1):
-        after = f" (after RR-8096 figure {REPORT_FIGURES[deformation]})" if deformation in REPORT_FIGURES else ""
+        known = deformation in REPORT_FIGURES and not on_struts
+        after = f" (after RR-8096 figure {REPORT_FIGURES[deformation]})" if known else ""
         words = describe_deformation(deformation)
         title = f"{words[0].upper()}{words[1:]}"
         name = deformation if re.fullmatch(r"\w+", deformation, re.ASCII) else str(k)
@@ -132,9 +136,10 @@ def _show_joints(results: Results, frame: pd.DataFrame, styles: Styles) -> Illus
     joints = locate_joints(frame)
     first = choose_model(results)
     models = sorted(list_models(results), key=lambda model: model != first)
+    after = "" if is_on_struts(results) else ", after RR-8096 figure 18"
     several = " The first model is shown large; of the others base and platform stand in one plan." * (len(models) > 1)
     caption = (
-        "The joints from above, after RR-8096 figure 18: black dots are nominal, markers the posterior means (circle: "
+        f"The joints from above{after}: black dots are nominal, markers the posterior means (circle: "
         "no deformation, cross: linear, triangle: matrix), bars their standard deviations; moves and deviations are "
         f"magnified {find_magnification(joints):g} times. Full outline: base points a; dashed: platform points b. "
         f"In mm: rms distance of the points from nominal.{several} A model that lacks something real pushes the joints "
@@ -167,6 +172,8 @@ def _show_ridges(results: Results, frame: pd.DataFrame) -> Illustration:
     if not pairs:
         return Illustration("ridges", "Correlations within a leg.", None, "no leg has two parameters")
     table = pd.DataFrame({split_name(n)[0]: x for n, x in draws.items() if split_name(n)[1] == leg})
+    if len(table.columns.drop(MODEL_ERROR, errors="ignore")) < 2:
+        return Illustration("ridges", "Correlations within a leg.", None, "each leg has one parameter of its geometry")
     one = frame[(frame["variant"] == best) & (frame["leg"] == leg)].set_index("symbol")
     nominal = one["nominal"].where(one.index != MODEL_ERROR, 0.0)
     caption = (
@@ -178,9 +185,10 @@ def _show_ridges(results: Results, frame: pd.DataFrame) -> Illustration:
 
 
 def _show_deflections(results: Results) -> Illustration:
+    after = "" if is_on_struts(results) else ", after RR-8096 figure 7"
     caption = (
         "Deflection of each leg's platform joint out of the rigid platform against the displacement of the leg's "
-        "own actuator, after RR-8096 figure 7; full: calibration, open: verification; line: linear fit κ. Error "
+        f"own actuator{after}; full: calibration, open: verification; line: linear fit κ. Error "
         "bars (1 sd) are often smaller than the dots. Scatter beyond them is what κ cannot describe: the matrix K "
         "lets the other actuators in."
     )

@@ -17,7 +17,7 @@ from bayescal.report.numbers import (
     join_words,
 )
 from bayescal.report.published import compare_published, has_published, name_table
-from bayescal.report.results import MODEL_ERROR, Results, split_name
+from bayescal.report.results import MODEL_ERROR, Results, is_model_error, split_name
 from bayescal.report.symbols import name_parameter, scale_of, write_symbol
 from bayescal.report.variants import (
     describe_deformation,
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 OPEN = 3  # variants whose tables are all shown; of more each stands behind a line
 SHOWN_PAIRS = 3
+KEPT, LOST = 0.5, 0.01  # share of the prior variance of a combination that is hardly, or well, measured
 WIDE = 12  # symbols from which the contraction table has them as rows
 
 
@@ -215,4 +216,21 @@ def state_ridges(results: Results) -> list[Statement]:
         )
     else:
         text += f" None of the {len(pairs)} pairs exceeds 0.9 in size."
+    return [Statement(text), *_state_combinations(results, best)]
+
+
+def _state_combinations(results: Results, variant: str) -> list[Statement]:
+    """Say how many combinations of parameters keep their tolerance: ridges of three and more show in no pair."""
+    draws, parameters = results.draws[variant], results.fit(variant, "free")["parameters"]
+    names = [name for name in draws if name in parameters and not is_model_error(split_name(name)[0])]
+    if len(names) < 2:
+        return []
+    left = np.linalg.eigvalsh(np.cov(np.stack([draws[name] / parameters[name]["prior_sd"] for name in names])))
+    kept, lost = int((left > KEPT).sum()), int((left < LOST).sum())
+    text = (
+        f"Of the {len(left)} independent combinations of its geometry (principal axes of the draws in prior standard "
+        f"deviations) {kept or 'none'} keep more than half of their prior variance, {lost or 'none'} less than 1 %."
+    )
+    if kept and lost:
+        text += " So a parameter may stay uncertain by itself while the poses fix a combination of several."
     return [Statement(text)]

@@ -10,6 +10,7 @@ from bayescal.report.numbers import join_words
 from bayescal.report.results import Results
 
 MODEL_LABELS = {"six_pus": "6-PUS", "six_ups": "6-UPS", "jacobian": "Jacobian", "stiffness_fixed": "stiffness (fixed)"}
+STRUT_MODELS = {"six_ups"}  # of machines whose actuators change the lengths of struts
 NOT_DISTINGUISHABLE = 1.0  # nats
 
 
@@ -47,6 +48,11 @@ def name_variants(names: Sequence[str], between: str = "and") -> str:
 def list_models(results: Results) -> list[str]:
     """Return the kinematic models in the order of the study."""
     return list(dict.fromkeys(split_variant(name)[0] for name in results.summary["variants"]))
+
+
+def is_on_struts(results: Results) -> bool:
+    """Whether the machine stands on struts, unlike the telescope of RR-8096."""
+    return set(list_models(results)) <= STRUT_MODELS
 
 
 def list_deformations(results: Results) -> list[str]:

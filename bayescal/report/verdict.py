@@ -99,7 +99,8 @@ def _state_deformations(results: Results) -> list[Statement]:
     if not parts or len(results.ranking) < 3:
         return []
     nearest_first = "; ".join(text for _, text in sorted(parts.values()))
-    return [Statement(f"With the same model, {best} is ahead {nearest_first}.", lead="Deformation")]
+    first = "no deformation" if best == "none" else best
+    return [Statement(f"With the same model, {first} is ahead {nearest_first}.", lead="Deformation")]
 
 
 def _describe_gaps(gaps: Mapping[str, float]) -> str:

@@ -20,6 +20,7 @@ HARDPOINTS = (("a_x", "a_y", "a"), ("b_x", "b_y", "b"))
 DEFORMATION_MARKERS = {"none": "o", "linear": "x", "matrix": "^"}  # as in the report's figure
 OTHER_MARKERS = ("s", "D", "v", "P")
 SMALL_COLUMNS = 3
+ONE_DIRECTION = math.radians(8.0)  # between points whose names would overlap
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")  # ten times faster than mathematical text
 
 
@@ -187,13 +188,22 @@ def _draw_nominal(axes: Axes, nominal: pd.DataFrame, point: str, reach: float) -
     axes.plot(nominal["x"], nominal["y"], linestyle="none", marker=".", markersize=5, color=INK)
     if not reach:
         return
-    for leg, x, y in zip(nominal["leg"], nominal["x"], nominal["y"], strict=True):
-        outwards = reach / (math.hypot(x, y) or 1.0)
+    for legs, azimuth in _group_by_azimuth(outline):
+        words = ", ".join(f"{point}{str(leg).translate(SUBSCRIPTS)}" for leg in sorted(legs))
+        x, y = reach * math.cos(azimuth), reach * math.sin(azimuth)
+        side = "left" if x > 0 else "right"  # several names are wide and go outwards, off the marks
         axes.text(
-            outwards * x,
-            outwards * y,
-            f"{point}{str(leg).translate(SUBSCRIPTS)}",
-            ha="center",
-            va="center",
-            fontsize=10,
+            x, y, words, ha=side if len(legs) > 1 and abs(x) > 0.5 * reach else "center", va="center", fontsize=10
         )
+
+
+def _group_by_azimuth(outline: pd.DataFrame) -> list[tuple[list[int], float]]:
+    """Return legs in order of azimuth, those in one direction together, each group with its azimuth in radians."""
+    groups: list[tuple[list[int], list[float]]] = []
+    for leg, azimuth in zip(outline["leg"], np.arctan2(outline["y"], outline["x"]), strict=True):
+        if groups and azimuth - groups[-1][1][-1] < ONE_DIRECTION:
+            groups[-1][0].append(int(leg))
+            groups[-1][1].append(float(azimuth))
+        else:
+            groups.append(([int(leg)], [float(azimuth)]))
+    return [(legs, float(np.mean(azimuths))) for legs, azimuths in groups]
