@@ -11,7 +11,7 @@ import pandas as pd
 
 from bayescal.calibration_study.evaluate import PoseErrors
 from bayescal.calibration_study.least_squares import Calibrations, Weighting
-from bayescal.calibration_study.outcome import Outcome, describe
+from bayescal.calibration_study.outcome import PERCENTILES, Outcome, describe, list_records
 from bayescal.calibration_study.setting import ERROR_SYMBOLS, CommandedPoses, Setting, noise_scale, select_all
 from bayescal.config.calibration_schema import AccuracyStudyConfig, PoseNoiseConfig
 from bayescal.errors import InputError, NumericalError
@@ -68,12 +68,13 @@ def run_accuracy(setting: Setting, study: AccuracyStudyConfig, workers: int) -> 
         "repeats": repeats,
         "table8": table,
         "ratios": _list_ratios(repeats),
+        "reductions": _list_reductions(repeats, published),
         "parameters": parameters,
         "convergence": _list_convergence(setting, truth[0], found["optimal", "unweighted"]),
         "verification": _list_verification(errors),
     }
     values = [poses.value for poses in selected]
-    return Outcome(tables, _summarise(tables, values))
+    return Outcome(tables, _summarise(tables, values) | _judge_published(repeats, published))
 
 
 def _list_repeats(
@@ -148,6 +149,39 @@ def _list_ratios(repeats: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def _pick(repeats: pd.DataFrame, method: str, figure: str) -> Array:
+    """Return a figure of the paper's least squares in every repeat, shape (repeats,)."""
+    rows = (repeats["poses"] == method) & (repeats["weighting"] == "unweighted")
+    return repeats.loc[rows, figure].to_numpy()
+
+
+def _list_reductions(repeats: pd.DataFrame, published: dict[tuple[str, str], float]) -> pd.DataFrame:
+    """Return by what share selected poses reduce the paper's figures, repeat by repeat, all without weights."""
+    rows = []
+    for figure in FIGURES:
+        optimal, random = (_pick(repeats, method, figure) for method in METHODS)
+        printed = 1.0 - published["optimal", figure] / published["random", figure] if published else None
+        rows.append({"figure": figure} | describe(1.0 - optimal / random, printed))
+    return pd.DataFrame(rows)
+
+
+def _judge_published(repeats: pd.DataFrame, published: dict[tuple[str, str], float]) -> dict[str, object]:
+    """Return how many published figures lie inside the repeats, and how often a repeat has as many outside."""
+    if not published:
+        return {}
+    found = np.stack([_pick(repeats, *key) for key in published], axis=-1)
+    printed = np.array(list(published.values()))
+    low, high = np.percentile(found, (PERCENTILES[0], PERCENTILES[-1]), axis=0)
+    outside = int(((printed < low) | (printed > high)).sum())
+    own = ((found < low) | (found > high)).sum(axis=1)
+    return {
+        "published": len(printed),
+        "published_in_range": int(((printed >= found.min(axis=0)) & (printed <= found.max(axis=0))).sum()),
+        "published_in_middle": len(printed) - outside,
+        "share_with_as_many_outside": float(np.mean(own >= outside)),
+    }
+
+
 def _list_parameters(setting: Setting, study: AccuracyStudyConfig, truth: Array, found: Calibrations) -> pd.DataFrame:
     """Return preset, published and identified parameter errors, those identified in the first repeat."""
     layout = setting.machine.layout
@@ -209,12 +243,14 @@ def _summarise(tables: dict[str, pd.DataFrame], values: list[float]) -> dict[str
         "parameter_rms_mm": describe(ours["parameter_rms_mm"].to_numpy()),
         "iterations": int(ours["iterations"].max()),
         "largest_change_mm": _largest_changes(convergence),
-        "table8": tables["table8"].to_dict("records"),
-        "ratios": tables["ratios"].to_dict("records"),
+        "table8": list_records(tables["table8"]),
+        "ratios": list_records(tables["ratios"]),
     }
     if "published_mm" in parameters:
-        off = (parameters["published_mm"] - parameters["preset_mm"]).dropna().to_numpy()
+        off = (parameters["published_mm"] - parameters["preset_mm"]).dropna()
         summary["published_parameter_rms_mm"] = float(np.sqrt(np.mean(off**2)))
+        scaled = off / parameters["sd_over_repeats_mm"].loc[off.index]
+        summary["published_parameter_rms_sd"] = float(np.sqrt(np.mean(scaled**2)))
     return summary
 
 

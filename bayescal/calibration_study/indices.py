@@ -3,16 +3,20 @@
 The paper draws one matrix of noise for each measurement condition and calibrates 100 machines with it. What is left of
 the parameter errors after a calibration hardly depends on them, so that its means over 100 machines are those of one
 draw of the noise. Here the same table is made, and beside it the distribution over draws of the noise, each with its
-own machine, and over selections, which start from random sets. Machines and noise are the same for all indices.
+own machine, and over selections, which start from random sets. Machines and noise are the same for all indices and, as
+the paper's workspace is not printed, for workspaces of other sizes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
+from scipy.stats import t as student
 
 from bayescal.calibration_study.least_squares import Weighting
-from bayescal.calibration_study.outcome import Outcome, describe
+from bayescal.calibration_study.outcome import Outcome, describe, list_records
 from bayescal.calibration_study.setting import CommandedPoses, Setting, noise_scale, select_all
 from bayescal.config.calibration_schema import ConditionConfig, IndexStudyConfig
 from bayescal.geometry import Array
@@ -21,32 +25,54 @@ from bayescal.tables import read_table
 UNITS = ("rad", "deg")
 UNIT = "deg"
 PLAIN = Weighting(np.ones(6))
+LEVEL = 0.95
+type Published = dict[tuple[str, str], float]
+type Seeds = Sequence[np.random.SeedSequence]
 
 
 def run_indices(setting: Setting, study: IndexStudyConfig, workers: int) -> Outcome:
     """Return table 4 as the paper makes it, with the distribution over noise and selections."""
-    conditions, indices = study.conditions, study.indices
-    choices = [(i, c.poses) for c in conditions for i in indices for _ in range(study.selections)]
-    seeds = np.random.SeedSequence(setting.config.seed).spawn(len(choices) + len(conditions) + 1)
-    selected = iter(select_all(setting, choices, seeds[len(conditions) + 1 :], workers))
-    machines = setting.draw_machines(study.parameter_sets, np.random.default_rng(seeds[0]))
+    pairs, n_draws = len(study.conditions) * len(study.indices), len(study.conditions) + 1
+    counts = [study.selections, *[1] * len(study.workspace_scales)]
+    seeds = np.random.SeedSequence(setting.config.seed).spawn(n_draws + pairs * sum(counts))
+    starts = n_draws + pairs * np.cumsum([0, *counts])
+    published = _read_published(setting, study)
+    scales, parts = [1.0, *study.workspace_scales], []
+    for k, scale in enumerate(scales):
+        scaled = setting if scale == 1.0 else setting.scale_workspace(scale)
+        parts.append(_run(scaled, study, seeds[:n_draws], seeds[starts[k] : starts[k + 1]], workers))
+    tables = parts[0]
+    tables["table4"] = _tabulate(tables, published)
+    tables["best"] = _find_best(tables["noise_draws"], study.conditions)
+    means = [_average(part["noise_draws"], scale, published) for part, scale in zip(parts, scales, strict=True)]
+    tables["workspaces"] = pd.concat(means, ignore_index=True)
+    summary = _summarise(tables, study.indices[0])
+    chances = [_share_everywhere(part["noise_draws"], study.indices[0]) for part in parts]
+    summary["workspaces"] = _compare_workspaces(tables["workspaces"], chances)
+    return Outcome(tables, summary)
+
+
+def _run(
+    setting: Setting, study: IndexStudyConfig, draw_seeds: Seeds, selection_seeds: Seeds, workers: int
+) -> dict[str, pd.DataFrame]:
+    """Return the calibrations over parameter sets and over noise draws, as many selections as there are seeds for."""
+    n_selections = len(selection_seeds) // (len(study.conditions) * len(study.indices))
+    choices = [(i, c.poses) for c in study.conditions for i in study.indices for _ in range(n_selections)]
+    selected = iter(select_all(setting, choices, selection_seeds, workers))
+    machines = setting.draw_machines(study.parameter_sets, np.random.default_rng(draw_seeds[0]))
     sets, draws, values = [], [], []
-    for condition, seed in zip(conditions, seeds[1 : len(conditions) + 1], strict=True):
+    for condition, seed in zip(study.conditions, draw_seeds[1:], strict=True):
         rng = np.random.default_rng(seed)
         own = setting.draw_machines(study.noise_draws, rng)
         noise = noise_scale(condition) * rng.standard_normal((study.noise_draws, condition.poses, 6))
-        for index in indices:
-            for k in range(study.selections):
+        for index in study.indices:
+            for k in range(n_selections):
                 poses = next(selected)
                 label: dict[str, object] = {"condition": condition.name, "index": index, "selection": k + 1}
                 values.append(label | {"value": poses.value})
                 draws.append(_calibrate(setting, label, poses, own, noise))
                 sets.append(_calibrate(setting, label, poses, machines, noise[:1]))
-    tables = {"parameter_sets": pd.concat(sets), "noise_draws": pd.concat(draws), "selections": pd.DataFrame(values)}
-    published = _read_published(setting, study)
-    tables["table4"] = _tabulate(tables, published)
-    tables["best"] = _find_best(tables["noise_draws"], conditions)
-    return Outcome(tables, _summarise(tables, indices[0]))
+    return {"parameter_sets": pd.concat(sets), "noise_draws": pd.concat(draws), "selections": pd.DataFrame(values)}
 
 
 def _calibrate(
@@ -59,7 +85,7 @@ def _calibrate(
     return pd.DataFrame(label | columns | {"iterations": found.n_iterations})
 
 
-def _read_published(setting: Setting, study: IndexStudyConfig) -> dict[tuple[str, str], float]:
+def _read_published(setting: Setting, study: IndexStudyConfig) -> Published:
     if study.published is None:
         return {}
     table = read_table(setting.folder / study.published, ("condition", *study.indices))
@@ -68,7 +94,7 @@ def _read_published(setting: Setting, study: IndexStudyConfig) -> dict[tuple[str
     return {(c, i): float(values[r, k]) for r, c in enumerate(names) for k, i in enumerate(study.indices)}
 
 
-def _tabulate(tables: dict[str, pd.DataFrame], published: dict[tuple[str, str], float]) -> pd.DataFrame:
+def _tabulate(tables: dict[str, pd.DataFrame], published: Published) -> pd.DataFrame:
     """Return a row for each condition and index; the standard error is that over selections."""
     rows = []
     sets = tables["parameter_sets"].groupby(["condition", "index"], sort=False)
@@ -91,7 +117,7 @@ def _tabulate(tables: dict[str, pd.DataFrame], published: dict[tuple[str, str], 
 def _find_best(draws: pd.DataFrame, conditions: list[ConditionConfig]) -> pd.DataFrame:
     """Return for each unit, condition and index how often it is best, and its mean error by that of the first index.
 
-    The standard error of the ratio is that over pairs of selections.
+    The interval of the ratio is Student's for the selections, which are few.
     """
     rows = []
     for unit in UNITS:
@@ -102,17 +128,12 @@ def _find_best(draws: pd.DataFrame, conditions: list[ConditionConfig]) -> pd.Dat
             winner = ours.columns.to_numpy()[_argmin(ours)]
             means = ours.groupby("selection").mean()
             for index in wide.columns:
-                ratio = means[index] / means[first]
-                rows.append(
-                    {
-                        "unit": unit,
-                        "condition": condition.name,
-                        "index": index,
-                        "share_best": float(np.mean(winner == index)),
-                        "ratio": float(means[index].mean() / means[first].mean()),
-                        "standard_error": float(ratio.std(ddof=1) / np.sqrt(len(ratio))),
-                    }
-                )
+                ratio = float(means[index].mean() / means[first].mean())
+                spread = float((means[index] / means[first]).std(ddof=1) / np.sqrt(len(means)))
+                half = spread * float(student.ppf(0.5 + 0.5 * LEVEL, len(means) - 1))
+                row: dict[str, object] = {"unit": unit, "condition": condition.name, "index": index}
+                row["share_best"] = float(np.mean(winner == index))
+                rows.append(row | {"ratio": ratio, "low": ratio - half, "high": ratio + half})
     return pd.DataFrame(rows)
 
 
@@ -121,25 +142,50 @@ def _argmin(errors: pd.DataFrame) -> np.ndarray:
     return np.asarray(errors.fillna(np.inf).to_numpy().argmin(axis=1))
 
 
-def _summarise(tables: dict[str, pd.DataFrame], first: str) -> dict[str, object]:
-    table = tables["table4"]
-    draws = tables["noise_draws"]
+def _share_everywhere(draws: pd.DataFrame, first: str) -> float:
+    """Return in which share of draws and selections the first index is best in all conditions."""
     wide = draws.pivot_table(index=["selection", "draw", "condition"], columns="index", values=UNIT, sort=False)
     is_best = pd.Series(_argmin(wide) == list(wide.columns).index(first), index=wide.index)
-    winners = is_best.groupby(["selection", "draw"]).all()
+    return float(is_best.groupby(["selection", "draw"]).all().mean())
+
+
+def _average(draws: pd.DataFrame, scale: float, published: Published) -> pd.DataFrame:
+    """Return mean errors over all draws and selections, a row for each condition and index, for one workspace."""
+    table = draws.groupby(["condition", "index"], sort=False)[list(UNITS)].mean().reset_index()
+    table.insert(0, "scale", scale)
+    if not published:
+        return table
+    return table.assign(published=[published[c, i] for c, i in zip(table["condition"], table["index"], strict=True)])
+
+
+def _compare_workspaces(table: pd.DataFrame, chances: list[float]) -> list[dict[str, float]]:
+    """Return how published errors compare with those found, geometric mean and scatter, for each workspace."""
+    found = []
+    for scale, chance in zip(table["scale"].unique(), chances, strict=True):
+        rows = table[table["scale"] == scale]
+        row = {"scale": float(scale), "share_first_best_everywhere": chance}
+        for unit in UNITS if "published" in rows else ():
+            ratio = np.log((rows["published"] / rows[unit]).to_numpy())
+            row[f"published_by_found_{unit}"] = float(np.exp(ratio.mean()))
+            row[f"published_by_found_{unit}_scatter"] = float(ratio.std(ddof=1))
+        found.append(row)
+    return found
+
+
+def _summarise(tables: dict[str, pd.DataFrame], first: str) -> dict[str, object]:
+    table, draws = tables["table4"], tables["noise_draws"]
     summary: dict[str, object] = {
         "first_index": first,
-        "share_first_best_everywhere": float(winners.mean()),
+        "share_first_best_everywhere": _share_everywhere(draws, first),
         "spread_over_machines": float(table["spread_over_machines"].mean()),
         "spread_over_noise": float(table["spread_over_noise"].mean()),
         "failed": int(table["failed"].sum()),
         "calibrations": len(tables["parameter_sets"]) + len(draws),
-        "table4": table.to_dict("records"),
-        "best": tables["best"].to_dict("records"),
+        "table4": list_records(table),
+        "best": list_records(tables["best"]),
     }
     if "published" in table:
-        for unit, column in (("deg", "mean"), ("rad", "mean_rad")):
-            ratio = np.log((table["published"] / table[column]).to_numpy())
-            summary[f"published_by_found_{unit}"] = float(np.exp(ratio.mean()))
-            summary[f"published_by_found_{unit}_scatter"] = float(ratio.std(ddof=1))
+        inside = (table["published"] >= table["low"]) & (table["published"] <= table["high"])
+        summary["published_inside"] = int(inside.sum())
+        summary["published"] = len(table)
     return summary

@@ -9,6 +9,7 @@ from bayescal.calibration_study.accuracy import INDEX, METHODS, list_weightings,
 from bayescal.calibration_study.outcome import Outcome, describe
 from bayescal.calibration_study.setting import Setting, noise_scale, select_all
 from bayescal.config.calibration_schema import NumberStudyConfig
+from bayescal.geometry import Array
 
 UNIT = "deg"
 
@@ -21,7 +22,8 @@ def run_numbers(setting: Setting, study: NumberStudyConfig, workers: int) -> Out
     selected = select_all(setting, choices, seeds[count:], workers)
     truth = np.tile(setting.read_machine(study.parameter_errors), (study.repeats, 1))
     weightings = list_weightings(study.noise, setting.config.parameter_error_mm)
-    rows = []
+    rows: list[dict[str, object]] = []
+    fewest: dict[tuple[str, str], Array] = {}
     for k, n in enumerate(study.poses):
         rng = np.random.default_rng(seeds[k])
         noise = noise_scale(study.noise) * rng.standard_normal((study.repeats, n, 6))
@@ -33,7 +35,10 @@ def run_numbers(setting: Setting, study: NumberStudyConfig, workers: int) -> Out
                 found = setting.calibrate(poses, measured, weightings[name])
                 kept = found.converged
                 values = setting.evaluate(truth[kept], found.theta[kept]).integrated(UNIT)
-                row = {"poses": method, "weighting": name, "n_poses": n, "failed": int((~kept).sum())}
+                row: dict[str, object] = {"poses": method, "weighting": name, "n_poses": n}
+                row["failed"] = int((~kept).sum())
+                few = fewest.setdefault((method, name), values)
+                row["share_no_better"] = float(np.mean(values[:, None] >= few))  # of pairs with the fewest poses
                 rows.append(row | describe(values))
     table = pd.DataFrame(rows)
     return Outcome({"figure10": table}, _summarise(table))
@@ -51,6 +56,10 @@ def _summarise(table: pd.DataFrame) -> dict[str, object]:
     enough = random[random["mean"] <= wanted]["n_poses"]
     summary["fewest_selected"] = int(optimal["n_poses"].iloc[0])
     summary["random_poses_as_good"] = int(enough.iloc[0]) if len(enough) else None
+    if len(enough):
+        summary["random_ratio"] = float(
+            random["mean"].loc[(random["n_poses"] == enough.iloc[0]).to_numpy()].iloc[0] / wanted
+        )
     summary["most_random"] = int(random["n_poses"].iloc[-1])
     summary["most_random_ratio"] = float(random["mean"].iloc[-1] / wanted)
     return summary

@@ -29,6 +29,11 @@ class Outcome:
     summary: dict[str, Any]
 
 
+def list_records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return the rows of a table without what is not known, which JSON has no number for."""
+    return [{str(k): v for k, v in row.items() if not pd.isna(v)} for row in table.to_dict("records")]
+
+
 def describe(values: Array, published: float | None = None) -> dict[str, float]:
     """Return mean, standard error and percentiles of values; of a published one, what share lies below it."""
     low, middle, high = np.percentile(values, PERCENTILES)

@@ -39,7 +39,7 @@ def run_hexapod_calibrations(
     workers : int, optional
         Processes that select poses; one per core by default. The results do not depend on it.
     """
-    identity = _identify(config, folder)
+    identity = identify(config, folder)
     store = Store(out)
     store.check_results(identity)
     outcome = _compute(read_setting(config, folder), workers or joblib.cpu_count())
@@ -65,7 +65,7 @@ def _compute(setting: Setting, workers: int) -> Outcome:
     return run_numbers(setting, study, workers)
 
 
-def _identify(config: HexapodCalibrationsConfig, folder: Path) -> dict[str, object]:
+def identify(config: HexapodCalibrationsConfig, folder: Path) -> dict[str, object]:
     """Return what determines the results: the config without its title, and the hashes of its files."""
     names = {config.mechanism, *(getattr(config.study, field, None) for field in FILES)} - {None}
     files = {}

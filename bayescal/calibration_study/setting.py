@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -76,6 +76,10 @@ class Setting:
         """Verification poses, shape (V, 6): a low-discrepancy sequence over the workspace."""
         placed = even_candidates(self.domain, self.config.verification_poses, levels=None).placed
         return coordinates_from_pose(placed.position, placed.rotation)
+
+    def scale_workspace(self, scale: float) -> Setting:
+        """Return the setting with a workspace, and so candidates and verification poses, of another size."""
+        return replace(self, domain=replace(self.domain, half=scale * self.domain.half))
 
     def problem(self, index: str, n: int) -> SelectionProblem:
         """Return the choice of n candidates by an index; InputError where these are too few poses."""

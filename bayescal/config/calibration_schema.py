@@ -52,6 +52,7 @@ class IndexStudyConfig(Section):
     parameter_sets: Repeats = 100
     noise_draws: Repeats = 200
     selections: Annotated[int, Field(ge=2, le=1000)] = 4
+    workspace_scales: list[Positive] = Field(default_factory=list)
     published: str | None = None
 
 

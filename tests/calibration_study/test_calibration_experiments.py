@@ -14,8 +14,8 @@ from bayescal.config import load_experiment
 from bayescal.errors import InputError
 
 TABLES = {
-    "table4": {"table4", "best", "noise_draws"},
-    "table8": {"table8", "ratios", "repeats"},
+    "table4": {"table4", "best", "noise_draws", "workspaces"},
+    "table8": {"table8", "ratios", "reductions", "repeats"},
     "figure10": {"figure10"},
 }
 FIGURES = {
@@ -25,28 +25,57 @@ FIGURES = {
 }
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_experiment_runs_tiny(name, tmp_path):
-    path = copy_tiny(name, tmp_path)
-    out = tmp_path / "out"
-    text = run_hexapod_calibrations(load_experiment(path), path.parent, out, workers=1)
+@pytest.fixture(scope="module", params=SHIPPED)
+def tiny(request, tmp_path_factory):
+    """Return a shipped experiment with little to do: its name, its config's path, its results, what it said."""
+    folder = tmp_path_factory.mktemp(request.param)
+    path, out = copy_tiny(request.param, folder), folder / "out"
+    return request.param, path, out, run_hexapod_calibrations(load_experiment(path), path.parent, out, workers=1)
+
+
+def refuse_constant(name: str):
+    raise AssertionError(f"found {name}, which is no JSON")
+
+
+def test_shipped_experiment_runs_tiny(tiny):
+    name, _, out, text = tiny
     assert "report.html" in text
     assert {p.stem for p in out.glob("*.csv")} >= TABLES[name]
     assert {p.stem for p in (out / "figures").iterdir()} == FIGURES[name]
-    json.loads((out / "summary.json").read_text())
+    json.loads((out / "summary.json").read_text(), parse_constant=refuse_constant)
     assert not re.search(r"\bnan\b", re.sub(r"base64,[^\"]*", "", (out / "report.html").read_text()))
+
+
+@pytest.mark.parametrize("tiny", ["figure10"], indirect=True)  # all three select their poses by the same function
+def test_two_workers_change_nothing(tiny, tmp_path):
+    _, path, out, _ = tiny
     run_hexapod_calibrations(load_experiment(path), path.parent, tmp_path / "two", workers=2)
     for table in out.glob("*.csv"):
         assert table.read_bytes() == (tmp_path / "two" / table.name).read_bytes()
 
 
-def test_table8_sets_the_published_figures_beside(tmp_path):
-    path = copy_tiny("table8", tmp_path)
-    run_hexapod_calibrations(load_experiment(path), path.parent, tmp_path / "out", workers=1)
-    table = pd.read_csv(tmp_path / "out" / "table8.csv").set_index(["poses", "weighting", "figure"])
+@pytest.mark.parametrize("tiny", ["table4"], indirect=True)
+def test_table4_has_published_errors_and_workspaces(tiny):
+    out = tiny[2]
+    table = pd.read_csv(out / "table4.csv").set_index(["condition", "index"])
+    assert table.loc[("IV", "O5"), "published"] == 0.27659
+    scales = pd.read_csv(out / "workspaces.csv")
+    one, half = (scales.loc[scales["scale"] == scale, "deg"].to_numpy() for scale in (1.0, 0.5))
+    assert one == pytest.approx(table["mean"].to_numpy())
+    assert len(half) == len(one)
+    assert (half != one).all()
+
+
+@pytest.mark.parametrize("tiny", ["table8"], indirect=True)
+def test_table8_sets_the_published_figures_beside(tiny):
+    out = tiny[2]
+    table = pd.read_csv(out / "table8.csv").set_index(["poses", "weighting", "figure"])
     assert table.loc[("optimal", "unweighted", "attitude_mean_deg"), "published"] == 0.000262
     assert table.loc[("random", "unweighted", "position_max_mm"), "published"] == 0.006933
-    parameters = pd.read_csv(tmp_path / "out" / "parameters.csv").set_index("parameter")
+    reductions = pd.read_csv(out / "reductions.csv").set_index("figure")["published"]
+    assert reductions["position_max_mm"] == pytest.approx(0.784, abs=5e-4)
+    assert reductions["attitude_max_deg"] == pytest.approx(0.706, abs=5e-4)
+    parameters = pd.read_csv(out / "parameters.csv").set_index("parameter")
     assert parameters.loc["b_y[4]", "published_mm"] == 1.121
     assert parameters.loc["a_x[5]", "preset_mm"] == pytest.approx(-1.3)
 

@@ -87,22 +87,24 @@ def test_parameters_come_back_without_noise_in_three_iterations():
     assert found.n_iterations.max() <= 6
 
 
-@pytest.mark.parametrize("name", ["unweighted", "weighted"])
-def test_scatter_matches_the_linear_prediction(name):
-    poses, weighting, n = commanded(), WEIGHTINGS[name], 1500
+def test_scatter_matches_the_linear_prediction():
+    poses, n = commanded(), 1500
     truth, measured = simulated(n, poses)
     rows = SETTING.domain.linearise(SETTING.domain.at_actuators(poses.actuators)).slope
     rows[:, 3:] = angle_rates(poses.coordinates[:, 3:]) @ rows[:, 3:]
-    weighted = (rows / weighting.scale[:, None]).reshape(-1, MACHINE.layout.size)
-    gain = np.linalg.pinv(weighted) / np.tile(weighting.scale, len(rows))
-    predicted = np.sqrt(((gain * np.tile(SCALE, len(rows))) ** 2).sum(axis=1))
-    found = calibrate(MACHINE, poses.actuators, measured, weighting)
-    assert found.converged.all()
-    ratio = np.sqrt(np.mean((found.theta - truth) ** 2, axis=0)) / predicted
-    assert np.abs(ratio - 1.0).max() < 5.0 / np.sqrt(2 * n) + 0.02  # machines differ from nominal by 1e-3
-    other = WEIGHTINGS["weighted" if name == "unweighted" else "unweighted"]
-    wrong = calibrate(MACHINE, poses.actuators, measured, other)
-    assert np.abs(np.sqrt(np.mean((wrong.theta - truth) ** 2, axis=0)) / predicted - 1.0).max() > 0.5
+    predicted, scatter = {}, {}
+    for name in ("unweighted", "weighted"):
+        scale = WEIGHTINGS[name].scale
+        weighted = (rows / scale[:, None]).reshape(-1, MACHINE.layout.size)
+        gain = np.linalg.pinv(weighted) / np.tile(scale, len(rows))
+        predicted[name] = np.sqrt(((gain * np.tile(SCALE, len(rows))) ** 2).sum(axis=1))
+        found = calibrate(MACHINE, poses.actuators, measured, WEIGHTINGS[name])
+        assert found.converged.all()
+        scatter[name] = np.sqrt(np.mean((found.theta - truth) ** 2, axis=0))
+    for name, other in (("unweighted", "weighted"), ("weighted", "unweighted")):
+        off = np.abs(scatter[name] / predicted[name] - 1.0)
+        assert off.max() < 5.0 / np.sqrt(2 * n) + 0.02  # machines differ from nominal by 1e-3
+        assert np.abs(scatter[other] / predicted[name] - 1.0).max() > 0.5
 
 
 def test_most_probable_machines_are_the_audits():
