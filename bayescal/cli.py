@@ -13,13 +13,15 @@ from typing import Annotated
 
 import typer
 
-from bayescal.errors import BayescalError, InputError, NumericalError
+from bayescal.errors import BayescalError, InputError, NotConvergedError, NumericalError
 
 INTERRUPTED = 130
 RUNNERS = {
     "pose_methods": ("bayescal.study.pose_methods", "run_pose_methods"),
     "pose_selection": ("bayescal.selection_study.run", "run_pose_selection"),
     "hexapod_calibrations": ("bayescal.calibration_study.run", "run_hexapod_calibrations"),
+    "sensor_placement": ("bayescal.sensor_placement.run", "run_sensor_placement"),
+    "self_calibration": ("bayescal.reading_study.run", "run_self_calibration"),
 }
 """What runs an experiment of a kind, given config, folder, results directory and workers; it returns what to print."""
 
@@ -57,7 +59,11 @@ def run(
 
         module, function = RUNNERS[config.kind]
         with naming(experiment):
-            typer.echo(getattr(import_module(module), function)(config, experiment.parent, where, count))
+            try:
+                typer.echo(getattr(import_module(module), function)(config, experiment.parent, where, count))
+            except NotConvergedError as error:
+                typer.echo(error.found)
+                raise
         return
     from bayescal.study.run import run_study
 
@@ -78,20 +84,28 @@ def run(
 @app.command(epilog="Example: bayescal simulate experiments/telescope/simulate.toml --out data --seed 1")
 def simulate(
     config: Annotated[Path, typer.Argument(metavar="SIMULATION.toml", help="Config of the simulation.")],
-    out: Annotated[Path, typer.Option(help="Directory for targets.csv, actuators.csv and target_reference.csv.")],
+    out: Annotated[Path, typer.Option(help="Directory for the CSV files.")],
     seed: Seed = None,
 ) -> None:
-    """Simulate the photogrammetry of a machine whose truth the config states."""
+    """Simulate the photogrammetry of a machine whose truth the config states, or readings of its own sensors."""
     import numpy as np
 
-    from bayescal.config import load_simulation
+    from bayescal.config import load_reading_simulation, load_simulation
     from bayescal.files import write_atomically
+    from bayescal.reading_study.simulate import simulate_readings
     from bayescal.simulation import build_twin, format_survey, simulate_survey
+    from bayescal.study.inputs import naming
 
-    loaded = load_simulation(config)
-    twin = build_twin(loaded, config.parent)
-    survey = simulate_survey(twin, np.random.default_rng(loaded.seed if seed is None else seed))
-    texts = format_survey(survey, loaded.origin)
+    readings = load_reading_simulation(config)
+    if readings is not None:
+        rng = np.random.default_rng(readings.seed if seed is None else seed)
+        with naming(config):
+            texts = simulate_readings(readings, config.parent, rng)
+    else:
+        loaded = load_simulation(config)
+        twin = build_twin(loaded, config.parent)
+        survey = simulate_survey(twin, np.random.default_rng(loaded.seed if seed is None else seed))
+        texts = format_survey(survey, loaded.origin)
     make_directory(out)
     for name, text in texts.items():
         write_atomically(out / name, text.encode())

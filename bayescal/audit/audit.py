@@ -7,7 +7,16 @@ from typing import Literal
 
 import numpy as np
 
-from bayescal.audit.changes import Outcome, SweepPoint, check_changes, evaluate_change, list_changes, run_sweeps
+from bayescal.audit.changes import (
+    Outcome,
+    Planner,
+    SweepPoint,
+    check_changes,
+    evaluate_change,
+    evaluate_proposal,
+    list_changes,
+    run_sweeps,
+)
 from bayescal.audit.directions import Direction, find_directions
 from bayescal.audit.frames import FRAME_BLOCKS
 from bayescal.audit.information import Information, complement_of, information_of_rows
@@ -118,8 +127,8 @@ def judge_parameters(information: Information, null_space: Array) -> tuple[Verdi
     return tuple(verdicts)
 
 
-def run_audit(inputs: AuditInputs) -> Audit:
-    """Return the audit of a design."""
+def run_audit(inputs: AuditInputs, planner: Planner | None = None) -> Audit:
+    """Return the audit of a design; a planner's plan stands among the changes."""
     check_changes(inputs)
     analysis = analyse(inputs)
     knowledge, plan = inputs.knowledge, inputs.plan
@@ -132,5 +141,7 @@ def run_audit(inputs: AuditInputs) -> Audit:
         else []
     )
     what_ifs = [evaluate_change(inputs, change, workspace) for change in list_changes(inputs)]
+    if planner is not None:
+        what_ifs += evaluate_proposal(inputs, planner, workspace)
     sweeps = run_sweeps(inputs, inputs.config.sweep, workspace)
     return Audit(inputs, analysis, ridges, workspace, outlooks, what_ifs, sweeps)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +38,25 @@ class Outcome:
     information: Information | None
     beyond_range: bool
     required_sd: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class ProposedPlan:
+    """A plan that somebody else than the design proposes.
+
+    Attributes
+    ----------
+    name : str
+        As it is listed among the changes.
+    plan : Plan
+    """
+
+    name: str
+    plan: Plan
+
+
+type Planner = Callable[[AuditInputs], ProposedPlan]
+"""What chooses poses stands above the audit and is passed in."""
 
 
 def list_changes(inputs: AuditInputs) -> list[WhatIfConfig]:
@@ -108,17 +127,31 @@ def apply_change(inputs: AuditInputs, change: WhatIfConfig) -> Plan:
 
 def evaluate_change(inputs: AuditInputs, change: WhatIfConfig, forecast: Forecast | None) -> Outcome:
     """Return what a changed plan would tell; the workspace and its requirements stay."""
-    plan, knowledge = apply_change(inputs, change), inputs.knowledge
+    return evaluate_plan(inputs, ProposedPlan(change.name, apply_change(inputs, change)), forecast)
+
+
+def evaluate_proposal(inputs: AuditInputs, planner: Planner, forecast: Forecast | None) -> list[Outcome]:
+    """Return what a planner's plan would tell; nothing where it has none for this design."""
+    try:
+        proposed = planner(inputs)
+    except InputError:
+        return []
+    return [evaluate_plan(inputs, proposed, forecast)]
+
+
+def evaluate_plan(inputs: AuditInputs, proposed: ProposedPlan, forecast: Forecast | None) -> Outcome:
+    """Return what another plan would tell; the workspace and its requirements stay."""
+    plan, knowledge = proposed.plan, inputs.knowledge
     mechanism = knowledge.machine.mechanism
     moved = np.abs(plan.actuators - mechanism.initial_actuator_positions)
     beyond = bool(np.any(moved > mechanism.actuator_range * (1 + 1e-9)))
     try:
         rows = compute_sensitivity(knowledge, plan.actuators).rows(plan)
     except InputError:
-        return Outcome(change.name, plan.n_poses, None, beyond, {})
+        return Outcome(proposed.name, plan.n_poses, None, beyond, {})
     information = information_of_rows(rows, knowledge.sd)
     return Outcome(
-        change.name, plan.n_poses, information, beyond, _required(forecast, plan, information, inputs.requirements)
+        proposed.name, plan.n_poses, information, beyond, _required(forecast, plan, information, inputs.requirements)
     )
 
 

@@ -98,7 +98,7 @@ def _moves(knowledge: Knowledge, ridges: Sequence[Direction], units: Units) -> t
         natural = direction.vector * knowledge.sd
         factor = units.factor(knowledge.units[pivot])
         largest = knowledge.sd[pivot] * min(1.0, np.abs(direction.vector[pivot]) / np.abs(direction.vector).max())
-        steps[k] = factor * _round_below(largest / factor)
+        steps[k] = factor * round_below(largest / factor)
         moves[k] = natural / natural[pivot] * steps[k]
     return moves, steps
 
@@ -125,7 +125,7 @@ def _bend(knowledge: Knowledge, plan: Plan, ridges: Sequence[Direction], moves: 
     return bent
 
 
-def _round_below(value: float) -> float:
+def round_below(value: float) -> float:
     """Return the largest of 1, 2, 5 times a power of ten not above a value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(nice for nice in NICE if nice * power <= value * (1 + 1e-9)) * power)
@@ -150,36 +150,52 @@ def _changes(knowledge: Knowledge, moves: Array, actuators: Array) -> Array:
 
 
 def _phrase(knowledge: Knowledge, direction: Direction, move: Array, change: Array, units: Units) -> str:
+    text = describe_move(knowledge.names, knowledge.units, direction, move, units)
+    position, rotation = MICROMETRES * change[0], ARCSECONDS * change[1]
+    if max(position, rotation) < NOTHING:
+        return f"{text} changes no measured pose at all."
+    return f"{text} changes no measured pose by more than {round_up(position)} µm and {round_up(rotation)} arcsec."
+
+
+def describe_move(names: Sequence[str], kinds: Sequence[str], direction: Direction, move: Array, units: Units) -> str:
+    """Return a ridge's move in words, as the beginning of a sentence.
+
+    Parameters
+    ----------
+    names, kinds : sequence of str
+        Of the n free parameters: what they are called, and their inner units.
+    direction : Direction
+    move : ndarray, shape (n,)
+        In inner units.
+    units : Units
+        Those of the sentence.
+    """
     pivot = direction.pivot
     assert pivot is not None
     order = [k for k in np.argsort(-np.abs(direction.vector)) if direction.vector[k] and k != pivot]
     main = [k for k in order if abs(direction.vector[k]) >= MAIN * np.abs(direction.vector).max()]
     minor = [k for k in order if k not in main]
-    legs = {_leg_of(knowledge.names[k]) for k in (pivot, *order)}
+    legs = {_leg_of(names[k]) for k in (pivot, *order)}
     leg = next(iter(legs)) if len(legs) == 1 and None not in legs else None
-    name = (lambda k: _symbol_of(knowledge.names[k])) if leg else (lambda k: knowledge.names[k])
+    name = (lambda k: _symbol_of(names[k])) if leg else (lambda k: names[k])
     where = f"Leg {leg}: " if leg else ""
-    text = f"{where}changing {name(pivot)} by {_amount(knowledge, pivot, move, units)}"
+    text = f"{where}changing {name(pivot)} by {_amount(kinds[pivot], move[pivot], units)}"
     text = text if leg else text[0].upper() + text[1:]
     if main:
-        text += " with " + _join([f"{name(k)} by {_amount(knowledge, k, move, units)}" for k in main])
+        text += " with " + _join([f"{name(k)} by {_amount(kinds[k], move[k], units)}" for k in main])
     if minor:
         largest = max(abs(direction.vector[k]) for k in minor)
         text += f" (and {_join([name(k) for k in minor])} following by at most {_percent(largest)} of their tolerances)"
-    position, rotation = MICROMETRES * change[0], ARCSECONDS * change[1]
-    if max(position, rotation) < NOTHING:
-        return f"{text} changes no measured pose at all."
-    return f"{text} changes no measured pose by more than {_ceil(position)} µm and {_ceil(rotation)} arcsec."
+    return text
 
 
-def _amount(knowledge: Knowledge, k: int, move: Array, units: Units) -> str:
-    unit = knowledge.units[k]
-    value = move[k] / units.factor(unit)
+def _amount(unit: str, move: float, units: Units) -> str:
+    value = move / units.factor(unit)
     text = f"{value:+.3g}".replace("-", "\u2212")
     return text if unit == "1" else f"{text} {units.name(unit).replace('N mm2', 'N mm²')}"
 
 
-def _ceil(value: float) -> str:
+def round_up(value: float) -> str:
     """Return a number to two digits, rounded up: what is said to be the most must be."""
     value = max(value, SMALLEST_SAID)
     power = 10.0 ** (np.floor(np.log10(value)) - 1)

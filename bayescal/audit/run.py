@@ -19,6 +19,7 @@ from bayescal.audit.calibration import (
     expected_covariance,
     simulate_calibrations,
 )
+from bayescal.audit.changes import Planner
 from bayescal.audit.information import Information
 from bayescal.audit.inputs import read_inputs
 from bayescal.audit.posterior import LeftOut, audit_posterior
@@ -53,11 +54,20 @@ class Results:
     tables: dict[str, pd.DataFrame]
 
 
-def compute_audit(config: AuditConfig, folder: Path) -> Results:
-    """Return everything an audit says; names of files are relative to ``folder``."""
+def compute_audit(config: AuditConfig, folder: Path, planner: Planner | None = None) -> Results:
+    """Return everything an audit says.
+
+    Parameters
+    ----------
+    config : AuditConfig
+    folder : Path
+        Where the design's file names start.
+    planner : callable, optional
+        Proposes a plan, such as `selection_study.for_audit.propose_i_optimal`, which is listed among the changes.
+    """
     with threadpool_limits(1), np.errstate(all="ignore"):
         inputs = read_inputs(config, folder)
-        audit = run_audit(inputs)
+        audit = run_audit(inputs, planner)
         level = audit_posterior(inputs, audit)
         plots = plot_ridges(inputs, audit, level)
         profiles = compute_profiles(inputs.knowledge, inputs.plan, choose_profiles(audit))
@@ -82,7 +92,7 @@ def compute_audit(config: AuditConfig, folder: Path) -> Results:
     return Results(summary, tables)
 
 
-def write_audit(config: AuditConfig, folder: Path, out: Path) -> dict[str, Any]:
+def write_audit(config: AuditConfig, folder: Path, out: Path, planner: Planner | None = None) -> dict[str, Any]:
     """Run an audit and write ``audit.json``, ``tables/*.csv`` and the report into ``out``, all of them or nothing.
 
     Raises
@@ -92,7 +102,7 @@ def write_audit(config: AuditConfig, folder: Path, out: Path) -> dict[str, Any]:
     """
     if out.exists() and (not out.is_dir() or (any(out.iterdir()) and not (out / AUDIT_FILE).is_file())):
         raise InputError(f"{out}: exists and holds no audit, expected a new directory or an audit's")
-    results = compute_audit(config, folder)
+    results = compute_audit(config, folder, planner)
     store = Store(out)
     staged = store.stage()
     (staged / "tables").mkdir()

@@ -177,7 +177,7 @@ class SelectionConfig(Section):
     requirements: RequirementsConfig = RequirementsConfig()
     domain: DomainConfig
     candidates: CandidatesConfig = CandidatesConfig()
-    closure: bool = False
+    jacobian: Literal["pose", "angles", "closure"] = "pose"
     selections: Annotated[list[SelectionChoice], Field(min_length=1)]
     designs: list[DesignConfig] = Field(default=[])
     measured: TableConfig | None = None

@@ -13,7 +13,7 @@ from bayescal.pose_selection.candidates import (
 from bayescal.pose_selection.criteria import CRITERIA, Criterion
 from bayescal.pose_selection.domain import ActuatorBox, PoseDomain, WorkspaceBox
 from bayescal.pose_selection.methods import METHODS, Selection, SelectionMethod
-from bayescal.pose_selection.observability import compute_observability
+from bayescal.pose_selection.observability import compute_observability, identification_rows
 from bayescal.pose_selection.problem import SelectionProblem
 from bayescal.pose_selection.select import select
 
@@ -33,6 +33,7 @@ __all__ = [
     "compute_observability",
     "even_candidates",
     "factorial_candidates",
+    "identification_rows",
     "random_candidates",
     "select",
 ]

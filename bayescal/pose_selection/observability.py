@@ -3,22 +3,28 @@
 With σ_1 ≥ … ≥ σ_L the singular values of J_B of n poses and L parameters, in the normalisation of Yu, Wu and Wang
 (2023, section 3.1):
 
-    O1 = (σ_1 … σ_L)^(1/L) / √n     Borm and Menq 1989, 1991: volume of the ellipsoid of pose errors
+    O1 = (σ_1 … σ_L)^(1/L) / √n     Menq, Borm and Lai 1989, Borm and Menq 1991: volume of the ellipsoid of pose errors
     O2 = σ_L / σ_1                  Driels and Pathre 1990: inverse condition number
     O3 = σ_L                        Nahvi, Hollerbach and Hayward 1994: least singular value
     O4 = σ_L² / σ_1                 Nahvi and Hollerbach 1996: noise amplification index
     O5 = 1 / Σ 1/σ_i                Sun and Hollerbach 2008: harmonic mean over L
 
-They depend on the units of poses and parameters, O1 by a factor only.
+They depend on the units of poses and parameters, O1 by a factor only, and on what stands for the attitude: Yu, Wu and
+Wang differentiate by the angles of R = R_z(γ) R_y(β) R_x(α) (sections 2.1 and 2.2), which change faster than the
+rotation itself, by 3 % at 10 deg.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 
+from bayescal.audit.sensitivity import Sensitivity
 from bayescal.geometry import Array
+
+type JacobianForm = Literal["pose", "angles", "closure"]
 
 
 def compute_o1(values: Array, n_poses: int) -> Array:
@@ -60,6 +66,54 @@ INDICES: dict[str, Callable[[Array, int], Array]] = {
     "O4": compute_o4,
     "O5": compute_o5,
 }
+
+
+def identification_rows(sensitivity: Sensitivity, form: JacobianForm = "pose") -> Array:
+    """Return the rows that each pose contributes to the identification Jacobian.
+
+    Parameters
+    ----------
+    sensitivity : Sensitivity
+        Derivatives at P poses by L parameters.
+    form : str
+        ``pose``: J_b = J_1⁻¹ J_2 (Yu, Wu and Wang 2023 eq. 23), displacement in mm and rotation vector in rad;
+        ``angles``: the same with the angles of R = R_z R_y R_x in rad; ``closure``: J_2 alone (RR-8096 eq. 37 but for
+        its factor 1/2).
+
+    Returns
+    -------
+    ndarray, shape (P, 6, L), or (P, N, L) of the closure
+    """
+    if form == "closure":
+        return sensitivity.by_parameters
+    if form == "pose":
+        return sensitivity.slope
+    rates = angle_rates(sensitivity.poses.rotation)
+    return np.concatenate([sensitivity.slope[:, :3], rates @ sensitivity.slope[:, 3:]], axis=1)
+
+
+def angle_rates(rotation: Array) -> Array:
+    """Return how the angles α, β, γ of R = R_z(γ) R_y(β) R_x(α) follow small rotations in the base frame.
+
+    Parameters
+    ----------
+    rotation : ndarray, shape (..., 3, 3)
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        Not finite at β = ±90 deg.
+    """
+    tangent = -rotation[..., 2, 0] / np.hypot(rotation[..., 0, 0], rotation[..., 1, 0])  # tan β
+    gamma = np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
+    cosine, sine = np.cos(gamma), np.sin(gamma)
+    secant = np.hypot(1.0, tangent)
+    rows = [
+        [cosine * secant, sine * secant, np.zeros_like(gamma)],
+        [-sine, cosine, np.zeros_like(gamma)],
+        [cosine * tangent, sine * tangent, np.ones_like(gamma)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def compute_observability(jacobian: Array) -> dict[str, Array]:

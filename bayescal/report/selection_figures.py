@@ -51,6 +51,7 @@ def draw_traces(traces: pd.DataFrame, criterion: str, n_poses: int, published: M
                 linewidth=1.6 if first else 0.7,
                 alpha=1.0 if first else 0.35,
                 label=str(label) if first else None,
+                zorder=4.0 - 0.1 * k,  # lines begin alike: that of the first label, the shorter one, stays visible
             )
         if label in published:
             name = f"{published[str(label)]} iterations printed ({label})"
@@ -111,7 +112,7 @@ def draw_ratios(table: pd.DataFrame) -> Figure:
         axes.set_xticks(at, names, rotation=90)
         axes.set_title(label)
         axes.grid(visible=True, axis="y")
-    all_axes[0].set_ylabel("Found by published")
+    all_axes[0].set_ylabel("Found / published")
     all_axes[-1].legend(loc="best")
     return figure
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from bayescal.audit.changes import ProposedPlan
 from bayescal.audit.design import Plan
 from bayescal.audit.inputs import AuditInputs
 from bayescal.audit.sensitivity import compute_sensitivity
@@ -26,6 +27,11 @@ from bayescal.selection_study.limits import find_limits
 SEED = 21
 N_CANDIDATES = 729
 SIX = 6
+
+
+def propose_i_optimal(inputs: AuditInputs) -> ProposedPlan:
+    """Return as many poses as planned, chosen I-optimally, for an audit to list among its changes."""
+    return ProposedPlan(f"{inputs.plan.n_poses} poses chosen I-optimally", plan_i_optimal(inputs))
 
 
 def plan_i_optimal(inputs: AuditInputs, n: int | None = None, n_candidates: int = N_CANDIDATES) -> Plan:

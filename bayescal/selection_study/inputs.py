@@ -34,6 +34,7 @@ from bayescal.pose_selection import (
     compute_observability,
     even_candidates,
     factorial_candidates,
+    identification_rows,
     random_candidates,
 )
 from bayescal.pose_selection.criteria import AOptimality, DOptimality, IOptimality
@@ -91,7 +92,7 @@ class SelectionInputs:
             return IOptimality(self.audit.plan, workspace=self.workspace, sd=knowledge.sd, limits=self.limits)
         if name in BAYESIAN:
             return {"D": DOptimality, "A": AOptimality}[name](self.audit.plan)
-        return CRITERIA[name](implicit=self.config.closure)  # type: ignore[call-arg]  # all but the Bayesian ones
+        return CRITERIA[name](form=self.config.jacobian)  # type: ignore[call-arg]  # all but the Bayesian ones
 
     @cached_property
     def workspace(self) -> Sensitivity:
@@ -106,7 +107,7 @@ class SelectionInputs:
     def indices(self, actuators: Array) -> dict[str, float]:
         """Return the five observability indices of poses at actuator positions (n, N)."""
         sensitivity = compute_sensitivity(self.audit.knowledge, actuators)
-        rows = sensitivity.by_parameters if self.config.closure else sensitivity.slope
+        rows = identification_rows(sensitivity, self.config.jacobian)
         return {name: float(value) for name, value in compute_observability(rows).items()}
 
 

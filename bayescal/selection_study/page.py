@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -72,17 +73,19 @@ def _describe_candidates(inputs: SelectionInputs) -> str:
 
 def _estimate(mean: float, sd: float) -> str:
     """Return mean ± sd of a number of any size; the mean alone without an sd."""
-    power = 0
-    while mean and abs(mean) * 10.0**power < SMALL:
-        power += 3
-    if power == 0:
-        return format_estimate(mean, sd) if sd > 0 else format_significant(mean, 4)
-    text = format_estimate(mean * 10**power, sd * 10**power) if sd > 0 else format_significant(mean * 10**power, 4)
-    return f"({text})e-{power}" if sd > 0 else f"{text}e-{power}"
+    if not sd > 0:
+        return _plain(mean)
+    if mean == 0.0 or abs(mean) >= SMALL:
+        return format_estimate(mean, sd)
+    power = -math.floor(math.log10(abs(mean)))
+    return f"({format_estimate(mean * 10.0**power, sd * 10.0**power)})e-{power}"
 
 
 def _plain(value: float) -> str:
-    return f"{value:.4g}"
+    if value == 0.0 or abs(value) >= SMALL:
+        return format_significant(value, 4)
+    mantissa, power = f"{value:.3e}".split("e-")
+    return f"{mantissa}e-{int(power)}"
 
 
 def _published_section(tables: Tables) -> list[PageSection]:
@@ -323,14 +326,25 @@ def _method_section(inputs: SelectionInputs, tables: Tables) -> PageSection:
         for name in dict.fromkeys(tables.selections["method"])
         if name in METHODS
     ]
-    of = "the closure, J_2" if inputs.config.closure else "the measured pose, in mm and rad"
-    text = (
+    of = {
+        "pose": "the measured pose, in mm and rad (rotation vector)",
+        "angles": "the measured pose, in mm and rad (angles of R = R_z R_y R_x)",
+        "closure": "the closure, J_2",
+    }[inputs.config.jacobian]
+    text: tuple[str, ...] = (
         f"Indices O1 to O5 are those of the derivatives of {of}, by {len(inputs.audit.knowledge.sd)} parameters. "
         "Repeats of the same number use the same candidates, start and machines for all ways to choose.",
     )
+    if {"exchange", "continuous"} <= set(tables.selections["method"]):
+        text += (
+            "Exchange knows nothing but its candidates, which may not reach the boundary; continuous optimisation "
+            "leaves them. With other candidates the order of the two may be another.",
+        )
     tables_ = (
         make_table(
-            "Criteria.", [Column("", kind="text"), Column("", kind="text"), Column("Source", kind="text")], criteria
+            "Criteria.",
+            [Column("Criterion", kind="text"), Column("What it is", kind="text"), Column("Source", kind="text")],
+            criteria,
         ),
         make_table("Methods.", [Column("Method", kind="text"), Column("Source", kind="text")], methods),
     )

@@ -43,7 +43,7 @@ def run_pose_selection(config: SelectionConfig, folder: Path, out: Path, workers
         For anything at fault in the config or its files, or where ``out`` holds results of another config.
     """
     inputs = read_selection(config, folder)
-    identity = _identify(config, folder)
+    identity = identify_selection(config, folder)
     store = Store(out)
     store.check_results(identity)
     outcomes = run_tasks(inputs, workers)
@@ -79,7 +79,7 @@ def tabulate(inputs: SelectionInputs, folder: Path, outcomes: list[Outcome]) -> 
     )
 
 
-def _identify(config: SelectionConfig, folder: Path) -> dict[str, Any]:
+def identify_selection(config: SelectionConfig, folder: Path) -> dict[str, Any]:
     """Return what determines the results: the config, and its files by their hashes."""
     named = [config.mechanism, *(design.configurations for design in config.designs)]
     named += [] if config.measured is None else [config.measured.configurations]

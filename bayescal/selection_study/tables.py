@@ -19,6 +19,7 @@ ARCSECONDS = 3600.0 * 180.0 / np.pi
 SCALES = np.array([MICROMETRES, ARCSECONDS, 1.0])
 PARTS = ("position_um", "rotation_arcsec", "share_of_limits")
 FORMAT = "%.12g"
+NEAR = 0.95  # of the box: a pose beyond counts as at its boundary
 
 
 def tabulate_selections(outcomes: list[Outcome]) -> pd.DataFrame:
@@ -36,6 +37,7 @@ def tabulate_selections(outcomes: list[Outcome]) -> pd.DataFrame:
                 "n_iterations": 0 if chosen is None else len(chosen.trace) - 1,
                 "converged": True if chosen is None else chosen.converged,
                 "reason": "" if chosen is None else chosen.reason,
+                "at_boundary": np.nan if chosen is None else float(np.mean(np.abs(chosen.shares).max(axis=1) > NEAR)),
             }
         )
     return pd.DataFrame(rows)

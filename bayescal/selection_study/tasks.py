@@ -76,10 +76,19 @@ def list_tasks(inputs: SelectionInputs) -> list[Task]:
     return tasks + [Task(name, DESIGN, n, repeat, None) for name, n, repeat in designs]
 
 
+def check_problems(inputs: SelectionInputs) -> None:
+    """Raise InputError where poses are too few or too many for the first repeat's candidates, or one is singular."""
+    candidates = inputs.candidates(0)
+    for choice in inputs.config.selections:
+        for criterion in choice.criteria:
+            for n in {min(choice.n_poses), max(choice.n_poses)}:
+                SelectionProblem(candidates, inputs.criterion(criterion), n, inputs.measured)
+
+
 def run_tasks(inputs: SelectionInputs, workers: int = 1) -> list[Outcome]:
     """Return the outcomes of all tasks, in their order."""
+    check_problems(inputs)  # faults of the config show here, once, and not in the middle of a worker
     tasks = list_tasks(inputs)
-    run_one(inputs, tasks[0])  # faults of the config show here, once, and not in the middle of a worker
     if workers == 1:
         return [run_one(inputs, task) for task in tasks]
     order = sorted(range(len(tasks)), key=lambda k: -tasks[k].n_poses)  # the long ones first

@@ -48,6 +48,7 @@ def test_an_audit_writes_results_and_report(call, design, tmp_path):
     summary = json.loads((out / "audit.json").read_text())
     assert summary["simulated_calibrations"]["n"] == 4
     assert all("posterior_sd_over_draws" in values for values in summary["parameters"].values())
+    assert [change["name"] for change in summary["what_if"]] == ["<b>twice</b>", "40 poses chosen I-optimally"]
     page = (out / "audit.html").read_text()
     assert "<b>twice" not in page
     assert "&lt;b&gt;twice" in page
@@ -113,8 +114,8 @@ def test_a_failure_on_the_way_leaves_the_old_results(call, design, tmp_path, mon
 def test_a_posterior_that_did_not_converge_is_exit_code_3(call, design, tmp_path, monkeypatch):
     compute_audit = run_module.compute_audit
 
-    def compute(config, folder):
-        results = compute_audit(config, folder)
+    def compute(config, folder, planner):
+        results = compute_audit(config, folder, planner)
         results.summary["posterior"] = {
             **{"origin": "made up", "n_draws": 8, "converged": False, "problems": ["R-hat 1.2"], "parameters": {}},
             **{"requirements": {}, "principal_angle_deg": None},

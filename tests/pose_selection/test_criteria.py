@@ -6,12 +6,20 @@ import machines
 import numpy as np
 import pose_problems
 import pytest
+from scipy.spatial.transform import Rotation
 
 from bayescal.audit.sensitivity import compute_sensitivity
-from bayescal.pose_selection import SelectionProblem, compute_observability, random_candidates
+from bayescal.pose_selection import (
+    SelectionProblem,
+    compute_observability,
+    even_candidates,
+    identification_rows,
+    random_candidates,
+)
 from bayescal.pose_selection.criteria import CRITERIA, O1
 from bayescal.pose_selection.criteria.spectral import FINE, ROUGH
 from bayescal.pose_selection.objective import PoseObjective
+from bayescal.pose_selection.observability import angle_rates
 
 NINE = np.arange(9)
 
@@ -144,21 +152,58 @@ def test_gradient_by_the_poses(name, domain):
     value, gradient = objective.value_and_gradient(shares)
     assert value == problem.value_of(box.linearise(box.place(shares)).slope) or name in "DAI"
 
-    def moved(points):
-        return np.array([objective.value(point.reshape(9, 6)) for point in points])
+    ways = np.linalg.qr(np.random.default_rng(4).normal(size=(54, 12)))[0].T.reshape(12, 9, 6)  # each moves all poses
 
-    expected = machines.stencil_derivative(moved, shares.ravel(), np.full(54, 1e-3)).reshape(9, 6)
-    assert np.abs(gradient - expected).max() < 1e-6 * np.abs(expected).max()
+    def moved(steps):
+        return np.array([objective.value(shares + np.tensordot(step, ways, 1)) for step in steps])
+
+    expected = machines.stencil_derivative(moved, np.zeros(12), np.full(12, 1e-3))
+    assert np.abs(np.tensordot(ways, gradient, 2) - expected).max() < 1e-6 * np.abs(expected).max()
 
 
 def test_implicit_rows_are_the_closures():
     domain = pose_problems.telescope_domain()
-    problem = SelectionProblem(random_candidates(domain, 30, np.random.default_rng(0)), O1(implicit=True), 10)
+    problem = SelectionProblem(random_candidates(domain, 30, np.random.default_rng(0)), O1(form="closure"), 10)
     legs = np.array([int(name[-2]) for name in domain.knowledge.names])
     for leg in range(6):  # each leg's row knows its own parameters only
         assert not problem.blocks[:, leg, legs != leg + 1].any()
     implicit = problem.candidates.sensitivity
     np.testing.assert_allclose(implicit.by_pose @ implicit.slope, -problem.blocks, atol=1e-9)
+
+
+def test_angles_in_place_of_the_rotation_vector():
+    """Rates of the angles of R = R_z R_y R_x against differences of the angles that SciPy finds."""
+    rotation = Rotation.random(20, rng=np.random.default_rng(1))
+    found = angle_rates(rotation.as_matrix())
+    step = 1e-6
+    for axis in range(3):
+        turned = [
+            (Rotation.from_rotvec(sign * step * np.eye(3)[axis]) * rotation).as_euler("ZYX")[:, ::-1]
+            for sign in (1.0, -1.0)
+        ]
+        difference = (turned[0] - turned[1] + np.pi) % (2.0 * np.pi) - np.pi
+        np.testing.assert_allclose(found[..., axis], difference / (2.0 * step), rtol=1e-6, atol=1e-6)
+    sensitivity = pose_problems.build_problem("O1").candidates.sensitivity
+    rows = identification_rows(sensitivity, "angles")
+    np.testing.assert_array_equal(rows[:, :3], sensitivity.slope[:, :3])
+    np.testing.assert_allclose(
+        rows[:, 3:], angle_rates(sensitivity.poses.rotation) @ sensitivity.slope[:, 3:], rtol=1e-12
+    )
+
+
+def test_o3_by_rotation_vectors_is_bound_below_the_published_one():
+    """Turning all platform points about the platform's axis turns every pose alike: no choice of poses tells more."""
+    knowledge = pose_problems.yu_knowledge()
+    points = knowledge.machine.mechanism.platform_points
+    bound = 1.0 / np.sqrt(np.sum(points[:, :2] ** 2))
+    blocks = even_candidates(pose_problems.yu_domain(), 200).sensitivity.slope
+    turn = np.zeros(42)
+    for k, (x, y, _) in enumerate(points):
+        turn[knowledge.names.index(f"b_x[{k + 1}]")], turn[knowledge.names.index(f"b_y[{k + 1}]")] = -y, x
+    np.testing.assert_allclose(np.linalg.norm(blocks @ turn, axis=1), 1.0, rtol=1e-9)
+    assert float(compute_observability(blocks)["O3"]) <= np.sqrt(200) * bound
+    for n, published in {20: 1.395e-3, 30: 1.709e-3, 40: 1.973e-3}.items():
+        assert published > 1.027 * np.sqrt(n) * bound
 
 
 @pytest.mark.parametrize("low", [1, ROUGH, FINE])

@@ -18,6 +18,7 @@ from bayescal.audit.design import Knowledge
 from bayescal.audit.sensitivity import Sensitivity
 from bayescal.errors import InputError
 from bayescal.geometry import Array
+from bayescal.pose_selection.observability import JacobianForm, identification_rows
 
 RANK_TOLERANCE = 1e-11
 
@@ -70,17 +71,16 @@ class ObservabilityCriterion(Criterion):
 
     Attributes
     ----------
-    implicit : bool
-        Whether the rows are those of the closure, J_2 (RR-8096 eq. 37 but for its factor 1/2), in place of those of the
-        measured pose, J_b = J_1⁻¹ J_2 (Yu, Wu and Wang 2023 eq. 23).
+    form : str
+        Which derivatives count; see `identification_rows`.
     """
 
-    implicit: bool = False
+    form: JacobianForm = "pose"
 
     def rows(self, knowledge: Knowledge, sensitivity: Sensitivity) -> Array:
         """Return J_b, shape (P, 6, L), mm and rad by the parameters' units, or J_2, shape (P, N, L)."""
         del knowledge
-        return sensitivity.by_parameters if self.implicit else sensitivity.slope
+        return identification_rows(sensitivity, self.form)
 
 
 class Scorer(ABC):

@@ -31,8 +31,8 @@ class Exchange(SelectionMethod):
     start: tuple[int, ...] | None = None
 
     name: ClassVar[str] = "exchange"
-    title: ClassVar[str] = "Exchange (eliminate and add)"
-    source: ClassVar[str] = "Daney, Papegay and Madeline 2005; RR-8096 section 6.3.2, figure 14"
+    title: ClassVar[str] = "Exchange (eliminate and add, from the candidates)"
+    source: ClassVar[str] = "After IOOPS (Daney, Papegay and Madeline 2005; RR-8096 section 6.3.2); Fedorov 1972"
 
     def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
         """Return the set where the exchange ends."""
