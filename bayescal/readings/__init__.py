@@ -2,5 +2,6 @@
 
 from bayescal.readings.base import Channel, ReadingModel, Readings
 from bayescal.readings.sliding_platform import SlidingPlatform
+from bayescal.readings.spatial import SpatialMachine
 
-__all__ = ["Channel", "ReadingModel", "Readings", "SlidingPlatform"]
+__all__ = ["Channel", "ReadingModel", "Readings", "SlidingPlatform", "SpatialMachine"]

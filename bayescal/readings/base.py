@@ -117,6 +117,10 @@ class ReadingModel(ABC):
         by_parameters : ndarray, shape (..., m, D)
         """
 
+    @abstractmethod
+    def rotation(self, pose: Array) -> Array:
+        """Return how the platform is turned at poses (..., q), from its frame to the base's, shape (..., m, m)."""
+
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of all sensors."""

@@ -223,6 +223,10 @@ class SlidingPlatform(ReadingModel):
         by_parameters[..., own] = matrix_of_angle(pose[..., 2])
         return position, by_pose, by_parameters
 
+    def rotation(self, pose: Array) -> Array:
+        """Return R(φ); see `ReadingModel.rotation`."""
+        return matrix_of_angle(pose[..., 2])
+
     # --- checks --------------------------------------------------------------------------------------------------
 
     def check_poses(self, pose: Array, name: Callable[[int], str] = lambda k: f"pose {k + 1}") -> None:
