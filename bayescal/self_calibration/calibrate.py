@@ -164,7 +164,10 @@ class _System:
 
     def _triangle(self) -> tuple[Array, Array, np.ndarray]:
         """Return Q, R and which machines have a regular R."""
-        orthogonal, triangle = np.linalg.qr(np.nan_to_num(self.left))
+        n_rows, n = self.left.shape[1:]
+        missing = max(0, n - n_rows)  # fewer equations than parameters have no solution, which is no fault of the code
+        orthogonal, triangle = np.linalg.qr(np.pad(np.nan_to_num(self.left), ((0, 0), (0, missing), (0, 0))))
+        orthogonal = orthogonal[:, :n_rows]
         diagonal = np.abs(np.diagonal(triangle, axis1=-2, axis2=-1))
         good = (diagonal.min(axis=-1) > REGULAR * diagonal.max(axis=-1)) & np.isfinite(self.right).all(axis=-1)
         return orthogonal, np.where(good[:, None, None], triangle, np.eye(triangle.shape[-1])), good

@@ -1,1 +1,1 @@
-"""Simulated self-calibrations of a machine with different sensors, and of many plausible machines."""
+"""Simulated self-calibrations with different sets of sensors: errors, calibrability, coverage (Šika et al. 2008)."""

@@ -1,0 +1,145 @@
+"""Running an experiment of simulated self-calibrations: tables, figures and page, put in place as a whole."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import joblib
+import pandas as pd
+
+from bayescal.config.load import dump_config
+from bayescal.config.self_calibrations_schema import SelfCalibrationsConfig
+from bayescal.files import read_text
+from bayescal.report.experiment_page import write_experiment_page
+from bayescal.report.self_calibrations_pages import build_page
+from bayescal.self_calibration_study.documented import run_documented
+from bayescal.self_calibration_study.machines import list_correlations, list_machine_steps, run_machines
+from bayescal.self_calibration_study.published import (
+    Published,
+    judge_documented,
+    read_published,
+    summarise_machines,
+)
+from bayescal.self_calibration_study.setting import Setting, read_setting
+from bayescal.self_calibration_study.simulate import PAPER
+from bayescal.self_calibration_study.sweep import run_sweep
+from bayescal.study.inputs import hash_identity
+from bayescal.study.store import PROVENANCE_FILE, Store
+
+SUMMARISED = (
+    "calibrability",
+    "errors",
+    "steps",
+    "coverage",
+    "uncalibrated",
+    "judged",
+    "machine_summary",
+)
+
+type Tables = dict[str, pd.DataFrame]
+
+
+def run_self_calibrations(config: SelfCalibrationsConfig, folder: Path, out: Path, workers: int | None = None) -> str:
+    """Run an experiment, put tables, figures and the page in ``out`` and return a summary of a few lines.
+
+    Parameters
+    ----------
+    config : SelfCalibrationsConfig
+    folder : Path
+        Where the config's file names start.
+    out : Path
+        Results directory; all of them or nothing.
+    workers : int, optional
+        Processes; one per core by default. The results do not depend on it.
+    """
+    setting, published = read_setting(config, folder), read_published(config, folder)
+    identity = identify(config, folder)
+    store = Store(out)
+    store.check_results(identity)
+    tables, summary = compute(setting, published, workers or joblib.cpu_count())
+    page = build_page(config.name, config.title, tables, summary)
+    staged = store.stage()
+    for name, table in tables.items():
+        if not table.empty:
+            table.to_csv(staged / f"{name}.csv", index=False, float_format="%.6g", lineterminator="\n")
+    text = json.dumps(replace_nan(summary), indent=1, ensure_ascii=False, allow_nan=False)
+    (staged / "summary.json").write_text(text + "\n", encoding="utf-8")
+    write_experiment_page(page, staged)
+    provenance = {"config_sha256": hash_identity(identity), **identity}
+    (staged / PROVENANCE_FILE).write_text(json.dumps(provenance, indent=1) + "\n")
+    store.publish()
+    said = [f"{one.lead}: {one.text}" for one in page.verdict]
+    return "\n".join([page.headline, *said, f"report: {out / 'report.html'}"])
+
+
+def compute(setting: Setting, published: Published, workers: int) -> tuple[Tables, dict[str, Any]]:
+    """Return all tables of an experiment and its summary, which is JSON-ready but for NaN."""
+    config = setting.config
+    names = [plan.name for plan in setting.plans.plans]
+    tables = run_documented(setting, workers)
+    summary: dict[str, Any] = {"name": config.name, "sets": names} | _describe_inputs(setting)
+    if config.published is not None:
+        summary["source"] = config.published.source
+        tables["judged"] = judge_documented(published, tables, PAPER)
+    if config.noise_sweep is not None:
+        tables |= run_sweep(setting, config.noise_sweep, workers)
+    if config.machines is not None:
+        machines, n_drawn = run_machines(setting, config.machines, workers)
+        steps = list_machine_steps(machines, names)
+        tables |= {"machines": machines, "machine_steps": steps}
+        tables["machine_summary"] = summarise_machines(published, machines, steps)
+        tables["correlations"] = list_correlations(machines, names)
+        summary["machines"] = {
+            "kept": config.machines.count,
+            "drawn": n_drawn,
+            "dropped": n_drawn - config.machines.count,
+            "calibrations": config.machines.calibrations,
+            "failed": int(machines["n_failed"].sum()),
+        }
+    return tables, summary | {name: tables[name].to_dict("records") for name in SUMMARISED if name in tables}
+
+
+def _describe_inputs(setting: Setting) -> dict[str, Any]:
+    """Return what the page says of the experiment's inputs."""
+    config = setting.config
+    sensors = [
+        {"sensor": name, "noise": one.noise_um or one.noise_arcsec, "unit": "µm" if one.noise_um else "arcsec"}
+        for name, one in config.sensors.items()
+    ]
+    return {
+        "machine": setting.machine.name,
+        "n_legs": setting.machine.n_legs,
+        "calibrations": config.calibrations,
+        "n_poses": config.poses.n_poses,
+        "verification_poses": config.verification_poses,
+        "position_mm": config.poses.position_mm,
+        "angle_deg": config.poses.angle_deg,
+        "path": config.path.model_dump(),
+        "sensors": sensors,
+        "tolerances": config.tolerances.model_dump(),
+        "ranges": None if config.machines is None else config.machines.model_dump(),
+    }
+
+
+def replace_nan(value: Any) -> Any:
+    """Return a JSON-ready value with None for every number that is not finite."""
+    if isinstance(value, dict):
+        return {key: replace_nan(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [replace_nan(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def identify(config: SelfCalibrationsConfig, folder: Path) -> dict[str, object]:
+    """Return what determines the results: the config without its title, and the hashes of its files."""
+    section = config.published
+    names = [config.machine, *([] if section is None else [section.calibrability, section.improvements])]
+    files = {}
+    for name in sorted(names):
+        read_text(folder / name, "a file of the experiment")
+        files[name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
+    return {"config": {k: v for k, v in dump_config(config).items() if k != "title"}, "files": files}
