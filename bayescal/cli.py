@@ -22,6 +22,7 @@ RUNNERS = {
     "hexapod_calibrations": ("bayescal.calibration_study.run", "run_hexapod_calibrations"),
     "sensor_placement": ("bayescal.sensor_placement.run", "run_sensor_placement"),
     "self_calibration": ("bayescal.reading_study.run", "run_self_calibration"),
+    "self_calibrations": ("bayescal.self_calibration_study.run", "run_self_calibrations"),
 }
 """What runs an experiment of a kind, given config, folder, results directory and workers; it returns what to print."""
 

@@ -36,3 +36,17 @@ class NumericalError(BayescalError):
     """The input was accepted, but a computation failed or did not converge."""
 
     exit_code = 3
+
+
+class NotConvergedError(NumericalError):
+    """Results are written, but not all that is in them converged.
+
+    Attributes
+    ----------
+    found : str
+        What was found, in a few lines.
+    """
+
+    def __init__(self, fault: str, found: str) -> None:
+        super().__init__(fault)
+        self.found = found

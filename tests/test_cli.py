@@ -15,6 +15,7 @@ from pathlib import Path
 import audit_problems
 import hexapod_settings
 import numpy as np
+import placement_problems
 import pytest
 import studies
 
@@ -459,6 +460,9 @@ def test_every_shipped_experiment_is_run_here():
         *(f"hexapod/{name}.toml" for name in (*hexapod_settings.SHIPPED, "small_mechanism")),  # in calibration_study
         "pose_extraction/figure5.toml",
         *(f"pose_selection/{name}.toml" for name in ("hexapod_i_optimal", "rr8096_figure14", "yu2023_table1")),
+        *(f"sliding_star/{name}.toml" for name in placement_problems.SHIPPED),  # in sensor_placement
+        "sliding_star/calibrations.toml",  # in self_calibration_study
+        *(f"sliding_star/{name}.toml" for name in ("machine", "simulate", "study")),  # in reading_study
         "m2_hexapod/simulate.toml",
         "telescope/mechanism.toml",
         "telescope/simulate.toml",

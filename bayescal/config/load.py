@@ -13,6 +13,8 @@ import numpy as np
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from bayescal.config.calibration_schema import HexapodCalibrationsConfig
+from bayescal.config.placement_schema import PlacementConfig
+from bayescal.config.reading_study_schema import ReadingSimulationConfig, SelfCalibrationConfig
 from bayescal.config.schema import (
     BeamSectionConfig,
     LoadConfig,
@@ -24,6 +26,7 @@ from bayescal.config.schema import (
     StudyConfig,
 )
 from bayescal.config.selection_schema import SelectionConfig
+from bayescal.config.self_calibrations_schema import SelfCalibrationsConfig
 from bayescal.errors import InputError
 from bayescal.files import read_text
 from bayescal.geometry import Array
@@ -33,14 +36,28 @@ MPA_PER_GPA = 1e3
 UPWARDS = [0.0, 0.0, 1.0]
 SHORTEST = 1e-6  # mm; what rounding leaves of no length is less
 
-type Experiment = StudyConfig | PoseMethodsConfig | SelectionConfig | HexapodCalibrationsConfig
+type Experiment = (
+    StudyConfig
+    | PoseMethodsConfig
+    | SelectionConfig
+    | HexapodCalibrationsConfig
+    | SelfCalibrationConfig
+    | SelfCalibrationsConfig
+    | PlacementConfig
+)
 
 EXPERIMENTS: dict[str, type[Experiment]] = {
     "study": StudyConfig,
     "pose_methods": PoseMethodsConfig,
     "pose_selection": SelectionConfig,
     "hexapod_calibrations": HexapodCalibrationsConfig,
+    "sensor_placement": PlacementConfig,
+    "self_calibration": SelfCalibrationConfig,
+    "self_calibrations": SelfCalibrationsConfig,
 }
+
+SIMULATIONS = ("simulation", "reading_simulation")
+SIMULATIONS_SAID = " or ".join(map(repr, SIMULATIONS))
 
 
 def load_experiment(path: Path) -> Experiment:
@@ -58,8 +75,16 @@ def load_simulation(path: Path) -> SimulationConfig:
     content, text = read_toml(path)
     kind = content.get("kind")
     if kind != "simulation":
-        raise InputError(f"{path}: kind: found {kind!r}{_suggest(str(kind), ['simulation'])}, expected 'simulation'")
+        raise InputError(f"{path}: kind: found {kind!r}{_suggest(str(kind), SIMULATIONS)}, expected {SIMULATIONS_SAID}")
     return check_section(SimulationConfig, content, path, text)
+
+
+def load_reading_simulation(path: Path) -> ReadingSimulationConfig | None:
+    """Return the checked config of a simulation of readings; None where the file is of another kind."""
+    content, text = read_toml(path)
+    if content.get("kind") != "reading_simulation":
+        return None
+    return check_section(ReadingSimulationConfig, content, path, text)
 
 
 def load_mechanism(path: Path) -> Mechanism:

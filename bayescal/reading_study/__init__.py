@@ -1,1 +1,1 @@
-"""One machine calibrated from the readings of its own sensors: posterior, evidence, audit, prediction, report."""
+"""One machine calibrated from the readings of its own sensors: posteriors, evidence, audit and prediction."""

@@ -7,7 +7,10 @@ import re
 from bayescal.report.numbers import MICROMETRES, PER_MILLE
 from bayescal.report.results import is_model_error, split_name
 
-GREEK = {"alpha": "α", "beta": "β", "kappa": "κ", "rho": "ρ", "tau": "τ"}
+GREEK = {
+    **{"alpha": "α", "beta": "β", "eta": "η", "kappa": "κ", "xi": "ξ"},
+    **{"rho": "ρ", "tau": "τ", "phi": "φ", "psi": "ψ"},
+}
 
 
 def split_symbol(symbol: str) -> tuple[str, str, str]:

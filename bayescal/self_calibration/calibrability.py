@@ -37,18 +37,32 @@ class Calibrability:
     scaled: float
 
 
-def compute_calibrability(sensors: SensorSet, free: FreeParameters, pose: Array) -> Calibrability:
-    """Return the calibrability of the machine as expected at poses (P, q); infinite where a direction is not seen."""
+def compute_calibrability(
+    sensors: SensorSet, free: FreeParameters, pose: Array, together: Array | None = None
+) -> Calibrability:
+    """Return the calibrability of the machine as expected at poses (P, q); infinite where a direction is not seen.
+
+    Parameters
+    ----------
+    sensors : SensorSet
+    free : FreeParameters
+    pose : ndarray, shape (P, q)
+    together : ndarray, shape (n, m), optional
+        Of ones and zeros: which of the n parameters move together as one of m.
+    """
     units = np.array(sensors.model.layout.units)[free.places]
+    alike = np.eye(len(units)) if together is None else together
+    in_metres, in_degrees = np.where(units == "mm", MM_PER_METRE, 1.0), np.where(units == "mm", 1.0, DEGREE)
     return Calibrability(
-        _condition(in_units(sensors, MM_PER_METRE, 1.0), free, pose, np.where(units == "mm", MM_PER_METRE, 1.0)),
-        _condition(in_units(sensors, 1.0, 1.0), free, pose, np.ones(len(units))),
-        _condition(in_units(sensors, 1.0, DEGREE), free, pose, np.where(units == "mm", 1.0, DEGREE)),
-        _condition(sensors, free, pose, free.scale),
+        _condition(in_units(sensors, MM_PER_METRE, 1.0), free, pose, in_metres[:, None] * alike),
+        _condition(in_units(sensors, 1.0, 1.0), free, pose, alike),
+        _condition(in_units(sensors, 1.0, DEGREE), free, pose, in_degrees[:, None] * alike),
+        _condition(sensors, free, pose, free.scale[:, None] * alike),
     )
 
 
-def _condition(sensors: SensorSet, free: FreeParameters, pose: Array, scale: Array) -> float:
-    rows = eliminate_poses(sensors.linearise(free.centre, pose))[..., free.places] * scale
-    values = np.linalg.svd(rows.reshape(-1, len(scale)), compute_uv=False)
-    return float((values[0] / values[-1]) ** 2) if len(values) == len(scale) and values[-1] > 0.0 else float("inf")
+def _condition(sensors: SensorSet, free: FreeParameters, pose: Array, moves: Array) -> float:
+    rows = eliminate_poses(sensors.linearise(free.centre, pose))[..., free.places] @ moves
+    count = moves.shape[1]
+    values = np.linalg.svd(rows.reshape(-1, count), compute_uv=False)
+    return float((values[0] / values[-1]) ** 2) if len(values) == count and values[-1] > 0.0 else float("inf")

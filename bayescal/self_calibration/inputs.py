@@ -23,7 +23,7 @@ from bayescal.self_calibration.poses import SensorSet
 
 MICROMETRE = 1e-3
 ARCSECOND = float(np.pi / 180 / 3600)
-ZEROS = ("phi0", "psi0")
+ZEROS = ("phi0", "psi0", "tilt_a0", "tilt_b0")
 
 
 def read_sliding_platform(path: Path) -> SlidingPlatform:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayescal.geometry import Array
-from bayescal.self_calibration.poses import SensorSet, find_poses
+from bayescal.self_calibration.poses import SensorSet, find_poses, solve_least_squares
 
 BATCH = 64
 CHORD_TOLERANCE = 1e-9  # mm and rad; what is left of it enters the density squared
@@ -37,7 +37,7 @@ class ReadingLikelihood:
     """
 
     def __init__(self, sensors: SensorSet, measured: Array, start: Array, volume: float) -> None:
-        self.sensors, self.measured = sensors, measured
+        self.sensors, self.measured, self._volume = sensors, measured, volume
         nominal = sensors.model.layout.nominal
         self._start = find_poses(sensors, nominal, measured, start).pose
         here = sensors.linearise(nominal, self._start, with_parameters=False)
@@ -50,11 +50,20 @@ class ReadingLikelihood:
         """Number of poses P."""
         return len(self.measured)
 
+    def select(self, which: np.ndarray) -> ReadingLikelihood:
+        """Return the density of the readings at some of the poses."""
+        return ReadingLikelihood(self.sensors, self.measured[which], self._start[which], self._volume)
+
     def find_poses(self, theta: Array) -> tuple[Array, Array]:
         """Return the poses (B, P, q) that machines (B, D) explain the readings with, and what is left (B, P, K).
 
         The chord method: H changes so little from machine to machine that a fixed inverse gains two digits a step.
+        Where it ends the rest is orthogonal to another machine's H, so that the last step is Gauss and Newton's.
         """
+        return self._stand(theta)[:2]
+
+    def _stand(self, theta: Array) -> tuple[Array, Array, Array]:
+        """Return the same, and H (B, P, K, q)."""
         machines = theta[:, None]
         pose = np.broadcast_to(self._start, (len(theta), *self._start.shape))
         white = self.measured / self.sensors.noise
@@ -64,29 +73,25 @@ class ReadingLikelihood:
             pose = pose + step
             if not np.any(np.abs(step) > CHORD_TOLERANCE):
                 break
-        return pose, white - self.sensors.read(machines, pose) / self.sensors.noise
+        here = self.sensors.linearise(machines, pose, with_parameters=False)
+        error = white - here.values
+        step = solve_least_squares(here.by_pose, error)
+        return pose + step, error - np.einsum("bpkq,bpq->bpk", here.by_pose, step), here.by_pose
 
     def pointwise(self, theta: Array) -> Array:
         """Return the log-density of each pose's readings, (B, D) to (B, P), -inf where a machine cannot stand."""
         result = np.empty((len(theta), self.n_poses))
         for start in range(0, len(theta), BATCH):
             part = slice(start, start + BATCH)
-            pose, error = self.find_poses(theta[part])
+            _, error, slope = self._stand(theta[part])
             square = np.einsum("bpk,bpk->bp", error, error)
-            result[part] = self._constant - 0.5 * square - self._half_log_volume(theta[part], pose)
+            result[part] = self._constant - 0.5 * square - _half_log_volume(slope)
         result[~np.isfinite(result)] = -np.inf
         return result
 
     def __call__(self, theta: Array) -> Array:
         """Return the log-likelihood, (B, D) to (B,)."""
         return self.pointwise(theta).sum(axis=1)
-
-    def _half_log_volume(self, theta: Array, pose: Array) -> Array:
-        """Return ½ log |HᵀΣ⁻¹H|, shape (B, P)."""
-        slope = self.sensors.linearise(theta[:, None], pose, with_parameters=False).by_pose
-        normal = np.swapaxes(slope, -1, -2) @ slope
-        with np.errstate(all="ignore"):
-            return np.asarray(0.5 * np.log(np.linalg.det(normal)))
 
     def volume_slope(self, theta: Array, scale: Array) -> Array:
         """Return the derivative of -½ Σ log |HᵀΣ⁻¹H| along moves, by central differences, at θ (D,).
@@ -105,7 +110,7 @@ class ReadingLikelihood:
         points = theta + STEP * np.concatenate([scale, -scale])
         values = np.concatenate(
             [
-                -self._half_log_volume(part, self.find_poses(part)[0]).sum(axis=1)
+                -_half_log_volume(self._stand(part)[2]).sum(axis=1)
                 for part in np.array_split(points, max(1, len(points) // BATCH))
             ]
         )
@@ -120,3 +125,10 @@ class ReadingLikelihood:
         here = self.sensors.linearise(theta, pose[0])
         moved = here.by_pose @ (np.linalg.pinv(here.by_pose) @ here.by_parameters)
         return error[0], moved - here.by_parameters
+
+
+def _half_log_volume(slope: Array) -> Array:
+    """Return ½ log |HᵀΣ⁻¹H| for H (..., K, q) in units of the noise."""
+    normal = np.swapaxes(slope, -1, -2) @ slope
+    with np.errstate(all="ignore"):
+        return np.asarray(0.5 * np.log(np.linalg.det(normal)))

@@ -31,16 +31,22 @@ class SelfCalibrationPosterior:
         Of the free parameters; the others keep their nominal values.
     fixed : mapping of parameter name to float
         Values of fixed parameters that are not nominal.
+    common : mapping of name to tuple of parameter names
+        Parameters that deviate alike, such as legs made in one jig, under the name that their prior has; its centre is
+        that of the first of them.
     """
 
     likelihood: ReadingLikelihood
     priors: Mapping[str, NormalPrior]
     fixed: Mapping[str, float] = field(default_factory=dict)
+    common: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the names and that there are at least as many equations as free parameters."""
         layout = self.likelihood.sensors.model.layout
-        for name in (*self.priors, *self.fixed):
+        single = [name for name in self.priors if name not in self.common]
+        shared = [name for members in self.common.values() for name in members]
+        for name in (*single, *shared, *self.fixed):
             if name not in layout.names:
                 raise InputError(f"parameter {name!r}: unknown here, expected one of {', '.join(layout.symbols)}")
         self.likelihood.sensors.check(self.likelihood.n_poses, len(self.priors))
@@ -48,21 +54,36 @@ class SelfCalibrationPosterior:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters, in the layout's order."""
-        return tuple(name for name in self.likelihood.sensors.model.layout.names if name in self.priors)
+        return tuple(sorted(self.priors, key=lambda name: self._places(name)[0]))
+
+    def _places(self, name: str) -> list[int]:
+        """Return where the parameters of a coordinate stand in the layout."""
+        names = self.likelihood.sensors.model.layout.names
+        return [names.index(member) for member in self.common.get(name, (name,))]
 
     @cached_property
     def free(self) -> np.ndarray:
-        """Where they stand in the layout, shape (n,)."""
-        names = self.likelihood.sensors.model.layout.names
-        return np.array([names.index(name) for name in self.names], dtype=int)
+        """Where they stand in the layout, the first of those that deviate alike, shape (n,)."""
+        return np.array([self._places(name)[0] for name in self.names], dtype=int)
+
+    @cached_property
+    def moves(self) -> Array:
+        """How parameters move with the coordinates, shape (n, D)."""
+        moves = np.zeros((self.n_parameters, self.likelihood.sensors.model.layout.size))
+        for k, name in enumerate(self.names):
+            moves[k, self._places(name)] = self.scale[k]
+        return moves
 
     @cached_property
     def centre(self) -> Array:
         """The machine as expected, shape (D,)."""
         layout = self.likelihood.sensors.model.layout
         theta = layout.nominal.copy()
-        for name, value in (*self.fixed.items(), *((n, p.centre) for n, p in self.priors.items())):
+        for name, value in self.fixed.items():
             theta[layout.names.index(name)] = value
+        for name, prior in self.priors.items():
+            places = self._places(name)
+            theta[places] += prior.centre - theta[places[0]]
         return theta
 
     @cached_property
@@ -82,9 +103,7 @@ class SelfCalibrationPosterior:
 
     def theta(self, y: Array) -> Array:
         """Return full parameter vectors (B, D) of coordinates (B, n)."""
-        theta = np.broadcast_to(self.centre, (*y.shape[:-1], len(self.centre))).copy()
-        theta[..., self.free] += y * self.scale
-        return theta
+        return np.asarray(self.centre + y @ self.moves)
 
     def natural(self, y: Array) -> Array:
         """Return the free parameters in mm and rad, (..., n)."""
@@ -107,15 +126,13 @@ class SelfCalibrationPosterior:
     def _rows(self, y: Array) -> tuple[Array, Array]:
         """Return r̂ (m,) and its derivative by the coordinates (m, n) at y (n,)."""
         error, slope = self.likelihood.linearise(self.theta(y[None])[0])
-        return error.ravel(), slope[..., self.free].reshape(error.size, -1) * self.scale
+        return error.ravel(), slope.reshape(error.size, -1) @ self.moves.T
 
     def gradient(self, y: Array) -> tuple[Array, Array]:
         """Return the gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
         error, rows = self._rows(y)
         theta = self.theta(y[None])[0]
-        moves = np.zeros((self.n_parameters, len(theta)))
-        moves[np.arange(self.n_parameters), self.free] = self.scale
-        gradient = -rows.T @ error - y + self.likelihood.volume_slope(theta, moves)
+        gradient = -rows.T @ error - y + self.likelihood.volume_slope(theta, self.moves)
         return gradient, -rows.T @ rows - np.eye(self.n_parameters)
 
     def covariance(self, y: Array) -> Array:

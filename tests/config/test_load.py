@@ -9,8 +9,17 @@ from pathlib import Path
 import pytest
 import studies
 
-from bayescal.config import PoseMethodsConfig, StudyConfig, load_audit, load_experiment, load_mechanism, load_simulation
+from bayescal.config import (
+    PoseMethodsConfig,
+    StudyConfig,
+    load_audit,
+    load_experiment,
+    load_mechanism,
+    load_reading_simulation,
+    load_simulation,
+)
 from bayescal.config.load import EXPERIMENTS
+from bayescal.config.load_readings import load_sliding_platform
 from bayescal.errors import InputError
 from bayescal.mechanism import ExternalLoad
 
@@ -19,6 +28,11 @@ LOADERS = {
     "pose_methods": load_experiment,
     "pose_selection": load_experiment,
     "hexapod_calibrations": load_experiment,
+    "self_calibrations": load_experiment,
+    "sensor_placement": load_experiment,
+    "self_calibration": load_experiment,
+    "reading_simulation": load_reading_simulation,
+    "sliding_platform": load_sliding_platform,
     "simulation": load_simulation,
     "audit": load_audit,
 }

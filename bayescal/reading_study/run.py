@@ -1,0 +1,96 @@
+"""Running a self-calibration: its posteriors, tables, figures and page, put in place as a whole."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+
+from bayescal.config.reading_study_schema import SelfCalibrationConfig
+from bayescal.errors import NotConvergedError
+from bayescal.reading_study.blunders import check_readings
+from bayescal.reading_study.fit import fit_variant
+from bayescal.reading_study.identifiability import audit_variant
+from bayescal.reading_study.inputs import ReadingInputs, Variant, read_inputs
+from bayescal.reading_study.tables import FORMAT, Outcome, summarise, tabulate
+from bayescal.reading_study.tool import assess_tool, predict_tool
+from bayescal.report.experiment_page import write_experiment_page
+from bayescal.report.reading_study_pages import build_page, list_lines
+from bayescal.self_calibration.calibrability import compute_calibrability
+from bayescal.study.store import PROVENANCE_FILE, Store
+
+
+def run_self_calibration(config: SelfCalibrationConfig, folder: Path, out: Path, workers: int = 1) -> str:
+    """Run an experiment, put its results in ``out`` and return them in a few lines.
+
+    Parameters
+    ----------
+    config : SelfCalibrationConfig
+    folder : Path
+        Where the config's file names start.
+    out : Path
+        Directory for the results; all of them or nothing.
+    workers : int
+        Processes; the results do not depend on it.
+
+    Raises
+    ------
+    InputError
+        For anything at fault in the config or its files, or where ``out`` holds results of another config.
+    NotConvergedError
+        Where a posterior did not converge; the results are written all the same.
+    """
+    inputs = read_inputs(config, folder)
+    check_readings(inputs, folder / config.data.readings)
+    identity, store = inputs.identity(), Store(out)
+    store.check_results(identity)
+    outcomes = compute_outcomes(inputs, workers)
+    tables = tabulate(inputs, outcomes)
+    summary = summarise(inputs, outcomes, tables)
+    page = build_page(tables, summary)
+    staged = store.stage()
+    for name, table in tables.items():
+        table.to_csv(staged / f"{name}.csv", index=False, float_format=FORMAT, lineterminator="\n")
+    _write_json(staged / "summary.json", summary)
+    _write_json(staged / PROVENANCE_FILE, {"config_sha256": summary["config_sha256"], **identity})
+    write_experiment_page(page, staged)
+    store.publish()
+    text = "\n".join([*list_lines(page, tables), f"report: {out / 'report.html'}"])
+    if not summary["converged"]:
+        raise NotConvergedError(
+            f"{out}: not everything converged, see the report; the results are written all the same", text
+        )
+    return text
+
+
+def compute_outcomes(inputs: ReadingInputs, workers: int = 1) -> dict[str, Outcome]:
+    """Return what is found for each variant."""
+    variants = list(inputs.variants.values())
+    if workers == 1 or len(variants) == 1:
+        found = [compute_outcome(inputs, variant) for variant in variants]
+    else:
+        parallel = joblib.Parallel(n_jobs=workers, inner_max_num_threads=1)
+        found = list(parallel(joblib.delayed(compute_outcome)(inputs, variant) for variant in variants))
+    return {variant.name: outcome for variant, outcome in zip(variants, found, strict=True)}
+
+
+def compute_outcome(inputs: ReadingInputs, variant: Variant) -> Outcome:
+    """Return everything about one variant; an audit where nothing is fixed that could be free."""
+    fit = fit_variant(inputs, variant)
+    held = inputs.table.verification
+    rng = np.random.default_rng([inputs.config.seed, 3, zlib.crc32(variant.name.encode())])
+    return Outcome(
+        fit,
+        predict_tool(inputs, variant, fit, rng) if held.any() else None,
+        assess_tool(inputs, variant, fit),
+        compute_calibrability(variant.sensors, variant.free, variant.pose[~held], variant.together),
+        audit_variant(inputs, variant) if variant.config.is_plain else None,
+    )
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
