@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import zlib
 from pathlib import Path
-from typing import Any
 
 import joblib
 import numpy as np
@@ -16,12 +14,14 @@ from bayescal.reading_study.blunders import check_readings
 from bayescal.reading_study.fit import fit_variant
 from bayescal.reading_study.identifiability import audit_variant
 from bayescal.reading_study.inputs import ReadingInputs, Variant, read_inputs
-from bayescal.reading_study.tables import FORMAT, Outcome, summarise, tabulate
+from bayescal.reading_study.tables import Outcome, summarise, tabulate
 from bayescal.reading_study.tool import assess_tool, predict_tool
-from bayescal.report.experiment_page import write_experiment_page
-from bayescal.report.reading_study_pages import build_page, list_lines
+from bayescal.report.reading_study_pages import build_page, list_variants
 from bayescal.self_calibration.calibrability import compute_calibrability
-from bayescal.study.store import PROVENANCE_FILE, Store
+from bayescal.study.experiment import publish
+from bayescal.study.store import Store
+
+DIGITS = 9
 
 
 def run_self_calibration(config: SelfCalibrationConfig, folder: Path, out: Path, workers: int = 1) -> str:
@@ -52,14 +52,8 @@ def run_self_calibration(config: SelfCalibrationConfig, folder: Path, out: Path,
     tables = tabulate(inputs, outcomes)
     summary = summarise(inputs, outcomes, tables)
     page = build_page(tables, summary)
-    staged = store.stage()
-    for name, table in tables.items():
-        table.to_csv(staged / f"{name}.csv", index=False, float_format=FORMAT, lineterminator="\n")
-    _write_json(staged / "summary.json", summary)
-    _write_json(staged / PROVENANCE_FILE, {"config_sha256": summary["config_sha256"], **identity})
-    write_experiment_page(page, staged)
-    store.publish()
-    text = "\n".join([*list_lines(page, tables), f"report: {out / 'report.html'}"])
+    said = publish(store, identity, tables, summary, page, DIGITS)
+    text = "\n".join([said, *list_variants(tables)])
     if not summary["converged"]:
         raise NotConvergedError(
             f"{out}: not everything converged, see the report; the results are written all the same", text
@@ -90,7 +84,3 @@ def compute_outcome(inputs: ReadingInputs, variant: Variant) -> Outcome:
         compute_calibrability(variant.sensors, variant.free, variant.pose[~held], variant.together),
         audit_variant(inputs, variant) if variant.config.is_plain else None,
     )
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -18,7 +18,6 @@ from bayescal.self_calibration.calibrability import Calibrability
 from bayescal.study.inputs import hash_identity
 
 MICROMETRES = 1e3
-FORMAT = "%.9g"
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,11 +61,10 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Expe
     )
 
 
-def list_lines(page: ExperimentPage, tables: dict[str, pd.DataFrame]) -> list[str]:
-    """Return what the terminal says: the headline, the verdict and a line for each variant."""
-    lines = [page.headline, *(f"{s.lead}: {s.text}" for s in page.verdict)]
+def list_variants(tables: dict[str, pd.DataFrame]) -> list[str]:
+    """Return what the terminal says of each variant, a line each."""
     width = max(len(str(name)) for name in tables["variants"]["variant"])
-    lines.append(f"{'variant':{width}}  free  log-evidence      C  tool before/after µm  true µm  converged")
+    lines = [f"{'variant':{width}}  free  log-evidence      C  tool before/after µm  true µm  converged"]
     for row in list_rows(tables["variants"]):
         true = format_significant(row["tool_calibrated_error_um"])
         tool = f"{format_significant(row['tool_before_um'])} / {format_significant(row['tool_after_um'])}"

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from bayescal.config.load import dump_config
 from bayescal.config.selection_schema import SelectionConfig
-from bayescal.report.experiment_page import write_experiment_page
 from bayescal.selection_study import tables as made
 from bayescal.selection_study.compare import name_ways
 from bayescal.selection_study.inputs import SelectionInputs, read_selection
 from bayescal.selection_study.page import build_page
 from bayescal.selection_study.tasks import Outcome, run_tasks
-from bayescal.selection_study.verdict import Tables, state_headline, state_verdict
-from bayescal.study.inputs import hash_identity
-from bayescal.study.store import PROVENANCE_FILE, Store
+from bayescal.selection_study.verdict import Tables
+from bayescal.study.experiment import identify_experiment, publish
+from bayescal.study.store import Store
 
-PAGE = "report.html"
+DIGITS = 12
 
 
 def run_pose_selection(config: SelectionConfig, folder: Path, out: Path, workers: int = 1) -> str:
@@ -48,12 +44,15 @@ def run_pose_selection(config: SelectionConfig, folder: Path, out: Path, workers
     store.check_results(identity)
     outcomes = run_tasks(inputs, workers)
     tables = tabulate(inputs, folder, outcomes)
-    staged = store.stage()
-    _write(staged, inputs, outcomes, tables, identity)
-    write_experiment_page(build_page(inputs, tables), staged)
-    store.publish()
-    lines = [state_headline(tables), *(f"{s.lead}: {s.text}" for s in state_verdict(tables))]
-    return "\n".join([*lines, f"report: {out / PAGE}"])
+    return publish(
+        store,
+        identity,
+        _list_tables(inputs, outcomes, tables),
+        {"name": config.name},
+        build_page(inputs, tables),
+        DIGITS,
+        lambda staged: _write_plans(inputs, outcomes, staged),
+    )
 
 
 def tabulate(inputs: SelectionInputs, folder: Path, outcomes: list[Outcome]) -> Tables:
@@ -80,18 +79,15 @@ def tabulate(inputs: SelectionInputs, folder: Path, outcomes: list[Outcome]) -> 
 
 
 def identify_selection(config: SelectionConfig, folder: Path) -> dict[str, Any]:
-    """Return what determines the results: the config, and its files by their hashes."""
-    named = [config.mechanism, *(design.configurations for design in config.designs)]
+    """Return what determines the results."""
+    named: list[str | None] = [config.mechanism, *(design.configurations for design in config.designs)]
     named += [] if config.measured is None else [config.measured.configurations]
-    named += [] if config.published is None or config.published.table is None else [config.published.table]
-    files = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in named}
-    return {"config": {k: v for k, v in dump_config(config).items() if k != "title"}, "files": files}
+    named += [] if config.published is None else [config.published.table]
+    return identify_experiment(config, folder, named)
 
 
-def _write(
-    folder: Path, inputs: SelectionInputs, outcomes: list[Outcome], tables: Tables, identity: dict[str, Any]
-) -> None:
-    every = {
+def _list_tables(inputs: SelectionInputs, outcomes: list[Outcome], tables: Tables) -> dict[str, pd.DataFrame | None]:
+    return {
         "selections": tables.selections,
         "selection_summary": tables.summary,
         "poses": made.tabulate_poses(inputs, outcomes),
@@ -102,17 +98,9 @@ def _write(
         "errors": tables.errors,
         "error_summary": tables.error_summary,
     }
-    for name, table in every.items():
-        if table is not None and not table.empty:
-            table.to_csv(folder / f"{name}.csv", index=False, float_format=made.FORMAT, lineterminator="\n")
-    (folder / "plans").mkdir()
+
+
+def _write_plans(inputs: SelectionInputs, outcomes: list[Outcome], staged: Path) -> None:
+    (staged / "plans").mkdir()
     for name, text in made.format_plans(inputs, outcomes).items():
-        (folder / "plans" / name).write_text(text, encoding="utf-8")
-    said = [{"lead": s.lead, "text": s.text, "level": s.level} for s in state_verdict(tables)]
-    summary = {"name": inputs.config.name, "headline": state_headline(tables), "verdict": said}
-    _write_json(folder / "summary.json", summary)
-    _write_json(folder / PROVENANCE_FILE, {"config_sha256": hash_identity(identity), **identity})
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        (staged / "plans" / name).write_text(text, encoding="utf-8")

@@ -18,7 +18,6 @@ MICROMETRES = 1e3
 ARCSECONDS = 3600.0 * 180.0 / np.pi
 SCALES = np.array([MICROMETRES, ARCSECONDS, 1.0])
 PARTS = ("position_um", "rotation_arcsec", "share_of_limits")
-FORMAT = "%.12g"
 NEAR = 0.95  # of the box: a pose beyond counts as at its boundary
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -11,10 +9,7 @@ from typing import Any
 import joblib
 import pandas as pd
 
-from bayescal.config.load import dump_config
 from bayescal.config.self_calibrations_schema import SelfCalibrationsConfig
-from bayescal.files import read_text
-from bayescal.report.experiment_page import write_experiment_page
 from bayescal.report.self_calibrations_pages import build_page
 from bayescal.self_calibration_study.documented import run_documented
 from bayescal.self_calibration_study.machines import list_correlations, list_machine_steps, run_machines
@@ -27,8 +22,8 @@ from bayescal.self_calibration_study.published import (
 from bayescal.self_calibration_study.setting import Setting, read_setting
 from bayescal.self_calibration_study.simulate import PAPER
 from bayescal.self_calibration_study.sweep import run_sweep
-from bayescal.study.inputs import hash_identity
-from bayescal.study.store import PROVENANCE_FILE, Store
+from bayescal.study.experiment import identify_experiment, publish
+from bayescal.study.store import Store
 
 SUMMARISED = (
     "calibrability",
@@ -62,18 +57,7 @@ def run_self_calibrations(config: SelfCalibrationsConfig, folder: Path, out: Pat
     store.check_results(identity)
     tables, summary = compute(setting, published, workers or joblib.cpu_count())
     page = build_page(config.name, config.title, tables, summary)
-    staged = store.stage()
-    for name, table in tables.items():
-        if not table.empty:
-            table.to_csv(staged / f"{name}.csv", index=False, float_format="%.6g", lineterminator="\n")
-    text = json.dumps(replace_nan(summary), indent=1, ensure_ascii=False, allow_nan=False)
-    (staged / "summary.json").write_text(text + "\n", encoding="utf-8")
-    write_experiment_page(page, staged)
-    provenance = {"config_sha256": hash_identity(identity), **identity}
-    (staged / PROVENANCE_FILE).write_text(json.dumps(provenance, indent=1) + "\n")
-    store.publish()
-    said = [f"{one.lead}: {one.text}" for one in page.verdict]
-    return "\n".join([page.headline, *said, f"report: {out / 'report.html'}"])
+    return publish(store, identity, tables, replace_nan(summary), page)
 
 
 def compute(setting: Setting, published: Published, workers: int) -> tuple[Tables, dict[str, Any]]:
@@ -134,12 +118,8 @@ def replace_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def identify(config: SelfCalibrationsConfig, folder: Path) -> dict[str, object]:
-    """Return what determines the results: the config without its title, and the hashes of its files."""
+def identify(config: SelfCalibrationsConfig, folder: Path) -> dict[str, Any]:
+    """Return what determines the results."""
     section = config.published
-    names = [config.machine, *([] if section is None else [section.calibrability, section.improvements])]
-    files = {}
-    for name in sorted(names):
-        read_text(folder / name, "a file of the experiment")
-        files[name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
-    return {"config": {k: v for k, v in dump_config(config).items() if k != "title"}, "files": files}
+    published = [] if section is None else [section.calibrability, section.improvements]
+    return identify_experiment(config, folder, [config.machine, *published])

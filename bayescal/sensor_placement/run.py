@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -12,20 +10,15 @@ import joblib
 import numpy as np
 import pandas as pd
 
-from bayescal.config.load import dump_config
 from bayescal.config.placement_schema import PlacementConfig
 from bayescal.errors import NumericalError
-from bayescal.report.experiment_page import write_experiment_page
 from bayescal.report.placement_pages import build_page
 from bayescal.sensor_placement import tables as made
 from bayescal.sensor_placement.inputs import PlacementInputs, read_placement
 from bayescal.sensor_placement.placement import Placement, build_placement, evaluate_sets
 from bayescal.sensor_placement.simulate import Simulated, simulate_set
-from bayescal.study.inputs import hash_identity
-from bayescal.study.store import PROVENANCE_FILE, Store
-
-PAGE = "report.html"
-FORMAT = "%.6g"
+from bayescal.study.experiment import identify_experiment, publish
+from bayescal.study.store import Store
 
 
 def run_sensor_placement(config: PlacementConfig, folder: Path, out: Path, workers: int = 1) -> str:
@@ -54,18 +47,7 @@ def run_sensor_placement(config: PlacementConfig, folder: Path, out: Path, worke
     store.check_results(identity)
     tables = compute_tables(inputs, workers)
     summary = summarise(inputs, tables)
-    page = build_page(summary, tables)
-    staged = store.stage()
-    for name, table in tables.items():
-        if not table.empty:
-            table.to_csv(staged / f"{name}.csv", index=False, float_format=FORMAT, lineterminator="\n")
-    said = [{"lead": s.lead, "text": s.text, "level": s.level} for s in page.verdict]
-    _write_json(staged / "summary.json", {**summary, "headline": page.headline, "verdict": said})
-    write_experiment_page(page, staged)
-    _write_json(staged / PROVENANCE_FILE, {"config_sha256": hash_identity(identity), **identity})
-    store.publish()
-    lines = [page.headline, *(f"{s.lead}: {s.text}" for s in page.verdict), f"report: {out / PAGE}"]
-    return "\n".join(lines)
+    return publish(store, identity, tables, summary, build_page(summary, tables))
 
 
 def compute_tables(inputs: PlacementInputs, workers: int = 1) -> dict[str, pd.DataFrame]:
@@ -157,11 +139,5 @@ def _plain(value: Any) -> Any:
 
 
 def identify(config: PlacementConfig, folder: Path) -> dict[str, Any]:
-    """Return what determines the results: the config without its title, and the machine's file by its hash."""
-    name = config.machine.file
-    files = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest()}
-    return {"config": {k: v for k, v in dump_config(config).items() if k != "title"}, "files": files}
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    """Return what determines the results."""
+    return identify_experiment(config, folder, [config.machine.file])
