@@ -12,7 +12,7 @@ help:
 	@echo "make test       environment and the test suite"
 	@echo "make test-slow  the slow statistical suites"
 	@echo "make check      linter, types, import contracts"
-	@echo "make data       simulate the shipped twin again"
+	@echo "make data       simulate the shipped twins again"
 	@echo "make benchmark  speed against a compiled loop and against NUTS (installs numba and numpyro)"
 
 study: $(STAMP)
@@ -35,7 +35,9 @@ check: $(STAMP)
 	$(BIN)/lint-imports --no-cache
 
 data: $(STAMP)
-	$(BIN)/bayescal simulate experiments/telescope/simulate.toml --out experiments/telescope/data
+	@for folder in telescope m2_hexapod sliding_star; do \
+	  $(BIN)/bayescal simulate experiments/$$folder/simulate.toml --out experiments/$$folder/data || exit $$?; \
+	done
 
 benchmark: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[benchmark]"

@@ -177,8 +177,17 @@ def report(
 
         typer.echo(f"wrote {write_audit_report(results)}")
         return
+    from bayescal.files import read_json
     from bayescal.report.write import write_report
 
+    provenance = results / "provenance.json"
+    config = read_json(provenance).get("config") if provenance.is_file() else None
+    kind = config.get("kind") if isinstance(config, dict) else None
+    if isinstance(kind, str) and kind in RUNNERS:
+        raise InputError(
+            f"{results}: found results of kind {kind!r}, whose page `bayescal run` writes, "
+            "expected those of a study or an audit"
+        )
     typer.echo(f"wrote {write_report(results)}")
 
 

@@ -383,6 +383,13 @@ def test_report_of_what_is_no_results_directory(refuse, study):
     refuse("report", "study.toml")
 
 
+def test_report_of_a_small_experiment(refuse, tmp_path):
+    for text in ('{"config": {"kind": "pose_selection"}}', '{"config": {"kind": ["pose_selection"]}}', '{"config": 1}'):
+        (tmp_path / "provenance.json").write_text(text)
+        said = refuse("report", tmp_path)
+        assert ("found results of kind 'pose_selection'" in said) == ('"pose_selection"}' in text)
+
+
 def test_report_is_written_anew(call, study, quick):
     call("run", study, "--out", "out", "--workers", 1)
     code, out, err = call("report", "out")
