@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.calibration_study.angles import angle_rates, coordinates_from_pose, pose_from_coordinates
+from bayescal.calibration_study.angles import coordinates_from_pose, pose_from_coordinates
 from bayescal.errors import InputError
 from bayescal.geometry import Array, matrix_from_rotation_vector
 from bayescal.kinematics import Machine
 from bayescal.models.base import newton_step
+from bayescal.pose_selection.observability import angle_rates
 
 POSE_STEPS = 30
 POSE_TOLERANCE = 1e-7  # of the last Newton step, mm and rad: what is left is its square
@@ -164,7 +165,7 @@ def linearise(
     predicted = coordinates_from_pose(position, rotation)
     here = machine.linearise(theta[:, None], position, rotation, actuators)
     gain = np.linalg.inv(here.pose)
-    gain[..., 3:, :] = angle_rates(predicted[..., 3:]) @ gain[..., 3:, :]
+    gain[..., 3:, :] = angle_rates(rotation) @ gain[..., 3:, :]
     return -(gain @ here.parameters), measured - predicted
 
 

@@ -82,8 +82,9 @@ class Setting:
         return replace(self, domain=replace(self.domain, half=scale * self.domain.half))
 
     def problem(self, index: str, n: int) -> SelectionProblem:
-        """Return the choice of n candidates by an index; InputError where these are too few poses."""
-        return SelectionProblem(self.candidates, CRITERIA[index](), n)
+        """Return the choice of n candidates by an index of J_B in Yu's angles; InputError where these are too few."""
+        criterion = CRITERIA[index](form="angles")  # type: ignore[call-arg]  # the config names observability indices
+        return SelectionProblem(self.candidates, criterion, n)
 
     def select(self, index: str, n: int, rng: np.random.Generator) -> CommandedPoses:
         """Return n poses selected by the improved DETMAX."""

@@ -10,8 +10,8 @@ from bayescal.report.numbers import format_significant
 
 TAIL = 0.025  # a published figure with less beside it is marked
 ANGLES = (
-    "Pose errors and measurement noise are in the paper's coordinates, position and the angles α, β, γ about fixed "
-    "axes; the index for selection and the workspace are in rotation vectors, which differ little at 10 deg."
+    "Pose errors, measurement noise and the indices that select poses are in the paper's coordinates, position and the "
+    "angles α, β, γ about fixed axes; only the workspace is a box of rotation vectors."
 )
 
 type Parts = tuple[str, tuple[Statement, ...], tuple[PageSection, ...]]

@@ -170,7 +170,7 @@ def _mark_equality(axes: Axes, table: pd.DataFrame) -> None:
 
 def draw_indices(sets: pd.DataFrame, table: pd.DataFrame, unit: str = "deg") -> Figure:
     """Return histograms of the integrated error over parameter sets, all with one draw of the noise (figure 5)."""
-    return _draw_by_condition(sets[sets["selection"] == 1], table, unit)
+    return _draw_by_condition(sets, table, unit)
 
 
 def draw_indices_noise(draws: pd.DataFrame, table: pd.DataFrame, unit: str = "deg") -> Figure:

@@ -9,12 +9,13 @@ from scipy.optimize import least_squares
 
 from bayescal.audit.design import Plan
 from bayescal.audit.fits import Fitter, Measurements
-from bayescal.calibration_study.angles import angle_rates, coordinates_from_pose, pose_from_coordinates
-from bayescal.calibration_study.least_squares import Weighting, calibrate, find_lengths, move
+from bayescal.calibration_study.angles import coordinates_from_pose, pose_from_coordinates
+from bayescal.calibration_study.least_squares import Weighting, calibrate, find_lengths, linearise, move
 from bayescal.calibration_study.setting import CommandedPoses
 from bayescal.errors import InputError
 from bayescal.geometry import matrix_from_rotation_vector
 from bayescal.pose_selection import candidates_at, even_candidates
+from bayescal.pose_selection.observability import angle_rates
 from bayescal.sensors import PoseSensor
 
 SETTING = load_setting()
@@ -55,6 +56,17 @@ def test_lengths_hold_the_pose_they_are_for():
     np.testing.assert_allclose(coordinates_from_pose(position, rotation)[0], poses.coordinates, atol=1e-9)
 
 
+def test_poses_are_selected_by_the_jacobian_of_the_calibration():
+    """Yu, Wu and Wang 2023 eq. 23, in the angles; rotation vectors would be off by a sixth."""
+    problem, n = SETTING.problem("O2", 20), 50
+    placed = problem.candidates.placed
+    position, rotation = placed.position[None, :n], placed.rotation[None, :n]
+    nominal, actuators = MACHINE.layout.nominal[None], placed.actuators[:n]
+    rows, error = linearise(MACHINE, nominal, actuators, position, rotation, coordinates_from_pose(position, rotation))
+    np.testing.assert_allclose(problem.blocks[:n], rows[0], rtol=1e-9, atol=1e-12)
+    assert not error.any()
+
+
 @pytest.mark.parametrize("name", WEIGHTINGS)
 def test_batch_agrees_with_scipy_on_single_machines(name):
     poses, weighting = commanded(), WEIGHTINGS[name]
@@ -91,7 +103,7 @@ def test_scatter_matches_the_linear_prediction():
     poses, n = commanded(), 1500
     truth, measured = simulated(n, poses)
     rows = SETTING.domain.linearise(SETTING.domain.at_actuators(poses.actuators)).slope
-    rows[:, 3:] = angle_rates(poses.coordinates[:, 3:]) @ rows[:, 3:]
+    rows[:, 3:] = angle_rates(pose_from_coordinates(poses.coordinates)[1]) @ rows[:, 3:]
     predicted, scatter = {}, {}
     for name in ("unweighted", "weighted"):
         scale = WEIGHTINGS[name].scale
