@@ -13,7 +13,7 @@ from bayescal.calibration_study.numbers import run_numbers
 from bayescal.calibration_study.outcome import Outcome
 from bayescal.calibration_study.setting import Setting, read_setting
 from bayescal.config.calibration_schema import AccuracyStudyConfig, HexapodCalibrationsConfig, IndexStudyConfig
-from bayescal.report.calibration_pages import build_page
+from bayescal.report.calibrations.pages import build_page
 from bayescal.study.experiment import identify_experiment, publish
 from bayescal.study.store import Store
 

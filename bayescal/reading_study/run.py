@@ -16,7 +16,7 @@ from bayescal.reading_study.identifiability import audit_variant
 from bayescal.reading_study.inputs import ReadingInputs, Variant, read_inputs
 from bayescal.reading_study.tables import Outcome, summarise, tabulate
 from bayescal.reading_study.tool import assess_tool, predict_tool
-from bayescal.report.reading_study_pages import build_page, list_variants
+from bayescal.report.reading_study.pages import build_page, list_variants
 from bayescal.self_calibration.calibrability import compute_calibrability
 from bayescal.study.experiment import publish
 from bayescal.study.store import Store

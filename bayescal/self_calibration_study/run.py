@@ -10,7 +10,7 @@ import joblib
 import pandas as pd
 
 from bayescal.config.self_calibrations_schema import SelfCalibrationsConfig
-from bayescal.report.self_calibrations_pages import build_page
+from bayescal.report.self_calibrations.pages import build_page
 from bayescal.self_calibration_study.documented import run_documented
 from bayescal.self_calibration_study.machines import list_correlations, list_machine_steps, run_machines
 from bayescal.self_calibration_study.published import (

@@ -12,7 +12,7 @@ import pandas as pd
 
 from bayescal.config.placement_schema import PlacementConfig
 from bayescal.errors import NumericalError
-from bayescal.report.placement_pages import build_page
+from bayescal.report.placement.pages import build_page
 from bayescal.sensor_placement import tables as made
 from bayescal.sensor_placement.inputs import PlacementInputs, read_placement
 from bayescal.sensor_placement.placement import Placement, build_placement, evaluate_sets

@@ -22,7 +22,7 @@ from bayescal.reading_study.identifiability import audit_variant, compute_rows
 from bayescal.reading_study.run import compute_outcome, run_self_calibration
 from bayescal.reading_study.tables import rank_models, tabulate
 from bayescal.reading_study.tool import assess_tool, predict_tool
-from bayescal.report.reading_study_verdict import explains, list_rows, write_names
+from bayescal.report.reading_study.verdict import explains, list_rows, write_names
 from bayescal.self_calibration.calibrability import compute_calibrability
 from bayescal.self_calibration.tool import locate_tool
 from bayescal.study.inputs import hash_identity

@@ -13,7 +13,7 @@ from placement_problems import FOLDER, SHIPPED, shrink
 
 from bayescal.config import load_experiment
 from bayescal.errors import InputError, NumericalError
-from bayescal.report.placement_figures import write_sensors
+from bayescal.report.placement.figures import write_sensors
 from bayescal.sensor_placement.inputs import Choice, read_placement
 from bayescal.sensor_placement.run import identify, run_sensor_placement
 from bayescal.sensor_placement.tables import describe_kinds, describe_pattern, find_front

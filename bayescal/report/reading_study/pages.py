@@ -7,11 +7,11 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.report import reading_study_figures as figures
 from bayescal.report.blocks import Cell, Column, Level, Table, make_table
 from bayescal.report.experiment_page import ExperimentPage, PageFigure, PageSection
 from bayescal.report.numbers import NOTHING, count_decimals, format_estimate, format_fixed, format_significant
-from bayescal.report.reading_study_verdict import (
+from bayescal.report.reading_study import figures as figures
+from bayescal.report.reading_study.verdict import (
     Row,
     explains,
     format_power,

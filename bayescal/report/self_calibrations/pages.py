@@ -9,12 +9,12 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.report import self_calibrations_figures as figures
 from bayescal.report.blocks import Cell, Column, Table, make_table
 from bayescal.report.experiment_page import ExperimentPage, PageFigure, PageSection
 from bayescal.report.numbers import MINUS, format_estimate, format_fixed, format_percent, join_words
-from bayescal.report.self_calibrations_figures import PAPER, PROCEDURE_LABELS, scale_of_quantity
-from bayescal.report.self_calibrations_verdict import (
+from bayescal.report.self_calibrations import figures as figures
+from bayescal.report.self_calibrations.figures import PAPER, PROCEDURE_LABELS, scale_of_quantity
+from bayescal.report.self_calibrations.verdict import (
     COVERED,
     WORDS,
     find_bands,

@@ -7,12 +7,12 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.report import placement_figures as figures
 from bayescal.report.blocks import Cell, Column, Level, Statement, make_table
 from bayescal.report.experiment_page import ExperimentPage, PageFigure, PageSection
 from bayescal.report.numbers import NOTHING, format_estimate, format_percent, format_significant, join_words
-from bayescal.report.placement_figures import write_sensors
-from bayescal.report.placement_tables import list_sensors, tabulate_front, tabulate_kinds
+from bayescal.report.placement import figures as figures
+from bayescal.report.placement.figures import write_sensors
+from bayescal.report.placement.tables import list_sensors, tabulate_front, tabulate_kinds
 
 KIND = "Sensor placement"
 ORIGIN = "Predicted to first order about the machine as designed, and simulated; nothing is measured."

@@ -6,7 +6,7 @@ import pandas as pd
 
 from bayescal.report.blocks import Cell, Column, Table, make_table
 from bayescal.report.numbers import NOTHING, format_percent, format_significant
-from bayescal.report.placement_figures import write_sensors
+from bayescal.report.placement.figures import write_sensors
 
 STEP = 0.02
 """Steps of the front that gain less are left out of the page's table."""

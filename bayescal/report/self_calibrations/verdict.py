@@ -11,7 +11,7 @@ import pandas as pd
 
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import NOTHING, SUPERSCRIPTS, format_estimate, format_significant, join_words
-from bayescal.report.self_calibrations_figures import BAYESIAN, PAPER, Band
+from bayescal.report.self_calibrations.figures import BAYESIAN, PAPER, Band
 
 COVERED = (0.85, 0.95)
 COMMON = (0.05, 0.95)  # of the machines below, between which a figure is none of the rare ones

@@ -6,11 +6,11 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.report import calibration_figures as figures
 from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
-from bayescal.report.calibration_accuracy_page import show_accuracy
-from bayescal.report.calibration_blocks import ANGLES, Parts, format_range
-from bayescal.report.calibration_index_page import show_indices
+from bayescal.report.calibrations import figures as figures
+from bayescal.report.calibrations.accuracy_page import show_accuracy
+from bayescal.report.calibrations.blocks import ANGLES, Parts, format_range
+from bayescal.report.calibrations.index_page import show_indices
 from bayescal.report.experiment_page import ExperimentPage, PageFigure, PageSection
 from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.report import calibration_figures as figures
 from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
-from bayescal.report.calibration_blocks import ANGLES, Parts, format_range, share_cell
+from bayescal.report.calibrations import figures as figures
+from bayescal.report.calibrations.blocks import ANGLES, Parts, format_range, share_cell
 from bayescal.report.experiment_page import PageFigure, PageSection
 from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant, join_words
 

@@ -1,0 +1,1 @@
+"""The page of simulated calibrations of a hexapod."""

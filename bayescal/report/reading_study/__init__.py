@@ -1,0 +1,1 @@
+"""The page of a machine calibrated from its own readings."""
