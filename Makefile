@@ -27,7 +27,7 @@ test: $(STAMP)
 	$(THREADS) $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
 test-slow: $(STAMP)
-	$(THREADS) $(BIN)/python -m pytest -q -m slow
+	$(THREADS) $(BIN)/python -m pytest -q -n 2 -m slow
 
 check: $(STAMP)
 	$(BIN)/ruff check .
