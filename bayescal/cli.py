@@ -17,12 +17,12 @@ from bayescal.errors import BayescalError, InputError, NotConvergedError, Numeri
 
 INTERRUPTED = 130
 RUNNERS = {
-    "pose_methods": ("bayescal.study.pose_methods", "run_pose_methods"),
-    "pose_selection": ("bayescal.selection_study.run", "run_pose_selection"),
-    "hexapod_calibrations": ("bayescal.calibration_study.run", "run_hexapod_calibrations"),
-    "sensor_placement": ("bayescal.sensor_placement.run", "run_sensor_placement"),
-    "self_calibration": ("bayescal.reading_study.run", "run_self_calibration"),
-    "self_calibrations": ("bayescal.self_calibration_study.run", "run_self_calibrations"),
+    "pose_methods": ("bayescal.reproductions.rr8096.pose_methods.run", "run_pose_methods"),
+    "pose_selection": ("bayescal.experiments.pose_selection.run", "run_pose_selection"),
+    "hexapod_calibrations": ("bayescal.reproductions.yu2023.run", "run_hexapod_calibrations"),
+    "sensor_placement": ("bayescal.experiments.sensor_placement.run", "run_sensor_placement"),
+    "self_calibration": ("bayescal.experiments.self_calibration.run", "run_self_calibration"),
+    "self_calibrations": ("bayescal.reproductions.sika2008.run", "run_self_calibrations"),
 }
 """What runs an experiment of a kind, given config, folder, results directory and workers; it returns what to print."""
 
@@ -56,7 +56,7 @@ def run(
     where = out if out is not None else Path("results") / config.name
     count = workers if workers is not None else joblib.cpu_count()
     if not isinstance(config, StudyConfig):
-        from bayescal.study.inputs import naming
+        from bayescal.experiments.study.inputs import naming
 
         module, function = RUNNERS[config.kind]
         with naming(experiment):
@@ -66,7 +66,7 @@ def run(
                 typer.echo(error.found)
                 raise
         return
-    from bayescal.study.run import run_study
+    from bayescal.experiments.study.run import run_study
 
     interrupted = f"bayescal: interrupted; finished work is kept, go on with --resume (in {where}.partial)"
     try:
@@ -92,10 +92,10 @@ def simulate(
     import numpy as np
 
     from bayescal.config import load_reading_simulation, load_simulation
-    from bayescal.files import write_atomically
-    from bayescal.reading_study.simulate import simulate_readings
-    from bayescal.simulation import build_twin, format_survey, simulate_survey
-    from bayescal.study.inputs import naming
+    from bayescal.data.simulation import build_twin, format_survey, simulate_survey
+    from bayescal.experiments.self_calibration.simulate import simulate_readings
+    from bayescal.experiments.study.inputs import naming
+    from bayescal.files.atomic import write_atomically
 
     readings = load_reading_simulation(config)
     if readings is not None:
@@ -124,10 +124,10 @@ def poses_from_targets(
     """Extract the platform's poses in the base frame, with their covariances, from a study's targets."""
     from bayescal.config import StudyConfig, load_experiment
     from bayescal.config.load import look_up
-    from bayescal.files import write_atomically
-    from bayescal.photogrammetry.poses import METHODS
-    from bayescal.study.inputs import load_inputs
-    from bayescal.study.tables import format_poses
+    from bayescal.data.photogrammetry.poses import METHODS
+    from bayescal.experiments.study.inputs import load_inputs
+    from bayescal.experiments.study.tables import format_poses
+    from bayescal.files.atomic import write_atomically
 
     config = load_experiment(experiment)
     if not isinstance(config, StudyConfig):
@@ -150,11 +150,11 @@ def audit(
     out: Annotated[Path | None, typer.Option(help="Directory for the results; default results/NAME.")] = None,
 ) -> None:
     """Tell what a machine's measurements can and cannot determine, before it is built or after."""
-    from bayescal.audit.run import write_audit
-    from bayescal.config.load_audit import load_audit
+    from bayescal.experiments.audit.i_optimal import propose_i_optimal
+    from bayescal.experiments.audit.load import load_audit
+    from bayescal.experiments.audit.run import write_audit
+    from bayescal.experiments.study.inputs import naming
     from bayescal.report.terminal import print_audit
-    from bayescal.selection_study.for_audit import propose_i_optimal
-    from bayescal.study.inputs import naming
 
     config = load_audit(design)
     where = out if out is not None else Path("results") / config.name
@@ -173,12 +173,12 @@ def report(
 ) -> None:
     """Write the report of a results directory anew."""
     if (results / "audit.json").is_file():
-        from bayescal.report.audit.write import write_audit_report
+        from bayescal.experiments.audit.page.write import write_audit_report
 
         typer.echo(f"wrote {write_audit_report(results)}")
         return
-    from bayescal.files import read_json
-    from bayescal.report.write import write_report
+    from bayescal.experiments.study.page.write import write_report
+    from bayescal.files.atomic import read_json
 
     provenance = results / "provenance.json"
     config = read_json(provenance).get("config") if provenance.is_file() else None
@@ -196,8 +196,8 @@ def compare(
     results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="Results directories of studies.")],
 ) -> None:
     """Rank the variants of several studies of the same data together."""
+    from bayescal.experiments.study.compare import compare_results
     from bayescal.report.terminal import print_comparison
-    from bayescal.study.compare import compare_results
 
     print_comparison(compare_results(results))
 

@@ -20,13 +20,13 @@ from telescope_problem import write_results
 
 import numpy as np
 
-from bayescal.audit.audit import analyse, run_audit
-from bayescal.audit.changes import evaluate_change
-from bayescal.audit.inputs import AuditInputs, read_inputs
-from bayescal.audit.sensitivity import compute_measured_poses, compute_sensitivity
-from bayescal.config.audit_schema import WhatIfConfig
-from bayescal.config.load_audit import load_audit
-from bayescal.geometry import Array, compute_pose_error
+from bayescal.experiments.audit.audit import analyse, run_audit
+from bayescal.experiments.audit.changes import evaluate_change
+from bayescal.experiments.audit.inputs import AuditInputs, read_inputs
+from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity
+from bayescal.experiments.audit.schema import WhatIfConfig
+from bayescal.experiments.audit.load import load_audit
+from bayescal.numerics.geometry import Array, compute_pose_error
 
 DESIGN = Path(__file__).parent.parent / "experiments" / "audit" / "telescope_six_pus_none.toml"
 STEP = 1e-4  # of a tolerance

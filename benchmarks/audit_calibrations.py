@@ -20,17 +20,17 @@ from telescope_problem import TELESCOPE, write_results
 import numpy as np
 from scipy.optimize import least_squares
 
-from bayescal.audit.calibration import simulate_measurements
-from bayescal.audit.design import Knowledge, Plan
-from bayescal.audit.fits import Fitter, Fits, Measurements
-from bayescal.audit.sensitivity import compute_measured_poses, compute_sensitivity, root_of
+from bayescal.identifiability.calibration import simulate_measurements
+from bayescal.identifiability.design import Knowledge, Plan
+from bayescal.identifiability.fits import Fitter, Fits, Measurements
+from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity, root_of
 from bayescal.config import load_mechanism
-from bayescal.deformations.linear import LinearDeformation
-from bayescal.geometry import Array, compute_pose_error
-from bayescal.kinematics import Machine
-from bayescal.models import SixPus
-from bayescal.sensors import PoseSensor
-from bayescal.tables import read_matrix
+from bayescal.machines.deformations.linear import LinearDeformation
+from bayescal.numerics.geometry import Array, compute_pose_error
+from bayescal.machines.kinematics import Machine
+from bayescal.machines.models import SixPus
+from bayescal.machines.sensors import PoseSensor
+from bayescal.files.csv_tables import read_matrix
 
 KAPPA = 0.011
 FREE = ("a_x", "a_y", "b_x", "b_y", "l", "kappa")

@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal.likelihood import REFINEMENTS
-from bayescal.posterior import Posterior
+from bayescal.density.likelihood import REFINEMENTS
+from bayescal.density.posterior import Posterior
 
 jax.config.update("jax_enable_x64", True)
 

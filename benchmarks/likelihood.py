@@ -24,10 +24,10 @@ from telescope_problem import ACTUATOR_NOISE, SEED, Problem, simulate, time_inte
 
 import numpy as np
 
-from bayescal.geometry import Array
-from bayescal.kinematics import Machine, solve_forward_kinematics
-from bayescal.likelihood import BATCH, PoseLikelihood
-from bayescal.models import MODELS
+from bayescal.numerics.geometry import Array
+from bayescal.machines.kinematics import Machine, solve_forward_kinematics
+from bayescal.density.likelihood import BATCH, PoseLikelihood
+from bayescal.machines.models import MODELS
 
 if TYPE_CHECKING:
     from numba_loops import LoopData

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from bayescal.geometry import Array
-from bayescal.likelihood import REFINEMENTS
+from bayescal.density.likelihood import REFINEMENTS
+from bayescal.numerics.geometry import Array
 
 LANES = 32
 

@@ -19,15 +19,15 @@ from telescope_problem import write_results
 
 import numpy as np
 
-from bayescal.audit.design import Knowledge, Plan
+from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.config import load_mechanism
-from bayescal.deformations import DEFORMATIONS, NominalDeformation
-from bayescal.kinematics import build_machine
-from bayescal.models.six_ups import SixUps
+from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
+from bayescal.machines.kinematics import build_machine
+from bayescal.machines.models.six_ups import SixUps
 from bayescal.pose_selection import Criterion, SelectionProblem, WorkspaceBox, even_candidates, select
 from bayescal.pose_selection.criteria import O1, O2, O3, O4, O5, AOptimality, DOptimality, IOptimality
 from bayescal.pose_selection.methods import TabuDetmax
-from bayescal.sensors import PoseSensor
+from bayescal.machines.sensors import PoseSensor
 
 MECHANISM = Path(__file__).parent.parent / "experiments" / "audit" / "yu2023_mechanism.toml"
 HALF = np.concatenate([np.full(3, 100.0), np.radians(np.full(3, 10.0))])

@@ -30,10 +30,10 @@ import numpy as np
 from arviz_stats.base import array_stats
 from numpyro.infer import NUTS
 
-from bayescal.geometry import Array
+from bayescal.numerics.geometry import Array
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import Exploration, count_walkers, explore
-from bayescal.posterior import Posterior
+from bayescal.density.posterior import Posterior
 
 N_CHAINS = 4
 N_WALKERS, N_BURN_IN, N_STEPS = 128, 40, 120  # the package's defaults

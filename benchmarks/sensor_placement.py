@@ -18,11 +18,11 @@ from telescope_problem import write_results
 import numpy as np
 
 from bayescal.config.load import load_experiment
-from bayescal.self_calibration.poses import eliminate_poses
-from bayescal.self_calibration.tool import compute_tool_sensitivity
-from bayescal.sensor_placement.alignment import take_away
-from bayescal.sensor_placement.inputs import PlacementInputs, read_placement
-from bayescal.sensor_placement.placement import Placement, build_placement, evaluate_sets, is_external
+from bayescal.density.readings.poses import eliminate_poses
+from bayescal.density.readings.tool import compute_tool_sensitivity
+from bayescal.experiments.sensor_placement.alignment import take_away
+from bayescal.experiments.sensor_placement.inputs import PlacementInputs, read_placement
+from bayescal.experiments.sensor_placement.placement import Placement, build_placement, evaluate_sets, is_external
 
 FOLDER = Path(__file__).parent.parent / "experiments" / "sliding_star"
 

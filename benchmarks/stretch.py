@@ -27,11 +27,11 @@ from scipy.special import ndtri
 from scipy.stats import halfnorm
 
 from bayescal import load_experiment, load_inputs
-from bayescal.geometry import Array
+from bayescal.numerics.geometry import Array
 from bayescal.inference.diagnostics import diagnose
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import count_walkers, explore
-from bayescal.posterior import Posterior
+from bayescal.density.posterior import Posterior
 
 N_ENSEMBLES, N_WALKERS, N_BURN_IN, N_STEPS = 4, 128, 20, 40  # the study's
 SEED = 20261121

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import machines
 import numpy as np
+import telescope_machines as machines
 
-from bayescal.audit.design import Knowledge, Plan
-from bayescal.audit.frames import FRAME_BLOCKS
-from bayescal.audit.sensitivity import compute_sensitivity
-from bayescal.kinematics import Machine
-from bayescal.sensors import PoseSensor
+from bayescal.identifiability.design import Knowledge, Plan
+from bayescal.identifiability.frames import FRAME_BLOCKS
+from bayescal.identifiability.sensitivity import compute_sensitivity
+from bayescal.machines.kinematics import Machine
+from bayescal.machines.sensors import PoseSensor
 
 DESIGNS = Path(__file__).parent.parent / "experiments" / "audit"
 TELESCOPE_VARIANTS = tuple(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 
-import machines
 import numpy as np
 import pytest
+import telescope_machines as machines
 
 from bayescal import cli
 

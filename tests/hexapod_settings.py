@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import studies
 
-from bayescal.calibration_study.setting import Setting, read_setting
 from bayescal.config import HexapodCalibrationsConfig, load_experiment
+from bayescal.reproductions.yu2023.setting import Setting, read_setting
 
 HEXAPOD = studies.EXPERIMENTS / "hexapod"
 SHIPPED = ("table4", "table8", "figure10")

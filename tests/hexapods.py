@@ -8,9 +8,9 @@ import numpy as np
 import studies
 
 from bayescal.config import load_mechanism, load_simulation
-from bayescal.geometry import matrix_from_rotation_vector
-from bayescal.mechanism import Mechanism
-from bayescal.simulation import build_twin, format_survey, simulate_survey
+from bayescal.data.simulation import build_twin, format_survey, simulate_survey
+from bayescal.machines.mechanism import Mechanism
+from bayescal.numerics.geometry import matrix_from_rotation_vector
 
 AUDIT = studies.EXPERIMENTS / "audit"
 LIMITS = {  # x, y, z about the pivot in mm, rotations about x, y, z in degrees

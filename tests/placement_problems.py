@@ -7,7 +7,7 @@ from functools import cache
 import studies
 
 from bayescal.config import PlacementConfig, load_experiment
-from bayescal.sensor_placement.inputs import PlacementInputs, read_placement
+from bayescal.experiments.sensor_placement.inputs import PlacementInputs, read_placement
 
 FOLDER = studies.EXPERIMENTS / "sliding_star"
 SHIPPED = ("sensors", "m2_hexapod_sensors")

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import audit_problems
-import machines
 import numpy as np
 import studies
+import telescope_machines as machines
 
-from bayescal.audit.design import Knowledge, Plan
 from bayescal.config import load_mechanism
+from bayescal.identifiability.design import Knowledge, Plan
+from bayescal.machines.sensors import PoseSensor
 from bayescal.pose_selection import ActuatorBox, SelectionProblem, WorkspaceBox, random_candidates
 from bayescal.pose_selection.criteria import O1, O2, O3, O4, O5, AOptimality, DOptimality, IOptimality
-from bayescal.sensors import PoseSensor
 
 YU_HALF = np.concatenate([np.full(3, 100.0), np.radians(np.full(3, 10.0))])
 YU_TOLERANCE = 0.5

@@ -11,20 +11,20 @@ from scipy.linalg import null_space
 from scipy.optimize import least_squares
 from scipy.stats import multivariate_normal
 
-from bayescal.config.readings_schema import PlanarPosesConfig, ReadingSensorConfig, ReadingTolerancesConfig
-from bayescal.parameters import ParameterBlock, ParameterLayout
-from bayescal.priors import NormalPrior
-from bayescal.readings import Channel, ReadingModel, Readings, SlidingPlatform
-from bayescal.self_calibration.inputs import (
+from bayescal.density.priors import NormalPrior
+from bayescal.density.readings.likelihood import ReadingLikelihood
+from bayescal.density.readings.poses import SensorSet
+from bayescal.density.readings.posterior import SelfCalibrationPosterior
+from bayescal.experiments.shared.reading_machine import (
     build_sensors,
     draw_poses,
     free_parameters,
     read_sliding_platform,
     workspace_volume,
 )
-from bayescal.self_calibration.likelihood import ReadingLikelihood
-from bayescal.self_calibration.poses import SensorSet
-from bayescal.self_calibration.posterior import SelfCalibrationPosterior
+from bayescal.machines.parameters import ParameterBlock, ParameterLayout
+from bayescal.machines.readings import Channel, ReadingModel, Readings, SlidingPlatform
+from bayescal.machines.readings.schema import PlanarPosesConfig, ReadingSensorConfig, ReadingTolerancesConfig
 
 EXPERIMENT = Path(__file__).parents[1] / "experiments" / "sliding_star"
 TOLERANCES = ReadingTolerancesConfig(length_mm=0.3, angle_deg=0.05, zero_deg=2.0)

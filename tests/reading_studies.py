@@ -10,8 +10,8 @@ import numpy as np
 from reading_machines import EXPERIMENT
 
 from bayescal.config import load_experiment, load_reading_simulation
-from bayescal.reading_study.inputs import ReadingInputs, read_inputs
-from bayescal.reading_study.simulate import simulate_readings
+from bayescal.experiments.self_calibration.inputs import ReadingInputs, read_inputs
+from bayescal.experiments.self_calibration.simulate import simulate_readings
 
 SMALL = {"walkers": 56, "burn_in": 5, "steps": 12, "draws": 1000, "max_draws": 1000}
 SHORT_WORKSPACE = {"n_poses": 20}

@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 import studies
 
-from bayescal.config.readings_schema import (
-    PlanarPosesConfig,
-    ReadingSensorConfig,
-    ReadingTolerancesConfig,
-    SlidingPlatformConfig,
-)
-from bayescal.readings import SlidingPlatform
-from bayescal.self_calibration.inputs import (
+from bayescal.experiments.shared.reading_machine import (
     build_sensors,
     build_sliding_platform,
     draw_poses,
     free_parameters,
     read_sliding_platform,
+)
+from bayescal.machines.readings import SlidingPlatform
+from bayescal.machines.readings.schema import (
+    PlanarPosesConfig,
+    ReadingSensorConfig,
+    ReadingTolerancesConfig,
+    SlidingPlatformConfig,
 )
 
 STAR = studies.EXPERIMENTS / "sliding_star"

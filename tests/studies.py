@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.config import load_experiment, load_simulation
-from bayescal.simulation import build_twin, format_survey, simulate_survey
-from bayescal.study.inputs import StudyInputs, load_inputs
+from bayescal.data.simulation import build_twin, format_survey, simulate_survey
+from bayescal.experiments.study.inputs import StudyInputs, load_inputs
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 TELESCOPE = EXPERIMENTS / "telescope"

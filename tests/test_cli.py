@@ -21,13 +21,13 @@ import studies
 
 from bayescal.config import load_experiment, load_simulation
 from bayescal.config.load import EXPERIMENTS
+from bayescal.data.simulation import build_twin
 from bayescal.errors import NumericalError
+from bayescal.experiments.study import run as run_module
+from bayescal.experiments.study.fit import run_task
+from bayescal.files.csv_tables import read_table
 from bayescal.inference import exploration
-from bayescal.kinematics import solve_forward_kinematics
-from bayescal.simulation import build_twin
-from bayescal.study import run as run_module
-from bayescal.study.fit import run_task
-from bayescal.tables import read_table
+from bayescal.machines.kinematics import solve_forward_kinematics
 
 COMMANDS = ("run", "audit", "simulate", "poses-from-targets", "report", "compare")
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from bayescal.audit.audit import analyse
-from bayescal.audit.inputs import read_inputs
-from bayescal.config import load_audit, load_experiment
+from bayescal.config import load_experiment
 from bayescal.config.load import dump_config
-from bayescal.study.inputs import hash_identity, load_inputs
+from bayescal.experiments.audit import load as load_audit
+from bayescal.experiments.audit.audit import analyse
+from bayescal.experiments.audit.inputs import read_inputs
+from bayescal.experiments.study.inputs import hash_identity, load_inputs
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "telescope"

@@ -1,11 +1,6 @@
 """Configs: what the TOML files may say, read and checked before anything is computed."""
 
-from bayescal.config.audit_schema import AuditConfig
-from bayescal.config.calibration_schema import HexapodCalibrationsConfig
 from bayescal.config.load import load_experiment, load_mechanism, load_reading_simulation, load_simulation
-from bayescal.config.load_audit import load_audit
-from bayescal.config.placement_schema import PlacementConfig
-from bayescal.config.reading_study_schema import ReadingSimulationConfig, SelfCalibrationConfig
 from bayescal.config.schema import (
     MechanismConfig,
     PoseMethodsConfig,
@@ -13,8 +8,13 @@ from bayescal.config.schema import (
     StudyConfig,
     VariantConfig,
 )
-from bayescal.config.selection_schema import SelectionConfig
-from bayescal.config.self_calibrations_schema import SelfCalibrationsConfig
+from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.audit.schema import AuditConfig
+from bayescal.experiments.pose_selection.schema import SelectionConfig
+from bayescal.experiments.self_calibration.schema import ReadingSimulationConfig, SelfCalibrationConfig
+from bayescal.experiments.sensor_placement.schema import PlacementConfig
+from bayescal.reproductions.sika2008.schema import SelfCalibrationsConfig
+from bayescal.reproductions.yu2023.schema import HexapodCalibrationsConfig
 
 __all__ = [
     "AuditConfig",

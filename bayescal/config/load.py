@@ -12,9 +12,6 @@ from typing import Any, get_args
 import numpy as np
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from bayescal.config.calibration_schema import HexapodCalibrationsConfig
-from bayescal.config.placement_schema import PlacementConfig
-from bayescal.config.reading_study_schema import ReadingSimulationConfig, SelfCalibrationConfig
 from bayescal.config.schema import (
     BeamSectionConfig,
     LoadConfig,
@@ -25,12 +22,15 @@ from bayescal.config.schema import (
     SimulationConfig,
     StudyConfig,
 )
-from bayescal.config.selection_schema import SelectionConfig
-from bayescal.config.self_calibrations_schema import SelfCalibrationsConfig
 from bayescal.errors import InputError
-from bayescal.files import read_text
-from bayescal.geometry import Array
-from bayescal.mechanism import BeamSection, ExternalLoad, Flexures, Mechanism, section_of_rod
+from bayescal.experiments.pose_selection.schema import SelectionConfig
+from bayescal.experiments.self_calibration.schema import ReadingSimulationConfig, SelfCalibrationConfig
+from bayescal.experiments.sensor_placement.schema import PlacementConfig
+from bayescal.files.atomic import read_text
+from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mechanism, section_of_rod
+from bayescal.numerics.geometry import Array
+from bayescal.reproductions.sika2008.schema import SelfCalibrationsConfig
+from bayescal.reproductions.yu2023.schema import HexapodCalibrationsConfig
 
 MPA_PER_GPA = 1e3
 UPWARDS = [0.0, 0.0, 1.0]

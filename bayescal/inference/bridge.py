@@ -14,9 +14,9 @@ from arviz_stats.base import array_stats
 from scipy.special import expit, logsumexp
 
 from bayescal.errors import NumericalError
-from bayescal.geometry import Array
 from bayescal.inference.importance import LogDensity, evaluate_in_batches
 from bayescal.inference.proposal import MixtureProposal, proposal_from_draws
+from bayescal.numerics.geometry import Array
 
 BRIDGE_DOF = 1e6
 TOLERANCE = 1e-10

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from arviz_stats.base import array_stats
 
-from bayescal.geometry import Array
 from bayescal.limits import ESS_BULK_LIMIT, ESS_TAIL_LIMIT, RHAT_LIMIT
+from bayescal.numerics.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)

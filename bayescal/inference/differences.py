@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayescal.geometry import Array
 from bayescal.inference.importance import LogDensity, evaluate_in_batches
+from bayescal.numerics.geometry import Array
 
 
 def difference_twice(log_density: LogDensity, centre: Array, factor: Array, step: float) -> tuple[Array, Array]:

@@ -14,9 +14,9 @@ import emcee
 import numpy as np
 
 from bayescal.errors import NumericalError
-from bayescal.geometry import Array
 from bayescal.inference.importance import LogDensity, evaluate_in_batches
 from bayescal.inference.proposal import MixtureProposal
+from bayescal.numerics.geometry import Array
 
 JUMP_SHARE = 0.7
 

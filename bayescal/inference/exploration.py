@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.errors import NumericalError
-from bayescal.geometry import Array
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import Mode, find_modes
@@ -20,6 +19,7 @@ from bayescal.inference.peaks import Peak, bend_at, curve_at, proposal_from_peak
 from bayescal.inference.proposal import MixtureProposal, proposal_from_draws
 from bayescal.inference.straightening import Straightening, straighten
 from bayescal.inference.target import Target
+from bayescal.numerics.geometry import Array
 
 DOF = 50.0
 GOOD_ENOUGH = 0.5  # no sharper peak is tried

@@ -10,8 +10,8 @@ from arviz_stats.base import array_stats
 from scipy.special import logsumexp
 
 from bayescal.errors import NumericalError
-from bayescal.geometry import Array
 from bayescal.inference.proposal import MixtureProposal
+from bayescal.numerics.geometry import Array
 
 type LogDensity = Callable[[Array], Array]
 

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.optimize import OptimizeResult, minimize
 
 from bayescal.errors import NumericalError
-from bayescal.geometry import Array
 from bayescal.inference.differences import difference_twice
 from bayescal.inference.target import Target
 from bayescal.limits import FAR_AWAY
+from bayescal.numerics.geometry import Array
 
 GRADIENT_TOLERANCE = 1e-3  # per prior sd: a Newton step would gain below 1e-6
 DECREMENT_TOLERANCE = 1e-4

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from bayescal.geometry import Array
 from bayescal.inference.differences import difference_twice
 from bayescal.inference.importance import LogDensity
 from bayescal.inference.proposal import MixtureProposal
 from bayescal.inference.straightening import QUANTILES, Bend, Curve, Straightening, bend_from_quantiles
+from bayescal.numerics.geometry import Array
 
 STEP = 1.0  # posterior sds
 MAX_STEPS = 3

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import gammaln, logsumexp
 
-from bayescal.geometry import Array
+from bayescal.numerics.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)

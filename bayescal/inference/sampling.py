@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.geometry import Array
 from bayescal.inference.diagnostics import Diagnostics, diagnose
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import Exploration, count_walkers
+from bayescal.numerics.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,9 +18,9 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.special import ndtri
 
-from bayescal.geometry import Array
 from bayescal.inference.mode import Mode
 from bayescal.inference.target import Target
+from bayescal.numerics.geometry import Array
 
 QUANTILES = (0.05, 0.5, 0.95)
 TAIL = float(ndtri(QUANTILES[-1]))

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from bayescal.geometry import Array
+from bayescal.numerics.geometry import Array
 
 
 class Target(Protocol):

@@ -15,9 +15,9 @@ from itertools import product
 import numpy as np
 from scipy.stats import qmc
 
-from bayescal.audit.sensitivity import Sensitivity
 from bayescal.errors import InputError
-from bayescal.geometry import Array
+from bayescal.identifiability.sensitivity import Sensitivity
+from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.domain import PlacedPoses, PoseDomain, describe_move
 
 DIGITS = 9  # of shares of the box: poses that agree so far are the same

@@ -13,17 +13,17 @@ from functools import cached_property
 
 import numpy as np
 
-from bayescal.audit.design import Knowledge
-from bayescal.audit.sensitivity import Sensitivity, linearise_at
-from bayescal.audit.workspace import AXES, SLACK
 from bayescal.errors import InputError
-from bayescal.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
-from bayescal.kinematics import (
+from bayescal.identifiability.design import Knowledge
+from bayescal.identifiability.pose_volume import AXES, SLACK
+from bayescal.identifiability.sensitivity import Sensitivity, linearise_at
+from bayescal.machines.kinematics import (
     ForwardKinematics,
     check_home_pose,
     solve_forward_kinematics,
     solve_inverse_kinematics,
 )
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayescal.errors import NumericalError
-from bayescal.geometry import Array
+from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.domain import PlacedPoses
 from bayescal.pose_selection.problem import SelectionProblem
 

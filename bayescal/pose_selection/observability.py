@@ -21,8 +21,8 @@ from typing import Literal
 
 import numpy as np
 
-from bayescal.audit.sensitivity import Sensitivity
-from bayescal.geometry import Array
+from bayescal.identifiability.sensitivity import Sensitivity
+from bayescal.numerics.geometry import Array
 
 type JacobianForm = Literal["pose", "angles", "closure"]
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.geometry import Array
+from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.candidates import Candidates
 from bayescal.pose_selection.criteria import Criterion, Scorer
 from bayescal.pose_selection.domain import PlacedPoses

@@ -16,7 +16,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from bayescal.report.blocks import FigureBlock
-from bayescal.report.figures.style import RC
+from bayescal.report.style import RC
 from bayescal.report.symbols import split_symbol
 
 DPI = 120

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
+from bayescal.experiments.study.page.results import is_model_error, split_name
 from bayescal.report.numbers import MICROMETRES, PER_MILLE
-from bayescal.report.results import is_model_error, split_name
 
 GREEK = {
     **{"alpha": "α", "beta": "β", "eta": "η", "kappa": "κ", "xi": "ξ"},

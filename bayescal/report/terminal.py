@@ -10,10 +10,10 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from bayescal.report.audit.results import AuditResults
-from bayescal.report.audit.tables import name_verdict
-from bayescal.report.audit.verdict import list_failures, state_headline, state_verdict
-from bayescal.report.audit.words import (
+from bayescal.experiments.audit.page.results import AuditResults
+from bayescal.experiments.audit.page.tables import name_verdict
+from bayescal.experiments.audit.page.verdict import list_failures, state_headline, state_verdict
+from bayescal.experiments.audit.page.wording import (
     format_contraction,
     format_probability,
     format_range,

@@ -19,9 +19,9 @@ from bayescal.config import (
     load_simulation,
 )
 from bayescal.config.load import EXPERIMENTS
-from bayescal.config.load_readings import load_sliding_platform
 from bayescal.errors import InputError
-from bayescal.mechanism import ExternalLoad
+from bayescal.experiments.shared.load_readings import load_sliding_platform
+from bayescal.machines.mechanism import ExternalLoad
 
 LOADERS = {
     "study": load_experiment,

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import machines
 import numpy as np
 import pytest
+import telescope_machines as machines
 
+from bayescal.density.posterior import ModelError
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import count_walkers, explore
 from bayescal.inference.importance import estimate_by_importance
-from bayescal.posterior import ModelError
 
 SEED, NAMES = 1, ("none", "linear", "matrix")
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import machines
 import numpy as np
 import pytest
+import telescope_machines as machines
 
+from bayescal.density.posterior import ModelError
 from bayescal.errors import NumericalError
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import find_mode, find_modes
 from bayescal.inference.peaks import Peak, proposal_from_peaks
-from bayescal.posterior import ModelError
 
 VARIANTS = [(name, error) for name in ("none", "linear", "matrix") for error in (ModelError(0.01), ModelError(None))]
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import machines
 import numpy as np
 import pytest
+import telescope_machines as machines
 from scipy.stats import multivariate_normal, skewnorm
 
+from bayescal.density.posterior import ModelError
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import explore
 from bayescal.inference.mode import find_modes
 from bayescal.inference.peaks import Peak, bend_at, curve_at, proposal_from_peaks, refine_peak
 from bayescal.inference.straightening import straighten
-from bayescal.posterior import ModelError
 
 
 def random_gaussian(rng, n):

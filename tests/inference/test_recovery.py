@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import machines
 import numpy as np
 import pytest
+import telescope_machines as machines
 from scipy import stats
 
+from bayescal.density.posterior import ModelError
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import evaluate_in_batches
-from bayescal.posterior import ModelError
 
 pytestmark = pytest.mark.slow
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import machines
 import numpy as np
 import pytest
+import telescope_machines as machines
 from scipy import stats
 
+from bayescal.density.posterior import ModelError
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.mode import find_modes
 from bayescal.inference.peaks import Peak, proposal_from_peaks
 from bayescal.inference.straightening import Bend, fit_bend, fit_curve, straighten
-from bayescal.posterior import ModelError
 
 
 def as_peak(mode):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import audit_problems
-import machines
 import numpy as np
 import pose_problems
 import pytest
+import telescope_machines as machines
 
 from bayescal.errors import InputError
 from bayescal.pose_selection import (

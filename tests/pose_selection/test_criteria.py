@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import machines
 import numpy as np
 import pose_problems
 import pytest
+import telescope_machines as machines
 from scipy.spatial.transform import Rotation
 
-from bayescal.audit.sensitivity import compute_sensitivity
+from bayescal.identifiability.sensitivity import compute_sensitivity
 from bayescal.pose_selection import (
     SelectionProblem,
     compute_observability,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from itertools import combinations
 
-import machines
 import numpy as np
 import pose_problems
 import pytest
+import telescope_machines as machines
 
 from bayescal.errors import InputError
 from bayescal.pose_selection import (

@@ -9,11 +9,11 @@ import h5py
 import numpy as np
 import pandas as pd
 
+from bayescal.experiments.study.page.context import build_context
+from bayescal.experiments.study.page.illustrations import list_illustrations
+from bayescal.experiments.study.page.results import read_results
+from bayescal.experiments.study.page.write import render_page
 from bayescal.report.blocks import FigureBlock
-from bayescal.report.context import build_context
-from bayescal.report.illustrations import list_illustrations
-from bayescal.report.results import read_results
-from bayescal.report.write import render_page
 
 TWO = {"pus/none": (100.0, 2.0), "pus/linear": (120.0, 1.0)}  # log-evidence and how far the parameters moved
 TWELVE = {

@@ -15,19 +15,19 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from test_write import Reader
 
 from bayescal.errors import InputError
-from bayescal.report.audit.figures.profiles import span_profile
-from bayescal.report.audit.illustrations import list_illustrations
-from bayescal.report.audit.results import AuditResults, read_audit
-from bayescal.report.audit.ridges import build_ridges
-from bayescal.report.audit.tables import (
+from bayescal.experiments.audit.page.figures.profiles import span_profile
+from bayescal.experiments.audit.page.illustrations import list_illustrations
+from bayescal.experiments.audit.page.results import AuditResults, read_audit
+from bayescal.experiments.audit.page.ridges import build_ridges
+from bayescal.experiments.audit.page.tables import (
     tabulate_changes,
     tabulate_requirements,
     tabulate_ridge_help,
     tabulate_simulated,
     tabulate_symbols,
 )
-from bayescal.report.audit.verdict import list_failures, rank_help, state_headline, state_verdict
-from bayescal.report.audit.words import (
+from bayescal.experiments.audit.page.verdict import list_failures, rank_help, state_headline, state_verdict
+from bayescal.experiments.audit.page.wording import (
     format_contraction,
     format_fixed_span,
     format_probability,
@@ -35,7 +35,7 @@ from bayescal.report.audit.words import (
     list_names,
     make_prose,
 )
-from bayescal.report.audit.write import write_audit_report
+from bayescal.experiments.audit.page.write import write_audit_report
 from bayescal.report.page import render_png
 from bayescal.report.terminal import print_audit
 

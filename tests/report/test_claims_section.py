@@ -7,9 +7,9 @@ import pytest
 from made_up_results import edit_table, render_text
 
 from bayescal.errors import InputError
-from bayescal.report.claims import list_counts, state_claims, tabulate_claims
-from bayescal.report.results import read_results
-from bayescal.report.verdict import state_verdict
+from bayescal.experiments.study.page.claims import list_counts, state_claims, tabulate_claims
+from bayescal.experiments.study.page.results import read_results
+from bayescal.experiments.study.page.verdict import state_verdict
 
 
 def test_claims_are_counted_apart_from_own_findings(make_results):

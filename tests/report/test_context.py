@@ -9,11 +9,11 @@ import pytest
 from made_up_results import edit_table
 
 from bayescal.errors import InputError
-from bayescal.report.context import build_context
+from bayescal.experiments.study.page.context import build_context
+from bayescal.experiments.study.page.parameter_tables import choose_leg, rank_pairs
+from bayescal.experiments.study.page.published import compare_published
+from bayescal.experiments.study.page.results import read_results
 from bayescal.report.numbers import format_estimate, format_fixed, format_odds, format_significant
-from bayescal.report.parameter_tables import choose_leg, rank_pairs
-from bayescal.report.published import compare_published
-from bayescal.report.results import read_results
 
 
 def state(folder) -> str:

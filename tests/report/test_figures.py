@@ -12,12 +12,12 @@ from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 
-from bayescal.report.figures.flexure import choose_flexure, draw_flexure
-from bayescal.report.figures.joints import find_magnification, locate_joints, measure_moves
-from bayescal.report.figures.style import DEFORMATION_COLOURS, RC, assign_styles, list_keys
-from bayescal.report.illustrations import list_illustrations
+from bayescal.experiments.study.page.figures.flexure import choose_flexure, draw_flexure
+from bayescal.experiments.study.page.figures.joints import find_magnification, locate_joints, measure_moves
+from bayescal.experiments.study.page.illustrations import list_illustrations
+from bayescal.experiments.study.page.results import read_results
 from bayescal.report.page import render_png
-from bayescal.report.results import read_results
+from bayescal.report.style import DEFORMATION_COLOURS, RC, assign_styles, list_keys
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,9 @@ import json
 import pytest
 from made_up_results import TWELVE, edit_table
 
-from bayescal.report.parameter_tables import fold_parameters, state_agreement, tabulate_parameters
-from bayescal.report.published import list_remarks, name_table, tabulate_published
-from bayescal.report.results import read_results
+from bayescal.experiments.study.page.parameter_tables import fold_parameters, state_agreement, tabulate_parameters
+from bayescal.experiments.study.page.published import list_remarks, name_table, tabulate_published
+from bayescal.experiments.study.page.results import read_results
 
 
 def set_published(folder, variant, symbol, values) -> None:

@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 from made_up_results import render_text, write_draws
 
-from bayescal.report.figures.joints import _group_by_azimuth
-from bayescal.report.illustrations import list_illustrations
-from bayescal.report.notation import list_symbols, name_sources
-from bayescal.report.parameter_tables import state_ridges
-from bayescal.report.results import Results, read_results
+from bayescal.experiments.study.page.figures.joints import _group_by_azimuth
+from bayescal.experiments.study.page.illustrations import list_illustrations
+from bayescal.experiments.study.page.notation import list_symbols, name_sources
+from bayescal.experiments.study.page.parameter_tables import state_ridges
+from bayescal.experiments.study.page.results import Results, read_results
 
 HEXAPOD = {"six_ups/none": (120.0, 1.0), "six_ups/linear": (118.0, 1.0)}
 TELESCOPE = {"six_pus/none": (120.0, 1.0), "six_pus/linear": (118.0, 1.0)}

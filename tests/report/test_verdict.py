@@ -5,11 +5,17 @@ from __future__ import annotations
 import pytest
 from made_up_results import TWELVE, edit_table
 
-from bayescal.report.checks import title_failures
-from bayescal.report.results import read_results
-from bayescal.report.sections import tabulate_effects, tabulate_ranking
-from bayescal.report.variants import choose_model, find_leaders, group_variants, label_variant, name_variants
-from bayescal.report.verdict import state_headline, state_verdict
+from bayescal.experiments.study.page.checks import title_failures
+from bayescal.experiments.study.page.results import read_results
+from bayescal.experiments.study.page.sections import tabulate_effects, tabulate_ranking
+from bayescal.experiments.study.page.variants import (
+    choose_model,
+    find_leaders,
+    group_variants,
+    label_variant,
+    name_variants,
+)
+from bayescal.experiments.study.page.verdict import state_headline, state_verdict
 
 
 def find_statement(results, lead: str, words: str = "") -> str:

@@ -11,10 +11,10 @@ import pytest
 from made_up_results import TWELVE, render_text
 
 from bayescal.errors import InputError
-from bayescal.report import write
-from bayescal.report.context import format_config
+from bayescal.experiments.study.page import write
+from bayescal.experiments.study.page.context import format_config
+from bayescal.experiments.study.page.write import write_report
 from bayescal.report.page import set_prose, set_symbol
-from bayescal.report.write import write_report
 
 VOID = {"meta", "img", "link", "br", "hr", "input"}
 

@@ -14,10 +14,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from bayescal.audit.design import Knowledge
-from bayescal.audit.sensitivity import Sensitivity
 from bayescal.errors import InputError
-from bayescal.geometry import Array
+from bayescal.identifiability.design import Knowledge
+from bayescal.identifiability.sensitivity import Sensitivity
+from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.observability import JacobianForm, identification_rows
 
 RANK_TOLERANCE = 1e-11

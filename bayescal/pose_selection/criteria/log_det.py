@@ -8,9 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from bayescal.audit.design import Knowledge, Plan
-from bayescal.audit.sensitivity import Sensitivity
-from bayescal.geometry import Array
+from bayescal.identifiability.design import Knowledge, Plan
+from bayescal.identifiability.sensitivity import Sensitivity
+from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.criteria.base import Criterion, ObservabilityCriterion, Scorer
 from bayescal.pose_selection.criteria.updates import UpdateScorer
 from bayescal.pose_selection.observability import singular_values

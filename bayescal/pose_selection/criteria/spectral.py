@@ -17,7 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bayescal.geometry import Array
+from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.criteria.base import ObservabilityCriterion, Scorer, check_rank
 from bayescal.pose_selection.observability import INDICES, singular_values
 

@@ -9,10 +9,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from bayescal.audit.design import Knowledge, Plan
-from bayescal.audit.sensitivity import Sensitivity
 from bayescal.errors import InputError
-from bayescal.geometry import Array
+from bayescal.identifiability.design import Knowledge, Plan
+from bayescal.identifiability.sensitivity import Sensitivity
+from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.criteria.base import Criterion, Scorer
 from bayescal.pose_selection.criteria.updates import UpdateScorer, solve_last
 

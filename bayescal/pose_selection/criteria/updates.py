@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from bayescal.geometry import Array
+from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.criteria.base import Criterion, Scorer, whiten
 
 REFRESH = 20

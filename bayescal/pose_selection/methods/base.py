@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.geometry import Array
+from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.criteria import Scorer
 from bayescal.pose_selection.domain import PlacedPoses
 from bayescal.pose_selection.problem import SelectionProblem

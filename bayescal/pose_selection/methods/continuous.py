@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import OptimizeResult, minimize
 
 from bayescal.errors import NumericalError
-from bayescal.geometry import Array
+from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.domain import PoseDomain
 from bayescal.pose_selection.methods.base import Selection, SelectionMethod
 from bayescal.pose_selection.methods.exchange import Exchange

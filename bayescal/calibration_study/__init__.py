@@ -1,1 +1,0 @@
-"""Many simulated calibrations of a hexapod: what measurement poses and weighting make of the calibrated machine."""

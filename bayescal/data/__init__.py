@@ -1,0 +1,1 @@
+"""Measurements: poses, photogrammetry and their simulation."""

@@ -1,0 +1,178 @@
+"""A photogrammetry survey as files hold it: targets on two bodies at many poses, and the actuators' positions.
+
+Three CSV tables: the targets as measured, pose by pose, each pose in a measurement frame of its own; the actuator
+positions; and where each target sits on its body.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.errors import InputError
+from bayescal.files.csv_tables import Table, read_table
+from bayescal.numerics.geometry import Array
+
+TARGET_COLUMNS = ("pose", "body", "target", "x_mm", "y_mm", "z_mm")
+REFERENCE_COLUMNS = ("body", "target", "leg", "x_mm", "y_mm", "z_mm")
+COORDINATES = ("x_mm", "y_mm", "z_mm")
+BODIES = ("base", "platform")
+USES = ("calibration", "verification")
+MIN_TARGETS = 3
+COLLINEAR = 1e-3  # largest ratio of the second to the first extent of targets that count as a line
+
+
+@dataclass(frozen=True, eq=False)
+class BodyTargets:
+    """Targets of one body.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The n targets.
+    leg : ndarray of int, shape (n,)
+        Leg whose pad carries the target, counted from one; zero on the rigid part of the body.
+    reference : ndarray, shape (n, 3)
+        Where the targets sit on the undeformed body, body frame, mm.
+    measured : ndarray, shape (P, n, 3)
+        Measured coordinates, measurement frame of each pose, mm; NaN where a target was not seen.
+    """
+
+    names: tuple[str, ...]
+    leg: np.ndarray
+    reference: Array
+    measured: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """Targets and actuator positions of all poses.
+
+    Attributes
+    ----------
+    poses : tuple of str
+        Names of the P poses, in the order of the actuator table.
+    verification : ndarray of bool, shape (P,)
+        Which poses are kept for verification.
+    actuators : ndarray, shape (P, N)
+        Actuator positions, mm.
+    base, platform : BodyTargets
+    """
+
+    poses: tuple[str, ...]
+    verification: np.ndarray
+    actuators: Array
+    base: BodyTargets
+    platform: BodyTargets
+
+
+def read_survey(targets: Path, actuators: Path, reference: Path, n_legs: int) -> Survey:
+    """Read and check a survey.
+
+    Raises
+    ------
+    InputError
+        For unknown columns, numbers that are none or not finite, duplicate or missing poses and targets, targets
+        without a reference, fewer than three or collinear rigid targets on a body, legs that do not exist.
+    """
+    actuator_columns = ("pose", "use", *(f"rho_{leg}_mm" for leg in range(1, n_legs + 1)))
+    table = read_table(actuators, actuator_columns)
+    poses, uses = table.text("pose"), table.text("use")
+    _check_unique(table, [(pose,) for pose in poses], "pose")
+    for row, use in enumerate(uses):
+        if use not in USES:
+            raise InputError(f"{table.where(row)}: use: found {use!r}, expected one of {', '.join(USES)}")
+    positions = table.numbers(actuator_columns[2:])
+    known = _read_reference(reference, n_legs)
+    measured = _read_targets(read_table(targets, TARGET_COLUMNS), poses, known, actuators, reference)
+    bodies = {}
+    for body in BODIES:
+        names, legs, points = known[body]
+        bodies[body] = BodyTargets(tuple(names), legs, points, measured[body])
+        _check_seen(bodies[body], body, poses, targets)
+    verification = np.array([use == "verification" for use in uses])
+    if verification.all():
+        raise InputError(f"{actuators}: found no calibration pose, expected at least one")
+    return Survey(tuple(poses), verification, positions, bodies["base"], bodies["platform"])
+
+
+def _check_unique(table: Table, keys: list[tuple[str, ...]], what: str) -> None:
+    seen: dict[tuple[str, ...], int] = {}
+    for row, key in enumerate(keys):
+        if key in seen:
+            first = table.lines[seen[key]]
+            name = "/".join(key)
+            raise InputError(f"{table.where(row)}: {what} {name!r} stands already on line {first}, expected once")
+        seen[key] = row
+
+
+def _read_reference(path: Path, n_legs: int) -> dict[str, tuple[list[str], np.ndarray, Array]]:
+    table = read_table(path, REFERENCE_COLUMNS)
+    bodies, names = table.text("body"), table.text("target")
+    _check_unique(table, list(zip(bodies, names, strict=True)), "target")
+    legs, points = table.numbers(["leg"])[:, 0], table.numbers(COORDINATES)
+    for row, (body, leg) in enumerate(zip(bodies, legs, strict=True)):
+        if body not in BODIES:
+            raise InputError(f"{table.where(row)}: body: found {body!r}, expected one of {', '.join(BODIES)}")
+        if leg not in range(n_legs + 1) or (leg and body == "base"):
+            allowed = f"0 to {n_legs}" if body == "platform" else "0 on the base"
+            raise InputError(f"{table.where(row)}: leg: found {leg:g}, expected {allowed}")
+    result = {}
+    for body in BODIES:
+        chosen = np.array([b == body for b in bodies])
+        rigid = points[chosen & (legs == 0)]
+        if len(rigid) < MIN_TARGETS:
+            found = f"{len(rigid)} rigid targets on the {body}"
+            raise InputError(f"{path}: found {found}, expected at least {MIN_TARGETS}")
+        if _is_collinear(rigid):
+            raise InputError(f"{path}: the rigid targets of the {body} lie on a line, expected them spread out")
+        result[body] = ([n for n, c in zip(names, chosen, strict=True) if c], legs[chosen].astype(int), points[chosen])
+    return result
+
+
+def _read_targets(
+    table: Table,
+    poses: list[str],
+    known: dict[str, tuple[list[str], np.ndarray, Array]],
+    actuators: Path,
+    reference: Path,
+) -> dict[str, Array]:
+    columns = [table.text(column) for column in ("pose", "body", "target")]
+    _check_unique(table, list(zip(*columns, strict=True)), "pose/body/target")
+    points = table.numbers(COORDINATES)
+    pose_index = {pose: k for k, pose in enumerate(poses)}
+    target_index = {body: {name: k for k, name in enumerate(known[body][0])} for body in BODIES}
+    measured = {body: np.full((len(poses), len(known[body][0]), 3), np.nan) for body in BODIES}
+    for row, (pose, body, target) in enumerate(zip(*columns, strict=True)):
+        if pose not in pose_index:
+            raise InputError(f"{table.where(row)}: pose {pose!r} is not in {actuators}, expected it there")
+        if body not in BODIES:
+            raise InputError(f"{table.where(row)}: body: found {body!r}, expected one of {', '.join(BODIES)}")
+        if target not in target_index[body]:
+            raise InputError(f"{table.where(row)}: {body} target {target!r} is not in {reference}, expected it there")
+        measured[body][pose_index[pose], target_index[body][target]] = points[row]
+    found = set(columns[0])
+    for pose in poses:
+        if pose not in found:
+            raise InputError(f"{table.path}: found no targets of pose {pose!r}, which {actuators} lists")
+    return measured
+
+
+def _check_seen(body: BodyTargets, name: str, poses: list[str], path: Path) -> None:
+    rigid = body.leg == 0
+    seen = np.isfinite(body.measured[..., 0]) & rigid
+    for pose, visible in zip(poses, seen, strict=True):
+        if visible.sum() < MIN_TARGETS:
+            found = f"{visible.sum()} rigid targets on the {name}"
+            raise InputError(f"{path}: pose {pose!r}: found {found}, expected at least {MIN_TARGETS}")
+        if _is_collinear(body.reference[visible]):
+            raise InputError(
+                f"{path}: pose {pose!r}: the {name}'s seen targets lie on a line, expected them spread out"
+            )
+
+
+def _is_collinear(points: Array) -> bool:
+    extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(extent[1] <= COLLINEAR * extent[0])

@@ -1,0 +1,209 @@
+"""Simulated photogrammetry: a twin of a machine whose true parameters are known.
+
+The twin of the telescope is reconstructed from RR-8096's tables: nobody measured it. Its true kinematics is that of a
+model with offsets from nominal and a deformation matrix K; the targets on the leg pads follow K alone. An offset of κ
+acts in the kinematics only: by eqs. (39) and (40) it is an error of the actuator's gain, which poses cannot tell from a
+deformation and which leaves the ring as it is. So targets give back K, and a calibration K plus the offset.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.config.load import load_mechanism, look_up
+from bayescal.config.schema import SimulationConfig, TargetRingConfig
+from bayescal.data.photogrammetry.survey import BODIES, REFERENCE_COLUMNS, TARGET_COLUMNS, BodyTargets, Survey
+from bayescal.errors import InputError
+from bayescal.files.csv_tables import format_table, read_matrix
+from bayescal.machines.deformations import MatrixDeformation
+from bayescal.machines.kinematics import Machine, build_machine, check_home_pose, solve_forward_kinematics
+from bayescal.machines.mechanism import Mechanism
+from bayescal.machines.models import MODELS
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
+
+MICROMETRE = 1e-3
+DECIMALS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Twin:
+    """The machine behind simulated data.
+
+    Attributes
+    ----------
+    machine : Machine
+        Mechanism, model and matrix deformation.
+    theta : ndarray, shape (D,)
+        True parameters.
+    config : SimulationConfig
+    calibration, verification : ndarray, shapes (P, N)
+        Displacements of the actuators from their initial positions, mm.
+    """
+
+    machine: Machine
+    theta: Array
+    config: SimulationConfig
+    calibration: Array
+    verification: Array
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The nominal geometry."""
+        return self.machine.mechanism
+
+
+def build_twin(config: SimulationConfig, folder: Path) -> Twin:
+    """Return the twin that a config describes; its files are relative to ``folder``.
+
+    Raises
+    ------
+    InputError
+        For unknown models or parameters, lists without one entry per leg, or tables of another width.
+    """
+    mechanism = load_mechanism(folder / config.mechanism)
+    n_legs = mechanism.n_legs
+    name = config.truth.deformation_matrix
+    matrix = np.zeros((n_legs, n_legs)) if name is None else 1e-3 * read_matrix(folder / name, n_legs)
+    model = look_up(MODELS, config.model, "model", folder)
+    machine = build_machine(model, mechanism, MatrixDeformation(matrix))
+    check_home_pose(machine)
+    theta = machine.layout.nominal.copy()
+    for symbol, offset in config.truth.offsets.items():
+        index = look_up(machine.layout.index, symbol, "truth.offsets", folder)
+        values = np.atleast_1d(np.array(offset, dtype=np.float64))
+        if len(values) not in (1, len(index)):
+            raise InputError(f"truth.offsets.{symbol}: found {len(values)} values, expected 1 or {len(index)}")
+        theta[index] += values
+    calibration, verification = (
+        config.poses.unit_mm * read_matrix(folder / name, n_legs)
+        for name in (config.poses.calibration, config.poses.verification)
+    )
+    return Twin(machine, theta, config, calibration, verification)
+
+
+def simulate_survey(twin: Twin, rng: np.random.Generator, theta: Array | None = None) -> Survey:
+    """Return one survey of the twin, with noise of its own.
+
+    Parameters
+    ----------
+    twin : Twin
+        The machine and the plan of measurement.
+    rng : Generator
+        Source of all noise and of the measurement frames.
+    theta : ndarray, shape (D,), optional
+        Other true parameters than the twin's.
+    """
+    theta = twin.theta if theta is None else theta
+    noise, mechanism = twin.config.noise, twin.mechanism
+    displacement = np.concatenate([twin.calibration, twin.verification])
+    commanded = mechanism.initial_actuator_positions + displacement
+    actual = commanded + rng.normal(0.0, noise.actuator_um * MICROMETRE, commanded.shape)
+    pose = solve_forward_kinematics(twin.machine, theta, actual)
+    base, platform = make_targets(twin.config, mechanism)
+    deflection = (actual - mechanism.initial_actuator_positions) @ _ring_matrix(twin).T
+    moved = np.broadcast_to(platform.reference, (len(actual), *platform.reference.shape)).copy()
+    pads = platform.leg > 0
+    moved[:, pads, 2] += deflection[:, platform.leg[pads] - 1]
+    on_platform = pose.position[:, None] + moved @ np.swapaxes(pose.rotation, -1, -2)
+    on_base = np.broadcast_to(base.reference, (len(actual), *base.reference.shape))
+    frame = twin.config.measurement_frame
+    angle = np.radians(frame.angle_deg) * rng.uniform(-1, 1, (len(actual), 3)) / np.sqrt(3)
+    rotation, origin = matrix_from_rotation_vector(angle), frame.distance_mm * rng.uniform(-1, 1, (len(actual), 3))
+    measured = []
+    for points in (on_base, on_platform):
+        seen = origin[:, None] + points @ np.swapaxes(rotation, -1, -2)
+        measured.append(seen + rng.normal(0.0, noise.target_um * MICROMETRE, seen.shape))
+    n_calibration = len(twin.calibration)
+    names = [f"C{k:02d}" for k in range(1, n_calibration + 1)]
+    names += [f"V{k:02d}" for k in range(1, len(twin.verification) + 1)]
+    return Survey(
+        tuple(names),
+        np.arange(len(names)) >= n_calibration,
+        commanded,
+        BodyTargets(base.names, base.leg, base.reference, measured[0]),
+        BodyTargets(platform.names, platform.leg, platform.reference, measured[1]),
+    )
+
+
+def _ring_matrix(twin: Twin) -> Array:
+    """Return K, which the pads follow; offsets of κ are not in it."""
+    deformation = twin.machine.deformation
+    assert isinstance(deformation, MatrixDeformation)
+    return deformation.matrix
+
+
+def make_targets(config: SimulationConfig, mechanism: Mechanism) -> tuple[BodyTargets, BodyTargets]:
+    """Return the targets of base and platform in their body frames, not yet measured."""
+    nothing = np.empty((0, 0, 3))
+    base = make_rings(config.targets.base)
+    rigid = make_rings(config.targets.platform)
+    pads = []
+    for joint in mechanism.platform_points:
+        azimuth = 2 * np.pi * np.arange(config.targets.per_pad) / config.targets.per_pad
+        circle = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=1)
+        pads.append(joint + (config.targets.pad_radius_mm or 0.0) * circle)
+    reference = np.round(np.concatenate([rigid, *pads]), DECIMALS)
+    leg = np.concatenate(
+        [np.zeros(len(rigid), int), np.repeat(np.arange(1, mechanism.n_legs + 1), config.targets.per_pad)]
+    )
+    names = [f"P{k:02d}" for k in range(1, len(rigid) + 1)]
+    names += [f"L{i}{k}" for i in range(1, mechanism.n_legs + 1) for k in range(1, config.targets.per_pad + 1)]
+    return (
+        BodyTargets(tuple(f"B{k:02d}" for k in range(1, len(base) + 1)), np.zeros(len(base), int), base, nothing),
+        BodyTargets(tuple(names), leg, reference, nothing),
+    )
+
+
+def make_rings(rings: list[TargetRingConfig]) -> Array:
+    """Return the targets of rings, shape (n, 3), mm, body frame."""
+    points = []
+    for ring in rings:
+        azimuth = np.radians(ring.azimuth_deg) + 2 * np.pi * np.arange(ring.count) / ring.count
+        height = np.full(ring.count, ring.height_mm)
+        points.append(np.stack([ring.radius_mm * np.cos(azimuth), ring.radius_mm * np.sin(azimuth), height], axis=1))
+    return np.round(np.concatenate(points), DECIMALS)
+
+
+def format_survey(survey: Survey, origin: str) -> dict[str, str]:
+    """Return the texts of the three CSV files of a survey, by file name; units in every header."""
+    bodies = dict(zip(BODIES, (survey.base, survey.platform), strict=True))
+    rows = [
+        (pose, body, name, *(f"{x:.{DECIMALS}f}" for x in targets.measured[p, k]))
+        for p, pose in enumerate(survey.poses)
+        for body, targets in bodies.items()
+        for k, name in enumerate(targets.names)
+        if np.isfinite(targets.measured[p, k, 0])
+    ]
+    reference = [
+        (body, name, targets.leg[k], *(f"{x:.{DECIMALS}f}" for x in targets.reference[k]))
+        for body, targets in bodies.items()
+        for k, name in enumerate(targets.names)
+    ]
+    actuators = [
+        (pose, "verification" if held else "calibration", *(f"{x:.{DECIMALS}f}" for x in position))
+        for pose, held, position in zip(survey.poses, survey.verification, survey.actuators, strict=True)
+    ]
+    columns = ("pose", "use", *(f"rho_{leg}_mm" for leg in range(1, survey.actuators.shape[1] + 1)))
+    return {
+        "targets.csv": format_table(
+            [origin, "Targets in the measurement frame, which differs from pose to pose; coordinates in mm."],
+            TARGET_COLUMNS,
+            rows,
+        ),
+        "actuators.csv": format_table(
+            [
+                origin,
+                "Actuator positions rho in mm; displacements are counted from the initial positions of the mechanism.",
+            ],
+            columns,
+            actuators,
+        ),
+        "target_reference.csv": format_table(
+            [origin, "Targets on their bodies, body frames, in mm; leg 0: rigid part, leg i: pad of leg i's joint."],
+            REFERENCE_COLUMNS,
+            reference,
+        ),
+    }

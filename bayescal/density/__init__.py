@@ -1,0 +1,1 @@
+"""Densities of measurements and parameters: priors, likelihoods, posteriors, predictions."""

@@ -1,0 +1,232 @@
+"""The density of the measured poses, given a machine: every model and deformation is a density of the same data.
+
+The measured pose differs from the pose the machine predicts for its actuator positions by e_n ~ N(0, C_n) with
+
+    C_n = Σ_n + J_n diag(σ_ρ² + τ_i² + v_ni) J_nᵀ,
+
+Σ_n the covariance of the measured pose, J_n the pose per actuator position, σ_ρ the actuator noise, τ_i the model
+error of leg i and v_ni what is known to be uncertain in the deformation. J_n is taken once, at the nominal machine, so
+that C_n does not depend on the geometry and the density is normalised as it stands.
+
+e_n is the forward-kinematic error, found without forward kinematics: the closure residual f at the measured pose
+vanishes at the predicted one, A(θ) e = f, and A changes so little that with G the inverse of the nominal A the
+iteration e ← G (f - (A(θ) - A⁰) e) gains two digits a step. Carried along is r = A⁰ e, the same error seen by the
+legs, in which the model error is diagonal; with more than six legs r has N entries and holds the closure of the
+redundant legs too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.errors import InputError
+from bayescal.machines.kinematics import Machine, solve_forward_kinematics
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
+from bayescal.numerics.scratch import Workspace
+
+REFINEMENTS = 2
+ROUNDING = 1e-10
+BATCH = 256  # vectors at a time: what the hot loop touches stays in the cache
+
+
+def batches(size: int) -> list[slice]:
+    """Return slices of at most `BATCH` out of ``size``."""
+    return [slice(k, min(k + BATCH, size)) for k in range(0, size, BATCH)]
+
+
+class PoseLikelihood:
+    """Log-density of measured poses for batches of machines and of model errors.
+
+    Parameters
+    ----------
+    machine : Machine
+        Mechanism, model and deformation.
+    poses : MeasuredPoses
+        The data.
+    actuator_noise : float
+        σ_ρ, mm.
+    actuator_variance : ndarray, shape (P, N), optional
+        v_ni, known extra variance of each leg, mm².
+    """
+
+    def __init__(
+        self, machine: Machine, poses: MeasuredPoses, actuator_noise: float, actuator_variance: Array | None = None
+    ) -> None:
+        self.machine, self.poses = machine, poses
+        layout = machine.layout
+        self._basis = machine.basis(poses.actuators)
+        self._bound = machine.model.bind(layout, poses.position, poses.rotation, self._basis)
+        self._nominal = machine.linearise(layout.nominal, poses.position, poses.rotation, poses.actuators)
+        pose, actuators = self._nominal.pose, self._nominal.actuators
+        self._pose_jacobian = pose
+        try:
+            self._gain = np.linalg.pinv(pose)
+        except np.linalg.LinAlgError as error:
+            raise InputError("likelihood: singular pose Jacobian at a measured pose") from error
+        noise = actuators @ np.swapaxes(actuators, -1, -2) * actuator_noise**2
+        measured = pose @ poses.covariance @ np.swapaxes(pose, -1, -2)
+        self.actuator_weight = np.diagonal(actuators, axis1=-2, axis2=-1) ** 2
+        known = measured + noise
+        if actuator_variance is not None:
+            known = known + np.eye(pose.shape[-2]) * (self.actuator_weight * actuator_variance)[:, None, :]
+        self._known = 0.5 * (known + np.swapaxes(known, -1, -2))
+        _, log_volume = np.linalg.slogdet(np.swapaxes(pose, -1, -2) @ pose)
+        self._constant = 0.5 * log_volume - 0.5 * pose.shape[-2] * np.log(2 * np.pi)
+        self._to_error = self._find_projection()
+        self._workspace = Workspace()
+        self._whitening: tuple[Array, Array, Array] | None = None
+
+    @property
+    def n_legs(self) -> int:
+        """Number of legs N."""
+        return self.actuator_weight.shape[1]
+
+    # --- residuals -----------------------------------------------------------------------------------------------
+
+    def _leg_errors(self, theta: Array) -> Array:
+        """Return r for parameter vectors (B, D), as an array (N, P, B) that the next call overwrites."""
+        closure = self._bound.evaluate(np.asfortranarray(theta))  # the batch contiguous
+        n_legs, n_poses, n_batch = closure.shape
+        result = self._workspace.take("leg errors", n_legs, n_poses, n_batch)
+        both = self._workspace.take("error", self._to_error.shape[1], n_poses, n_batch)
+        seen = closure
+        for _ in range(REFINEMENTS):
+            np.matmul(self._to_error, seen.transpose(1, 0, 2), out=both.transpose(1, 0, 2))
+            error, seen = both[:6], both[6:] if len(both) > 6 else seen
+            seen = np.subtract(seen, self._bound.along(error), out=result)  # (A⁰ - A(θ)) e
+            seen += closure
+        return seen
+
+    def _find_projection(self) -> Array:
+        """Return G and, below, the A⁰ G that the bound closure sees, shape (P, 6 + N, N); G alone if that is one.
+
+        What the bound closure leaves out of A(θ) is added as it is for the nominal machine, at the poses that this one
+        predicts: elsewhere it would not close, and have derivatives that machines close to the measured poses have not.
+        """
+        machine, poses, nominal = self.machine, self.poses, self.machine.layout.nominal
+        _, n_legs, _ = self._pose_jacobian.shape
+        found = solve_forward_kinematics(machine, nominal, poses.actuators, check=False)
+        position = np.where(found.converged[:, None], found.position, poses.position)
+        rotation = np.where(found.converged[:, None, None], found.rotation, poses.rotation)
+        bound = machine.model.bind(machine.layout, position, rotation, self._basis)
+        bound.evaluate(np.broadcast_to(nominal, (6, len(nominal))))
+        unit = np.ascontiguousarray(np.broadcast_to(np.eye(6)[:, None], (6, poses.n_poses, 6)))
+        exact = machine.linearise(nominal, position, rotation, poses.actuators).pose
+        seen = (self._pose_jacobian - exact + bound.along(unit).transpose(1, 0, 2)) @ self._gain
+        if np.abs(seen - np.eye(n_legs)).max() < ROUNDING:
+            return self._gain
+        return np.concatenate([self._gain, seen], axis=1)
+
+    def leg_errors(self, theta: Array) -> Array:
+        """Return r = A⁰ e, the pose errors seen by the legs in mm, for (B, D) parameter vectors, shape (B, P, N)."""
+        result = np.empty((len(theta), self.poses.n_poses, self.n_legs))
+        for part in batches(len(theta)):
+            result[part] = self._leg_errors(theta[part]).transpose(2, 1, 0)
+        return result
+
+    def pose_errors(self, theta: Array) -> Array:
+        """Return e, measured minus predicted pose (mm, rad; base frame), for (B, D) vectors, shape (B, P, 6)."""
+        return np.einsum("pij,bpj->bpi", self._gain, self.leg_errors(theta))
+
+    def leg_error_jacobian(self, theta: Array) -> tuple[Array, Array]:
+        """Return r, shape (P, N), and its exact derivative, shape (P, N, D), for one parameter vector (D,).
+
+        The derivative is that of the implicit function: the closure is differentiated at the predicted pose.
+        """
+        seen = self.leg_errors(theta[None])[0]
+        error = np.einsum("pij,pj->pi", self._gain, seen)
+        position = self.poses.position - error[:, :3]
+        rotation = matrix_from_rotation_vector(-error[:, 3:]) @ self.poses.rotation
+        layout = self.machine.layout
+        here = self.machine.model.linearise(layout, theta, position, rotation, self._basis)
+        pose_change = np.linalg.solve(self._gain @ here.pose, self._gain)  # per closure
+        return seen, here.parameters + (self._pose_jacobian - here.pose) @ pose_change @ here.parameters
+
+    # --- covariance ----------------------------------------------------------------------------------------------
+
+    def leg_covariance(self, model_error: Array) -> Array:
+        """Return the covariance of r in mm², shape (P, N, N), for model errors τ in mm, shape (N,)."""
+        return self._known + np.eye(self.n_legs) * (self.actuator_weight * model_error**2)[:, None, :]
+
+    def pose_covariance(self, model_error: Array) -> Array:
+        """Return C_n, the covariance of e (mm, rad), shape (..., P, 6, 6), for model errors (..., N) in mm."""
+        added = self.actuator_weight * model_error[..., None, :] ** 2
+        covariance = self._known + np.eye(self.n_legs) * added[..., None, :]
+        return self._gain @ covariance @ np.swapaxes(self._gain, -1, -2)
+
+    # --- density -------------------------------------------------------------------------------------------------
+
+    def pointwise(self, theta: Array, model_error: Array) -> Array:
+        """Return the log-density of each pose.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (B, D)
+            Parameter vectors.
+        model_error : ndarray, shape (B, N) or (N,)
+            τ of each leg, mm; one vector for all is much faster.
+
+        Returns
+        -------
+        ndarray, shape (B, P)
+            In units of mm and rad; -inf where a parameter vector is no machine (NaN closure).
+        """
+        result = np.empty((len(theta), self.poses.n_poses))
+        for part in batches(len(theta)):
+            result[part] = self._pointwise(theta[part], model_error if model_error.ndim == 1 else model_error[part])
+        return result
+
+    @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
+    def _pointwise(self, theta: Array, model_error: Array) -> Array:
+        errors = self._leg_errors(theta)
+        if model_error.ndim == 1:
+            density = self._density_fixed(errors, model_error)
+        else:
+            density = self._density_varying(errors, model_error)
+        density += self._constant[:, None]
+        density[~np.isfinite(density)] = -np.inf
+        return density.T
+
+    def __call__(self, theta: Array, model_error: Array) -> Array:
+        """Return the log-likelihood, shape (B,); arguments as in `pointwise`."""
+        return self.pointwise(theta, model_error).sum(axis=1)
+
+    def _whiten(self, model_error: Array) -> tuple[Array, Array]:
+        """Return the inverse Cholesky factors (P, N, N) and half log-determinants (P,) at τ; kept for the next call."""
+        if self._whitening is None or not np.array_equal(self._whitening[0], model_error):
+            factor = np.linalg.cholesky(self.leg_covariance(model_error))
+            half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+            self._whitening = (model_error.copy(), np.linalg.inv(factor), half_log_det)
+        return self._whitening[1:]
+
+    def _density_fixed(self, errors: Array, model_error: Array) -> Array:
+        whitening, half_log_det = self._whiten(model_error)
+        n_legs, n_poses, n_batch = errors.shape
+        white = self._workspace.take("white", n_poses, n_legs, n_batch)
+        np.matmul(whitening, errors.transpose(1, 0, 2), out=white)
+        square = np.einsum("pib,pib->pb", white, white)
+        return -0.5 * square - half_log_det[:, None]
+
+    def _density_varying(self, errors: Array, model_error: Array) -> Array:
+        """Cholesky factors of all poses and batch entries at once, by columns.
+
+        The errors are carried along as one more row of the matrix; in the factor that row holds the whitened errors.
+        """
+        n, variance = self.n_legs, model_error.T**2
+        factor = self._workspace.take("factor", n + 1, n, *errors.shape[1:])
+        determinant = np.ones(errors.shape[1:])
+        for j in range(n):
+            column = factor[j:, j]
+            known = self._known[:, j:, j].T[..., None]
+            if j:
+                np.einsum("ikpb,kpb->ipb", factor[j:, :j], factor[j, :j], out=column)
+                np.subtract(known, column[:-1], out=column[:-1])
+                np.subtract(errors[j], column[-1], out=column[-1])
+            else:
+                column[:-1], column[-1] = known, errors[j]
+            column[0] += self.actuator_weight[:, j, None] * variance[j]
+            inverse = 1.0 / np.sqrt(column[0])
+            column[1:] *= inverse
+            determinant *= inverse
+        return np.log(determinant) - 0.5 * np.einsum("kpb,kpb->pb", factor[n], factor[n])

@@ -1,0 +1,367 @@
+"""The posterior density of one variant in sampling coordinates, with its gradient and least-squares form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.special import erfcinv, erfinv, ndtr
+
+from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.priors import HalfNormalPrior, Prior, UniformPrior
+from bayescal.errors import InputError
+from bayescal.limits import FAR_AWAY
+from bayescal.machines.coordinates import Coordinates, mirror_direction
+from bayescal.machines.kinematics import compute_leg_slopes
+from bayescal.machines.parameters import ParameterLayout
+from bayescal.numerics.geometry import Array
+
+APPROACH = (1.0, 0.1)  # model errors in mm with which the search for the mode begins
+HALF_LOG_TWO_PI = 0.5 * np.log(2 * np.pi)
+
+
+@dataclass(frozen=True)
+class ModelError:
+    """The model error τ per leg: free with a half-normal prior of the given scale in mm, or none at all (scale None).
+
+    Its sampling coordinate ζ is standard normal under the prior: Φ(ζ) is the prior probability of a smaller τ.
+    """
+
+    scale: float | None
+    shared: bool = False
+
+    def n_parameters(self, n_legs: int) -> int:
+        """Return the number of free model errors."""
+        if self.scale is None:
+            return 0
+        return 1 if self.shared else n_legs
+
+    def names(self, n_legs: int) -> tuple[str, ...]:
+        """Names of the free model errors."""
+        if self.n_parameters(n_legs) == 1:
+            return ("tau",)
+        return tuple(f"tau[{leg}]" for leg in range(1, self.n_parameters(n_legs) + 1))
+
+    def tau_from_zeta(self, zeta: Array) -> Array:
+        """Return τ in mm."""
+        assert self.scale is not None
+        return self.scale * np.sqrt(2.0) * np.where(zeta > 0, erfcinv(ndtr(-zeta)), erfinv(ndtr(zeta)))
+
+    def slope(self, zeta: Array, tau: Array) -> Array:
+        """Return dτ/dζ in mm."""
+        assert self.scale is not None
+        return 0.5 * self.scale * np.exp(0.5 * ((tau / self.scale) ** 2 - zeta**2))
+
+
+@dataclass(frozen=True, eq=False)
+class Funnel:
+    """How the geometry depends on the model errors around a point; see `bayescal.inference.target.Funnel`."""
+
+    information: Array
+    prior: Array
+    rest: Array
+    tau: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Posterior of the free parameters and model errors of one variant.
+
+    Attributes
+    ----------
+    likelihood : PoseLikelihood
+        Density of the calibration poses.
+    priors : mapping of parameter name to Prior
+        Priors of the free parameters.
+    fixed : mapping of parameter name to float
+        Values of fixed parameters that are not nominal.
+    model_error : ModelError
+        Free model error, or none.
+    """
+
+    likelihood: PoseLikelihood
+    priors: Mapping[str, Prior]
+    model_error: ModelError
+    fixed: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check that every name exists."""
+        unknown = [name for name in (*self.priors, *self.fixed) if name not in self._layout.names]
+        if unknown:
+            known = ", ".join(self._layout.symbols)
+            raise InputError(f"parameter {unknown[0]!r}: unknown here, expected one of {known}")
+
+    def check_machine(self) -> None:
+        """Raise InputError where the priors' centres, or the ends of a uniform prior, are no machine's parameters."""
+        centre = self.coordinates.start
+        self._layout.check(centre)
+        bounded = self.coordinates.free[self.coordinates.bounded]
+        lower, upper = self._layout.limits
+        for k, low, high in zip(
+            bounded,
+            self.coordinates.lower[self.coordinates.bounded],
+            self.coordinates.upper[self.coordinates.bounded],
+            strict=True,
+        ):
+            if low < lower[k] or high > upper[k]:
+                raise InputError(
+                    f"parameter {self._layout.names[k]}: found a prior from {low:g} to {high:g}, "
+                    f"expected it between {lower[k]:g} and {upper[k]:g}"
+                )
+        if not np.isfinite(self.likelihood.leg_errors(centre[None])).all():
+            raise InputError("found no machine at the priors' centres, expected unit directions and a home pose")
+
+    @property
+    def _layout(self) -> ParameterLayout:
+        return self.likelihood.machine.layout
+
+    @cached_property
+    def coordinates(self) -> Coordinates:
+        """Coordinates of the geometry."""
+        layout = self._layout
+        start = layout.nominal.copy()
+        position = {name: k for k, name in enumerate(layout.names)}
+        for name, value in self.fixed.items():
+            start[position[name]] = value
+        free = np.array(sorted(position[name] for name in self.priors), dtype=int)
+        ordered = [self.priors[layout.names[k]] for k in free]
+        start[free] = [prior.mean for prior in ordered]
+        slopes = compute_leg_slopes(self.likelihood.machine)
+        bounds = [(p.lower, p.upper) if isinstance(p, UniformPrior) else (-np.inf, np.inf) for p in ordered]
+        lower, upper = np.array(bounds).reshape(-1, 2).T
+        scale = np.array([p.sd for p in ordered])
+        return Coordinates(layout, start, free, scale, slopes, lower, upper)
+
+    @cached_property
+    def _ordered_priors(self) -> tuple[Prior, ...]:
+        return tuple(self.priors[self._layout.names[k]] for k in self.coordinates.free)
+
+    @cached_property
+    def _normal(self) -> tuple[np.ndarray, Array, Array]:
+        """Which free parameters have a normal prior, and its centres and scales."""
+        which = ~self.coordinates.bounded
+        chosen = [prior for prior, normal in zip(self._ordered_priors, which, strict=True) if normal]
+        return which, np.array([p.mean for p in chosen]), np.array([p.sd for p in chosen])
+
+    @cached_property
+    def _standard(self) -> np.ndarray:
+        """Which coordinates are standard normal under the prior, whatever the others are."""
+        model_errors = np.ones(self.n_parameters - self.n_geometry, dtype=bool)
+        return np.concatenate([self.coordinates.bounded, model_errors])
+
+    @property
+    def n_geometry(self) -> int:
+        """Number of free geometric parameters."""
+        return len(self.priors)
+
+    @cached_property
+    def n_parameters(self) -> int:
+        """Number n of sampling coordinates: free parameters and model errors."""
+        return self.n_geometry + self.model_error.n_parameters(self.likelihood.n_legs)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters and model errors."""
+        names = tuple(self._layout.names[k] for k in self.coordinates.free)
+        return names + self.model_error.names(self.likelihood.n_legs)
+
+    def all_priors(self) -> dict[str, Prior]:
+        """Return the priors of the free parameters and of the model errors by name, in order."""
+        result = dict(zip(self.names, self._ordered_priors, strict=False))
+        for name in self.names[self.n_geometry :]:
+            assert self.model_error.scale is not None
+            result[name] = HalfNormalPrior(self.model_error.scale)
+        return result
+
+    # --- transformations -----------------------------------------------------------------------------------------
+
+    def theta(self, y: Array) -> Array:
+        """Return full parameter vectors (B, D) of coordinates (B, n)."""
+        return self.coordinates.theta_from_y(y[..., : self.n_geometry])
+
+    def tau(self, y: Array) -> Array:
+        """Return the model error of each leg in mm, shape (B, N), or zeros (N,) if there is none."""
+        n_legs = self.likelihood.n_legs
+        if self.model_error.scale is None:
+            return np.zeros(n_legs)
+        tau = self.model_error.tau_from_zeta(y[..., self.n_geometry :])
+        return np.broadcast_to(tau, (*tau.shape[:-1], n_legs))
+
+    def natural(self, y: Array) -> Array:
+        """Return the free parameters and model errors in their own units, shape (B, n)."""
+        free = self.theta(y)[..., self.coordinates.free]
+        if self.model_error.scale is None:
+            return free
+        return np.concatenate([free, self.model_error.tau_from_zeta(y[..., self.n_geometry :])], axis=-1)
+
+    # --- density -------------------------------------------------------------------------------------------------
+
+    def log_prior(self, y: Array) -> Array:
+        """Return the log-prior in the coordinates, shape (B,), normalised over y."""
+        return self._log_prior(y, self.theta(y))
+
+    def _log_prior(self, y: Array, theta: Array) -> Array:
+        """Add the normal priors to the coordinates that are standard normal themselves: bounded ones, model errors."""
+        normal, centre, scale = self._normal
+        z = (theta[..., self.coordinates.free[normal]] - centre) / scale
+        standard = y[..., self._standard]
+        total = -0.5 * (np.einsum("...i,...i->...", z, z) + np.einsum("...i,...i->...", standard, standard))
+        total = total + self.coordinates.log_volume(theta)
+        return total + self.coordinates.log_scale - np.log(scale).sum() - self.n_parameters * HALF_LOG_TWO_PI
+
+    def log_density(self, y: Array) -> Array:
+        """Return log-likelihood plus log-prior, shape (B,), for coordinates (B, n); -inf where there is no machine."""
+        with np.errstate(all="ignore"):  # far out numbers overflow; what is not finite has no density
+            theta = self.theta(y)
+            inside = self._layout.inside(theta)
+            theta[~inside] = self.coordinates.start  # keeps what is no machine out of the models
+            total = self._log_prior(y, theta) + self.likelihood(theta, self.tau(y))
+        return np.where(inside & np.isfinite(total), total, -np.inf)
+
+    def pointwise(self, y: Array) -> Array:
+        """Return the log-likelihood of each pose, shape (B, P)."""
+        return self.likelihood.pointwise(self.theta(y), self.tau(y))
+
+    # --- derivatives ---------------------------------------------------------------------------------------------
+
+    def information(self, y: Array) -> tuple[Array, Array]:
+        """Return the information of the data and the precision of the prior on the geometry at y, shapes (m, m)."""
+        _, _, slope, precision, change = self._linearise(y)
+        data = np.einsum("pik,pij,pjm->km", slope, precision, slope, optimize=True)
+        rows = self._prior_slope(change)
+        return data, rows.T @ rows
+
+    def prior_residual(self, y: Array, theta: Array) -> Array:
+        """Return the geometry's prior as residuals of unit variance, shape (m,), at coordinates (m,) and θ (D,)."""
+        normal, centre, scale = self._normal
+        residual = y[: self.n_geometry].copy()
+        residual[normal] = (theta[self.coordinates.free[normal]] - centre) / scale
+        return residual
+
+    def _prior_slope(self, change: Array) -> Array:
+        """Return the derivative of `prior_residual` by the coordinates, shape (m, m), from dθ/dy."""
+        normal, _, scale = self._normal
+        rows = np.eye(self.n_geometry)
+        rows[normal] = change[self.coordinates.free[normal]] / scale[:, None]
+        return rows
+
+    def residual_slope(self, theta: Array) -> tuple[Array, Array]:
+        """Return dr/dy, shape (P, N, m), and the derivative of `prior_residual`, shape (m, m), at θ, shape (D,)."""
+        change = self.coordinates.jacobian(theta)
+        return self.likelihood.leg_error_jacobian(theta)[1] @ change, self._prior_slope(change)
+
+    def leg_coordinates(self) -> list[np.ndarray]:
+        """Return which geometric coordinates belong to each leg."""
+        layout, free = self._layout, self.coordinates.free
+        per_leg = [block.symbol for block in layout.blocks if block.per_leg]
+        legs = [[layout.index[s][leg] for s in per_leg] for leg in range(self.likelihood.n_legs)]
+        return [np.flatnonzero(np.isin(free, leg)) for leg in legs]
+
+    def _linearise(self, y: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Return θ, r, dr/dy, the precision of r and dθ/dy at y, shape (n,)."""
+        theta = self.theta(y[None])[0]
+        tau = np.broadcast_to(self.tau(y[None]), (1, self.likelihood.n_legs))[0]
+        errors, slope = self.likelihood.leg_error_jacobian(theta)
+        change = self.coordinates.jacobian(theta)
+        return theta, errors, slope @ change, np.linalg.inv(self.likelihood.leg_covariance(tau)), change
+
+    def gradient(self, y: Array) -> tuple[Array, Array]:
+        """Return the exact gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
+        theta, errors, slope, precision, change = self._linearise(y)
+        weighted = np.einsum("pij,pj->pi", precision, errors)
+        gradient = np.zeros(self.n_parameters)
+        hessian = np.zeros((self.n_parameters, self.n_parameters))
+        n = self.n_geometry
+        rows = self._prior_slope(change)
+        gradient[:n] = -np.einsum("pik,pi->k", slope, weighted) - rows.T @ self.prior_residual(y, theta)
+        gradient[:n] += self.coordinates.log_volume_slope(theta) @ change
+        hessian[:n, :n] = -np.einsum("pik,pij,pjm->km", slope, precision, slope, optimize=True) - rows.T @ rows
+        if self.model_error.scale is not None:
+            self._add_model_error(y, weighted, precision, gradient, hessian)
+        return gradient, hessian
+
+    def _add_model_error(self, y: Array, weighted: Array, precision: Array, gradient: Array, hessian: Array) -> None:
+        """Add the model errors' part; their expected curvature stands in for the exact one."""
+        n, weight = self.n_geometry, self.likelihood.actuator_weight
+        zeta = y[n:]
+        tau = np.broadcast_to(self.tau(y[None]), (1, self.likelihood.n_legs))[0]
+        speed = self.model_error.slope(zeta, self.model_error.tau_from_zeta(zeta))
+        diagonal = np.diagonal(precision, axis1=1, axis2=2)
+        per_leg = np.sum(weight * tau * (weighted**2 - diagonal), axis=0)
+        scaled = weight * tau
+        curvature = 2.0 * np.einsum("pi,pij,pj->ij", scaled, precision**2, scaled)
+        if self.model_error.shared:
+            per_leg, curvature = per_leg.sum(keepdims=True), curvature.sum(keepdims=True)
+        gradient[n:] = per_leg * speed - zeta
+        hessian[n:, n:] = -curvature * np.outer(speed, speed) - np.eye(len(zeta))
+
+    # --- climbing ------------------------------------------------------------------------------------------------
+
+    def approach(self) -> Array:
+        """Return a start near the mode, shape (n,): the nominal machine, led to the data by ever smaller model errors.
+
+        Far off, everything seems to be the fault of every parameter; a coarse look moves only those that matter, and
+        what is hardly determined stays near its prior.
+        """
+        y = np.zeros(self.n_parameters)
+        for tau in APPROACH:
+            y = self._fit_geometry(y, np.full(self.likelihood.n_legs, tau))
+        return y
+
+    def polish(self, y: Array) -> Array:
+        """Return y, shape (n,), with the geometry of least squares at its model errors."""
+        return self._fit_geometry(y, np.broadcast_to(self.tau(y[None]), (1, self.likelihood.n_legs))[0])
+
+    def _fit_geometry(self, start: Array, tau: Array) -> Array:
+        """Return y with the geometry of least squares, whitened errors and priors together, at model errors (N,)."""
+        n = self.n_geometry
+        whitening = np.linalg.inv(np.linalg.cholesky(self.likelihood.leg_covariance(tau)))
+
+        def residual(y: Array) -> Array:
+            theta = self.coordinates.theta_from_y(y[None])
+            errors = self.likelihood.leg_errors(theta)[0]
+            white = np.einsum("pij,pj->pi", whitening, errors).ravel()
+            value = np.concatenate([white, self.prior_residual(y, theta[0])])
+            return np.where(np.isfinite(value) & self._layout.inside(theta)[0], value, FAR_AWAY)
+
+        def jacobian(y: Array) -> Array:
+            slope, prior_slope = self.residual_slope(self.coordinates.theta_from_y(y[None])[0])
+            return np.concatenate([np.einsum("pij,pjk->pik", whitening, slope).reshape(-1, n), prior_slope])
+
+        found = start.copy()
+        found[:n] = least_squares(residual, start[:n], jacobian, method="lm", xtol=1e-10, ftol=1e-10).x
+        return found
+
+    def mirror_images(self, y: Array) -> list[tuple[int, Array]]:
+        """Return legs, and coordinates with the leg's direction mirrored to the other solution of the same gain."""
+        coordinates, layout = self.coordinates, self._layout
+        if "u_x" not in layout.index:
+            return []
+        kappa_free = np.isin(layout.index["kappa"], coordinates.free) if "kappa" in layout.index else None
+        images = []
+        for leg, position in enumerate(layout.index["u_x"]):
+            if position not in coordinates.free or (kappa_free is not None and kappa_free[leg]):
+                continue
+            if layout.index["u_y"][leg] in coordinates.free:
+                continue  # with both components free a circle of equal gain joins the two
+            theta = coordinates.theta_from_y(y[None, : self.n_geometry])[0]
+            theta = mirror_direction(layout, theta, leg, coordinates.leg_slope[leg, 0], coordinates.free)
+            image = y.copy()
+            image[: self.n_geometry] = coordinates.y_from_theta(theta)
+            images.append((leg, image))
+        return images
+
+    def funnel(self, y: Array) -> Funnel | None:
+        """Return how the geometry depends on the model errors at y, shape (n,); None where there are none."""
+        if self.model_error.scale is None:
+            return None
+        likelihood = self.likelihood
+        tau = np.broadcast_to(self.tau(y[None]), (1, likelihood.n_legs))[0]
+        inverse = np.linalg.inv(likelihood.leg_covariance(tau))
+        variance = 1.0 / np.diagonal(inverse, axis1=-2, axis2=-1).mean(axis=0)
+        rest = np.maximum(variance / likelihood.actuator_weight.mean(axis=0) - tau**2, 1e-12)
+        information, prior = self.information(y)
+        return Funnel(information, prior, rest, tau)

@@ -1,0 +1,96 @@
+"""Priors of single parameters: what is known of a machine before it is measured."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from bayescal.numerics.geometry import Array
+
+
+class Prior(ABC):
+    """A proper density of one free parameter."""
+
+    @abstractmethod
+    def log_density(self, value: Array) -> Array:
+        """Return the normalised log-density, -inf outside the support."""
+
+    @property
+    @abstractmethod
+    def mean(self) -> float:
+        """Mean of the prior."""
+
+    @property
+    @abstractmethod
+    def sd(self) -> float:
+        """Standard deviation of the prior."""
+
+
+@dataclass(frozen=True)
+class NormalPrior(Prior):
+    """A manufacturing tolerance: normal about ``centre`` with standard deviation ``scale``."""
+
+    centre: float
+    scale: float
+
+    def log_density(self, value: Array) -> Array:
+        """Return the normal log-density."""
+        return -0.5 * ((value - self.centre) / self.scale) ** 2 - np.log(self.scale) - 0.5 * np.log(2 * np.pi)
+
+    @property
+    def mean(self) -> float:
+        """The centre."""
+        return self.centre
+
+    @property
+    def sd(self) -> float:
+        """The scale."""
+        return self.scale
+
+
+@dataclass(frozen=True)
+class UniformPrior(Prior):
+    """All values between two bounds alike."""
+
+    lower: float
+    upper: float
+
+    def log_density(self, value: Array) -> Array:
+        """Return -log(upper - lower) inside, -inf outside."""
+        inside = (value >= self.lower) & (value <= self.upper)
+        return np.where(inside, -np.log(self.upper - self.lower), -np.inf)
+
+    @property
+    def mean(self) -> float:
+        """The middle."""
+        return 0.5 * (self.lower + self.upper)
+
+    @property
+    def sd(self) -> float:
+        """Width over the square root of twelve."""
+        return (self.upper - self.lower) / np.sqrt(12.0)
+
+
+@dataclass(frozen=True)
+class HalfNormalPrior(Prior):
+    """A scale parameter that may well be zero: the right half of a normal density about zero."""
+
+    scale: float
+
+    def log_density(self, value: Array) -> Array:
+        """Return the half-normal log-density."""
+        inside = 0.5 * np.log(2 / np.pi) - np.log(self.scale) - 0.5 * (value / self.scale) ** 2
+        return np.where(value >= 0, inside, -np.inf)
+
+    @property
+    def mean(self) -> float:
+        """The scale times sqrt(2 / π)."""
+        return self.scale * float(np.sqrt(2 / np.pi))
+
+    @property
+    def sd(self) -> float:
+        """The scale times sqrt(1 - 2 / π)."""
+        return float(stats.halfnorm.std(scale=self.scale))

@@ -1,0 +1,68 @@
+"""Calibrability C = cond(JᵀJ) (Šika et al. 2008, eq. 6; Valášek, Šika and Hamrle 2007), and what it is worth.
+
+J is the Jacobian of the constraints by the calibrated parameters, the poses eliminated. Its condition depends on the
+units in which lengths and angles are written, and so does C: in metres and radians it is not what it is in millimetres
+and degrees. In units of the noise and of the tolerances it has a meaning: C_scaled is the ratio of the best to the
+least known direction, in information gained for what was known beforehand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayescal.density.readings.calibrate import MM_PER_METRE, FreeParameters, in_units
+from bayescal.density.readings.poses import SensorSet, eliminate_poses
+from bayescal.numerics.geometry import Array
+
+DEGREE = float(np.pi / 180)
+
+
+@dataclass(frozen=True)
+class Calibrability:
+    """cond(JᵀJ) of one plan in different units.
+
+    Attributes
+    ----------
+    metres_radians, millimetres_radians, millimetres_degrees : float
+        Of the constraints as they stand, residuals and parameters in these units.
+    scaled : float
+        Residuals in units of the noise, parameters in units of their tolerances.
+    """
+
+    metres_radians: float
+    millimetres_radians: float
+    millimetres_degrees: float
+    scaled: float
+
+
+def compute_calibrability(
+    sensors: SensorSet, free: FreeParameters, pose: Array, together: Array | None = None
+) -> Calibrability:
+    """Return the calibrability of the machine as expected at poses (P, q); infinite where a direction is not seen.
+
+    Parameters
+    ----------
+    sensors : SensorSet
+    free : FreeParameters
+    pose : ndarray, shape (P, q)
+    together : ndarray, shape (n, m), optional
+        Of ones and zeros: which of the n parameters move together as one of m.
+    """
+    units = np.array(sensors.model.layout.units)[free.places]
+    alike = np.eye(len(units)) if together is None else together
+    in_metres, in_degrees = np.where(units == "mm", MM_PER_METRE, 1.0), np.where(units == "mm", 1.0, DEGREE)
+    return Calibrability(
+        _condition(in_units(sensors, MM_PER_METRE, 1.0), free, pose, in_metres[:, None] * alike),
+        _condition(in_units(sensors, 1.0, 1.0), free, pose, alike),
+        _condition(in_units(sensors, 1.0, DEGREE), free, pose, in_degrees[:, None] * alike),
+        _condition(sensors, free, pose, free.scale[:, None] * alike),
+    )
+
+
+def _condition(sensors: SensorSet, free: FreeParameters, pose: Array, moves: Array) -> float:
+    rows = eliminate_poses(sensors.linearise(free.centre, pose))[..., free.places] @ moves
+    count = moves.shape[1]
+    values = np.linalg.svd(rows.reshape(-1, count), compute_uv=False)
+    return float((values[0] / values[-1]) ** 2) if len(values) == count and values[-1] > 0.0 else float("inf")

@@ -1,0 +1,147 @@
+"""The audit as a whole: from a design to everything that is said of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bayescal.experiments.audit.changes import (
+    Outcome,
+    Planner,
+    SweepPoint,
+    check_changes,
+    evaluate_change,
+    evaluate_proposal,
+    list_changes,
+    run_sweeps,
+)
+from bayescal.experiments.audit.inputs import AuditInputs
+from bayescal.identifiability.directions import Direction, find_directions
+from bayescal.identifiability.frames import FRAME_BLOCKS
+from bayescal.identifiability.information import Information, complement_of, information_of_rows
+from bayescal.identifiability.requirements import Forecast, Outlook
+from bayescal.identifiability.ridges import Ridge, describe_ridges
+from bayescal.identifiability.selection import Selection, select_parameters
+from bayescal.identifiability.sensitivity import compute_sensitivity
+from bayescal.identifiability.structure import Structure, find_structural_rank
+from bayescal.limits import DEAD, INFORMED, NINETY_FIVE
+from bayescal.numerics.geometry import Array
+
+type Verdict = Literal["identifiable", "weak", "not"]
+type Harm = Literal["harmless", "noticeable", "harmful", "unknown"]
+
+HARMLESS = 0.1  # of a limit, that the remaining uncertainty along a direction may take
+HARMFUL = 1.0
+FRAME_SYMBOLS = frozenset(block.symbol for block in FRAME_BLOCKS)
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """What the plan tells of the parameters, without words: what is fast and what tests and sweeps want.
+
+    Attributes
+    ----------
+    structure : Structure
+    information : Information
+    selection : Selection
+    directions : list of Direction
+    verdicts : tuple of str
+        Of each parameter.
+    """
+
+    structure: Structure
+    information: Information
+    selection: Selection
+    directions: list[Direction]
+    verdicts: tuple[Verdict, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Audit:
+    """An audit with everything it says.
+
+    Attributes
+    ----------
+    inputs : AuditInputs
+    analysis : Analysis
+    ridges : list of Ridge
+        The structural and practical directions, described.
+    forecast : Forecast
+        Of the workspace, or of the planned poses where there is no workspace.
+    outlooks : list of Outlook
+        One per requirement.
+    what_ifs : list of Outcome
+    sweeps : list of SweepPoint
+    """
+
+    inputs: AuditInputs
+    analysis: Analysis
+    ridges: list[Ridge]
+    forecast: Forecast
+    outlooks: list[Outlook]
+    what_ifs: list[Outcome]
+    sweeps: list[SweepPoint]
+
+    def harm(self, direction: Direction) -> tuple[Harm, float, str]:
+        """Return whether what remains unknown along a direction matters, the share of a limit, and of which.
+
+        The share is that of 1.96 standard deviations that remain, anywhere in the workspace.
+        """
+        requirements = self.inputs.requirements
+        if not requirements:
+            return "unknown", float("nan"), ""
+        share, name = self.forecast.share_of_limit(direction.vector, requirements)
+        share *= NINETY_FIVE * float(np.sqrt(max(0.0, 1.0 - direction.contraction)))
+        return ("harmless" if share < HARMLESS else "noticeable" if share < HARMFUL else "harmful"), share, name
+
+
+def analyse(inputs: AuditInputs) -> Analysis:
+    """Return what the plan tells of the parameters."""
+    knowledge, plan = inputs.knowledge, inputs.plan
+    structure = find_structural_rank(knowledge, plan, np.random.default_rng([inputs.config.seed, 2]))
+    information = information_of_rows(compute_sensitivity(knowledge, plan.actuators).rows(plan), knowledge.sd)
+    selection = select_parameters(information, knowledge.symbols, FRAME_SYMBOLS)
+    frames = tuple(k for k, symbol in enumerate(knowledge.symbols) if symbol in FRAME_SYMBOLS)
+    directions = find_directions(information, structure.null_space, selection.fixed, frames)
+    verdicts = judge_parameters(information, structure.null_space)
+    return Analysis(structure, information, selection, directions, verdicts)
+
+
+def judge_parameters(information: Information, null_space: Array) -> tuple[Verdict, ...]:
+    """Return the verdict on each parameter.
+
+    ``identifiable``: its tolerance is at least halved. ``not``: most of what is left unknown lies along directions of
+    which nothing is learnt. ``weak``: it lies along directions of which too little is learnt.
+    """
+    values, vectors = information.spectrum(complement_of(null_space))
+    remaining = vectors**2 / (1.0 + values)
+    dead = (null_space**2).sum(axis=1) + remaining[:, values / (1.0 + values) < DEAD].sum(axis=1)
+    verdicts: list[Verdict] = []
+    for contraction, lost in zip(information.contraction, dead, strict=True):
+        if contraction >= INFORMED:
+            verdicts.append("identifiable")
+        else:
+            verdicts.append("not" if lost > 0.5 * (1.0 - contraction) else "weak")
+    return tuple(verdicts)
+
+
+def run_audit(inputs: AuditInputs, planner: Planner | None = None) -> Audit:
+    """Return the audit of a design; a planner's plan stands among the changes."""
+    check_changes(inputs)
+    analysis = analyse(inputs)
+    knowledge, plan = inputs.knowledge, inputs.plan
+    ridges = describe_ridges(knowledge, plan, inputs.workspace_actuators, analysis.directions, inputs.units)
+    workspace = Forecast(compute_sensitivity(knowledge, inputs.workspace_actuators), knowledge.sd)
+    rng = np.random.default_rng([inputs.config.seed, 3])
+    outlooks = (
+        workspace.judge(inputs.requirements, analysis.information, plan, rng, analysis.selection.free)
+        if inputs.requirements
+        else []
+    )
+    what_ifs = [evaluate_change(inputs, change, workspace) for change in list_changes(inputs)]
+    if planner is not None:
+        what_ifs += evaluate_proposal(inputs, planner, workspace)
+    sweeps = run_sweeps(inputs, inputs.config.sweep, workspace)
+    return Audit(inputs, analysis, ridges, workspace, outlooks, what_ifs, sweeps)

@@ -1,0 +1,401 @@
+"""The verdict of an audit in sentences computed from its numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from bayescal.experiments.audit.page.results import AuditResults, Change, Requirement, Ridge
+from bayescal.experiments.audit.page.wording import (
+    count,
+    format_contraction,
+    format_probability,
+    format_range,
+    format_share,
+    list_names,
+    name_requirement,
+    say,
+    say_most,
+)
+from bayescal.limits import DEAD
+from bayescal.report.blocks import Level, Statement
+from bayescal.report.numbers import format_fixed, join_words
+
+KEPT = 0.95  # probability from which on a requirement counts as kept
+UNLIKELY = 0.5
+WORTH_NATS = 2.0  # a change that tells less more is not worth a name
+WORTH_SHARE = 0.9  # of the worst predicted sd; a change that leaves more is not worth a name
+FIXING_COSTS = 1.25  # growth of a predicted sd from which on fixing the rest is not cheap
+OFF = 3.0  # standard errors of a ratio of simulated to predicted sd
+OFF_SHARE = 0.1
+AGREED_DEG = 10.0  # principal angle between the ridges from draws and from information
+
+
+def state_headline(results: AuditResults) -> str:
+    """Return how many parameters are determined and how many combinations are not."""
+    summary, poses = results.summary, f"the {results.n_poses} {_planned(results)} poses"
+    n, known = int(summary["n_parameters"]), results.n_identifiable
+    text = f"Of {count(n, 'parameter')} {poses} determine {known or 'none on its own'}"
+    if known == n:
+        text = f"{poses[0].upper()}{poses[1:]} determine all {count(n, 'parameter')}"
+    structural = [r for r in results.ridges if r.kind == "structural"]
+    practical = [r for r in results.ridges if r.kind == "practical"]
+    dead = sum(r.contraction < DEAD for r in practical)
+    these = "these" if results.is_measured else "the planned ones"
+    parts = []
+    if structural:
+        parts.append(f"{count(len(structural), 'combination')} can never be told by any measurement of this kind")
+    if dead:
+        parts.append(f"{_more(dead, bool(parts))} hardly touched by {these}")
+    if len(practical) > dead:
+        parts.append(f"{_more(len(practical) - dead, bool(parts))} learnt only in part")
+    return f"{text}{'; ' if parts else ''}{join_words(parts)}."
+
+
+def _planned(results: AuditResults) -> str:
+    return "calibration" if results.is_measured else "planned"
+
+
+def _more(number: int, after: bool) -> str:
+    what = f"{number} more" if after else count(number, "combination")
+    return f"{what} {'is' if number == 1 else 'are'}"
+
+
+def list_failures(results: AuditResults) -> list[Statement]:
+    """Return what speaks against relying on the numbers."""
+    failures = []
+    if not results.summary["structural_rank_is_clear"]:
+        gap = results.summary.get("structural_gap")
+        found = f"a gap of {gap:.1f}" if gap is not None else "no gap"
+        failures.append(
+            f"The structural rank, {results.summary['structural_rank']}, is not clear: the spectrum has {found} there, "
+            "and rounding may hide a combination or feign one (see the spectrum)."
+        )
+    posterior = results.summary.get("posterior")
+    if posterior is not None and not posterior["converged"]:
+        failures.append("The posterior did not converge; what rests on its draws is not to be relied on.")
+    return [Statement(text, "bad") for text in failures]
+
+
+def state_verdict(results: AuditResults) -> list[Statement]:
+    """Return the sentences below the headline."""
+    return [
+        *_state_selection(results),
+        *_state_harm(results),
+        *_state_fixing(results),
+        *_state_requirements(results),
+        *_state_help(results),
+        *_state_special_case(results),
+        *_state_simulated(results),
+        *_state_posterior(results),
+    ]
+
+
+# --- what to free, and what stays hidden -----------------------------------------------------------------------------
+
+
+def split_recommended(results: AuditResults) -> tuple[list[str], list[str]]:
+    """Return symbols to free and symbols to fix, in the order of the layout."""
+    by_symbol = results.parameters.groupby("symbol", sort=False)["recommended"].all()
+    return [s for s in results.symbols if by_symbol[s]], [s for s in results.symbols if not by_symbol[s]]
+
+
+def _state_selection(results: AuditResults) -> list[Statement]:
+    free, fixed = split_recommended(results)
+    if not free:
+        text = "Free nothing: no symbol is determined on all legs, even with all others fixed at nominal."
+        return [Statement(text, "bad", "What to free")]
+    n = int(results.parameters["recommended"].sum())
+    if not fixed:
+        return [
+            Statement(f"Free everything: all {count(n, 'parameter')} are determined together.", "good", "What to free")
+        ]
+    taken = [step for step in results.summary["selection"] if step["taken"]]
+    least = f" (least contraction {format_contraction(taken[-1]['contraction'])})" if taken else ""
+    text = (
+        f"Free {join_words(free)}, {count(n, 'parameter')} that are determined together{least}; fix "
+        f"{join_words(fixed)} at nominal."
+    )
+    extra = results.summary["could_also_be_freed"]
+    if extra:
+        text += f" On single legs more could be freed: {list_names(extra)}."
+    return [Statement(text, "good", "What to free")]
+
+
+def find_worst(results: AuditResults) -> Ridge | None:
+    """Return the ridge whose unknown part moves the pose most against a limit; None without requirements."""
+    known = [ridge for ridge in results.ridges if not math.isnan(ridge.share)]
+    return max(known, key=lambda ridge: ridge.share) if known else None
+
+
+def _state_harm(results: AuditResults) -> list[Statement]:
+    if not results.ridges:
+        return []
+    lead, worst = "What stays hidden", find_worst(results)
+    which = (
+        "along the one combination that is not determined"
+        if len(results.ridges) == 1
+        else f"along each of the {len(results.ridges)} combinations that are not determined"
+    )
+    if worst is None:
+        text = f"Whether it matters {which} is not told: the design states no requirement."
+        return [Statement(text, "plain", lead)]
+    which_limit = f"of a requirement ({name_requirement(worst.limit)})"
+    matter = [ridge for ridge in results.ridges if ridge.effect in ("noticeable", "harmful")]
+    if not matter:
+        text = (
+            f"What remains unknown {which} moves the predicted pose by {say_most(format_share(worst.share))} "
+            f"{which_limit}, taken as 1.96 standard deviations anywhere in the workspace: none of them matters."
+        )
+        return [Statement(text, "good", lead)]
+    level: Level = "bad" if any(ridge.effect == "harmful" for ridge in matter) else "warning"
+    text = (
+        f"{len(matter)} of {count(len(results.ridges), 'combination')} that are not determined "
+        f"{'matters' if len(matter) == 1 else 'matter'} to the pose: what remains unknown along that of {worst.pivot} "
+        f"moves the predicted pose by {format_share(worst.share)} {which_limit}; the others are harmless."
+    )
+    if len(matter) == len(results.ridges):
+        text = text.replace("; the others are harmless", "")
+    return [Statement(text, level, lead)]
+
+
+def _state_fixing(results: AuditResults) -> list[Statement]:
+    """Say what it does to the pose that the rest is taken for nominal; nothing where nothing is fixed or required."""
+    free, fixed = split_recommended(results)
+    if not (free and fixed and results.requirements):
+        return []
+    worst = max(results.requirements, key=lambda r: r.reduced_sd / r.limit)
+    factor = max(r.reduced_sd / r.predicted_sd for r in results.requirements)
+    shares = f"{format_share(worst.predicted_sd / worst.limit)} to {format_share(worst.reduced_sd / worst.limit)}"
+    name = name_requirement(worst.name)
+    if factor < FIXING_COSTS:
+        text = f"Taking the rest for nominal hardly costs: tightest is {name}, whose predicted sd goes from {shares}."
+        return [Statement(text.replace(" to ", " of the limit to ", 1), "good", "What fixing costs")]
+    level: Level = "bad" if worst.reduced_probability < KEPT <= worst.probability else "warning"
+    text = (
+        f"Taking the rest for nominal makes the pose up to {factor:.1f} times as uncertain ({name}: from {shares} of "
+        f"the limit, probability to keep it {format_probability(worst.reduced_probability)}). What the poses do not "
+        "tell apart still moves them: calibrate with everything free within its tolerance instead."
+    )
+    return [Statement(text, level, "What fixing costs")]
+
+
+# --- requirements ----------------------------------------------------------------------------------------------------
+
+
+def _state_requirements(results: AuditResults) -> list[Statement]:
+    requirements = results.requirements
+    if not requirements:
+        return [
+            Statement("The design states none; whether the accuracy suffices is not told.", "plain", "Requirements")
+        ]
+    failing = [r for r in requirements if r.probability < KEPT]
+    worst = max(requirements, key=_share)
+    uncalibrated = f"before the calibration {_describe_before(requirements)}"
+    if not failing:
+        least = say(format_probability(min(r.probability for r in requirements)))
+        text = (
+            f"The calibrated machine will keep {_all(requirements)} with a probability of {least}, {uncalibrated}. "
+            f"Tightest: {name_requirement(worst.name)}, predicted standard deviation {format_share(_share(worst))} of "
+            "the limit."
+        )
+        return [Statement(text, "good", "Requirements")]
+    words = [f"{name_requirement(r.name)} (probability {format_probability(r.probability)})" for r in failing]
+    text = (
+        f"The calibrated machine will not reliably keep {join_words(words)}; {uncalibrated}. {_blame(worst)}"
+        f"{' The other requirements are kept.' if len(failing) < len(requirements) else ''}"
+    )
+    return [Statement(text, "bad", "Requirements")]
+
+
+def _describe_before(requirements: list[Requirement]) -> str:
+    prior = [r.prior_probability for r in requirements]
+    if max(prior) < UNLIKELY:
+        which = "none of them" if len(prior) > 1 else "it"
+        most = format_probability(max(prior))
+        return f"{which} with more than {most}" if len(prior) > 1 and most[0] != "<" else f"with {say(most)}"
+    return f"with {say(format_range(prior, format_probability))}"
+
+
+def _all(requirements: list[Requirement]) -> str:
+    return f"each of its {len(requirements)} requirements" if len(requirements) > 1 else "its requirement"
+
+
+def _share(requirement: Requirement) -> float:
+    return requirement.predicted_sd / requirement.limit
+
+
+def _blame(worst: Requirement) -> str:
+    """Say how tight the worst one is, and whether the geometry or the actuators cause it."""
+    share = (worst.geometry_sd / worst.predicted_sd) ** 2 if worst.predicted_sd else 0.0
+    text = (
+        f"Tightest: {name_requirement(worst.name)}, predicted standard deviation {format_share(_share(worst))} of the "
+        f"limit; {format_share(share)} of that variance is geometry"
+    )
+    return (
+        f"{text}, which a better calibration would remove."
+        if share >= 0.5
+        else f"{text}, the rest actuators and model error, which no calibration removes."
+    )
+
+
+# --- what would help -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Help:
+    """The best of the changes looked at, and by what it was judged."""
+
+    change: Change
+    is_worth: bool
+    by_requirements: bool
+
+
+def measure_worst(results: AuditResults, change: Change) -> float:
+    """Return the largest predicted sd under a change as a share of its limit; NaN without requirements."""
+    shares = [change.requirements[r.name] / r.limit for r in results.requirements if r.name in change.requirements]
+    return max(shares) if shares else math.nan
+
+
+def rank_help(results: AuditResults, beyond_range: bool = False) -> list[Help]:
+    """Return the changes in the order in which they help.
+
+    Judged by the tightest requirement where one is at risk, else by what they tell in nats. Changes that need more than
+    the actuators' range are left out unless asked for.
+    """
+    feasible = [c for c in results.changes if c.possible and (beyond_range or not c.beyond_range)]
+    if _is_at_risk(results):
+        now = max(map(_share, results.requirements))
+        judged = [(c, measure_worst(results, c)) for c in feasible]
+        return [Help(c, worst <= WORTH_SHARE * now, True) for c, worst in sorted(judged, key=lambda pair: pair[1])]
+    now = results.summary["total_nats"]
+    ordered = sorted(feasible, key=lambda c: -c.nats)
+    return [Help(c, c.nats - now >= WORTH_NATS, False) for c in ordered]
+
+
+def _is_at_risk(results: AuditResults) -> bool:
+    return any(r.probability < KEPT for r in results.requirements)
+
+
+def _state_help(results: AuditResults) -> list[Statement]:
+    lead, ranked = "What would help most", rank_help(results)
+    if not ranked:
+        return []
+    if not ranked[0].is_worth:
+        return [Statement("None of the changes looked at would help noticeably.", "plain", lead)]
+    change = ranked[0].change
+    text = f"{_quote(change)}: {_describe_gain(results, change)}."
+    if _is_at_risk(results):
+        becomes = format_share(measure_worst(results, change))
+        text += f" The tightest requirement's standard deviation becomes {becomes} of its limit."
+    if len(ranked) > 1 and ranked[1].is_worth:
+        second = ranked[1].change
+        numbers = f"{format_fixed(second.nats, 0)} nat, {second.n_identifiable} determined"
+        text += f" Next comes {_quote(second)} ({numbers})."
+    further = rank_help(results, beyond_range=True)[0].change
+    if further is not change:
+        text += f" {_quote(further)} would help more, but needs more than the actuators' range."
+    if results.requirements and not _is_at_risk(results):
+        text += " The requirements ask for none of it."
+    return [Statement(text, "plain", lead)]
+
+
+def _quote(change: Change) -> str:
+    return f"“{change.name}”"
+
+
+def _describe_gain(results: AuditResults, change: Change) -> str:
+    now, then = results.n_identifiable, change.n_identifiable
+    known = (
+        f"{then} parameters are determined in place of {now}" if then != now else "no further parameter is determined"
+    )
+    nats = f"{format_fixed(results.summary['total_nats'], 0)} nat become {format_fixed(change.nats, 0)}"
+    return f"{nats}, {'and ' if then != now else ''}{known}"
+
+
+def choose_for_ridge(results: AuditResults, pivot: str) -> tuple[Change, float] | None:
+    """Return the change that tells most of a ridge, within the actuators' range, and its contraction then."""
+    known = [
+        (c, c.ridges[pivot])
+        for c in results.changes
+        if c.possible and not c.beyond_range and not math.isnan(c.ridges.get(pivot, math.nan))
+    ]
+    return max(known, key=lambda pair: pair[1]) if known else None
+
+
+def _state_special_case(results: AuditResults) -> list[Statement]:
+    """Warn where a machine a little off the expected one has a larger rank."""
+    elsewhere, rank = results.summary.get("structural_rank_elsewhere"), results.summary["structural_rank"]
+    if not isinstance(elsewhere, int) or elsewhere <= rank:
+        return []
+    text = (
+        f"The expected machine is a special case: one that is a tenth of the tolerances off has the rank {elsewhere} "
+        f"in place of {rank}, so what is said never to be seen here may be seen faintly on the machine as built."
+    )
+    return [Statement(text, "warning", "Symmetry")]
+
+
+# --- checks by simulation and by draws -------------------------------------------------------------------------------
+
+
+def _state_simulated(results: AuditResults) -> list[Statement]:
+    leads = {
+        "simulated_calibrations": "Simulated calibrations",
+        "simulated_calibrations_recommended": "Of what to free",
+    }
+    there = {lead: results.summary.get(key) for key, lead in leads.items()}
+    return [_judge_simulated(lead, found) for lead, found in there.items() if found is not None and found["symbols"]]
+
+
+def _judge_simulated(lead: str, simulated: dict[str, Any]) -> Statement:
+    ratios = {s: v["ratio"] for s, v in simulated["symbols"].items()}
+    off = [symbol for symbol, values in simulated["symbols"].items() if is_off(values["ratio"], values["ratio_se"])]
+    made = f"{simulated['n_converged']} of {simulated['n']} simulated calibrations converged"
+    span = format_range(list(ratios.values()), _two)
+    if not off:
+        text = f"{made}; their scatter bears the predicted standard deviations out (ratio {span})."
+        level: Level = "good" if simulated["n_converged"] == simulated["n"] else "warning"
+        return Statement(text, level, lead)
+    text = (
+        f"{made}; the scatter of {join_words(off)} is not the predicted one (ratio {span} over all symbols): the "
+        "linear prediction does not hold there."
+    )
+    return Statement(text, "warning", lead)
+
+
+def is_off(ratio: float, se: float) -> bool:
+    """Whether a simulated sd differs from the predicted one by more than chance and by more than a tenth."""
+    return abs(ratio - 1.0) > max(OFF * se, OFF_SHARE)
+
+
+def read_drawn_probabilities(results: AuditResults) -> dict[str, float]:
+    """Return the probability to keep each requirement by draws of the posterior; empty without them."""
+    posterior = results.summary.get("posterior") or {}
+    found = {name: values.get("probability") for name, values in (posterior.get("requirements") or {}).items()}
+    return {name: float(value) for name, value in found.items() if value is not None}
+
+
+def _state_posterior(results: AuditResults) -> list[Statement]:
+    posterior = results.summary.get("posterior")
+    if posterior is None:
+        return []
+    angle = posterior.get("principal_angle_deg")
+    level: Level = "plain"
+    text = f"{posterior['n_draws']:,} draws, {posterior['origin'].rstrip('.')}"
+    if angle is not None:
+        level = "good" if angle <= AGREED_DEG else "warning"
+        text += f": the space of its ridges lies within {format_fixed(angle, 1)}° of that from the information"
+        text += "" if level == "good" else ", so the ridges are curved or the linear picture does not hold there"
+    statements = [Statement(f"{text}.", level, "Posterior")]
+    drawn, now = read_drawn_probabilities(results), {r.name: r.probability for r in results.requirements}
+    lost = [name for name, value in drawn.items() if value < KEPT <= now.get(name, 0.0)]
+    if lost:
+        words = [f"{name_requirement(name)} ({format_probability(drawn[name])})" for name in lost]
+        text = f"By the draws the machine does not reliably keep {join_words(words)}, against the linear prediction."
+        statements.append(Statement(text, "bad", "Requirements by draws"))
+    return statements
+
+
+def _two(value: float) -> str:
+    return format_fixed(value, 2)

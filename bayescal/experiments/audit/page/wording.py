@@ -1,0 +1,143 @@
+"""How the report of an audit writes names, shares and probabilities."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+
+from markupsafe import Markup, escape
+
+from bayescal.experiments.study.page.results import split_name
+from bayescal.report.numbers import NOTHING, count_decimals, format_fixed, format_significant, join_words
+from bayescal.report.page import bind_units, set_symbol
+
+SURE = 0.9995
+OTHER_SYMBOL = re.compile(r"(?<![\w&#;.])([A-Za-zα-ω])_([a-z])(?!\w)")  # such as u_z, which is no parameter
+SMALLEST_SAID = 1e-3  # µm and arcsec
+DIRECTIONS = {"x": "x", "y": "y", "z": "z", "position": "position (length)", "rotation": "rotation (angle)"}
+UNITS = {"1": "", "N mm2": "N mm²", "um": "µm", "rad": "rad"}
+MICROMETRES = {"um": 1.0, "mm": 1e3, "m": 1e6}
+ARCSECONDS = {"arcsec": 1.0, "mrad": 3.6 * 180.0 / math.pi, "deg": 3600.0, "rad": 3600.0 * 180.0 / math.pi}
+
+
+def name_requirement(name: str) -> str:
+    """Return a requirement in words: ``rotation_x`` is rotation about x."""
+    axis = name.removeprefix("rotation_")
+    return f"rotation about {axis}" if axis != name else DIRECTIONS.get(name, name)
+
+
+def name_unit(unit: str) -> str:
+    """Return a unit as the report writes it, nothing for numbers."""
+    return UNITS.get(unit, unit)
+
+
+def format_contraction(value: float) -> str:
+    """Return a contraction with two decimals; what is not quite 0 or 1 is said so."""
+    if math.isnan(value):
+        return NOTHING
+    if value >= 0.995:
+        return "1" if value == 1.0 else ">0.99"
+    if value < 0.005:
+        return "0" if value <= 0.0 else "<0.01"
+    return f"{value:.2f}"
+
+
+def format_share(fraction: float) -> str:
+    """Return a fraction in per cent with two significant digits, at least 0.1 %."""
+    percent = 100.0 * fraction
+    if math.isnan(percent):
+        return NOTHING
+    if percent < 0.1:
+        return "<0.1 %"
+    return f"{percent:,.0f} %" if percent >= 99.5 else f"{percent:.2g} %"
+
+
+def format_probability(value: float) -> str:
+    """Return a probability that was counted over some thousand draws."""
+    percent = 100.0 * value
+    if math.isnan(value):
+        return NOTHING
+    if value >= SURE:
+        return ">99.9 %"
+    return "<0.1 %" if value <= 1.0 - SURE else f"{percent:.1f} %" if not 5 < percent < 95 else f"{percent:.0f} %"
+
+
+def say(text: str) -> str:
+    """Return a number such as ``>99.9 %`` within a sentence: more than 99.9 %."""
+    return text.replace(">", "more than ").replace("<", "less than ")
+
+
+def say_most(text: str) -> str:
+    """Return an upper bound within a sentence: ``at most 3 %``, ``less than 0.1 %``."""
+    return say(text) if text.startswith("<") else f"at most {text}"
+
+
+def format_range(values: Sequence[float], write: Callable[[float], str], between: str = " to ") -> str:
+    """Return ``least to most``, one where both read alike."""
+    return between.join(dict.fromkeys(write(x) for x in (min(values), max(values))))
+
+
+def format_sd(value: float) -> str:
+    """Return a standard deviation with two significant digits; tiny or huge ones with a power of ten."""
+    if value and not 1e-5 <= abs(value) < 1e5:
+        mantissa, _, power = f"{value:.1e}".partition("e")
+        return f"{mantissa}e{int(power)}".replace("-", "−")
+    return format_significant(value, 2)
+
+
+def format_nominal(value: float, sd: float) -> str:
+    """Return a nominal value to the second digit of its tolerance."""
+    return format_fixed(value, min(6, count_decimals(sd))) if abs(value) < 1e6 else format_sd(value)
+
+
+def list_names(names: Sequence[str]) -> str:
+    """Return parameters as words, a symbol with its legs: ``u_y of legs 4 and 5``."""
+    legs: dict[str, list[str]] = {}
+    for name in names:
+        symbol, leg = split_name(name)
+        legs.setdefault(symbol, []).extend([str(leg)] if leg else [])
+    words = []
+    for symbol, numbers in legs.items():
+        which = f" of leg{'s' if len(numbers) > 1 else ''} {join_words(sorted(numbers, key=int))}" if numbers else ""
+        words.append(f"{symbol}{which}")
+    return join_words(words)
+
+
+def format_change(position: float, rotation: float, units: Mapping[str, str]) -> str:
+    """Return the most by which a pose changes, in µm and arcsec, whatever the design's units."""
+    moved = position * MICROMETRES.get(units["length"], math.nan)
+    turned = rotation * ARCSECONDS.get(units["angle"], math.nan)
+    return f"{format_sd(max(moved, SMALLEST_SAID))} µm and {format_sd(max(turned, SMALLEST_SAID))} arcsec"
+
+
+def count(number: int, noun: str) -> str:
+    """Return ``1 pose`` or ``3 poses``."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def make_prose(symbols: Sequence[str]) -> Callable[[str], Markup]:
+    """Return what sets running text: escaped, parameters such as ``a_z[3]`` as the field writes them."""
+    alternatives = "|".join(re.escape(str(escape(s))) for s in sorted(symbols, key=len, reverse=True))
+    pattern = re.compile(rf"(?<![\w&#;.])({alternatives})(?:\[(\d+)\])?(?![\w\[])")
+
+    def replace(found: re.Match[str]) -> str:
+        symbol = str(set_symbol(found[1]))
+        if not found[2]:
+            return symbol
+        within = symbol.endswith("</sub>")
+        return f"{symbol.removesuffix('</sub>')},{found[2]}</sub>" if within else f"{symbol}<sub>{found[2]}</sub>"
+
+    def prose(text: str) -> Markup:
+        named = pattern.sub(replace, str(escape(bind_units(text))))
+        return Markup(OTHER_SYMBOL.sub(r"<i>\1</i><sub>\2</sub>", named))
+
+    return prose
+
+
+def format_fixed_span(low: float, high: float) -> str:
+    """Return an interval about zero, ``open`` where it has no end."""
+    if math.isinf(low) and math.isinf(high):
+        return "open"
+    low_text, high_text = ("open" if math.isinf(x) else f"{'+' if x > 0 else ''}{format_sd(x)}" for x in (low, high))
+    return f"{low_text} to {high_text}"

@@ -1,0 +1,308 @@
+"""Posterior identifiability: what draws of the posterior say of the ridges that the information foretells.
+
+With data the draws are those of the study's posterior. Without data they are those of the posterior to expect: the
+planned poses of the expected machine, measured without error but weighed as their noise deserves.
+
+The information is that of a tangent; draws follow a ridge where it bends. Their covariance has the chord for a
+direction, and its smaller axes hold the bend too. Tangent and chord agree where the tangent is taken in the middle of
+the draws, at their mean, and the bend stays below what is informed: the angle between both spaces says whether it does.
+
+Eigenvectors are only known as far as their eigenvalues differ: of two directions that contract alike, one just informed
+and one just not, any mixture is as good. Spaces are therefore compared below the widest gap of the remaining variances
+near the threshold. How far chance alone turns the draws' space there is seen from two halves of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.linalg import subspace_angles
+
+from bayescal.config.schema import UniformConfig
+from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.priors import NormalPrior, Prior, UniformPrior
+from bayescal.errors import InputError
+from bayescal.experiments.audit.audit import Audit
+from bayescal.experiments.audit.from_study import SEED
+from bayescal.experiments.audit.inputs import AuditInputs
+from bayescal.identifiability.design import predict_poses
+from bayescal.identifiability.draws import Draws, draw_posterior
+from bayescal.identifiability.frames import N_FRAME_PARAMETERS
+from bayescal.identifiability.information import Information
+from bayescal.identifiability.sensitivity import compute_sensitivity, root_of
+from bayescal.limits import INFORMED
+from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.numerics.geometry import Array, compute_pose_error
+
+EXPECTED = "Expected: the planned poses of the expected machine, without error"
+NEAR = 2.0  # a factor on the remaining variance within which a gap may stand in for the threshold
+BLIND = 1e-12  # of the largest eigenvalue of a pose's information, below which it does not see all of the pose
+PREDICTED = 300  # draws of which the workspace's poses are computed
+NOISES = 10  # for each of them
+
+
+@dataclass(frozen=True)
+class SpaceAngle:
+    """The largest principal angle between the weak directions of information and of draws.
+
+    Attributes
+    ----------
+    degrees : float
+    halves : float
+        The same between two halves of the draws: what chance does to half as many.
+    n_directions : int
+        How many are compared.
+    gap : float
+        Ratio of the remaining variances on both sides of the cut, as the information has them.
+    """
+
+    degrees: float
+    halves: float
+    n_directions: int
+    gap: float
+
+
+@dataclass(frozen=True)
+class Chance:
+    """How probable it is that no pose of the workspace exceeds a limit.
+
+    Attributes
+    ----------
+    probability : float
+        With poses predicted by all draws together.
+    of_mean_machine : float
+        With poses predicted by the machine whose parameters are the posterior means. Where a ridge bends, that machine
+        lies off it, and predicts worse than any draw.
+    """
+
+    probability: float
+    of_mean_machine: float
+
+
+@dataclass(frozen=True, eq=False)
+class PosteriorLevel:
+    """What draws say of n free parameters.
+
+    Attributes
+    ----------
+    inputs : AuditInputs
+    origin : str
+        Of the draws, in words.
+    draws : Draws
+    angle : SpaceAngle or None
+        None where no direction is weak, or all are.
+    chances : dict of requirement to Chance
+    """
+
+    inputs: AuditInputs
+    origin: str
+    draws: Draws
+    angle: SpaceAngle | None
+    chances: dict[str, Chance]
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the draws in units of the tolerances, shape (n, n)."""
+        return _covariance(self.draws.values / self.inputs.knowledge.sd)
+
+    def contraction_along(self, vector: Array) -> float:
+        """Return the contraction of the draws along a unit direction (n,) in units of the tolerances."""
+        return 1.0 - float(vector @ self.covariance @ vector)
+
+    def summary(self) -> dict[str, Any]:
+        """Return what ``audit.json`` says of this level, in the design's units."""
+        inputs, draws = self.inputs, self.draws
+        knowledge, values = inputs.knowledge, draws.values
+        factors = np.array([inputs.units.factor(unit) for unit in knowledge.units])
+        mean, sd = values.mean(axis=0) / factors, values.std(axis=0) / factors
+        contraction = 1.0 - np.diagonal(self.covariance)
+        angle = self.angle
+        return {
+            "left_out": None,
+            "origin": self.origin,
+            "n_draws": len(values),
+            "converged": not draws.problems,
+            "problems": list(draws.problems),
+            "rhat_max": float(draws.diagnostics.rhat.max()),
+            "ess_bulk_min": float(draws.diagnostics.ess_bulk.min()),
+            "principal_angle_deg": None if angle is None else angle.degrees,
+            "principal_angle_of_halves_deg": None if angle is None else angle.halves,
+            "n_directions_compared": None if angle is None else angle.n_directions,
+            "gap": None if angle is None else angle.gap,
+            "parameters": {
+                name: {"mean": float(m), "sd": float(s), "contraction": float(c)}
+                for name, m, s, c in zip(knowledge.names, mean, sd, contraction, strict=True)
+            },
+            "requirements": {
+                name: {"probability": chance.probability, "probability_of_mean_machine": chance.of_mean_machine}
+                for name, chance in self.chances.items()
+            },
+        }
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """An audit without this level, and why."""
+
+    reason: str
+
+    def contraction_along(self, vector: Array) -> None:
+        """Return None: nothing is known."""
+        del vector
+
+    def summary(self) -> dict[str, Any]:
+        """Return the reason for ``audit.json``."""
+        return {"left_out": self.reason}
+
+
+def audit_posterior(inputs: AuditInputs, audit: Audit) -> PosteriorLevel | LeftOut:
+    """Return what draws of the posterior say, or why there are none."""
+    if inputs.measured is not None:
+        origin, draws = inputs.measured.origin, inputs.measured.draws
+        if draws is None:
+            return LeftOut("the design wants no draws: draws is 0 in [posterior]")
+    else:
+        n_draws = inputs.config.posterior.draws
+        if not n_draws:
+            return LeftOut("the design wants no draws: it has neither [data] nor draws in [posterior]")
+        posterior = build_expected_posterior(inputs)
+        if isinstance(posterior, LeftOut):
+            return posterior
+        seed = np.random.SeedSequence([inputs.config.seed, SEED])
+        origin, draws = EXPECTED, draw_posterior(posterior, inputs.config.posterior, n_draws, seed)
+    angle = compare_spaces(audit.analysis.information, draws.values / inputs.knowledge.sd)
+    rng = np.random.default_rng([inputs.config.seed, SEED + 1])
+    return PosteriorLevel(inputs, origin, draws, angle, judge_draws(inputs, draws, rng))
+
+
+def build_expected_posterior(inputs: AuditInputs) -> Posterior | LeftOut:
+    """Return the posterior of noise-free planned poses of the expected machine, or why it cannot be had."""
+    knowledge, plan = inputs.knowledge, inputs.plan
+    machine = knowledge.machine
+    theta = knowledge.machine_centre
+    if np.any(knowledge.free >= machine.layout.size):
+        return LeftOut("frames are free, and the likelihood is that of poses measured in the machine's own frames")
+    found = predict_poses(machine, theta, plan.actuators)
+    information = plan.information(found)
+    blind = _find_blind_pose(information)
+    if blind is not None:
+        return LeftOut(f"the sensors see only a part of pose {blind + 1}, and the likelihood is that of whole poses")
+    names = tuple(str(k + 1) for k in range(plan.n_poses))
+    poses = MeasuredPoses(names, found.position, found.rotation, np.linalg.inv(information), plan.actuators)
+    model_error = np.full(plan.actuators.shape, plan.model_error**2)
+    likelihood = PoseLikelihood(machine, poses, plan.actuator_noise, model_error)
+    posterior = Posterior(likelihood, list_priors(inputs), ModelError(None), knowledge.fixed)
+    posterior.check_machine()
+    return posterior
+
+
+def list_priors(inputs: AuditInputs) -> dict[str, Prior]:
+    """Return the priors of all free parameters, in order."""
+    knowledge = inputs.knowledge
+    if inputs.measured is not None:
+        return {name: inputs.measured.posterior.priors[name] for name in knowledge.names}
+    priors: dict[str, Prior] = {}
+    centre, known = knowledge.centre[knowledge.free], inputs.config.parameters
+    for name, symbol, mean, sd in zip(knowledge.names, knowledge.symbols, centre, knowledge.sd, strict=True):
+        half = float(np.sqrt(3.0) * sd)
+        uniform = isinstance(known.get(symbol), UniformConfig)  # a frame's parameter is none of these
+        priors[name] = UniformPrior(mean - half, mean + half) if uniform else NormalPrior(mean, sd)
+    return priors
+
+
+def _find_blind_pose(information: Array) -> int | None:
+    """Return the first pose of which a part is not seen, with mm and rad made comparable."""
+    scale = np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
+    unseen = (scale <= 0.0).any(axis=-1)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    values = np.linalg.eigvalsh(information / scale[:, :, None] / scale[:, None, :])
+    blind = unseen | (values[:, 0] < BLIND * values[:, -1])
+    return int(np.argmax(blind)) if blind.any() else None
+
+
+# --- directions --------------------------------------------------------------------------------------------------
+
+
+def compare_spaces(information: Information, draws: Array) -> SpaceAngle | None:
+    """Return the angle between the weak spaces of information and of draws (S, n), both in units of the tolerances."""
+    variances, vectors = np.linalg.eigh(information.covariance)
+    cut = _find_cut(variances[::-1])
+    if cut is None:
+        return None
+    weak = vectors[:, ::-1][:, :cut]
+    middle = len(draws) // 2
+    first, second = (_largest(part, cut) for part in (draws[:middle], draws[middle:]))
+    return SpaceAngle(
+        _angle(weak, _largest(draws, cut)),
+        _angle(first, second),
+        cut,
+        float(variances[::-1][cut - 1] / variances[::-1][cut]),
+    )
+
+
+def _find_cut(variances: Array) -> int | None:
+    """Return how many directions lie above the widest gap near the threshold; variances (n,), the largest first."""
+    threshold = 1.0 - INFORMED
+    own = int(np.sum(variances > threshold))
+    if own in (0, len(variances)):
+        return None
+    larger, smaller = variances[:-1], variances[1:]
+    near = np.abs(np.log(larger * smaller) / 2.0 - np.log(threshold)) <= np.log(NEAR)
+    near[own - 1] = True
+    return 1 + int(np.argmax(np.where(near, larger / smaller, 0.0)))
+
+
+def _covariance(draws: Array) -> Array:
+    return np.atleast_2d(np.cov(draws, rowvar=False))
+
+
+def _largest(draws: Array, k: int) -> Array:
+    """Return the k axes of largest variance of draws (S, n), shape (n, k)."""
+    return np.asarray(np.linalg.eigh(_covariance(draws))[1][:, -k:])
+
+
+def _angle(first: Array, second: Array) -> float:
+    return float(np.degrees(subspace_angles(first, second)[0]))
+
+
+# --- requirements ------------------------------------------------------------------------------------------------
+
+
+def judge_draws(inputs: AuditInputs, draws: Draws, rng: np.random.Generator) -> dict[str, Chance]:
+    """Return how requirements stand by the machine itself, not by its derivatives.
+
+    A draw stands for the true machine. Its poses are predicted by the mean of what all draws predict, or by the machine
+    of mean parameters; actuators and model error are added as the plan has them. A draw that cannot take a pose exceeds
+    every limit.
+    """
+    if not inputs.requirements:
+        return {}
+    knowledge, actuators = inputs.knowledge, inputs.workspace_actuators
+    values = draws.thin(PREDICTED)
+    theta = np.broadcast_to(knowledge.centre, (len(values) + 1, knowledge.layout.size)).copy()
+    theta[:-1, knowledge.free], theta[-1, knowledge.free] = values, draws.mean
+    machine_theta = theta[:, None, :-N_FRAME_PARAMETERS]
+    found = solve_forward_kinematics(knowledge.machine, machine_theta, actuators, check=False)
+    possible = found.converged[:-1].all(axis=1)
+    if not (found.converged[-1].all() and possible.any()):
+        raise InputError("workspace: found poses that the posterior's machines cannot take, expected none")
+    position, rotation = found.position, found.rotation
+    by_mean = compute_pose_error(position[:-1][possible], rotation[:-1][possible], position[-1:], rotation[-1:])
+    errors = {"probability": by_mean - by_mean.mean(axis=0), "of_mean_machine": by_mean}
+    noise = compute_sensitivity(knowledge, actuators, theta[-1]).pose_noise(inputs.plan)
+    root = np.swapaxes(root_of(noise), -1, -2)
+    good = {name: np.zeros(len(inputs.requirements)) for name in errors}
+    for _ in range(NOISES):
+        added = np.einsum("wij,swj->swi", root, rng.standard_normal(by_mean.shape))
+        for name, error in errors.items():
+            good[name] += [np.sum((r.take(error + added) <= r.limit).all(axis=1)) for r in inputs.requirements]
+    n = NOISES * len(values)
+    return {
+        r.name: Chance(**{name: float(count[k]) / n for name, count in good.items()})
+        for k, r in enumerate(inputs.requirements)
+    }

@@ -1,0 +1,1 @@
+"""What all kinds of experiment have in common, done once."""

@@ -1,0 +1,159 @@
+"""Where results live: finished work kept as it comes, the results directory replaced in one step.
+
+``OUT.partial`` holds the finished tasks of a run, one file each, and what determines them. ``OUT`` appears, or is
+replaced, only when everything in it is written: a killed run leaves the old results or the new, never half.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import io
+import json
+import os
+import shutil
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayescal.errors import InputError
+from bayescal.experiments.study.inputs import hash_identity
+from bayescal.files.atomic import read_json, write_atomically
+from bayescal.numerics.geometry import Array
+
+IDENTITY_FILE = "identity.json"
+PROVENANCE_FILE = "provenance.json"
+
+
+@dataclass(frozen=True)
+class Store:
+    """The results directory of a study and the work in progress beside it."""
+
+    out: Path
+
+    @property
+    def partial(self) -> Path:
+        """Directory of the finished tasks."""
+        return self._beside(".partial")
+
+    @property
+    def staged(self) -> Path:
+        """Directory in which new results are put together."""
+        return self._beside(".new.partial")
+
+    def _beside(self, ending: str) -> Path:
+        where = self.out.resolve()  # a link or "." has its neighbours where it points to
+        return where.with_name(where.name + ending)
+
+    # --- before the run ------------------------------------------------------------------------------------------
+
+    def check_results(self, identity: dict[str, Any]) -> None:
+        """Refuse to replace results of another config, or a directory that holds no results."""
+        if not self.out.exists():
+            return
+        provenance = self.out / PROVENANCE_FILE
+        if not self.out.is_dir() or (not provenance.is_file() and any(self.out.iterdir())):
+            raise InputError(
+                f"{self.out}: exists and holds no results of a study, expected a new or a results directory"
+            )
+        if provenance.is_file():
+            found, wanted = read_json(provenance).get("config_sha256"), hash_identity(identity)
+            if found != wanted:
+                raise InputError(
+                    f"{self.out}: holds results of another config (sha256 {str(found)[:12]}), expected those of "
+                    f"this one ({wanted[:12]}); choose another --out or remove it"
+                )
+
+    def begin(self, identity: dict[str, Any], resume: bool) -> None:
+        """Make the partial directory ready: empty, or with the finished tasks of the run to resume.
+
+        Raises
+        ------
+        InputError
+            Where there is nothing to resume, or it differs in what matters; the message names the differences.
+        """
+        if resume:
+            if not (self.partial / IDENTITY_FILE).is_file():
+                raise InputError(f"{self.partial}: found no interrupted run, expected one to resume")
+            changes = list_differences(read_json(self.partial / IDENTITY_FILE), identity)
+            if changes:
+                raise InputError(f"{self.partial}: cannot resume, the config differs: {'; '.join(changes)}")
+            return
+        self._check_partial()
+        shutil.rmtree(self.partial, ignore_errors=True)
+        self.partial.mkdir(parents=True)
+        write_atomically(self.partial / IDENTITY_FILE, json.dumps(identity, indent=1).encode())
+
+    def _check_partial(self) -> None:
+        """Refuse to empty a directory that no run has made."""
+        if not self.partial.exists():
+            return
+        ours = self.partial.is_dir() and all(
+            path.name.removesuffix(".tmp") == IDENTITY_FILE or path.name.removesuffix(".tmp").endswith(".npz")
+            for path in self.partial.iterdir()
+        )
+        if not ours:
+            raise InputError(f"{self.partial}: exists and is no interrupted run, expected nothing there; remove it")
+
+    # --- tasks ---------------------------------------------------------------------------------------------------
+
+    def save_task(self, key: str, arrays: dict[str, Array]) -> None:
+        """Keep the arrays of a finished task."""
+        buffer = io.BytesIO()
+        np.savez(buffer, allow_pickle=False, **arrays)
+        write_atomically(self.partial / f"{key}.npz", buffer.getvalue())
+
+    def load_task(self, key: str) -> dict[str, Array] | None:
+        """Return the arrays of a finished task, or None; a damaged file counts as not finished."""
+        path = self.partial / f"{key}.npz"
+        if not path.is_file():
+            return None
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+                return {name: stored[name] for name in stored.files}
+        except (OSError, ValueError, EOFError, RuntimeError, AttributeError, TypeError, zipfile.BadZipFile):
+            return None  # among them what a flipped bit looks like: an encrypted archive, a bare array
+
+    # --- after the run -------------------------------------------------------------------------------------------
+
+    def stage(self) -> Path:
+        """Return an empty directory beside the results to put new ones together in."""
+        shutil.rmtree(self.staged, ignore_errors=True)
+        self.staged.mkdir(parents=True)
+        return self.staged
+
+    def publish(self) -> None:
+        """Put the staged results in place of the old ones in one step, then remove the old and the partial work."""
+        if self.out.exists():
+            _exchange(self.staged, self.out.resolve())
+            shutil.rmtree(self.staged, ignore_errors=True)
+        else:
+            self.staged.rename(self.out.resolve())
+        shutil.rmtree(self.partial, ignore_errors=True)
+
+
+def _exchange(one: Path, other: Path) -> None:
+    """Exchange two directories, by one system call where the system has it."""
+    exchange = 2  # RENAME_EXCHANGE
+    at_cwd = -100  # AT_FDCWD
+    function = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if os.name == "posix" else None
+    if function is not None and function(at_cwd, os.fsencode(one), at_cwd, os.fsencode(other), exchange) == 0:
+        return
+    aside = other.with_name(other.name + ".old.partial")
+    shutil.rmtree(aside, ignore_errors=True)
+    other.rename(aside)
+    one.rename(other)
+    aside.rename(one)
+
+
+def list_differences(old: Any, new: Any, where: str = "") -> list[str]:
+    """Return the differences of two JSON values, each as ``key: old -> new``."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        keys = sorted(set(old) | set(new))
+        return [d for k in keys for d in list_differences(old.get(k), new.get(k), f"{where}.{k}" if where else str(k))]
+    if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        pairs = zip(old, new, strict=True)
+        return [d for k, (a, b) in enumerate(pairs) for d in list_differences(a, b, f"{where}[{k}]")]
+    return [] if old == new else [f"{where}: {json.dumps(old)} -> {json.dumps(new)}"]

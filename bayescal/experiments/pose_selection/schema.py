@@ -1,0 +1,210 @@
+"""The schema of an experiment on pose selection: a machine as in an audit, where poses may be, how to choose them.
+
+Tolerances and requirements are in the units of [units]; all other keys carry theirs.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from bayescal.config.schema import DeformationConfig, FixedConfig, Positive, PriorConfig, Section
+from bayescal.experiments.audit.schema import (
+    AuditNoiseConfig,
+    AuditVariantConfig,
+    Extent,
+    Name,
+    RequirementsConfig,
+    SensorConfig,
+    UnitsConfig,
+    WorkspaceConfig,
+)
+
+type Count = Annotated[int, Field(ge=1, le=100_000)]
+type CriterionName = Literal["O1", "O2", "O3", "O4", "O5", "D", "A", "I"]
+
+
+# --- where poses may be ------------------------------------------------------------------------------------------
+
+
+class WorkspaceDomainConfig(Section):
+    """A box of displacements and rotation vectors about home; the actuators' range is kept."""
+
+    within: Literal["workspace"]
+    position_mm: Extent
+    rotation_deg: Extent
+
+
+class ActuatorDomainConfig(Section):
+    """The actuators' range; with half widths about home the poses stay within these too."""
+
+    within: Literal["actuators"]
+    position_mm: Extent | None = None
+    rotation_deg: Extent | None = None
+
+    @model_validator(mode="after")
+    def _check_both(self) -> Self:
+        if (self.position_mm is None) != (self.rotation_deg is None):
+            raise ValueError("expected both position_mm and rotation_deg, or none of them")
+        return self
+
+
+type DomainConfig = Annotated[WorkspaceDomainConfig | ActuatorDomainConfig, Field(discriminator="within")]
+
+
+class CandidatesConfig(Section):
+    """Poses to choose from: on an even grid, at random, or a full factorial, topped up.
+
+    With ``redraw`` each repeat has its own.
+    """
+
+    spread: Literal["even", "random", "factorial"] = "random"
+    count: Count = 2000
+    levels: Annotated[int, Field(ge=2, le=1000)] = 11
+    redraw: bool = False
+
+
+class TableConfig(Section):
+    """Actuator displacements from a CSV table, one row a pose."""
+
+    configurations: str
+    unit_mm: Positive = 1.0
+
+
+class DesignConfig(TableConfig):
+    """Poses that somebody else has chosen, to be judged beside those found."""
+
+    name: Name
+
+
+# --- how they are chosen -----------------------------------------------------------------------------------------
+
+
+class ChoiceConfig(Section):
+    """A method with its options: every criterion with every number of poses, ``repeats`` times."""
+
+    label: Name | None = None
+    criteria: Annotated[list[CriterionName], Field(min_length=1)]
+    n_poses: Annotated[list[Count], Field(min_length=1)]
+    repeats: Annotated[int, Field(ge=1, le=10_000)] = 1
+
+
+class RandomChoiceConfig(ChoiceConfig):
+    """The best of random sets."""
+
+    method: Literal["random"]
+    n_sets: Count = 1
+
+
+class DetmaxChoiceConfig(ChoiceConfig):
+    """DETMAX."""
+
+    method: Literal["detmax"]
+    max_iterations: Count = 1000
+
+
+class TabuChoiceConfig(ChoiceConfig):
+    """Improved DETMAX with a tabu list."""
+
+    method: Literal["tabu"]
+    list_length: Annotated[int, Field(ge=0, le=100_000)] = 100
+    iterations: Count = 219
+    leave: bool = False
+
+
+class ExchangeChoiceConfig(ChoiceConfig):
+    """Eliminate and add."""
+
+    method: Literal["exchange"]
+    max_iterations: Count = 1000
+
+
+class ContinuousChoiceConfig(ChoiceConfig):
+    """All poses at once, from a random set or from what another method finds."""
+
+    method: Literal["continuous"]
+    start: Literal["random", "detmax", "exchange", "tabu"] = "exchange"
+    max_iterations: Count = 300
+
+
+type SelectionChoice = Annotated[
+    RandomChoiceConfig | DetmaxChoiceConfig | TabuChoiceConfig | ExchangeChoiceConfig | ContinuousChoiceConfig,
+    Field(discriminator="method"),
+]
+
+
+# --- what comes of it --------------------------------------------------------------------------------------------
+
+
+class CalibrationsConfig(Section):
+    """Simulated calibrations with each set of poses: machines drawn within the tolerances, measured and identified.
+
+    ``known``: the identification knows the tolerances; otherwise it is least squares, weighted by the noise.
+    """
+
+    machines: Annotated[int, Field(ge=2, le=10_000)] = 20
+    known: bool = True
+
+
+class PublishedConfig(Section):
+    """What the source printed: a table of label, criterion, n_poses and value; and of random sets mean and maximum."""
+
+    source: str
+    table: str | None = None
+    random_mean: Positive | None = None
+    random_max: Positive | None = None
+    iterations: dict[str, Count] = Field(default={})
+
+
+class SelectionConfig(Section):
+    """An experiment on pose selection."""
+
+    kind: Literal["pose_selection"]
+    name: Name
+    title: str
+    origin: str
+    seed: Annotated[int, Field(ge=0)]
+    mechanism: str
+    variant: AuditVariantConfig
+    units: UnitsConfig = UnitsConfig()
+    deformation: DeformationConfig = DeformationConfig()
+    parameters: dict[str, PriorConfig]
+    noise: AuditNoiseConfig
+    sensors: dict[str, SensorConfig]
+    measured_by: Annotated[list[str], Field(min_length=1)]
+    workspace: WorkspaceConfig | None = None
+    requirements: RequirementsConfig = RequirementsConfig()
+    domain: DomainConfig
+    candidates: CandidatesConfig = CandidatesConfig()
+    jacobian: Literal["pose", "angles", "closure"] = "pose"
+    selections: Annotated[list[SelectionChoice], Field(min_length=1)]
+    designs: list[DesignConfig] = Field(default=[])
+    measured: TableConfig | None = None
+    calibrations: CalibrationsConfig | None = None
+    published: PublishedConfig | None = None
+
+    @model_validator(mode="after")
+    def _check_whole(self) -> Self:
+        if all(isinstance(prior, FixedConfig) for prior in self.parameters.values()):
+            raise ValueError("found no tolerance in [parameters], expected a normal or uniform prior of some")
+        if self.workspace is None:
+            for what, needed in (
+                ("[calibrations]", self.calibrations is not None),
+                ("[requirements]", bool(self.requirements.model_fields_set)),
+                ("criterion 'I'", any("I" in choice.criteria for choice in self.selections)),
+            ):
+                if needed:
+                    raise ValueError(f"found {what} without [workspace], expected both")
+        seen: set[object] = {design.name for design in self.designs}
+        if len(seen) < len(self.designs):
+            raise ValueError("found two designs of one name, expected a name for each")
+        for choice in self.selections:
+            label = choice.label or choice.method
+            for key in ((label, criterion, n) for criterion in choice.criteria for n in choice.n_poses):
+                if key in seen or label in seen:
+                    raise ValueError(
+                        f"found {label!r} twice for criterion {key[1]} and {key[2]} poses, expected a label for each"
+                    )
+                seen.add(key)
+        return self

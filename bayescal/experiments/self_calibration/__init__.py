@@ -1,0 +1,1 @@
+"""Machines calibrated from their own readings."""

@@ -1,0 +1,95 @@
+"""Readings of single poses that a machine which explains all others cannot have.
+
+Against the machine as expected only what is off by more than its tolerances shows, for angle sensors some ten
+millimetres. Against the calibrated one some micrometres do. A pose is refused where the others are explained without
+it; where they are not, the model may be at fault as well, and the report says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import chi2
+
+from bayescal.density.readings.likelihood import ReadingLikelihood
+from bayescal.density.readings.poses import null_basis
+from bayescal.density.readings.posterior import SelfCalibrationPosterior
+from bayescal.errors import InputError
+from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
+from bayescal.numerics.geometry import Array
+
+DOUBT = 5.0  # standard deviations of χ² beyond which readings are not explained
+CHANCE = 1e-8  # of a pose's readings to lie as far off by noise alone, below which they are refused
+SUSPECTS = 3
+
+
+def check_readings(inputs: ReadingInputs, where: Path) -> None:
+    """Raise InputError that names a pose whose readings the machine of all others cannot have."""
+    held = inputs.table.verification
+    names = np.array(inputs.table.poses)
+    for variant in inputs.variants.values():
+        if not variant.config.is_plain:
+            continue
+        posterior = inputs.posterior(variant)
+        mode = posterior.approach()
+        if not _is_explained(posterior, mode):
+            suspect = _find_suspect(posterior, mode)
+            if suspect is not None:
+                _complain(where, variant, str(names[~held][suspect[0]]), suspect[1], find_limit(posterior))
+            continue
+        if held.any():
+            off = measure_misfits(posterior, mode, inputs.likelihood(variant, verification=True))
+            for k in np.flatnonzero(~(off <= find_limit(posterior)))[:1]:
+                _complain(where, variant, str(names[held][k]), float(off[k]), find_limit(posterior))
+
+
+def find_limit(posterior: SelfCalibrationPosterior) -> float:
+    """Return the rms of what no pose explains, in what noise and posterior let one expect, that chance hardly gives."""
+    redundancy = posterior.likelihood.sensors.redundancy
+    return float(np.sqrt(chi2.isf(CHANCE, redundancy) / redundancy))
+
+
+def _complain(where: Path, variant: Variant, name: str, off: float, limit: float) -> None:
+    raise InputError(
+        f"{where}: pose {name!r}: found readings of {', '.join(variant.sensors.names)} {off:.3g} times as far from any "
+        f"pose as their noise allows, where the other poses are explained, expected at most {limit:.2g}"
+    )
+
+
+def _is_explained(posterior: SelfCalibrationPosterior, mode: Array) -> bool:
+    """Whether readings and priors together leave no more than their number lets one expect."""
+    error = posterior.likelihood.find_poses(posterior.theta(mode[None]))[1]
+    count = posterior.likelihood.n_poses * posterior.likelihood.sensors.redundancy
+    return float((error**2).sum() + mode @ mode) <= count + DOUBT * np.sqrt(2.0 * count)
+
+
+def _find_suspect(posterior: SelfCalibrationPosterior, mode: Array) -> tuple[int, float] | None:
+    """Return a pose without which all others are explained, and how far its readings are off then."""
+    likelihood = posterior.likelihood
+    square = (likelihood.find_poses(posterior.theta(mode[None]))[1][0] ** 2).sum(axis=1)
+    if (likelihood.n_poses - 1) * likelihood.sensors.redundancy < posterior.n_parameters:
+        return None
+    for suspect in np.argsort(-square)[:SUSPECTS]:
+        others = replace(posterior, likelihood=likelihood.select(np.arange(likelihood.n_poses) != suspect))
+        found = others.approach()
+        if _is_explained(others, found):
+            one = likelihood.select(np.arange(likelihood.n_poses) == suspect)
+            off = float(measure_misfits(others, found, one)[0])
+            if off > find_limit(others):
+                return int(suspect), off
+    return None
+
+
+def measure_misfits(posterior: SelfCalibrationPosterior, mode: Array, other: ReadingLikelihood) -> Array:
+    """Return what no pose explains of other readings, rms by what noise and posterior let one expect, shape (P,)."""
+    theta = posterior.theta(mode[None])
+    pose, error = other.find_poses(theta)
+    here = other.sensors.linearise(theta[0], pose[0])
+    basis = null_basis(here.by_pose)
+    rest = np.einsum("pzk,pk->pz", basis, error[0])
+    slope = basis @ here.by_parameters @ posterior.moves.T
+    covariance = slope @ posterior.covariance(mode) @ np.swapaxes(slope, -1, -2) + np.eye(other.sensors.redundancy)
+    square = np.einsum("pz,pz->p", rest, np.linalg.solve(covariance, rest[..., None])[..., 0])
+    return np.sqrt(square / other.sensors.redundancy)

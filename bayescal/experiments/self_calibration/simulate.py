@@ -1,0 +1,77 @@
+"""Readings of a machine drawn within its tolerances, with the truth beside them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.errors import InputError
+from bayescal.experiments.self_calibration.reading_table import PARAMETER_COLUMNS, POSE_COLUMNS, USES, name_column
+from bayescal.experiments.self_calibration.schema import ReadingSimulationConfig
+from bayescal.experiments.shared.reading_machine import (
+    build_sensors,
+    draw_poses,
+    free_parameters,
+    read_sliding_platform,
+)
+from bayescal.files.csv_tables import format_table
+from bayescal.machines.readings import SlidingPlatform
+from bayescal.numerics.geometry import Array
+
+LENGTH_DECIMALS, ANGLE_DECIMALS = 6, 9
+TRUE_DECIMALS = 12
+
+
+def simulate_readings(config: ReadingSimulationConfig, folder: Path, rng: np.random.Generator) -> dict[str, str]:
+    """Return the texts of ``readings.csv``, ``true_parameters.csv`` and ``true_poses.csv`` by file name.
+
+    Everything that the sensors see, but for what defines the frames, deviates by its tolerance.
+    """
+    model = read_sliding_platform(folder / config.machine)
+    sensors = build_sensors(model, config.sensors)
+    free = free_parameters(model, sensors.names, config.tolerances)
+    theta = free.draw(rng, 1)[0]
+    for symbol in config.common:
+        if symbol not in model.layout.index:
+            raise InputError(f"common: found {symbol!r}, expected one of {', '.join(model.layout.symbols)}")
+        alike = np.intersect1d(model.layout.index[symbol], free.places)
+        theta[alike] = (model.layout.nominal + (theta - model.layout.nominal)[alike[-1:]])[alike]
+    section = config.poses
+    count = section.n_poses + config.verification_poses
+    pose = draw_poses(model, section.model_copy(update={"n_poses": count}), rng)
+    names = [f"C{k:03d}" for k in range(1, section.n_poses + 1)]
+    names += [f"V{k:02d}" for k in range(1, config.verification_poses + 1)]
+    exact = sensors.read(theta, pose)
+    if not np.isfinite(exact).all():
+        raise InputError("tolerances: found a machine that cannot take all poses, expected smaller tolerances")
+    measured = exact + sensors.noise * rng.standard_normal(exact.shape)
+    channels = [model.channels[k] for k in sensors.chosen]
+    decimals = [LENGTH_DECIMALS if channel.unit == "mm" else ANGLE_DECIMALS for channel in channels]
+    uses = [USES[k >= section.n_poses] for k in range(count)]
+    rows = [
+        (name, use, *(f"{x:.{d}f}" for x, d in zip(values, decimals, strict=True)))
+        for name, use, values in zip(names, uses, measured, strict=True)
+    ]
+    columns = ("pose", "use", *(name_column(channel) for channel in channels))
+    comments = [config.origin, "Readings of carriages in mm, of angles in rad; columns end with their unit."]
+    return {"readings.csv": format_table(comments, columns, rows), **_format_truth(config, model, theta, names, pose)}
+
+
+def _format_truth(
+    config: ReadingSimulationConfig, model: SlidingPlatform, theta: Array, names: list[str], pose: Array
+) -> dict[str, str]:
+    layout = model.layout
+    parameters = [
+        (name, unit, f"{value:.{TRUE_DECIMALS}f}")
+        for name, unit, value in zip(layout.names, layout.units, theta, strict=True)
+    ]
+    poses = [(name, *(f"{x:.{TRUE_DECIMALS}f}" for x in row)) for name, row in zip(names, pose, strict=True)]
+    return {
+        "true_parameters.csv": format_table(
+            [config.origin, "True parameters of the machine that the readings are of."], PARAMETER_COLUMNS, parameters
+        ),
+        "true_poses.csv": format_table(
+            [config.origin, "True poses of the platform's frame at the readings."], POSE_COLUMNS, poses
+        ),
+    }

@@ -1,0 +1,1 @@
+"""Calibration studies: variants of a machine ranked by measured poses."""

@@ -1,0 +1,287 @@
+"""Everything a study computes with, read from its files once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayescal.config.load import dump_config, load_mechanism, look_up
+from bayescal.config.schema import FixedConfig, NormalConfig, StudyConfig, VariantConfig
+from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.data.photogrammetry import ring_deformation as pads
+from bayescal.data.photogrammetry.poses import PoseExtraction, extract_poses
+from bayescal.data.photogrammetry.survey import Survey, read_survey
+from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.priors import NormalPrior, Prior, UniformPrior
+from bayescal.errors import InputError, PoseInputError
+from bayescal.experiments.study.published import read_published
+from bayescal.files.csv_tables import read_matrix
+from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
+from bayescal.machines.kinematics import Machine, build_machine, check_home_pose
+from bayescal.machines.mechanism import Mechanism
+from bayescal.machines.models import MODELS
+from bayescal.numerics.geometry import Array
+
+MICROMETRE = 1e-3
+LENGTHS = "mm"
+
+
+@dataclass(frozen=True, eq=False)
+class StudyInputs:
+    """Config and data of a study, with the poses extracted.
+
+    Attributes
+    ----------
+    config : StudyConfig
+    folder : Path
+        Where the config's file names start.
+    mechanism : Mechanism
+    survey : Survey
+    extraction : PoseExtraction
+    """
+
+    config: StudyConfig
+    folder: Path
+    mechanism: Mechanism
+    survey: Survey
+    extraction: PoseExtraction
+
+    # --- data ----------------------------------------------------------------------------------------------------
+
+    @property
+    def target_noise(self) -> float:
+        """Standard deviation of a target coordinate, mm."""
+        return self.config.data.target_noise_um * MICROMETRE
+
+    @property
+    def displacement(self) -> Array:
+        """Actuator displacements from the nominal initial positions, shape (P, N), mm."""
+        return self.survey.actuators - self.mechanism.initial_actuator_positions
+
+    def poses(self, verification: bool) -> MeasuredPoses:
+        """Return the poses of one use."""
+        return self.extraction.poses.select(self.survey.verification == verification)
+
+    @cached_property
+    def ring(self) -> pads.RingDeformation | None:
+        """Deflection of every leg's joint at every pose from the targets on the pads; None without such targets."""
+        platform = self.survey.platform
+        on_pad = platform.leg > 0
+        if not on_pad.any():
+            return None
+        return pads.measure_ring_deformation(
+            self.extraction.platform,
+            platform.reference[on_pad],
+            platform.measured[:, on_pad],
+            platform.leg[on_pad],
+            self.target_noise,
+            self.mechanism.n_legs,
+        )
+
+    @cached_property
+    def ring_matrix(self) -> pads.MatrixEstimate | None:
+        """K from the calibration poses' ring targets (RR-8096 eqs. 2 to 4)."""
+        return (
+            None if self.ring is None else pads.fit_matrix_deformation(self._calibration_ring, self._calibration_travel)
+        )
+
+    @cached_property
+    def ring_linear(self) -> pads.KappaEstimate | None:
+        """κ from the calibration poses' ring targets (RR-8096 eq. 1)."""
+        return (
+            None if self.ring is None else pads.fit_linear_deformation(self._calibration_ring, self._calibration_travel)
+        )
+
+    @property
+    def _calibration_ring(self) -> pads.RingDeformation:
+        assert self.ring is not None
+        chosen = ~self.survey.verification
+        return pads.RingDeformation(self.ring.displacement[chosen], self.ring.covariance[chosen])
+
+    @property
+    def _calibration_travel(self) -> Array:
+        return self.displacement[~self.survey.verification]
+
+    # --- variants ------------------------------------------------------------------------------------------------
+
+    def variant(self, name: str) -> VariantConfig:
+        """Return the variant of a name."""
+        return next(v for v in self.config.variants if v.name == name)
+
+    def machine(self, variant: VariantConfig) -> Machine:
+        """Return the mechanism seen through a variant."""
+        where = self.folder
+        found = look_up(MODELS, variant.model, "variants.model", where)
+        kind = look_up(DEFORMATIONS, variant.deformation, "variants.deformation", where)
+        deformation = kind.from_nominal(NominalDeformation(self.config.deformation.kappa, lambda: self.matrix))
+        with naming(where / self.config.mechanism):
+            return build_machine(found, self.mechanism, deformation)
+
+    @property
+    def matrix_from_targets(self) -> bool:
+        """Whether K comes from the ring targets."""
+        return self.config.deformation.matrix == "targets"
+
+    @cached_property
+    def matrix(self) -> Array:
+        """K in mm per mm, from the ring targets or from a file in 1e-3."""
+        if not self.matrix_from_targets:
+            return 1e-3 * read_matrix(self.folder / self.config.deformation.matrix, self.mechanism.n_legs)
+        if self.ring_matrix is None:
+            raise InputError(
+                f"{self.folder / self.config.data.reference}: found no target on a leg's pad, "
+                "expected some, since deformation.matrix is 'targets'"
+            )
+        return self.ring_matrix.matrix
+
+    def likelihood(self, variant: VariantConfig, verification: bool) -> PoseLikelihood:
+        """Return the density of the poses of one use under a variant."""
+        noise = self.config.data.actuator_noise_um * MICROMETRE
+        extra = self.matrix_variance(variant, verification)
+        return PoseLikelihood(self.machine(variant), self.poses(verification), noise, extra)
+
+    def matrix_variance(self, variant: VariantConfig, verification: bool) -> Array | None:
+        """Return v_ni of the poses of one use (P, N) in mm² where a variant's K was measured, otherwise None."""
+        if not (self.machine(variant).deformation.uses_matrix and self.matrix_from_targets):
+            return None
+        return self._matrix_variance(self.poses(verification).actuators - self.mechanism.initial_actuator_positions)
+
+    def _matrix_variance(self, displacement: Array) -> Array:
+        """Return the variance of Δb_z (P, N) in mm² that the uncertainty of the rest of K leaves.
+
+        Between poses the error is correlated; its variance enters pose by pose, which is the larger part of it.
+        """
+        assert self.ring_matrix is not None
+        n = self.mechanism.n_legs
+        blocks = self.ring_matrix.covariance.reshape(n, n, n, n)
+        variance = np.empty((len(displacement), n))
+        for leg in range(n):
+            travel = displacement.copy()
+            travel[:, leg] = 0.0  # the diagonal is free or nominal
+            variance[:, leg] = np.einsum("pj,jk,pk->p", travel, blocks[leg, :, leg, :], travel)
+        return variance
+
+    def posterior(self, variant: VariantConfig, with_model_error: bool, tolerance: float | None = None) -> Posterior:
+        """Return the posterior of a variant; ``tolerance`` replaces the sd of all lengths, mm."""
+        priors, fixed = self.priors(variant, tolerance)
+        error = ModelError(None)
+        if with_model_error:
+            scale = self.config.model_error.scale_um * MICROMETRE
+            error = ModelError(scale, shared=not self.config.model_error.per_leg)
+        return Posterior(self.likelihood(variant, verification=False), priors, error, fixed)
+
+    def priors(
+        self, variant: VariantConfig, tolerance: float | None = None
+    ) -> tuple[dict[str, Prior], dict[str, float]]:
+        """Return the priors of a variant's free parameters and the values of fixed ones that are not nominal."""
+        priors: dict[str, Prior] = {}
+        fixed: dict[str, float] = {}
+        blocks = {block.symbol: block for block in self.machine(variant).layout.blocks}
+        for symbol, config in self.config.parameters.items():
+            if symbol not in blocks:
+                if symbol in variant.free:
+                    raise InputError(f"found {symbol!r} free, expected one of {', '.join(blocks)}")
+                continue
+            block = blocks[symbol]
+            if isinstance(config, FixedConfig):
+                offsets = per_leg(config.offset, len(block.nominal), symbol)
+                fixed |= {n: v + o for n, v, o in zip(block.names, block.nominal, offsets, strict=True)}
+            elif symbol in variant.free:
+                widths = config.sd if isinstance(config, NormalConfig) else config.half_width
+                if tolerance is not None and block.unit == LENGTHS and isinstance(config, NormalConfig):
+                    widths = tolerance
+                spread = per_leg(widths, len(block.nominal), symbol)
+                normal = isinstance(config, NormalConfig)
+                for name, value, width in zip(block.names, block.nominal, spread, strict=True):
+                    priors[name] = NormalPrior(value, width) if normal else UniformPrior(value - width, value + width)
+        return priors, fixed
+
+    # --- identity ------------------------------------------------------------------------------------------------
+
+    def identity(self) -> dict[str, Any]:
+        """Return what determines the results: config without its title, and the hashes of all input files."""
+        config = dump_config(self.config)
+        for cosmetic in ("title",):
+            config.pop(cosmetic)
+        names = {
+            self.config.mechanism,
+            self.config.data.targets,
+            self.config.data.actuators,
+            self.config.data.reference,
+        }
+        names |= {v.published for v in self.config.variants if v.published}
+        if not self.matrix_from_targets:
+            names.add(self.config.deformation.matrix)
+        files = {name: hashlib.sha256((self.folder / name).read_bytes()).hexdigest() for name in sorted(names)}
+        return {"config": config, "files": files}
+
+
+def hash_identity(identity: dict[str, Any]) -> str:
+    """Return the SHA-256 of an identity in canonical JSON."""
+    return hashlib.sha256(json.dumps(identity, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def per_leg(value: float | list[float], n: int, symbol: str) -> list[float]:
+    """Return one value per leg; InputError for a list of another length."""
+    values = value if isinstance(value, list) else [value] * n
+    if len(values) != n:
+        expected = "1" if n == 1 else f"1 or {n}, one per leg"
+        raise InputError(f"parameters.{symbol}: found {len(values)} values, expected {expected}")
+    return values
+
+
+@contextmanager
+def naming(what: Path | str) -> Iterator[None]:
+    """Put the name of a file or a variant before what is wrong with it."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{what}: {error}") from error
+
+
+def _measure_ring(inputs: StudyInputs) -> None:
+    """Compute what the ring targets say now, so that a fault shows before any long computation."""
+    try:
+        _ = inputs.ring, inputs.ring_matrix, inputs.ring_linear
+    except PoseInputError as error:
+        raise InputError(f"pose {inputs.survey.poses[error.index]!r}: {error.fault}") from error
+
+
+def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
+    """Read all files of a study, extract the poses and check that every variant can be built.
+
+    Raises
+    ------
+    InputError
+        For anything at fault in the config's files, before any long computation.
+    """
+    mechanism = load_mechanism(folder / config.mechanism)
+    data = config.data
+    survey = read_survey(folder / data.targets, folder / data.actuators, folder / data.reference, mechanism.n_legs)
+    with naming(folder / data.targets):
+        extraction = extract_poses(survey, data.target_noise_um * MICROMETRE, data.pose_method)
+    inputs = StudyInputs(config, folder, mechanism, survey, extraction)
+    with naming(folder / data.targets):
+        _measure_ring(inputs)
+    for variant in config.variants:
+        machine = inputs.machine(variant)
+        with naming(folder / config.mechanism):
+            check_home_pose(machine)
+        with naming(f"variant {variant.name!r}"):
+            inputs.posterior(variant, with_model_error=True).check_machine()
+        if variant.published is not None:
+            read_published(folder / variant.published, mechanism.n_legs)
+    known = {block.symbol for variant in config.variants for block in inputs.machine(variant).layout.blocks}
+    for symbol in config.parameters:
+        if symbol not in known:
+            look_up(dict.fromkeys(known), symbol, "parameters", folder)
+    return inputs

@@ -1,0 +1,98 @@
+"""The variants in the order of their evidence, with their pose errors beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from bayescal.experiments.study.page.results import SETTINGS
+from bayescal.report.numbers import MICROMETRES, MILLIDEGREES, format_fixed, format_significant
+from bayescal.report.style import INK, PALE, Styles
+
+QUANTITIES = (
+    ("position_error_mm", MICROMETRES, "Position error (µm)"),
+    ("orientation_error_deg", MILLIDEGREES, "Orientation error (mdeg)"),
+)
+THICKNESS = 0.62
+
+
+def draw_overview(
+    groups: Sequence[Sequence[str]],
+    behind: Mapping[tuple[str, str], float],
+    predictions: pd.DataFrame,
+    use: str,
+    styles: Styles,
+) -> Figure:
+    """Return three panels with a row per variant: evidence, position error, orientation error.
+
+    Parameters
+    ----------
+    groups : sequence of sequences of str
+        Variants from top to bottom; those of a group, which the evidence does not tell apart, share a band.
+    behind : mapping
+        Log-evidence below the best, nats, by variant and setting of the model error.
+    predictions : DataFrame
+        Rows of all variants, settings of the model error and poses.
+    use : str
+        The poses whose errors are shown.
+    styles : mapping
+    """
+    names = [name for group in groups for name in group]
+    figure = Figure(figsize=(9.4, 0.75 + 0.265 * len(names)))
+    axes = figure.subplots(1, 3, sharey=True)
+    for panel in axes:
+        _draw_bands(panel, groups)
+    _draw_evidence(axes[0], names, behind, styles)
+    chosen = predictions[predictions["use"] == use]
+    for panel, (column, factor, label) in zip(axes[1:], QUANTITIES, strict=True):
+        _draw_errors(panel, names, chosen, column, factor, styles)
+        panel.set_xlabel(f"{label}, {use}")
+    axes[0].set_yticks(range(len(names)), [styles[name].label for name in names])
+    axes[0].set_ylim(len(names) - 0.5, -0.5)
+    return figure
+
+
+def _draw_bands(axes: Axes, groups: Sequence[Sequence[str]]) -> None:
+    top = -0.5
+    for k, group in enumerate(groups):
+        if k % 2 == 0 and len(groups) > 1:
+            axes.axhspan(top, top + len(group), color=PALE, alpha=0.4, linewidth=0)
+        top += len(group)
+    axes.grid(axis="x")
+    axes.tick_params(axis="y", length=0)
+
+
+def _draw_evidence(axes: Axes, names: Sequence[str], behind: Mapping[tuple[str, str], float], styles: Styles) -> None:
+    free, zero = ([max(0.0, behind[name, setting]) for name in names] for setting in SETTINGS)
+    axes.barh(range(len(names)), free, height=THICKNESS, color=[styles[n].colour for n in names], linewidth=0)
+    axes.plot(zero, range(len(names)), "D", markersize=4, color="white", markeredgecolor=INK, markeredgewidth=0.8)
+    axes.set_xscale("symlog", linthresh=1.0, linscale=0.5)
+    axes.set_xlim(0, 12 * max(1.0, *free, *zero))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    for k, (one, other) in enumerate(zip(free, zero, strict=True)):
+        text = format_fixed(-one, 1)
+        axes.annotate(text, (max(one, other), k), (6, 0), textcoords="offset points", va="center", fontsize=8)
+    axes.set_xlabel("Log-evidence below the best (nat)")
+
+
+def _draw_errors(
+    axes: Axes, names: Sequence[str], predictions: pd.DataFrame, column: str, factor: float, styles: Styles
+) -> None:
+    errors = factor * predictions.groupby(["variant", "model_error"])[column].agg(["mean", "max"])
+    mean, largest, zero = [], [], []
+    for name in names:
+        mean.append(float(errors["mean"][name, "free"]))
+        largest.append(float(errors["max"][name, "free"]))
+        zero.append(float(errors["mean"][name, "zero"]))
+    rows, colours = range(len(names)), [styles[name].colour for name in names]
+    axes.barh(rows, largest, height=THICKNESS, color=colours, alpha=0.35, linewidth=0)
+    axes.barh(rows, mean, height=THICKNESS, color=colours, linewidth=0)
+    axes.plot(zero, rows, "D", markersize=4, color="white", markeredgecolor=INK, markeredgewidth=0.8)
+    for k, (one, other, third) in enumerate(zip(mean, largest, zero, strict=True)):
+        text = f"{format_significant(one, 2)} / {format_significant(other, 2)}"
+        axes.annotate(text, (max(other, third), k), (6, 0), textcoords="offset points", va="center", fontsize=8)
+    axes.set_xlim(0, 1.35 * max(*largest, *zero) or 1.0)

@@ -1,0 +1,308 @@
+"""Reading a results directory, checked as far as the report leans on it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import h5py  # type: ignore[import-untyped]  # ships no types
+import numpy as np
+import pandas as pd
+
+from bayescal.errors import InputError
+from bayescal.files.atomic import read_json
+from bayescal.report.reading import NUMBER, Kinds, check_keys, read_table
+
+if TYPE_CHECKING:
+    from bayescal.numerics.geometry import Array
+
+SETTINGS = {"free": "with model error", "zero": "without model error (τ = 0)"}
+MODEL_ERROR = "tau"
+TEXT_COLUMNS = (
+    *("variant", "model_error", "pose", "use", "parameter", "unit", "quantity"),
+    *("claim", "section", "statement", "expected", "found", "verdict", "why"),
+)
+VERDICTS = ("holds", "does not hold", "not testable")
+
+SUMMARY_KEYS: dict[str, Kinds] = {
+    "experiment": str,
+    "title": str,
+    "data_origin": str,
+    "seed": int,
+    "config_sha256": str,
+    "n_poses": dict,
+    "pose_extraction": dict,
+    "variants": dict,
+    "ranking": list,
+}
+FIT_KEYS: dict[str, Kinds] = {
+    **dict.fromkeys(("n_parameters", "log_evidence", "log_evidence_se", "elpd_loo", "elpd_loo_se"), NUMBER),
+    **dict.fromkeys(("elpd_loo_n_bad_k", "elpd_loo_pareto_k_max", "rhat_max", "ess_bulk_min", "ess_tail_min"), NUMBER),
+    **dict.fromkeys(("acceptance", "wall_seconds"), NUMBER),
+    **dict.fromkeys(("log_evidence_methods", "log_evidence_method_se", "importance", "calibration"), dict),
+    **dict.fromkeys(("parameters", "distance_from_nominal"), dict),
+    "log_evidence_primary": str,
+    "log_evidence_agrees": bool,
+    "converged": bool,
+    "problems": list,
+}
+NESTED_KEYS = {
+    "log_evidence_methods": ("importance", "bridge"),
+    "log_evidence_method_se": ("importance", "bridge"),
+    "importance": ("efficiency", "pareto_k", "n_draws"),
+    "distance_from_nominal": ("rms_mm", "rms_prior_sd"),
+}
+ERROR_KEYS: dict[str, Kinds] = {
+    "position_error_mm": dict,
+    "orientation_error_deg": dict,
+    "interval_90_coverage": NUMBER,
+    "bound_95_coverage": NUMBER,
+}
+PARAMETER_KEYS = ("nominal", "mean", "sd", "q05", "q95", "prior_sd")
+TABLE_COLUMNS = {
+    "predictions": (
+        "variant",
+        "model_error",
+        "pose",
+        "use",
+        "position_error_mm",
+        "position_bound_95_mm",
+        "orientation_error_deg",
+        "orientation_bound_95_deg",
+    ),
+    "sensitivity": ("variant", "tolerance_mm", "log_evidence", "log_evidence_se", "efficiency", "pareto_k"),
+    "least_squares": (
+        "variant",
+        "parameter",
+        "leg",
+        "unit",
+        "nominal",
+        "offset",
+        "published_offset",
+        "difference",
+        "leg_residual_rms_um",
+        "converged",
+    ),
+    "ring": ("pose", "use", "leg", "actuator_displacement_mm", "deflection_um", "deflection_sd_um"),
+    "deformation": ("quantity", "leg", "actuator", "mean_1e-3", "sd_1e-3"),
+    "flexure": (
+        "flexure_length_mm",
+        "bending_deg",
+        "across_um",
+        "along_beam_um",
+        "along_pivot_um",
+        "along_circle_um",
+        "circle_error_nm",
+    ),
+    "claims": ("claim", "section", "statement", "expected", "found", "value", "unit", "verdict", "why"),
+}
+REQUIRED = ("predictions", "sensitivity", "least_squares")
+OPTIONAL = (("ring", "deformation"), ("claims",), ("flexure",))  # each group is there as a whole or not at all
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """What a study left, as the report needs it.
+
+    Attributes
+    ----------
+    summary, provenance : dict
+        The JSON files.
+    predictions, sensitivity, least_squares : DataFrame
+        Tables of the study.
+    ring, deformation : DataFrame or None
+        Deflections of the joints and what follows from them; None without targets on the pads.
+    claims : DataFrame or None
+        Statements of the publication, each with a verdict; None where the study tests none.
+    flexure : DataFrame or None
+        Displacement of a flexure joint; None where no model has flexures.
+    draws : dict
+        For each variant whose posterior file is there, the draws (S,) of each parameter, model error free.
+    """
+
+    summary: dict[str, Any]
+    provenance: dict[str, Any]
+    predictions: pd.DataFrame
+    sensitivity: pd.DataFrame
+    least_squares: pd.DataFrame
+    ring: pd.DataFrame | None = None
+    deformation: pd.DataFrame | None = None
+    claims: pd.DataFrame | None = None
+    flexure: pd.DataFrame | None = None
+    draws: dict[str, dict[str, Array]] = field(default_factory=dict)
+
+    @property
+    def ranking(self) -> list[str]:
+        """Names of the variants, the largest log-evidence first."""
+        return list(self.summary["ranking"])
+
+    @property
+    def best(self) -> dict[str, Any]:
+        """The best variant's fit, model error free."""
+        return self.fit(self.ranking[0], "free")
+
+    @property
+    def n_verification(self) -> int:
+        """How many poses were held back."""
+        return int(self.summary["n_poses"]["verification"])
+
+    def fit(self, variant: str, setting: str) -> dict[str, Any]:
+        """Return the summary of one posterior."""
+        free: dict[str, Any] = self.summary["variants"][variant]
+        found: dict[str, Any] = free if setting == "free" else free["without_model_error"]
+        return found
+
+    def fits(self) -> Iterator[tuple[str, str, dict[str, Any]]]:
+        """Yield variant, setting and fit of all posteriors, in the order of the ranking, first with model error."""
+        for setting in SETTINGS:
+            for variant in self.ranking:
+                yield variant, setting, self.fit(variant, setting)
+
+    @cached_property
+    def parameters(self) -> pd.DataFrame:
+        """One row per posterior and parameter; ``leg`` is zero for the machine's own parameters."""
+        rows = []
+        for variant, setting, fit in self.fits():
+            for name, values in fit["parameters"].items():
+                symbol, leg = split_name(name)
+                rows.append({"variant": variant, "model_error": setting, "symbol": symbol, "leg": leg, **values})
+        return pd.DataFrame(rows)
+
+    @cached_property
+    def sensitivity_grid(self) -> pd.DataFrame:
+        """Log-evidence with a row per tolerance (mm) and a column per variant, in the order of the ranking."""
+        wide = self.sensitivity.pivot(index="tolerance_mm", columns="variant", values="log_evidence")
+        return wide.sort_index()[self.ranking]
+
+    @property
+    def legs(self) -> list[int]:
+        """Numbers of the legs."""
+        return sorted({*self.parameters["leg"], *self.least_squares["leg"]} - {0})
+
+
+def split_name(name: str) -> tuple[str, int]:
+    """Return symbol and leg of a parameter's name: ``a_x[3]`` is ``a_x`` of leg 3, ``k`` is ``k`` of leg 0."""
+    found = re.fullmatch(r"(.+)\[(\d+)\]", name)
+    return (found[1], int(found[2])) if found else (name, 0)
+
+
+def is_model_error(symbol: str) -> bool:
+    """Whether a symbol is a model error τ, which is no parameter of the machine."""
+    return symbol == MODEL_ERROR
+
+
+def read_results(folder: Path) -> Results:
+    """Read and check a results directory.
+
+    Raises
+    ------
+    InputError
+        Naming the file where one is missing or not what a study writes. The posteriors' files may be missing.
+    """
+    summary = read_json(folder / "summary.json")
+    _check_summary(summary, folder / "summary.json")
+    provenance = read_json(folder / "provenance.json")
+    tables = {name: _read_table(folder / "tables" / f"{name}.csv") for name in REQUIRED}
+    for name, table in tables.items():
+        missing = [v for v in summary["ranking"] if v not in set(table["variant"])]
+        if missing:
+            raise InputError(f"{folder / 'tables' / name}.csv: found no row of {missing[0]!r}, expected all variants")
+    _check_settings(tables["predictions"], summary["ranking"], folder / "tables" / "predictions.csv")
+    _check_grid(tables["sensitivity"], folder / "tables" / "sensitivity.csv")
+    optional = {name: _read_table(folder / "tables" / f"{name}.csv") for name in _find_optional(folder)}
+    optional = {name: table for name, table in optional.items() if len(table)}
+    if "claims" in optional:
+        _check_claims(optional["claims"], folder / "tables" / "claims.csv")
+    posteriors = {v: folder / "posterior" / f"{v.replace('/', '-')}.nc" for v in summary["ranking"]}
+    draws = {variant: _read_draws(path) for variant, path in posteriors.items() if path.is_file()}
+    return Results(summary, provenance, **tables, **optional, draws=draws)
+
+
+def _check_settings(predictions: pd.DataFrame, variants: list[str], path: Path) -> None:
+    found = set(zip(predictions["variant"], predictions["model_error"], predictions["use"], strict=True))
+    for variant, setting, use in product(variants, SETTINGS, sorted(set(predictions["use"]))):
+        if (variant, setting, use) not in found:
+            raise InputError(f"{path}: found no row of {variant!r} with {setting!r} and {use!r}, expected some")
+
+
+def _check_grid(sensitivity: pd.DataFrame, path: Path) -> None:
+    counts = sensitivity.groupby(["variant", "tolerance_mm"])["log_evidence"].count()
+    expected = sensitivity["variant"].nunique() * sensitivity["tolerance_mm"].nunique()
+    if len(counts) != expected or (counts != 1).any():
+        raise InputError(f"{path}: found {len(sensitivity)} rows, expected each variant once at each tolerance")
+
+
+def _check_claims(claims: pd.DataFrame, path: Path) -> None:
+    for row in claims.itertuples():
+        if row.verdict not in VERDICTS:
+            raise InputError(
+                f"{path}: claim {row.claim}: verdict: found {row.verdict!r}, expected one of {', '.join(VERDICTS)}"
+            )
+
+
+def _find_optional(folder: Path) -> list[str]:
+    groups = [names for names in OPTIONAL if any((folder / "tables" / f"{name}.csv").is_file() for name in names)]
+    return [name for names in groups for name in names]
+
+
+def _read_table(path: Path) -> pd.DataFrame:
+    return read_table(path, TABLE_COLUMNS[path.stem], TEXT_COLUMNS, "a study's table")
+
+
+def _read_draws(path: Path) -> dict[str, Array]:
+    """Return the draws of each parameter with chains joined, from the posterior group of an ArviZ file."""
+    draws: dict[str, Array] = {}
+    try:
+        with h5py.File(path, "r") as file:
+            for symbol, values in file["posterior"].items():
+                if values.ndim < 2:
+                    continue  # coordinates
+                flat = np.asarray(values, dtype=np.float64).reshape(values.shape[0] * values.shape[1], -1)
+                single = values.ndim == 2
+                draws |= {symbol if single else f"{symbol}[{k + 1}]": flat[:, k] for k in range(flat.shape[1])}
+    except (OSError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read as a posterior ({error})") from error
+    return draws
+
+
+def _check_summary(summary: dict[str, Any], path: Path) -> None:
+    check_keys(summary, SUMMARY_KEYS, path, "")
+    check_keys(summary["n_poses"], dict.fromkeys(("calibration", "verification"), NUMBER), path, "n_poses.")
+    extraction: dict[str, Kinds] = {"method": str, "rejected_targets": list}
+    check_keys(summary["pose_extraction"], extraction, path, "pose_extraction.")
+    if not summary["variants"] or sorted(summary["ranking"]) != sorted(summary["variants"]):
+        raise InputError(
+            f"{path}: ranking: found {summary['ranking']}, expected each of {list(summary['variants'])} once"
+        )
+    uses = [use for use in ("calibration", "verification") if summary["n_poses"][use]]
+    for name, fit in summary["variants"].items():
+        check_keys(summary["variants"], {name: dict}, path, "variants.")
+        _check_fit(fit, uses, path, f"variants.{name}.")
+        check_keys(fit, {"without_model_error": dict}, path, f"variants.{name}.")
+        _check_fit(fit["without_model_error"], uses, path, f"variants.{name}.without_model_error.")
+
+
+def _check_fit(fit: dict[str, Any], uses: list[str], path: Path, where: str) -> None:
+    check_keys(fit, FIT_KEYS, path, where)
+    for key, inner in NESTED_KEYS.items():
+        check_keys(fit[key], dict.fromkeys(inner, NUMBER), path, f"{where}{key}.")
+    for name, values in fit["parameters"].items():
+        check_keys(fit["parameters"], {name: dict}, path, f"{where}parameters.")
+        check_keys(values, {**dict.fromkeys(PARAMETER_KEYS, NUMBER), "unit": str}, path, f"{where}parameters.{name}.")
+    for use in uses:
+        check_keys(fit, {use: dict}, path, where)
+        check_keys(fit[use], ERROR_KEYS, path, f"{where}{use}.")
+        for key in ("position_error_mm", "orientation_error_deg"):
+            check_keys(fit[use][key], dict.fromkeys(("mean", "max"), NUMBER), path, f"{where}{use}.{key}.")
+
+
+def get_number(content: Mapping[str, Any], key: str) -> float:
+    """Return a number that may be missing, NaN then."""
+    value = content.get(key)
+    return float(value) if isinstance(value, NUMBER) else math.nan

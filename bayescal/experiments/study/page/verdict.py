@@ -1,0 +1,256 @@
+"""The verdict of a study in sentences computed from its numbers; every claim names the numbers it rests on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from bayescal.experiments.study.page import checks, claims
+from bayescal.experiments.study.page.results import Results, get_number
+from bayescal.experiments.study.page.variants import (
+    NOT_DISTINGUISHABLE,
+    describe_deformation,
+    find_leaders,
+    find_variants,
+    group_variants,
+    label_model,
+    label_variant,
+    list_deformations,
+    list_models,
+    measure_spread,
+    name_variants,
+    read_evidence,
+    split_pairs,
+    split_variant,
+)
+from bayescal.limits import PARETO_K_LIMIT
+from bayescal.report.blocks import Statement
+from bayescal.report.numbers import (
+    MICROMETRES,
+    MILLIDEGREES,
+    format_fixed,
+    format_odds,
+    format_significant,
+    format_span,
+    join_words,
+)
+
+STRONG = 5.0  # nats
+SMALL_ELPD = 4.0  # nats of elpd below which a difference says little
+BEYOND_BELIEF = 15.0  # nats from which odds rest on the assumptions, no longer on the data
+
+
+def state_headline(results: Results) -> str:
+    """Return which variant wins and by how much, or which share the first place."""
+    best = results.ranking[0]
+    if len(results.ranking) == 1:
+        evidence = format_fixed(results.best["log_evidence"], 1)
+        return f"{label_variant(best)} is the only variant, log-evidence {evidence} nat."
+    leaders = find_leaders(results)
+    others = [name for name in results.ranking if name not in leaders]
+    if len(leaders) > 1:
+        between = format_fixed(measure_spread(results, leaders), 2)
+        if not others:
+            return f"{name_variants(leaders)} cannot be told apart: {between} nat of log-evidence between them."
+        behind = measure_spread(results, (best, others[0]))
+        words = "explain the measurements best and cannot" if behind > STRONG else "cannot"
+        return (
+            f"{name_variants(leaders)} {words} be told apart: {between} nat of log-evidence between them; "
+            f"{label_variant(others[0])} follows {format_fixed(behind, 1)} nat behind."
+        )
+    lead = measure_spread(results, results.ranking[:2])
+    word = "explains the measurements best" if lead > STRONG else "is preferred, not decisively"
+    return (
+        f"{label_variant(best)} {word}, by {format_fixed(lead, 1)} nat over {label_variant(results.ranking[1])} "
+        f"(odds of about {format_odds(lead)})."
+    )
+
+
+def state_verdict(results: Results) -> list[Statement]:
+    """Return the sentences below the headline."""
+    return [
+        *_state_deformations(results),
+        *_state_models(results),
+        *_state_pairs(results),
+        _state_accuracy(results),
+        *_state_prediction(results),
+        *claims.state_claims(results),
+        checks.state_convergence(results),
+        *checks.state_stability(results),
+        *checks.state_model_error(results),
+        *checks.state_coverage(results),
+        *_state_odds(results),
+    ]
+
+
+def _state_deformations(results: Results) -> list[Statement]:
+    """Say what the best variant's deformation is worth against the others, model by model."""
+    best = split_variant(results.ranking[0])[1]
+    parts = {}
+    for other in (d for d in list_deformations(results) if d != best):
+        gaps = {}
+        for model in list_models(results):
+            pair = find_variants(results, model, best) + find_variants(results, model, other)
+            if len(pair) == 2:
+                gaps[label_model(model)] = read_evidence(results, pair[0]) - read_evidence(results, pair[1])
+        if gaps:
+            parts[other] = (max(gaps.values()), f"of {other} by {_describe_gaps(gaps)}")
+    if not parts or len(results.ranking) < 3:
+        return []
+    nearest_first = "; ".join(text for _, text in sorted(parts.values()))
+    first = "no deformation" if best == "none" else best
+    return [Statement(f"With the same model, {first} is ahead {nearest_first}.", lead="Deformation")]
+
+
+def _describe_gaps(gaps: Mapping[str, float]) -> str:
+    """Return differences as spans, those of models alike taken together."""
+    clusters: list[list[str]] = []
+    for label in sorted(gaps, key=lambda label: -gaps[label]):
+        if clusters and gaps[clusters[-1][-1]] - gaps[label] <= NOT_DISTINGUISHABLE:
+            clusters[-1].append(label)
+        else:
+            clusters.append([label])
+    words = []
+    for cluster in clusters:
+        names = [label for label in gaps if label in cluster]
+        whose = f" ({join_words(names)})" if len(gaps) > 1 else ""
+        words.append(f"{format_span([gaps[name] for name in cluster])} nat{whose}")
+    return join_words(words)
+
+
+def _state_models(results: Results) -> list[Statement]:
+    """Say which models the evidence tells apart, deformation by deformation, the best first."""
+    parts = []
+    for deformation in dict.fromkeys(split_variant(name)[1] for name in results.ranking):
+        names = find_variants(results, deformation=deformation)
+        if len(names) > 1:
+            groups = group_variants(results, names)
+            parts.append(f"{describe_deformation(deformation)}, {_describe_groups(results, groups)}")
+    if not parts or len(results.ranking) < 3:
+        return []
+    text = "; ".join(parts)
+    return [Statement(f"{text[0].upper()}{text[1:]}.", lead="Model")]
+
+
+def _describe_groups(results: Results, groups: Sequence[Sequence[str]]) -> str:
+    first, *rest = groups
+    lead = join_words([label_model(split_variant(name)[0]) for name in first])
+    spread = format_fixed(measure_spread(results, first), 1)
+    words = [f"{lead} are not told apart ({spread} nat)" if len(first) > 1 else f"{lead} leads"]
+    reference = read_evidence(results, first[0])
+    for group in rest:
+        models = join_words([label_model(split_variant(name)[0]) for name in group])
+        below = format_span([reference - read_evidence(results, name) for name in group])
+        of = f" {label_model(split_variant(first[0])[0])}" if len(first) > 1 else ""
+        words.append(f"{models} {below} nat below{of}")
+    return ", ".join(words)
+
+
+def _state_pairs(results: Results) -> list[Statement]:
+    apart, tied = split_pairs(results)
+    if not apart or not tied or len(results.ranking) < 3:
+        return []
+    text = (
+        f"Of {len(apart) + len(tied)} pairs of variants the measurements tell {len(apart)} apart, by "
+        f"{format_fixed(min(apart), 1)} nat or more; the other {len(tied)} lie within {format_fixed(max(tied), 1)} nat."
+    )
+    return [Statement(text, lead="Pairs")]
+
+
+def _state_accuracy(results: Results) -> Statement:
+    use = "verification" if results.n_verification else "calibration"
+    leaders = find_leaders(results)
+    texts = {}
+    for key, factor in (("position_error_mm", MICROMETRES), ("orientation_error_deg", MILLIDEGREES)):
+        for which in ("mean", "max"):
+            values = [factor * results.fit(name, "free")[use][key][which] for name in leaders]
+            words = dict.fromkeys(format_significant(x, 2) for x in (min(values), max(values)))
+            texts[key, which] = " to ".join(words)
+    held = "held back from the fit" if results.n_verification else "used in the fit; none were held back"
+    return Statement(
+        f"{name_variants(leaders)}: {texts['position_error_mm', 'mean']} µm mean and "
+        f"{texts['position_error_mm', 'max']} µm largest position error, {texts['orientation_error_deg', 'mean']} mdeg "
+        f"mean and {texts['orientation_error_deg', 'max']} mdeg largest orientation error on the "
+        f"{results.summary['n_poses'][use]} {use} poses ({held}).",
+        lead="Accuracy",
+    )
+
+
+def _state_odds(results: Results) -> list[Statement]:
+    others = [name for name in results.ranking if name not in find_leaders(results)]
+    if not others or not measure_spread(results, (results.ranking[0], others[0])) > BEYOND_BELIEF:
+        return []
+    text = (
+        "Odds of this size mean that the measurements rule the other variants out as far as the assumptions hold "
+        "(noise model, priors, tolerances); they are no measure of how sure one may be of the assumptions."
+    )
+    return [Statement(text, lead="Odds")]
+
+
+# --- predictive density ----------------------------------------------------------------------------------------------
+
+
+def _state_prediction(results: Results) -> list[Statement]:
+    """Say whether cross-validation and the poses held back name the same variants as the evidence."""
+    if len(results.ranking) == 1:
+        return []
+    loo = "Leave-one-out cross-validation (elpd LOO)"
+    statements = [_compare_order(results, loo, "agrees", lambda fit: float(fit["elpd_loo"]))]
+    if results.n_verification:
+        held = "The poses held back for verification (elpd)"
+        statements.append(_compare_order(results, held, "agree", read_verification_elpd))
+    bad = {name: int(results.fit(name, "free")["elpd_loo_n_bad_k"]) for name in results.ranking}
+    doubtful = [f"{label_variant(name)} ({n} {'pose' if n == 1 else 'poses'})" for name, n in bad.items() if n]
+    if doubtful:
+        named = checks.name_or_count(doubtful, len(bad))
+        text = f"elpd LOO is approximate where Pareto k exceeds {PARETO_K_LIMIT}: {named}."
+        statements.append(Statement(text, "warning", "Prediction"))
+    return statements
+
+
+def read_verification_elpd(fit: dict[str, Any]) -> float:
+    """Return the elpd of the poses held back, NaN without such poses."""
+    return get_number(fit.get("verification") or {}, "elpd")
+
+
+def _compare_order(results: Results, name: str, verb: str, score: Callable[[dict[str, Any]], float]) -> Statement:
+    values = {variant: score(results.fit(variant, "free")) for variant in results.ranking}
+    order = sorted(values, key=lambda variant: -values[variant] if values[variant] == values[variant] else math.inf)
+    leaders = find_leaders(results)
+    others = [variant for variant in order if variant not in leaders]
+    first = order[0]
+    if not others or first not in leaders:
+        rival = order[1] if first in leaders else max(leaders, key=values.__getitem__)
+        lead = f"{label_variant(first)} first, {format_fixed(values[first] - values[rival], 1)} nat ahead of "
+        return _judge_order(name, verb, values[first] - values[rival], first in leaders, lead + label_variant(rival))
+    gap = min(values[variant] for variant in leaders) - values[others[0]]
+    among = f"{label_variant(first)} first, "
+    if len(leaders) > 1:
+        spread = format_fixed(max(values.values()) - min(values[variant] for variant in leaders), 1)
+        among = f"the same {len(leaders)} lead with {spread} nat between them, "
+    lead = f"{among}{format_fixed(gap, 1)} nat ahead of {label_variant(others[0])}"
+    if gap > SMALL_ELPD:
+        lead += _describe_rest(results, values)
+    return _judge_order(name, verb, gap, True, lead)
+
+
+def _judge_order(name: str, verb: str, gap: float, agrees: bool, lead: str) -> Statement:
+    if not gap > SMALL_ELPD:
+        return Statement(
+            f"{name} hardly {'separates' if verb == 'agrees' else 'separate'} the best: {lead}.", lead="Prediction"
+        )
+    if not agrees:
+        return Statement(f"{name} dis{verb}: {lead}.", "bad", "Prediction")
+    return Statement(f"{name} {verb}: {lead}.", "good", "Prediction")
+
+
+def _describe_rest(results: Results, values: Mapping[str, float]) -> str:
+    """Say whether the order further down contradicts the evidence by more than a little."""
+    if len(values) < 3:
+        return ""
+    reversed_pairs = checks.list_reversals(results, values, SMALL_ELPD)
+    if not reversed_pairs:
+        return f"; no pair that the evidence tells apart is reversed by more than {SMALL_ELPD:g} nat"
+    n = len(reversed_pairs)
+    return f"; further down {n} {'pair comes' if n == 1 else 'pairs come'} in the other order"

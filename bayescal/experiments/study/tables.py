@@ -1,0 +1,239 @@
+"""The tables of a study's results as pandas frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from bayescal.density.least_squares import LeastSquaresFit, identify, list_identified
+from bayescal.experiments.study.fit import Arrays, Task, list_sensitivity, read_prediction
+from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.published import read_published
+from bayescal.files.csv_tables import format_table
+from bayescal.machines.flexure import CIRCLE, PIVOT, compute_beam_shift, compute_circle_shift
+from bayescal.machines.mechanism import Mechanism
+from bayescal.numerics.geometry import rotation_vector_from_matrix
+
+BENDING, N_BENDINGS = 1.0, 51  # deg
+COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+
+
+def tabulate_ranking(summary: dict[str, Any]) -> pd.DataFrame:
+    """Return one row per variant, the best first."""
+    best = summary["variants"][summary["ranking"][0]]["log_evidence"]
+    rows = []
+    for rank, name in enumerate(summary["ranking"], start=1):
+        variant = summary["variants"][name]
+        held = variant["verification"] or {}
+        rows.append(
+            {
+                "rank": rank,
+                "variant": name,
+                "n_parameters": variant["n_parameters"],
+                "log_evidence": variant["log_evidence"],
+                "log_evidence_se": variant["log_evidence_se"],
+                "log_evidence_difference": variant["log_evidence"] - best,
+                "log_evidence_without_model_error": variant["without_model_error"]["log_evidence"],
+                "elpd_loo": variant["elpd_loo"],
+                "elpd_loo_se": variant["elpd_loo_se"],
+                "elpd_verification": held.get("elpd", np.nan),
+                **_error_columns("calibration", variant["calibration"]),
+                **(_error_columns("verification", held) if held else {}),
+                "distance_from_nominal_mm": variant["distance_from_nominal"]["rms_mm"],
+                "distance_from_nominal_prior_sd": variant["distance_from_nominal"]["rms_prior_sd"],
+                "converged": variant["converged"],
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _error_columns(use: str, errors: dict[str, Any]) -> dict[str, float]:
+    return {
+        f"{use}_position_error_mean_mm": errors["position_error_mm"]["mean"],
+        f"{use}_position_error_max_mm": errors["position_error_mm"]["max"],
+        f"{use}_orientation_error_mean_deg": errors["orientation_error_deg"]["mean"],
+        f"{use}_orientation_error_max_deg": errors["orientation_error_deg"]["max"],
+    }
+
+
+def tabulate_parameters(summary: dict[str, Any]) -> pd.DataFrame:
+    """Return one row per variant, setting of the model error and parameter."""
+    rows = []
+    for name, variant in summary["variants"].items():
+        for setting, fit in (("free", variant), ("zero", variant["without_model_error"])):
+            for parameter, values in fit["parameters"].items():
+                rows.append({"variant": name, "model_error": setting, "parameter": parameter, **values})
+    return pd.DataFrame(rows)
+
+
+def tabulate_predictions(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.DataFrame:
+    """Return one row per variant, setting and pose: errors, predictive intervals and bounds (mm, degrees)."""
+    scale = np.array([1.0, 1.0, 1.0, *[np.degrees(1.0)] * 3])
+    units = ("mm", "mm", "mm", "deg", "deg", "deg")
+    frames = []
+    for task, arrays in fits.items():
+        prediction = read_prediction(arrays)
+        error, low, high = (part * scale for part in (prediction.error, prediction.low, prediction.high))
+        frame = pd.DataFrame(
+            {
+                "variant": task.variant,
+                "model_error": "free" if task.with_model_error else "zero",
+                "pose": inputs.survey.poses,
+                "use": np.where(inputs.survey.verification, "verification", "calibration"),
+                "position_error_mm": prediction.position_error,
+                "position_bound_95_mm": prediction.position_bound,
+                "orientation_error_deg": np.degrees(prediction.orientation_error),
+                "orientation_bound_95_deg": np.degrees(prediction.orientation_bound),
+            }
+        )
+        for k, (component, unit) in enumerate(zip(COMPONENTS, units, strict=True)):
+            frame[f"{component}_error_{unit}"] = error[:, k]
+            frame[f"{component}_low_{unit}"] = low[:, k]
+            frame[f"{component}_high_{unit}"] = high[:, k]
+        frames.append(frame)
+    return pd.concat(frames, ignore_index=True)
+
+
+def tabulate_sensitivity(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.DataFrame:
+    """Return the log-evidence of every variant for every tolerance of the lengths."""
+    rows = []
+    for (tolerance, name), task in list_sensitivity(inputs).items():
+        arrays = fits[task]
+        rows.append(
+            {
+                "variant": name,
+                "tolerance_mm": tolerance,
+                "log_evidence": arrays["importance"][0],
+                "log_evidence_se": arrays["importance"][1],
+                "efficiency": arrays["importance_quality"][0],
+                "pareto_k": arrays["importance_quality"][1],
+            }
+        )
+    return pd.DataFrame(rows).sort_values(["tolerance_mm", "log_evidence"], ascending=[True, False], ignore_index=True)
+
+
+def identify_variants(inputs: StudyInputs) -> dict[str, LeastSquaresFit]:
+    """Return the least-squares identification of every variant by its name (RR-8096 section 7)."""
+    poses = inputs.poses(verification=False)
+    return {v.name: identify(inputs.machine(v), poses, tuple(v.free)) for v in inputs.config.variants}
+
+
+def tabulate_least_squares(inputs: StudyInputs, fits: dict[str, LeastSquaresFit]) -> pd.DataFrame:
+    """Return what least squares found for every variant, beside the published values."""
+    rows = []
+    for variant in inputs.config.variants:
+        machine, fit = inputs.machine(variant), fits[variant.name]
+        name = variant.published
+        published = {} if name is None else read_published(inputs.folder / name, inputs.mechanism.n_legs)
+        for symbol in list_identified(machine, variant.free):
+            index = machine.layout.index[symbol]
+            for leg, k in enumerate(index, start=1):
+                offset = fit.theta[k] - machine.layout.nominal[k]
+                known = published.get((symbol, leg), np.nan)
+                rows.append(
+                    {
+                        "variant": variant.name,
+                        "parameter": symbol,
+                        "leg": leg,
+                        "unit": machine.layout.units[k],
+                        "nominal": machine.layout.nominal[k],
+                        "offset": offset,
+                        "published_offset": known,
+                        "difference": offset - known,
+                        "leg_residual_rms_um": 1e3 * fit.residual_rms[leg - 1],
+                        "converged": fit.converged,
+                    }
+                )
+    return pd.DataFrame(rows)
+
+
+def tabulate_flexure(mechanism: Mechanism) -> pd.DataFrame:
+    """Return how a flexure's end moves as it bends up to 1 deg: beam, ideal pivot and circle (RR-8096 figure 9)."""
+    if mechanism.flexures is None:
+        return pd.DataFrame()
+    degrees = np.linspace(0.0, BENDING, N_BENDINGS)
+    frames = []
+    for length in np.unique(mechanism.flexures.lengths):
+        along, across = compute_beam_shift(np.radians(degrees), float(length))
+        circle = compute_circle_shift(across, CIRCLE * length)
+        columns = {
+            "flexure_length_mm": length,
+            "bending_deg": degrees,
+            "across_um": 1e3 * across,
+            "along_beam_um": 1e3 * along,
+            "along_pivot_um": 1e3 * compute_circle_shift(across, PIVOT * length),
+            "along_circle_um": 1e3 * circle,
+            "circle_error_nm": 1e6 * (circle - along),
+        }
+        frames.append(pd.DataFrame(columns))
+    return pd.concat(frames, ignore_index=True)
+
+
+def tabulate_ring(inputs: StudyInputs) -> pd.DataFrame:
+    """Return the measured deflection of every joint at every pose, µm, with its standard deviation."""
+    if inputs.ring is None:
+        return pd.DataFrame()
+    sd = np.sqrt(np.diagonal(inputs.ring.covariance, axis1=-2, axis2=-1))
+    n_poses, n_legs = inputs.displacement.shape
+    return pd.DataFrame(
+        {
+            "pose": np.repeat(inputs.survey.poses, n_legs),
+            "use": np.repeat(np.where(inputs.survey.verification, "verification", "calibration"), n_legs),
+            "leg": np.tile(np.arange(1, n_legs + 1), n_poses),
+            "actuator_displacement_mm": inputs.displacement.ravel(),
+            "deflection_um": 1e3 * inputs.ring.displacement.ravel(),
+            "deflection_sd_um": 1e3 * sd.ravel(),
+        }
+    )
+
+
+def tabulate_deformation(inputs: StudyInputs) -> pd.DataFrame:
+    """Return κ and K from the targets with posterior standard deviations, in 1e-3."""
+    if inputs.ring_matrix is None or inputs.ring_linear is None:
+        return pd.DataFrame()
+    n = inputs.mechanism.n_legs
+    rows = [
+        {"quantity": "kappa", "leg": i + 1, "actuator": i + 1, "mean_1e-3": 1e3 * k, "sd_1e-3": 1e3 * s}
+        for i, (k, s) in enumerate(zip(inputs.ring_linear.kappa, inputs.ring_linear.sd, strict=True))
+    ]
+    rows += [
+        {
+            "quantity": "K",
+            "leg": i + 1,
+            "actuator": j + 1,
+            "mean_1e-3": 1e3 * inputs.ring_matrix.matrix[i, j],
+            "sd_1e-3": 1e3 * inputs.ring_matrix.sd[i, j],
+        }
+        for i in range(n)
+        for j in range(n)
+    ]
+    return pd.DataFrame(rows)
+
+
+def format_poses(inputs: StudyInputs) -> str:
+    """Return the extracted poses as CSV text: position (mm), rotation vector (degrees) and covariance (µm, µrad)."""
+    poses = inputs.extraction.poses
+    pairs = [(i, j) for i in range(6) for j in range(i, 6)]
+    rotation = np.degrees(rotation_vector_from_matrix(poses.rotation))
+    scale = np.array([1e3, 1e3, 1e3, 1e6, 1e6, 1e6])  # mm and rad to µm and µrad
+    covariance = poses.covariance * np.outer(scale, scale)
+    columns = ["pose", "use", "x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"]
+    columns += [f"cov_{COMPONENTS[i]}_{COMPONENTS[j]}" for i, j in pairs]
+    rows = [
+        (
+            name,
+            "verification" if held else "calibration",
+            *(f"{x:.7f}" for x in poses.position[k]),
+            *(f"{x:.8f}" for x in rotation[k]),
+            *(f"{covariance[k, i, j]:.6g}" for i, j in pairs),
+        )
+        for k, (name, held) in enumerate(zip(poses.names, inputs.survey.verification, strict=True))
+    ]
+    comments = [
+        inputs.config.data.origin,
+        "Pose of the platform frame in the base frame; position in mm, rotation vector in degrees.",
+        "cov: covariance of position (µm) and of the rotation vector (µrad) about the base axes.",
+    ]
+    return format_table(comments, columns, rows)

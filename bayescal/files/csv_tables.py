@@ -1,0 +1,127 @@
+"""CSV tables with their line numbers: every fault is named with its file and line.
+
+Lines that start with ``#`` are comments; the first other line names the columns, with their units.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.errors import InputError
+from bayescal.files.atomic import read_text
+from bayescal.numerics.geometry import Array
+
+LARGEST = 1e9
+"""Numbers beyond this size are taken for slips: as millimetres, a thousand kilometres."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Text cells of a CSV file with the line each row stands on."""
+
+    path: Path
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    lines: tuple[int, ...]
+
+    def where(self, row: int) -> str:
+        """Return ``file, line n``."""
+        return f"{self.path}, line {self.lines[row]}"
+
+    def text(self, column: str) -> list[str]:
+        """Return a column as stripped text; an empty cell is an error."""
+        k = self.columns.index(column)
+        values = [row[k].strip() for row in self.rows]
+        for number, value in enumerate(values):
+            if not value:
+                raise InputError(f"{self.where(number)}: {column}: found an empty cell, expected a name")
+        return values
+
+    def numbers(self, columns: Sequence[str]) -> Array:
+        """Return columns as finite numbers, shape (rows, columns)."""
+        index = [self.columns.index(column) for column in columns]
+        result = np.empty((len(self.rows), len(index)))
+        for number, row in enumerate(self.rows):
+            for k, column in enumerate(index):
+                result[number, k] = self._number(row[column], number, columns[k])
+        return result
+
+    def _number(self, cell: str, row: int, column: str) -> float:
+        try:
+            value = float(cell.replace("_", "?"))  # Python would read 1_0 as ten
+        except ValueError as error:
+            raise InputError(f"{self.where(row)}: {column}: found {cell.strip()!r}, expected a number") from error
+        if not math.isfinite(value):
+            raise InputError(f"{self.where(row)}: {column}: found {cell.strip()}, expected a finite number")
+        if abs(value) > LARGEST:
+            raise InputError(f"{self.where(row)}: {column}: found {cell.strip()}, expected at most {LARGEST:g} in size")
+        return value
+
+
+def read_table(path: Path, columns: Sequence[str] | None) -> Table:
+    """Read a CSV file with exactly these columns, in any order; None takes the columns as they are.
+
+    Raises
+    ------
+    InputError
+        For a missing or unreadable file, an unknown or missing column, a row of another length, or no rows.
+    """
+    text = read_text(path, "a CSV table")
+    numbered = [(n, row) for n, row in enumerate(text.splitlines(), start=1) if row.strip() and not row.startswith("#")]
+    if not numbered:
+        raise InputError(f"{path}: found no header, expected the columns {', '.join(columns or ['...'])}")
+    parsed = [_parse_row(path, line, row) for line, row in numbered]
+    header = tuple(cell.strip() for cell in parsed[0])
+    _check_header(path, numbered[0][0], header, columns)
+    for (line, _), row in zip(numbered[1:], parsed[1:], strict=True):
+        if len(row) != len(header):
+            raise InputError(f"{path}, line {line}: found {len(row)} cells, expected {len(header)}")
+    if len(parsed) == 1:
+        raise InputError(f"{path}: found no rows, expected at least one")
+    return Table(path, header, tuple(tuple(row) for row in parsed[1:]), tuple(line for line, _ in numbered[1:]))
+
+
+def _parse_row(path: Path, line: int, row: str) -> list[str]:
+    """Return the cells of one line; a quoted cell must end on its line."""
+    try:
+        return next(csv.reader([row], strict=True))
+    except csv.Error as error:
+        raise InputError(f"{path}, line {line}: found no CSV row ({error}), expected cells with commas") from error
+
+
+def _check_header(path: Path, line: int, header: tuple[str, ...], columns: Sequence[str] | None) -> None:
+    if len(set(header)) != len(header):
+        raise InputError(f"{path}, line {line}: found a column twice, expected each column once")
+    if columns is None:
+        return
+    for name in header:
+        if name not in columns:
+            close = difflib.get_close_matches(name, columns, n=1, cutoff=0.4)
+            hint = f", did you mean {close[0]!r}?" if close else ""
+            raise InputError(f"{path}, line {line}: found column {name!r}{hint}, expected {', '.join(columns)}")
+    for name in columns:
+        if name not in header:
+            raise InputError(f"{path}, line {line}: found no column {name!r}, expected {', '.join(columns)}")
+
+
+def read_matrix(path: Path, n_columns: int) -> Array:
+    """Read a table of numbers with a header, shape (rows, n_columns)."""
+    table = read_table(path, None)
+    if len(table.columns) != n_columns:
+        raise InputError(f"{path}: found {len(table.columns)} columns, expected {n_columns}, one per leg")
+    return table.numbers(table.columns)
+
+
+def format_table(comments: Sequence[str], columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Return the text of a CSV file with comment lines above the header."""
+    lines = [f"# {comment}" for comment in comments]
+    lines.append(",".join(columns))
+    lines.extend(",".join(str(cell) for cell in row) for row in rows)
+    return "\n".join(lines) + "\n"

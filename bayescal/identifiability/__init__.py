@@ -1,0 +1,1 @@
+"""What measurements can tell of a machine: rank, information, ridges, requirements."""

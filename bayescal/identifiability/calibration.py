@@ -1,0 +1,244 @@
+"""Simulated calibrations: whether the accuracy that an audit predicts is the one that calibrations reach.
+
+Machines are drawn from the priors, measured to the plan with all noise, and identified one by one; the errors of what
+was identified are then set against the predicted posterior standard deviations. The audit's are those of the machine
+linearised where it is expected. Averaged over machines drawn from the priors they are what a calibration can expect,
+where the derivatives change within the tolerances.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayescal.errors import InputError
+from bayescal.identifiability.design import Knowledge, Plan
+from bayescal.identifiability.fits import Fitter, Measurements
+from bayescal.identifiability.frames import N_FRAME_PARAMETERS, move_frames
+from bayescal.identifiability.sensitivity import SIX, root_of
+from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
+
+ROUNDS = 20
+LIMITS = (1.0, 1.96)  # standard deviations
+NORMAL_MEDIAN = 0.67449  # of the size of a standard normal number
+RANK = 1e-12  # of a scaled information, below which a coordinate is not measured
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedCalibrations:
+    """Calibrations of B machines that were drawn from the priors.
+
+    Attributes
+    ----------
+    knowledge : Knowledge
+    truth, estimate : ndarray, shape (B, D)
+        Machines and frames, mm, rad, or the parameter's unit.
+    sd : ndarray, shape (B, n)
+        Posterior standard deviations that each calibration claims, linearised at its estimate, in the same units.
+    converged : ndarray of bool, shape (B,)
+    n_iterations : ndarray of int, shape (B,)
+    n_redrawn : int
+        Draws that were no machine or could not take every planned pose, and were drawn anew.
+    """
+
+    knowledge: Knowledge
+    truth: Array
+    estimate: Array
+    sd: Array
+    converged: np.ndarray
+    n_iterations: np.ndarray
+    n_redrawn: int
+
+    @property
+    def errors(self) -> Array:
+        """Estimate minus truth of the free parameters in units of the tolerances, converged ones only, (B', n)."""
+        free = self.knowledge.free
+        result: Array = (self.estimate - self.truth)[self.converged][:, free] / self.knowledge.sd
+        return result
+
+
+def simulate_calibrations(knowledge: Knowledge, plan: Plan, n: int, rng: np.random.Generator) -> SimulatedCalibrations:
+    """Return n calibrations of machines drawn from the priors.
+
+    What the sensors tell of a pose is taken at the expected machine; a coordinate of which they tell nothing is not
+    used. Actuators err by σ_ρ, and a leg's closure by τ times what a millimetre of its actuator does to it.
+
+    Redundant legs close only at some actuator positions. Machines then stand where the planned positions bring them
+    closest to closing, and their encoders read what holds them there; a plan that does not close for the expected
+    machine is therefore not measured as it is planned.
+
+    Raises
+    ------
+    InputError
+        Where too few draws of the priors are machines that can take the planned poses.
+    """
+    fitter = Fitter(knowledge, plan)
+    moves, measured, n_redrawn = _draw(fitter, n, rng)
+    fits = fitter.fit(measured)
+    covariance = np.linalg.inv(fits.information + np.eye(len(knowledge.sd)))
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * knowledge.sd
+    return SimulatedCalibrations(
+        knowledge, fitter.theta(moves), fitter.theta(fits.moves), sd, fits.converged, fits.n_iterations, n_redrawn
+    )
+
+
+def simulate_measurements(fitter: Fitter, moves: Array, rng: np.random.Generator) -> tuple[Measurements, np.ndarray]:
+    """Return the measured poses of machines (B, n), and which machines can take all poses, shape (B,)."""
+    theta = fitter.theta(moves)
+    good = fitter.knowledge.layout.inside(theta)
+    machine_theta = np.where(good[:, None], theta, fitter.knowledge.centre)[:, None, :-N_FRAME_PARAMETERS]
+    machine, planned = fitter.knowledge.machine, fitter.plan.actuators
+    error = _actuator_errors(fitter, len(moves), rng)
+    if not fitter.redundant:
+        found = solve_forward_kinematics(machine, machine_theta, planned + error, check=False)
+        actuators, reached = np.broadcast_to(planned, error.shape), found.converged
+    else:  # redundant legs must close: encoders err, not the legs
+        found = solve_forward_kinematics(machine, machine_theta, planned, check=False)
+        position = np.where(found.converged[..., None], found.position, fitter.expected.poses.position)
+        held = solve_inverse_kinematics(machine, machine_theta, position, found.rotation, check=False)
+        actuators, reached = held.actuators - error, found.converged & held.converged
+    position, rotation = move_frames(theta[:, -N_FRAME_PARAMETERS:], found.position, found.rotation)
+    noise = np.einsum("pij,bpj->bpi", _sensor_noise(fitter.seen), rng.standard_normal((*error.shape[:-1], SIX)))
+    position, rotation = position + noise[..., :3], matrix_from_rotation_vector(noise[..., 3:]) @ rotation
+    return Measurements(position, rotation, actuators), good & reached.all(axis=1)
+
+
+def _draw(fitter: Fitter, n: int, rng: np.random.Generator) -> tuple[Array, Measurements, int]:
+    """Return n machines of the priors as moves with their measured poses, and how many were drawn anew."""
+    moves = rng.standard_normal((n, len(fitter.knowledge.sd)))
+    measured, good = simulate_measurements(fitter, moves, rng)
+    actuators = np.array(measured.actuators)
+    n_redrawn = 0
+    for _ in range(ROUNDS):
+        bad = np.flatnonzero(~good)
+        if not len(bad):
+            return moves, Measurements(measured.position, measured.rotation, actuators), n_redrawn
+        n_redrawn += len(bad)
+        moves[bad] = rng.standard_normal((len(bad), moves.shape[1]))
+        again, good[bad] = simulate_measurements(fitter, moves[bad], rng)
+        measured.position[bad], measured.rotation[bad], actuators[bad] = again.position, again.rotation, again.actuators
+    raise InputError(
+        f"tolerances: found {np.sum(~good)} of {n} machines that cannot take the planned poses after {ROUNDS} draws, "
+        "expected smaller tolerances or poses closer to home"
+    )
+
+
+def _actuator_errors(fitter: Fitter, n: int, rng: np.random.Generator) -> Array:
+    """Return what actuators, and the model in terms of actuators, err by, shape (n, P, N), mm."""
+    plan, by_actuators = fitter.plan, fitter.expected.by_actuators
+    own = np.diagonal(by_actuators, axis1=-2, axis2=-1)
+    shape = (n, *plan.actuators.shape)
+    model = np.linalg.solve(by_actuators, (own * rng.standard_normal(shape))[..., None])[..., 0]
+    return plan.actuator_noise * rng.standard_normal(shape) + plan.model_error * model
+
+
+def _sensor_noise(seen: Array) -> Array:
+    """Return roots of the covariances that belong to information (P, 6, 6); zero for what is not measured."""
+    scale = np.sqrt(np.diagonal(seen, axis1=-2, axis2=-1))
+    scale = np.where(scale > 0.0, scale, 1.0)[..., None]  # mm and rad side by side
+    covariance = np.linalg.pinv(seen / scale / np.swapaxes(scale, -1, -2), rcond=RANK, hermitian=True)
+    return np.swapaxes(root_of(covariance / scale / np.swapaxes(scale, -1, -2)), -1, -2)
+
+
+def expected_covariance(knowledge: Knowledge, plan: Plan, n: int, rng: np.random.Generator) -> Array:
+    """Return the posterior covariance averaged over n machines of the priors, in units of the tolerances, (n, n).
+
+    Each is linearised at the true machine. Draws that are no machine, or cannot take the planned poses, are left out.
+    """
+    fitter = Fitter(knowledge, plan)
+    information = fitter.information(rng.standard_normal((n, len(knowledge.sd))))
+    found = information[np.einsum("bii->b", information) > 0.0]
+    if not len(found):
+        raise InputError("tolerances: found no machine that can take the planned poses, expected smaller tolerances")
+    return np.asarray(np.linalg.inv(found + np.eye(len(knowledge.sd))).mean(axis=0))
+
+
+# --- prediction against what happened ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Predicted posterior standard deviations against the errors of calibrations.
+
+    Attributes
+    ----------
+    names : tuple of str
+    predicted, found : ndarray, shape (n,)
+        Posterior standard deviation and root mean square error, in units of the tolerances.
+    ratio, ratio_error : ndarray, shape (n,)
+        Found by predicted, and its standard error with the errors' own kurtosis.
+    typical_ratio : ndarray, shape (n,)
+        Median of the errors' sizes by that of a normal with the predicted standard deviation: few large errors, such as
+        those of a calibration that ended on the wrong side of a fold, do not count.
+    coverage : dict of float to ndarray, shape (n,)
+        Share of the errors within so many predicted standard deviations; 0.683 and 0.95 were they normal.
+    chi_square : float
+        Mean squared length of the errors in the metric of the predicted covariance, by n: one where all is as
+        predicted.
+    chi_square_error : float
+        Its standard error.
+    along : ndarray, shape (n,)
+        Root mean square error along each axis of the predicted covariance by what is predicted there, the axis that is
+        known best first: what a calibration determines may be no single parameter.
+    """
+
+    names: tuple[str, ...]
+    predicted: Array
+    found: Array
+    ratio: Array
+    ratio_error: Array
+    typical_ratio: Array
+    coverage: dict[float, Array]
+    chi_square: float
+    chi_square_error: float
+    along: Array
+
+    def by_symbol(self) -> dict[str, float]:
+        """Return the ratio of root mean squares over all parameters of a symbol."""
+        symbols = np.array([name.partition("[")[0] for name in self.names])
+        result = {}
+        for symbol in dict.fromkeys(symbols.tolist()):
+            part = symbols == symbol
+            result[symbol] = float(np.sqrt(np.sum(self.found[part] ** 2) / np.sum(self.predicted[part] ** 2)))
+        return result
+
+
+def compare_with_prediction(simulated: SimulatedCalibrations, covariance: Array) -> Comparison:
+    """Return how calibrations' errors compare with a predicted posterior covariance.
+
+    Parameters
+    ----------
+    simulated : SimulatedCalibrations
+    covariance : ndarray, shape (n, n)
+        In units of the tolerances: `Information.covariance`, or `expected_covariance`.
+
+    Raises
+    ------
+    InputError
+        Where fewer than two calibrations converged.
+    """
+    errors = simulated.errors
+    if len(errors) < 2:
+        raise InputError(f"calibrations: found {len(errors)} that converged, expected two at least")
+    predicted = np.sqrt(np.diagonal(covariance))
+    square = np.mean(errors**2, axis=0)
+    kurtosis = np.mean(errors**4, axis=0) / square**2
+    ratio = np.sqrt(square) / predicted
+    z = errors / predicted
+    variances, axes = np.linalg.eigh(covariance)
+    squares = (errors @ axes) ** 2 / variances
+    lengths = squares.mean(axis=1)
+    return Comparison(
+        simulated.knowledge.names,
+        predicted,
+        np.sqrt(square),
+        ratio,
+        ratio * np.sqrt(np.maximum(kurtosis - 1.0, 0.0) / (4.0 * len(errors))),
+        np.median(np.abs(z), axis=0) / NORMAL_MEDIAN,
+        {limit: np.mean(np.abs(z) < limit, axis=0) for limit in LIMITS},
+        float(lengths.mean()),
+        float(lengths.std(ddof=1) / np.sqrt(len(lengths))),
+        np.sqrt(squares.mean(axis=0)),
+    )

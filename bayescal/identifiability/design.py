@@ -1,0 +1,148 @@
+"""What an audit looks at: a machine, what is known of it beforehand, and a plan of measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from bayescal.errors import InputError
+from bayescal.identifiability.frames import FRAME_BLOCKS
+from bayescal.machines.kinematics import ForwardKinematics, Machine, solve_forward_kinematics
+from bayescal.machines.parameters import ParameterLayout
+from bayescal.machines.sensors import Sensor
+from bayescal.numerics.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """A machine with what is known of its parameters before it is measured.
+
+    Attributes
+    ----------
+    machine : Machine
+    priors : mapping of parameter name to float
+        Standard deviations of the free parameters, those of free frames too, in mm, rad, or the parameter's unit.
+    fixed : mapping of parameter name to float
+        Values of fixed parameters that are not nominal; of free ones where they are expected elsewhere.
+    """
+
+    machine: Machine
+    priors: Mapping[str, float]
+    fixed: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the names and that every standard deviation is positive and finite."""
+        for name in (*self.priors, *self.fixed):
+            if name not in self.layout.names:
+                raise InputError(f"parameter {name!r}: unknown here, expected one of {', '.join(self.layout.symbols)}")
+        for name, sd in self.priors.items():
+            if not 0.0 < sd < np.inf:
+                raise InputError(f"parameter {name}: found a tolerance of {sd:g}, expected one above zero")
+        if not self.priors:
+            raise InputError("found no free parameter, expected at least one")
+
+    @cached_property
+    def layout(self) -> ParameterLayout:
+        """The machine's parameters, then those of the measurement's frames."""
+        return ParameterLayout(self.machine.layout.blocks + FRAME_BLOCKS)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the n free parameters, in the layout's order."""
+        return tuple(name for name in self.layout.names if name in self.priors)
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """Where the free parameters stand in the layout, shape (n,)."""
+        return np.array([k for k, name in enumerate(self.layout.names) if name in self.priors])
+
+    @cached_property
+    def sd(self) -> Array:
+        """Standard deviations beforehand, shape (n,)."""
+        return np.array([self.priors[name] for name in self.names])
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """Units of the free parameters."""
+        return tuple(self.layout.units[k] for k in self.free)
+
+    @cached_property
+    def symbols(self) -> tuple[str, ...]:
+        """Symbols of the free parameters."""
+        return tuple(name.partition("[")[0] for name in self.names)
+
+    @cached_property
+    def centre(self) -> Array:
+        """Machine and frames as expected beforehand, shape (D,)."""
+        theta = self.layout.nominal.copy()
+        for name, value in self.fixed.items():
+            theta[self.layout.names.index(name)] = value
+        return theta
+
+    @property
+    def machine_centre(self) -> Array:
+        """The machine as expected beforehand, without the frames."""
+        return self.centre[: self.machine.layout.size]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A plan of measurement.
+
+    Attributes
+    ----------
+    actuators : ndarray, shape (P, N)
+        Actuator positions ρ of the poses to measure, mm.
+    sensors : tuple of Sensor
+        All of them measure every pose.
+    actuator_noise, model_error : float
+        σ_ρ and τ, mm.
+    noise_factor : float
+        On the sensors' noise.
+    pose_information : ndarray, shape (P, 6, 6), optional
+        What is known of each measured pose, in place of the sensors', where poses have been measured already.
+    """
+
+    actuators: Array
+    sensors: tuple[Sensor, ...]
+    actuator_noise: float
+    model_error: float = 0.0
+    noise_factor: float = 1.0
+    pose_information: Array | None = None
+
+    @property
+    def n_poses(self) -> int:
+        """Number of poses P."""
+        return len(self.actuators)
+
+    def information(self, found: ForwardKinematics) -> Array:
+        """Return what all sensors together tell of each pose, shape (P, 6, 6)."""
+        if self.pose_information is not None:
+            known = self.pose_information
+            if len(known) != len(found.position):  # other poses than those measured: as well as these on average
+                known = np.broadcast_to(known.mean(axis=0), (len(found.position), 6, 6))
+            return known / self.noise_factor**2
+        total = np.zeros((len(found.position), 6, 6))
+        for sensor in self.sensors:
+            total += sensor.information(found.position, found.rotation)
+        return total / self.noise_factor**2
+
+    def with_sensors(self, sensors: tuple[Sensor, ...]) -> Plan:
+        """Return the plan with other sensors."""
+        return replace(self, sensors=sensors, pose_information=None)
+
+
+def predict_poses(machine: Machine, theta: Array, actuators: Array) -> ForwardKinematics:
+    """Return the poses at actuator positions (P, N); InputError names the first that the machine cannot take."""
+    found = solve_forward_kinematics(machine, theta, actuators, check=False)
+    if not found.converged.all():
+        index = int(np.argmin(found.converged))
+        moved = actuators[index] - machine.mechanism.initial_actuator_positions
+        listed = ", ".join(f"{x:g}" for x in moved)
+        raise InputError(
+            f"pose {index + 1}: found no pose at displacements {listed} mm, expected one the machine can take"
+        )
+    return found

@@ -1,0 +1,163 @@
+"""Directions of the parameter space by what is learnt of them, the unlearnt ones made readable.
+
+The generalised eigenvectors of information against prior precision are eigenvectors of Λ in units of the tolerances.
+They mix what is alike, so the ridges, those that contract too little, get another basis of the same space: one
+parameter moves by its tolerance, the others left to be fixed stay, and what is free follows as far as the measurements
+want it to. Followers that hardly matter are then left out one by one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import qr
+
+from bayescal.identifiability.information import Information, complement_of, nats_from_contraction
+from bayescal.identifiability.sparse import find_sparse_basis
+from bayescal.limits import INFORMED
+from bayescal.numerics.geometry import Array
+
+type Kind = Literal["structural", "practical", "informed"]
+
+SMALLEST_FOLLOWER = 1e-3  # of the largest loading; what follows by less is left out at once
+ALLOWED_RISE = 0.01  # of the contraction, for a follower to be left out
+SEEN_SHARE = 0.02  # of a direction's square, for a loading of an informed direction to be named
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """A direction of the parameter space.
+
+    Attributes
+    ----------
+    kind : str
+        ``structural``: no measurement of this kind sees it; ``practical``: the planned ones hardly do; ``informed``.
+    vector : ndarray, shape (n,)
+        A move by one prior standard deviation along it, in units of the tolerances.
+    contraction, nats : float
+    pivot : int or None
+        The parameter that a ridge is named after.
+    """
+
+    kind: Kind
+    vector: Array
+    contraction: float
+    nats: float
+    pivot: int | None = None
+
+
+def find_directions(
+    information: Information, null_space: Array, fixed: tuple[int, ...], gauges: tuple[int, ...] = ()
+) -> list[Direction]:
+    """Return n directions that span the parameter space: structural, practical, informed ones.
+
+    Parameters
+    ----------
+    information : Information
+        Of n parameters.
+    null_space : ndarray, shape (n, k)
+        Structural null space, orthonormal, in units of the tolerances.
+    fixed : tuple of int
+        Parameters that one would rather fix, the first of them most: ridges are named after them where possible.
+    gauges : tuple of int
+        Parameters of frames, which structural directions are named after first.
+    """
+    matrix = information.matrix
+    values, vectors = information.spectrum(complement_of(null_space))
+    weak = vectors[:, values / (1.0 + values) < INFORMED]
+    preferred = np.full(len(matrix), 1e-3)
+    preferred[list(fixed)] = 1.0
+    structural, pivots = find_sparse_basis(null_space, fixed)
+    pivots = _rename(structural, pivots, gauges)
+    preferred[pivots] = 0.0
+    found = [Direction("structural", _unit(x), 0.0, 0.0, p) for x, p in zip(structural.T, pivots, strict=True)]
+    found += _name_ridges(information, weak, null_space, preferred, pivots)
+    for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):
+        if value / (1.0 + value) >= INFORMED:
+            found.append(Direction("informed", _clean(vector), value / (1.0 + value), 0.5 * float(np.log1p(value))))
+    return found
+
+
+def _rename(basis: Array, pivots: np.ndarray, gauges: tuple[int, ...]) -> np.ndarray:
+    """Return the parameters that vectors (n, k) are named after, frames' where they move most and tell them apart."""
+    renamed = pivots.copy()
+    for k in np.argsort(np.count_nonzero(basis[list(gauges)], axis=0), kind="stable"):  # those with no choice first
+        vector = basis[:, k]
+        moving = [g for g in gauges if vector[g] and g not in renamed]
+        if moving:
+            trial = renamed.copy()
+            trial[k] = max(moving, key=lambda g: abs(vector[g]))
+            if np.linalg.matrix_rank(basis[trial]) == len(trial):
+                renamed = trial
+    return renamed
+
+
+def _name_ridges(
+    information: Information, weak: Array, null_space: Array, preferred: Array, gauges: np.ndarray
+) -> list[Direction]:
+    """Return one ridge per weak eigenvector, named after a parameter each."""
+    k = weak.shape[1]
+    if not k:
+        return []
+    both = np.concatenate([null_space, weak], axis=1)
+    # what is left of the weak space once the gauges' own parameters stay put
+    rest = both - both @ np.linalg.pinv(both[gauges]) @ both[gauges] if len(gauges) else weak
+    space = np.linalg.svd(rest, full_matrices=False)[0][:, :k]
+    pivots = qr(space.T * preferred, mode="r", pivoting=True)[1][:k]
+    held = np.concatenate([gauges, pivots])
+    found = [_make(information, _follow(information.matrix, p, held), p) for p in pivots]
+    return sorted(found, key=lambda direction: direction.contraction)
+
+
+def _follow(matrix: Array, pivot: int, held: np.ndarray) -> Array:
+    """Return the move in which one parameter goes by its tolerance and those not held follow, as few as will do."""
+    others = np.setdiff1d(np.arange(len(matrix)), held)
+    vector = _solve(matrix, pivot, others)
+    others = others[np.abs(vector[others]) > SMALLEST_FOLLOWER * np.abs(vector).max()]
+    vector = _solve(matrix, pivot, others)
+    allowed = _contract(matrix, vector) + ALLOWED_RISE
+    while len(others):
+        order = np.argsort(np.abs(vector[others]))
+        for k in order:
+            fewer = np.delete(others, k)
+            trial = _solve(matrix, pivot, fewer)
+            if _contract(matrix, trial) <= allowed:
+                others, vector = fewer, trial
+                break
+        else:
+            break
+    return vector
+
+
+def _solve(matrix: Array, pivot: int, others: np.ndarray) -> Array:
+    vector = np.zeros(len(matrix))
+    vector[pivot] = 1.0
+    if len(others):
+        inner = matrix[np.ix_(others, others)] + np.eye(len(others))
+        vector[others] = -np.linalg.solve(inner, matrix[others, pivot])
+    return vector
+
+
+def _contract(matrix: Array, vector: Array) -> float:
+    """Return the contraction of a direction were it alone unknown; at least that of the posterior."""
+    quotient = float(vector @ matrix @ vector) / float(vector @ vector)
+    return quotient / (1.0 + quotient)
+
+
+def _make(information: Information, vector: Array, pivot: int) -> Direction:
+    contraction = float(information.contraction_along(vector[:, None])[0])
+    return Direction(
+        "practical", _unit(vector), contraction, float(nats_from_contraction(np.array(contraction))), pivot
+    )
+
+
+def _clean(vector: Array) -> Array:
+    """Return an eigenvector without its small loadings."""
+    kept = np.where(vector**2 >= SEEN_SHARE * np.max(vector**2), vector, 0.0)
+    return _unit(kept * np.sign(kept[np.argmax(np.abs(kept))]))
+
+
+def _unit(vector: Array) -> Array:
+    return np.asarray(vector / np.linalg.norm(vector))

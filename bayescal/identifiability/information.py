@@ -1,0 +1,103 @@
+"""Practical identifiability: information of the planned measurements against what is known beforehand.
+
+In units of the tolerances the prior is a standard normal and the measurements have the information Λ; the posterior is
+then N(0, (1 + Λ)⁻¹) to first order. Contraction of a direction v is 1 - vᵀ(1 + Λ)⁻¹v, and -½ log(1 - contraction) nats
+are what is learnt of it. Neither depends on units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from bayescal.numerics.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """Information of a plan in units of the tolerances.
+
+    Attributes
+    ----------
+    root : ndarray, shape (k, n)
+        R with Λ = RᵀR, k not above n; everything is found from it, since squaring loses half of the digits.
+    """
+
+    root: Array
+
+    @cached_property
+    def matrix(self) -> Array:
+        """Λ, shape (n, n)."""
+        return self.root.T @ self.root
+
+    def spectrum(self, space: Array | None = None) -> tuple[Array, Array]:
+        """Return eigenvalues and eigenvectors of Λ in a space (n, k) with orthonormal columns, smallest first."""
+        n = self.root.shape[1]
+        basis = np.eye(n) if space is None else space
+        seen = self.root @ basis
+        padded = np.concatenate([seen, np.zeros((max(0, basis.shape[1] - len(seen)), basis.shape[1]))])
+        _, values, vectors = np.linalg.svd(padded, full_matrices=False)
+        return values[::-1] ** 2, basis @ vectors[::-1].T
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Posterior covariance in units of the tolerances, shape (n, n)."""
+        values, vectors = self.spectrum()
+        result: Array = (vectors / (1.0 + values)) @ vectors.T
+        return result
+
+    @cached_property
+    def contraction(self) -> Array:
+        """Contraction of each parameter, shape (n,)."""
+        return 1.0 - np.diagonal(self.covariance)
+
+    def contraction_along(self, directions: Array) -> Array:
+        """Return the contraction along directions (n, k), shape (k,); their lengths do not matter."""
+        unit = directions / np.linalg.norm(directions, axis=0)
+        return 1.0 - np.einsum("ik,ij,jk->k", unit, self.covariance, unit)
+
+    def errors_of_reduced(self, free: tuple[int, ...]) -> Array:
+        """Return the covariance (n, n) of the errors where some parameters are fitted and the others taken for nominal.
+
+        The others are off by their tolerances all the same; what is fitted takes up what it can of that:
+        with K = (1 + Λ_ff)⁻¹ its errors are K z_f - K Λ_fo z_o - K R_fᵀ ε.
+        """
+        n = self.root.shape[1]
+        chosen, others = np.array(free, dtype=int), np.setdiff1d(np.arange(n), free)
+        inner = np.linalg.inv(self.matrix[np.ix_(chosen, chosen)] + np.eye(len(chosen)))
+        across = inner @ self.matrix[np.ix_(chosen, others)]
+        result = np.eye(n)
+        result[np.ix_(chosen, chosen)] = inner + across @ across.T
+        result[np.ix_(chosen, others)], result[np.ix_(others, chosen)] = -across, -across.T
+        return result
+
+    @property
+    def nats(self) -> float:
+        """All that the measurements tell, ½ log det(1 + Λ)."""
+        return 0.5 * float(np.log1p(self.spectrum()[0]).sum())
+
+
+def information_of_rows(rows: Array, sd: Array) -> Information:
+    """Return the information of rows of unit noise.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (..., n)
+        The identification Jacobian in units of the noise.
+    sd : ndarray, shape (n,)
+        Tolerances.
+    """
+    return Information(np.linalg.qr(rows.reshape(-1, rows.shape[-1]) * sd, mode="r"))
+
+
+def nats_from_contraction(contraction: Array) -> Array:
+    """Return what a contraction is worth in nats."""
+    return np.asarray(-0.5 * np.log1p(-np.minimum(contraction, 1.0 - 1e-16)))
+
+
+def complement_of(space: Array) -> Array:
+    """Return an orthonormal basis of what is orthogonal to a space, both with orthonormal columns, (n, n - k)."""
+    n, k = space.shape
+    return np.asarray(np.linalg.svd(space, full_matrices=True)[0][:, k:]) if k else np.eye(n)

@@ -1,0 +1,169 @@
+"""What accuracy remains: errors of the predicted pose over the workspace, and the probability to keep the limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayescal.identifiability.design import Plan
+from bayescal.identifiability.information import Information
+from bayescal.identifiability.sensitivity import Sensitivity, root_of
+from bayescal.numerics.geometry import Array
+
+DRAWS = 2000
+CHUNK = 500
+COMPONENTS = ("x", "y", "z", "rotation_x", "rotation_y", "rotation_z")
+NORMS = {"position": slice(0, 3), "rotation": slice(3, 6)}
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A limit on a component of the pose error, or on the length of its position or rotation part.
+
+    Attributes
+    ----------
+    name : str
+        One of `COMPONENTS` or `NORMS`.
+    limit : float
+        mm or rad.
+    """
+
+    name: str
+    limit: float
+
+    def take(self, error: Array) -> Array:
+        """Return the required quantity of pose errors (..., 6), not negative, shape (...)."""
+        if self.name in NORMS:
+            return np.asarray(np.linalg.norm(error[..., NORMS[self.name]], axis=-1))
+        return np.abs(error[..., COMPONENTS.index(self.name)])
+
+    def variance(self, covariance: Array) -> Array:
+        """Return the variance of the quantity from pose covariances (..., 6, 6), summed over a norm's parts."""
+        diagonal = np.diagonal(covariance, axis1=-2, axis2=-1)
+        if self.name in NORMS:
+            return np.asarray(diagonal[..., NORMS[self.name]].sum(axis=-1))
+        return np.asarray(diagonal[..., COMPONENTS.index(self.name)])
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """How a requirement stands.
+
+    Attributes
+    ----------
+    requirement : Requirement
+    prior_sd, predicted_sd : float
+        Largest standard deviation in the workspace before and after the calibration, mm or rad; of a length the root
+        mean square.
+    prior_probability, probability : float
+        That no pose of the workspace exceeds the limit.
+    geometry_sd : float
+        The part of ``predicted_sd`` that the geometry causes; the rest are actuators and model error.
+    reduced_sd, reduced_probability : float
+        The same where only the recommended parameters are calibrated and the others, though off by their tolerances,
+        are taken for nominal.
+    """
+
+    requirement: Requirement
+    prior_sd: float
+    predicted_sd: float
+    prior_probability: float
+    probability: float
+    geometry_sd: float
+    reduced_sd: float
+    reduced_probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """The workspace's poses and how they move with the parameters.
+
+    Attributes
+    ----------
+    sensitivity : Sensitivity
+    sd : ndarray, shape (n,)
+        Tolerances.
+    """
+
+    sensitivity: Sensitivity
+    sd: Array
+
+    @property
+    def slope(self) -> Array:
+        """Pose by parameters in units of the tolerances, shape (W, 6, n)."""
+        return self.sensitivity.slope * self.sd
+
+    def covariance(self, geometry: Array) -> Array:
+        """Return pose covariances (W, 6, 6) of a covariance of the parameters in units of the tolerances."""
+        result: Array = self.slope @ geometry @ np.swapaxes(self.slope, -1, -2)
+        return result
+
+    def effect(self, vector: Array) -> Array:
+        """Return what a move along a direction (n,) does to the poses, shape (W, 6)."""
+        return np.asarray(self.slope @ vector)
+
+    def judge(
+        self,
+        requirements: list[Requirement],
+        information: Information,
+        plan: Plan,
+        rng: np.random.Generator,
+        free: tuple[int, ...],
+    ) -> list[Outlook]:
+        """Return how requirements stand before and after the calibration, to first order.
+
+        Parameters
+        ----------
+        requirements : list of Requirement
+        information : Information
+        plan : Plan
+        rng : Generator
+        free : tuple of int
+            The parameters that are recommended to be freed.
+        """
+        identity = np.eye(len(self.sd))
+        noise = self.sensitivity.pose_noise(plan)
+        prior, after = self.covariance(identity), self.covariance(information.covariance)
+        before = self._probabilities(requirements, identity, noise, rng)
+        later = self._probabilities(requirements, root_of(information.covariance).T, noise, rng)
+        errors = information.errors_of_reduced(free)
+        reduced = self.covariance(errors)
+        chances = self._probabilities(requirements, root_of(errors).T, noise, rng)
+        return [
+            Outlook(
+                requirement,
+                _largest(requirement, prior + noise),
+                _largest(requirement, after + noise),
+                float(before[k]),
+                float(later[k]),
+                _largest(requirement, after),
+                _largest(requirement, reduced + noise),
+                float(chances[k]),
+            )
+            for k, requirement in enumerate(requirements)
+        ]
+
+    def _probabilities(
+        self, requirements: list[Requirement], root: Array, noise: Array, rng: np.random.Generator
+    ) -> Array:
+        """Return the share of draws of which no pose exceeds the limit."""
+        slope = (self.slope @ root).reshape(-1, root.shape[1])
+        noise_root = np.swapaxes(root_of(noise), -1, -2)
+        good = np.zeros(len(requirements))
+        for _ in range(DRAWS // CHUNK):
+            error = (slope @ rng.standard_normal((root.shape[1], CHUNK))).T.reshape(CHUNK, -1, 6)
+            error += np.einsum("wij,bwj->bwi", noise_root, rng.standard_normal(error.shape))
+            good += [np.sum((r.take(error) <= r.limit).all(axis=1)) for r in requirements]
+        return good / (DRAWS // CHUNK * CHUNK)
+
+    def share_of_limit(self, vector: Array, requirements: list[Requirement]) -> tuple[float, str]:
+        """Return the largest share of a limit that a move along a direction takes anywhere, and of which limit."""
+        effect = self.effect(vector)
+        shares = {r.name: float(r.take(effect).max()) / r.limit for r in requirements}
+        worst = max(shares, key=lambda name: shares[name])
+        return shares[worst], worst
+
+
+def _largest(requirement: Requirement, covariance: Array) -> float:
+    return float(np.sqrt(requirement.variance(covariance).max()))

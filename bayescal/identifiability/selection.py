@@ -1,0 +1,146 @@
+"""What to free and what to fix: the largest set of parameters that the measurements determine together.
+
+Rank-revealing selection in units of the tolerances: the symbol that the measurements tell most of, given what is
+already chosen, is taken next. That is a pivoted Cholesky factorisation of Λ by blocks, its pivot the information in
+nats per parameter. The legs of a machine get the same parameters. A symbol is taken where every chosen parameter
+remains identifiable with it, all chosen ones unknown together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayescal.identifiability.information import Information
+from bayescal.limits import INFORMED
+from bayescal.numerics.geometry import Array
+
+ALIKE = 0.1
+"""Nats per parameter, a tenth of a standard deviation, within which of two symbols the earlier one is taken, unless the
+later one is told better on every leg."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A symbol as it was looked at: taken or left.
+
+    Attributes
+    ----------
+    symbol : str
+    nats : float
+        What is learnt of it per parameter, what was taken before being unknown.
+    contraction : float
+        The least of all parameters taken, with it.
+    taken : bool
+    """
+
+    symbol: str
+    nats: float
+    contraction: float
+    taken: bool
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which parameters to free.
+
+    Attributes
+    ----------
+    free : tuple of int
+        Positions among the audited parameters, in their order.
+    fixed : tuple of int
+        All others, those that are known least first.
+    extra : tuple of int
+        Single parameters of symbols left out that could be freed too, on some legs.
+    steps : tuple of Step
+        In the order of the selection.
+    """
+
+    free: tuple[int, ...]
+    fixed: tuple[int, ...]
+    extra: tuple[int, ...]
+    steps: tuple[Step, ...]
+
+
+def select_parameters(information: Information, symbols: tuple[str, ...], last: Container[str] = ()) -> Selection:
+    """Return the parameters to free.
+
+    Parameters
+    ----------
+    information : Information
+        Of n parameters.
+    symbols : tuple of str
+        The symbol of each, n.
+    last : container of str
+        Symbols to be looked at after all others: frames, which rather define than describe a machine.
+    """
+    matrix = information.matrix
+    everything = {symbol: np.flatnonzero(np.array(symbols) == symbol) for symbol in dict.fromkeys(symbols)}
+    taken = np.empty(0, dtype=int)
+    steps: list[Step] = []
+    for late in (False, True):
+        left = {symbol: places for symbol, places in everything.items() if (symbol in last) == late}
+        taken = _select(matrix, left, taken, steps)
+    fixed = [int(k) for step in reversed(steps) if not step.taken for k in everything[step.symbol]]
+    return Selection(tuple(sorted(taken.tolist())), tuple(fixed), _extend(matrix, taken), tuple(steps))
+
+
+def _select(matrix: Array, left: dict[str, np.ndarray], taken: np.ndarray, steps: list[Step]) -> np.ndarray:
+    """Return the parameters taken with those of further symbols; each look is added to the steps."""
+    while left:
+        rest = _condition(matrix, taken)
+        gains = {symbol: _nats(rest, places) for symbol, places in left.items()}
+        symbol = _choose(np.diagonal(rest), left, gains)
+        places = left.pop(symbol)
+        together = np.concatenate([taken, places])
+        contraction = float(_contraction(matrix, together).min())
+        good = contraction >= INFORMED
+        taken = together if good else taken
+        steps.append(Step(symbol, gains[symbol], contraction, good))
+    return taken
+
+
+def _choose(told: Array, left: dict[str, np.ndarray], gains: dict[str, float]) -> str:
+    """Return the symbol that is told best; of several alike the first in the layout."""
+    best = max(left, key=lambda symbol: gains[symbol])
+    for symbol, places in left.items():
+        alike = gains[symbol] >= gains[best] - ALIKE and len(places) == len(left[best])
+        if symbol == best or (alike and not np.all(told[left[best]] > told[places])):
+            return symbol
+    return best
+
+
+def _extend(matrix: Array, taken: np.ndarray) -> tuple[int, ...]:
+    """Return single parameters that may be added, the best known first."""
+    chosen = taken
+    others = np.setdiff1d(np.arange(len(matrix)), chosen)
+    while len(others):
+        gains = np.diagonal(_condition(matrix, chosen))[others]
+        place = int(others[np.argmax(gains)])
+        others = others[others != place]
+        together = np.append(chosen, place)
+        if _contraction(matrix, together).min() >= INFORMED:
+            chosen = together
+    return tuple(chosen[len(taken) :].tolist())
+
+
+def _contraction(matrix: Array, places: np.ndarray) -> Array:
+    part = matrix[np.ix_(places, places)]
+    return 1.0 - np.diagonal(np.linalg.inv(part + np.eye(len(places))))
+
+
+def _condition(matrix: Array, taken: np.ndarray) -> Array:
+    """Return the information on all parameters when those taken are unknown within their tolerances, (n, n)."""
+    if not len(taken):
+        return matrix
+    across = matrix[:, taken]
+    inner = matrix[np.ix_(taken, taken)] + np.eye(len(taken))
+    result: Array = matrix - across @ np.linalg.solve(inner, across.T)
+    return result
+
+
+def _nats(matrix: Array, places: np.ndarray) -> float:
+    values = np.linalg.eigvalsh(matrix[np.ix_(places, places)])
+    return 0.5 * float(np.log1p(np.maximum(values, 0.0)).sum()) / len(places)

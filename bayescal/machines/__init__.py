@@ -1,0 +1,1 @@
+"""Machines: mechanisms, kinematic models, deformations, sensors and readings."""

@@ -1,0 +1,243 @@
+"""Forward and inverse kinematics of any model by Newton's method, batched, and the home pose they start from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from bayescal.errors import InputError, NumericalError
+from bayescal.machines.deformations.base import Deformation, DeformationBasis
+from bayescal.machines.mechanism import Drive, Mechanism
+from bayescal.machines.models import MODELS
+from bayescal.machines.models.base import KinematicModel, Linearisation, newton_step
+from bayescal.machines.models.home import guess_level_pose
+from bayescal.machines.parameters import ParameterLayout
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
+
+STEP_TOLERANCE = 1e-10
+SINGULAR_CONDITION = 1e8
+DRIVEN: dict[Drive, str] = {"base": "actuators at the base", "strut": "struts"}
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """A mechanism seen through a kinematic model and a deformation, with the layout of their parameters."""
+
+    mechanism: Mechanism
+    model: KinematicModel
+    deformation: Deformation
+
+    def __post_init__(self) -> None:
+        """Check that the model takes the mechanism's drive."""
+        check_drive(type(self.model), self.mechanism)
+
+    @cached_property
+    def layout(self) -> ParameterLayout:
+        """Layout of the model's and the deformation's parameters."""
+        return ParameterLayout(self.model.blocks(self.mechanism) + self.deformation.blocks(self.mechanism.n_legs))
+
+    def basis(self, actuators: Array) -> DeformationBasis:
+        """Return displacements from the nominal initial positions with their deflections, positions (..., N) in mm."""
+        return self.deformation.basis(actuators - self.mechanism.initial_actuator_positions)
+
+    def linearise(self, theta: Array, position: Array, rotation: Array, actuators: Array) -> Linearisation:
+        """Return the closure and its derivatives at poses (..., 3), (..., 3, 3) and actuator positions (..., N)."""
+        return self.model.linearise(self.layout, theta, position, rotation, self.basis(actuators))
+
+
+def check_drive(model: type[KinematicModel], mechanism: Mechanism) -> None:
+    """Raise InputError where a model does not take the drive of a mechanism."""
+    if model.drive != mechanism.drive:
+        fitting = sorted(name for name, other in MODELS.items() if other.drive == mechanism.drive)
+        raise InputError(
+            f"model {model.name!r}: found {DRIVEN[mechanism.drive]} in mechanism {mechanism.name!r}, "
+            f"expected {'one of ' if len(fitting) > 1 else ''}{', '.join(fitting)}"
+        )
+
+
+def build_machine(model: type[KinematicModel], mechanism: Mechanism, deformation: Deformation) -> Machine:
+    """Return a mechanism seen through a model; InputError where the mechanism is not one for the model."""
+    check_drive(model, mechanism)
+    return Machine(mechanism, model.from_mechanism(mechanism), deformation)
+
+
+@dataclass(frozen=True)
+class ForwardKinematics:
+    """Poses found by Newton's method, with how it ended."""
+
+    position: Array
+    rotation: Array
+    converged: np.ndarray
+    n_iterations: int
+
+
+def guess_home_pose(mechanism: Mechanism) -> tuple[Array, Array]:
+    """Return a level pose from which Newton's method finds the home pose: the stated one, or one above the base."""
+    if mechanism.home_position is not None:
+        return np.array(mechanism.home_position), np.eye(3)
+    try:
+        return guess_level_pose(mechanism.home_joints, mechanism.platform_points, mechanism.leg_lengths)
+    except InputError as error:
+        raise InputError(f"mechanism {mechanism.name!r}: {error}") from error
+
+
+def solve_forward_kinematics(
+    machine: Machine, theta: Array, actuators: Array, max_iterations: int = 30, check: bool = True
+) -> ForwardKinematics:
+    """Find the poses in which the closure vanishes.
+
+    Parameters
+    ----------
+    machine : Machine
+        Mechanism, model and deformation.
+    theta : ndarray, shape (D,) or (..., D)
+        Parameter vectors, broadcast against the leading axes of ``actuators``.
+    actuators : ndarray, shape (..., N)
+        Actuator positions ρ, mm.
+    max_iterations : int
+        Bound on the Newton steps.
+    check : bool
+        Raise where a pose is not found; otherwise the result's ``converged`` says so.
+
+    Returns
+    -------
+    ForwardKinematics
+        Positions (..., 3) in mm and rotations (..., 3, 3) in the base frame. For more than six legs the step is the
+        least-squares one.
+
+    Raises
+    ------
+    NumericalError
+        Where Newton's method does not converge, naming the first such pose.
+    """
+    position, rotation = guess_home_pose(machine.mechanism)
+    shape = np.broadcast_shapes(theta.shape[:-1], actuators.shape[:-1])
+    position = np.broadcast_to(position, (*shape, 3))
+    rotation = np.broadcast_to(rotation, (*shape, 3, 3))
+    basis = machine.basis(np.broadcast_to(actuators, (*shape, actuators.shape[-1])))
+    closure = machine.model.prepare(machine.layout, theta)
+    converged = np.zeros(shape, dtype=bool)
+    iteration = 0
+    while iteration < max_iterations and not converged.all():
+        step = newton_step(closure(position, rotation, basis, with_parameters=False))
+        position = position + step[..., :3]
+        rotation = matrix_from_rotation_vector(step[..., 3:]) @ rotation
+        converged = np.max(np.abs(step), axis=-1, initial=0.0) < STEP_TOLERANCE
+        iteration += 1
+    if check and not converged.all():
+        index = int(np.argmin(converged.ravel()))
+        raise NumericalError(
+            f"forward kinematics: pose {index + 1} of {converged.size} not found in {max_iterations} Newton steps"
+        )
+    return ForwardKinematics(position, rotation, converged, iteration)
+
+
+@dataclass(frozen=True)
+class InverseKinematics:
+    """Actuator positions found by Newton's method, with how it ended."""
+
+    actuators: Array
+    converged: np.ndarray
+    n_iterations: int
+
+
+def solve_inverse_kinematics(
+    machine: Machine, theta: Array, position: Array, rotation: Array, max_iterations: int = 30, check: bool = True
+) -> InverseKinematics:
+    """Find the actuator positions that hold given poses, the deformation that they cause included.
+
+    Parameters
+    ----------
+    machine : Machine
+        Mechanism, model and deformation.
+    theta : ndarray, shape (D,) or (..., D)
+        Parameter vectors, broadcast against the leading axes of the poses.
+    position, rotation : ndarray, shapes (..., 3) and (..., 3, 3)
+        Poses of the platform frame in the base frame, mm.
+    max_iterations : int
+        Bound on the Newton steps; they start at the initial positions, so of two solutions the near one is found.
+    check : bool
+        Raise where no actuator positions are found; otherwise the result's ``converged`` says so.
+
+    Raises
+    ------
+    NumericalError
+        Where Newton's method does not converge, naming the first such pose and the leg that is furthest from it.
+    """
+    layout, n_legs = machine.layout, machine.mechanism.n_legs
+    shape = np.broadcast_shapes(theta.shape[:-1], position.shape[:-1])
+    actuators = np.broadcast_to(machine.mechanism.initial_actuator_positions, (*shape, n_legs))
+    closure = machine.model.prepare(layout, theta)
+    step = np.full((*shape, n_legs), np.nan)
+    iteration = 0
+    while iteration < max_iterations:
+        here = closure(position, rotation, machine.basis(actuators), with_parameters=False)
+        step = _actuator_step(here)
+        iteration += 1
+        if not np.any(np.abs(step) >= STEP_TOLERANCE):
+            break
+        actuators = actuators + step
+    good = np.abs(step) < STEP_TOLERANCE
+    converged = good.all(axis=-1)
+    if check and not converged.all():
+        flat = np.broadcast_to(here.residual, step.shape).reshape(-1, n_legs)
+        index = int(np.argmin(converged.ravel()))
+        leg = int(np.argmax(np.nan_to_num(np.abs(flat[index]), nan=np.inf)))
+        length = np.broadcast_to(theta, (*shape, layout.size)).reshape(-1, layout.size)[index, layout.index["l"][leg]]
+        raise NumericalError(
+            f"inverse kinematics: leg {leg + 1} cannot reach pose {index + 1} of {len(flat)}, "
+            f"l[{leg + 1}] is {length:g} mm; not found in {max_iterations} Newton steps"
+        )
+    return InverseKinematics(actuators, converged, iteration)
+
+
+def _actuator_step(here: Linearisation) -> Array:
+    """Return the Newton step (..., N), bounded; NaN for a pose with a leg that has none."""
+    good = np.isfinite(here.residual).all(axis=-1)
+    jacobian = np.where(good[..., None, None], here.actuators, np.eye(here.actuators.shape[-1]))
+    try:
+        step = -np.linalg.solve(jacobian, here.residual[..., None])[..., 0]
+    except np.linalg.LinAlgError as error:
+        raise NumericalError("inverse kinematics: singular actuator Jacobian") from error
+    return np.where(good[..., None], np.clip(step, -20.0, 20.0), np.nan)
+
+
+def check_home_pose(machine: Machine) -> ForwardKinematics:
+    """Return the nominal home pose; InputError where it does not exist or is singular.
+
+    The condition number is taken with lengths scaled by the platform's size, so that it does not depend on units.
+    """
+    mechanism = machine.mechanism
+    theta, actuators = machine.layout.nominal, mechanism.initial_actuator_positions
+    try:
+        home = solve_forward_kinematics(machine, theta, actuators)
+    except NumericalError as error:
+        raise InputError(
+            f"mechanism {mechanism.name!r}: no home pose found, expected legs that close ({error})"
+        ) from error
+    jacobian = machine.linearise(theta, home.position, home.rotation, actuators).pose
+    size = float(np.linalg.norm(mechanism.platform_points, axis=1).max())
+    condition = float(np.linalg.cond(jacobian / np.array([1, 1, 1, size, size, size])))
+    if not condition < SINGULAR_CONDITION:
+        raise InputError(
+            f"mechanism {mechanism.name!r}: singular geometry, the home pose Jacobian has condition {condition:.1e}, "
+            f"expected below {SINGULAR_CONDITION:.0e}"
+        )
+    return home
+
+
+def compute_home_legs(machine: Machine) -> Array:
+    """Return the nominal vectors from lower to upper joint at the home pose, shape (N, 3), base frame, mm."""
+    home, mechanism = check_home_pose(machine), machine.mechanism
+    return home.position + mechanism.platform_points @ home.rotation.T - mechanism.home_joints
+
+
+def compute_leg_slopes(machine: Machine) -> Array:
+    """Return z_x / z_z and z_y / z_z of the nominal legs at the home pose, shape (N, 2); zeros for struts.
+
+    They tell how an actuator's direction acts along its leg. A strut has none, and may be horizontal.
+    """
+    legs = compute_home_legs(machine)
+    return np.zeros((len(legs), 2)) if machine.mechanism.drive == "strut" else legs[:, :2] / legs[:, 2:]

@@ -1,0 +1,139 @@
+"""The machine as it was designed: nominal geometry of a parallel mechanism of N legs.
+
+What an actuator moves is the machine's drive: the joint at the base of a leg of fixed length (prismatic-universal-
+spherical legs), or the length of a strut between two joints that stay where they are (universal-prismatic-spherical).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bayescal.errors import InputError
+from bayescal.numerics.geometry import Array
+
+MIN_LEGS = 6
+
+type Drive = Literal["base", "strut"]
+
+
+@dataclass(frozen=True)
+class BeamSection:
+    """Stiffness of a beam's cross-section (RR-8096 eq. 21): k1 = EI and k3 = GJ in N mm², k2 = ES in N."""
+
+    k1: float
+    k2: float
+    k3: float
+
+
+def section_of_rod(diameter: float, young_modulus: float, shear_modulus: float) -> BeamSection:
+    """Return the section of a solid round rod; diameter in mm, moduli in N/mm² (MPa)."""
+    area, inertia = np.pi * diameter**2 / 4, np.pi * diameter**4 / 64
+    return BeamSection(k1=young_modulus * inertia, k2=young_modulus * area, k3=shear_modulus * 2 * inertia)
+
+
+@dataclass(frozen=True)
+class Flexures:
+    """Flexure joints at both ends of every leg (RR-8096 figures 10 and 12).
+
+    Attributes
+    ----------
+    lengths : ndarray, shape (N,)
+        l_b of the flexures of each leg, mm.
+    beta : ndarray, shape (N,)
+        β, where a flexure's centre of motion lies, as a share of l_b; between 0 and 1/2.
+    section, leg_section : BeamSection or None
+        Of a flexure and of a leg between its flexures.
+    """
+
+    lengths: Array
+    beta: Array
+    section: BeamSection | None = None
+    leg_section: BeamSection | None = None
+
+
+@dataclass(frozen=True)
+class ExternalLoad:
+    """What pulls at the platform besides its legs: a wrench at the platform's origin, and its weight.
+
+    Attributes
+    ----------
+    force, moment : tuple of 3 floats
+        In N and N mm, base frame.
+    weight : tuple of 3 floats
+        The platform's weight in N, base frame.
+    centre_of_mass : tuple of 3 floats
+        Where the weight acts, mm, platform frame.
+    """
+
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    weight: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    centre_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """Nominal geometry of an N-leg platform, frames and symbols of RR-8096 section 2.2.
+
+    Attributes
+    ----------
+    name : str
+        Name of the machine.
+    base_points : ndarray, shape (N, 3)
+        a_i, attachment of actuator i or lower joint of strut i, base frame, mm.
+    platform_points : ndarray, shape (N, 3)
+        b_i, joint of leg i on the platform, platform frame, mm.
+    directions : ndarray, shape (N, 3)
+        u_i, unit direction of actuator i, base frame; zeros for struts.
+    leg_lengths : ndarray, shape (N,)
+        l_i, mm; of a strut, its length at the initial actuator position.
+    initial_actuator_positions : ndarray, shape (N,)
+        rho_i^0, mm; displacements are measured from here.
+    actuator_range : float
+        Largest displacement from the initial position, mm.
+    flexures : Flexures, optional
+        For the models that know of flexures.
+    load : ExternalLoad
+        For the models that know of forces.
+    drive : {"base", "strut"}
+        Whether actuators move the joints at the base or change the lengths of struts.
+    home_position : tuple of 3 floats, optional
+        Where the platform's origin stands at home, level, base frame, mm; the start of the search for the home pose.
+    """
+
+    name: str
+    base_points: Array
+    platform_points: Array
+    directions: Array
+    leg_lengths: Array
+    initial_actuator_positions: Array
+    actuator_range: float
+    flexures: Flexures | None = None
+    load: ExternalLoad = ExternalLoad()
+    drive: Drive = "base"
+    home_position: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the number of legs and that directions point upwards, as u_z = sqrt(1 - u_x² - u_y²) requires."""
+        if self.n_legs < MIN_LEGS:
+            raise InputError(f"mechanism {self.name!r}: found {self.n_legs} legs, expected at least {MIN_LEGS}")
+        if self.drive == "base" and np.any(self.directions[:, 2] <= 0):
+            leg = int(np.argmin(self.directions[:, 2])) + 1
+            raise InputError(
+                f"mechanism {self.name!r}: direction of leg {leg} has z <= 0, expected it to point upwards"
+            )
+
+    @property
+    def n_legs(self) -> int:
+        """Number of legs N."""
+        return len(self.leg_lengths)
+
+    @property
+    def home_joints(self) -> Array:
+        """Lower joints at the initial actuator positions, shape (N, 3), mm: c_i = a_i + rho_i^0 u_i, a_i of a strut."""
+        if self.drive == "strut":
+            return self.base_points
+        return self.base_points + self.initial_actuator_positions[:, None] * self.directions

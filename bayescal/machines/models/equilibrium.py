@@ -1,0 +1,294 @@
+"""Static equilibrium of a platform on elastic legs, with its derivatives: what the stiffness models have in common.
+
+The closure is f = Q W in mm, W = s P_E - Σ [F; M + a x F] the wrench that is not balanced (RR-8096 eq. 33), where
+a = R b* and the legs' loads are those of s times their stiffness,
+
+    F = k_a e z + (k_n + k_f) / l · z x (φ - 2 ψ),    M = k_n φ + (k_t - k_n) (φ · z) z - (k_n + k_f) ψ.
+
+How e, z and ψ follow from a leg's vectors is the model's. Derivatives have the axis of what is varied before that of
+what varies: a leg's loads by its vector are (..., N, 3, 6).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from bayescal.machines.deformations.base import DeformationBasis
+from bayescal.machines.models.base import Linearisation
+from bayescal.machines.models.beam_elements import (
+    SYMBOLS,
+    AxialReference,
+    ChainStiffness,
+    compute_chain_stiffness,
+    differentiate_chain,
+)
+from bayescal.machines.models.home import Home, compute_turn, solve_home
+from bayescal.machines.models.legs import LegVectors, compute_leg_vectors, cross, dot, scatter_rows
+from bayescal.machines.parameters import ParameterLayout
+from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian
+
+N_GLOBAL = 6  # of `SYMBOLS`: those of the machine, not of a leg
+
+type Changes = tuple[Array, Array, Array]
+"""Derivatives of e (..., N, m), z and ψ (..., N, m, 3) by m numbers of each leg."""
+
+
+@dataclass(frozen=True, eq=False)
+class LegState(ABC):
+    """What a leg's chain feels, with its derivatives.
+
+    Attributes
+    ----------
+    legs, home : LegVectors
+        As the legs stand and at the home pose.
+    length : ndarray, shape (..., N)
+        l, mm.
+    """
+
+    legs: LegVectors
+    home: LegVectors
+    length: Array
+
+    @property
+    @abstractmethod
+    def elongation(self) -> Array:
+        """Elongation e, shape (..., N), mm; it falls by as much as l grows."""
+
+    @property
+    @abstractmethod
+    def axis(self) -> Array:
+        """Direction z along which F is taken, shape (..., N, 3)."""
+
+    @property
+    @abstractmethod
+    def turn(self) -> Array:
+        """The chord's turn ψ in radians, shape (..., N, 3)."""
+
+    @abstractmethod
+    def by_vector(self) -> Changes:
+        """Return the derivatives by g."""
+
+    @abstractmethod
+    def by_home(self) -> Changes:
+        """Return the derivatives by g⁰."""
+
+    @abstractmethod
+    def turn_by_length(self) -> Array:
+        """Return dψ/dl, shape (..., N, 3)."""
+
+    def changes(self) -> Changes:
+        """Return the derivatives by g, by g⁰ and by l, one after another: m = 7."""
+        turn_by_length = self.turn_by_length()[..., None, :]
+        by_length = (-np.ones_like(turn_by_length[..., 0]), np.zeros_like(turn_by_length), turn_by_length)
+        parts = zip(self.by_vector(), self.by_home(), by_length, strict=True)
+        elongation, axis, turn = (np.concatenate(part, axis=self.axis.ndim - 1) for part in parts)
+        return elongation, axis, turn
+
+
+@dataclass(frozen=True, eq=False)
+class LegLoads:
+    """The legs' loads on the platform's origin and their derivatives.
+
+    Attributes
+    ----------
+    chain : ChainStiffness
+        Shapes (..., N).
+    state : LegState
+    phi : ndarray, shape (..., 1, 3)
+        φ in radians.
+    """
+
+    chain: ChainStiffness
+    state: LegState
+    phi: Array
+
+    @cached_property
+    def _lean(self) -> Array:
+        return self.phi - 2.0 * self.state.turn
+
+    @cached_property
+    def _across(self) -> Array:
+        return cross(self.state.axis, self._lean)
+
+    @cached_property
+    def _twist(self) -> Array:
+        """Component of φ along the leg, shape (..., N, 1)."""
+        return dot(self.phi, self.state.axis)[..., None]
+
+    @cached_property
+    def _bending(self) -> Array:
+        """k_n + k_f, shape (..., N, 1)."""
+        return (self.chain.near + self.chain.far)[..., None]
+
+    @cached_property
+    def _slim(self) -> Array:
+        return self._bending / self.state.length[..., None]
+
+    @cached_property
+    def force(self) -> Array:
+        """F, shape (..., N, 3), N."""
+        return (self.chain.axial * self.state.elongation)[..., None] * self.state.axis + self._slim * self._across
+
+    def wrench(self) -> Array:
+        """Return F and M + a x F, shape (..., N, 6), N and N mm."""
+        moment = self.chain.near[..., None] * self.phi - self._bending * self.state.turn
+        moment = moment + (self.chain.torsional - self.chain.near)[..., None] * self._twist * self.state.axis
+        return self._at_origin(self.force, moment)
+
+    def by_chain(self) -> Array:
+        """Return the wrench's derivative by k_a, k_t, k_n, k_f and (k_n + k_f) / l, shape (..., N, 5, 6)."""
+        state, axis = self.state, self.state.axis
+        force, moment = np.zeros((2, *axis.shape[:-1], 5, 3))
+        force[..., 0, :] = state.elongation[..., None] * axis
+        moment[..., 1, :] = self._twist * axis
+        moment[..., 2, :] = self.phi - moment[..., 1, :] - state.turn
+        moment[..., 3, :] = -state.turn
+        force[..., 4, :] = self._across
+        return self._at_origin(force, moment, 1)
+
+    def by_state(self, changes: Changes) -> Array:
+        """Return the wrench's derivative through e, z and ψ, shape (..., N, m, 6)."""
+        by_elongation, by_axis, by_turn = changes
+        chain, axis, phi = self.chain, self.state.axis[..., None, :], self.phi[..., None, :]
+        stretch = by_elongation[..., None] * axis + self.state.elongation[..., None, None] * by_axis
+        lean = cross(by_axis, self._lean[..., None, :]) - 2.0 * cross(axis, by_turn)
+        force = chain.axial[..., None, None] * stretch + self._slim[..., None] * lean
+        twist = self._twist[..., None] * by_axis + dot(by_axis, phi)[..., None] * axis
+        moment = (chain.torsional - chain.near)[..., None, None] * twist - self._bending[..., None] * by_turn
+        return self._at_origin(force, moment, 1)
+
+    def by_phi(self) -> Array:
+        """Return the wrench's derivative by φ, shape (..., N, 3, 6)."""
+        chain, axis = self.chain, self.state.axis
+        along = (chain.torsional - chain.near)[..., None] * axis
+        moment = chain.near[..., None, None] * np.eye(3) + along[..., :, None] * axis[..., None, :]
+        return self._at_origin(cross((self._slim * axis)[..., None, :], np.eye(3)), moment, 1)
+
+    def by_arm(self) -> Array:
+        """Return the derivative of a x F by a, shape (..., N, 3, 3)."""
+        return cross(np.eye(3), self.force[..., None, :])
+
+    def _at_origin(self, force: Array, moment: Array, n_axes: int = 0) -> Array:
+        """Return loads at the joints, with axes between those of the legs and the last, as wrenches at the origin."""
+        arm = self.state.legs.arm
+        arm = arm.reshape(*arm.shape[:-1], *(1,) * n_axes, 3)
+        return np.concatenate([force, moment + cross(arm, force)], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """The closure of given machines.
+
+    Attributes
+    ----------
+    layout : ParameterLayout
+    theta : ndarray, shape (..., D)
+    to_elongation : ndarray, shape (6, 6)
+        Q.
+    reference : AxialReference
+    state : type of LegState
+    load : callable
+        From rotations (..., 3, 3) to P_E, shape (..., 6), in N and N mm, and its derivative by them, (..., 3, 6).
+    """
+
+    layout: ParameterLayout
+    theta: Array
+    to_elongation: Array
+    reference: AxialReference
+    state: type[LegState]
+    load: Callable[[Array], tuple[Array, Array]]
+
+    @cached_property
+    def _home(self) -> Home:
+        return solve_home(self.layout, self.theta)
+
+    @cached_property
+    def _values(self) -> dict[str, Array]:
+        return {symbol: self.layout.take(self.theta, symbol) for symbol in SYMBOLS}
+
+    @cached_property
+    def _scale(self) -> Array:
+        """Factor s, shape (..., 1)."""
+        return self.reference.scale(self._values["k2_d"], self._values["k2_l"])
+
+    @cached_property
+    def _scale_slopes(self) -> dict[str, Array]:
+        return self.reference.slopes(self._values["k2_d"], self._values["k2_l"])
+
+    @cached_property
+    def _chain(self) -> ChainStiffness:
+        """Stiffness of the chains times s, shapes (..., N)."""
+        return compute_chain_stiffness(*self._values.values()).times(self._scale)
+
+    @cached_property
+    def _chain_slopes(self) -> Array:
+        """Derivatives of k_a, k_t, k_n, k_f and (k_n + k_f) / l, all times s, by `SYMBOLS`, shape (..., N, 8, 5)."""
+        slopes, length = differentiate_chain(list(self._values.values())), self._values["l"]
+        slim, rows = (self._chain.near + self._chain.far) / length, []
+        for symbol in SYMBOLS:
+            parts = [self._scale * part for part in vars(slopes[symbol]).values()]
+            if symbol in self._scale_slopes:
+                whole = vars(self._chain).values()
+                parts = [p + self._scale_slopes[symbol] * w for p, w in zip(parts, whole, strict=True)]
+            parts.append((parts[2] + parts[3] - (slim if symbol == "l" else 0.0)) / length)
+            rows.append(np.stack(parts, axis=-1))
+        return np.stack(rows, axis=-2)
+
+    def __call__(
+        self, position: Array, rotation: Array, basis: DeformationBasis, with_parameters: bool = True
+    ) -> Linearisation:
+        """Return Q W and its exact derivatives; see `Closure` for shapes and frames."""
+        legs = compute_leg_vectors(self.layout, self.theta, position, rotation, basis)
+        state = self.state(legs, self._home.legs, self._values["l"])
+        phi, to_rows = compute_turn(rotation, self._home.rotation), self.to_elongation.T
+        loads = LegLoads(self._chain, state, phi[..., None, :])
+        external, by_rotation = self.load(rotation)
+        external, by_rotation = self._scale * external, self._scale[..., None] * by_rotation
+        residual = (external - loads.wrench().sum(axis=-2)) @ to_rows
+        rows = -loads.by_state(state.changes() if with_parameters else state.by_vector()) @ to_rows
+        by_vector = _covectors(rows[..., :3, :])
+        by_joint = by_vector - _covectors(loads.by_arm() @ to_rows[3:])  # the upper joint moves g and a
+        by_phi = np.swapaxes(-loads.by_phi().sum(axis=-3) @ to_rows, -1, -2)
+        left = compute_left_inverse_jacobian(phi)
+        by_turn = cross(legs.arm[..., None, :, :], by_joint).sum(axis=-2) + by_phi @ left
+        by_turn = by_turn + np.swapaxes(by_rotation @ to_rows, -1, -2)
+        pose = np.concatenate([by_vector.sum(axis=-2), by_turn], axis=-1)
+        actuators = dot(by_joint, legs.platform_z[..., None, :, :]) @ basis.actuator_gain
+        actuators = actuators - dot(by_vector, legs.direction[..., None, :, :])
+        if not with_parameters:
+            return Linearisation(residual, pose, actuators)
+        by_home, home = _covectors(rows[..., 3:6, :]), self._home
+        parameters = scatter_rows(
+            self.layout,
+            legs.with_rows().columns(by_vector, by_joint),
+            home.legs.with_rows().columns(by_home, by_home),
+            self._stiffness_columns(loads, external, rows[..., 6, :]),
+        )
+        by_turn = cross(home.legs.arm[..., None, :, :], by_home).sum(axis=-2) - by_phi @ np.swapaxes(left, -1, -2)
+        parameters += np.concatenate([by_home.sum(axis=-2), by_turn], axis=-1) @ home.slope
+        return Linearisation(residual, pose, actuators, parameters)
+
+    def _stiffness_columns(self, loads: LegLoads, external: Array, by_length: Array) -> dict[str, Array]:
+        """Return the derivatives by the chain's parameters, (..., 6, N) per leg or (..., 6, 1) for the machine.
+
+        ``by_length`` are the rows' derivatives by l through the legs' state, shape (..., N, 6).
+        """
+        to_rows = self.to_elongation.T
+        rows = self._chain_slopes @ (-loads.by_chain() @ to_rows)
+        rows[..., SYMBOLS.index("l"), :] += by_length
+        columns = dict(zip(SYMBOLS, np.moveaxis(rows, (-2, -1), (0, -2)), strict=True))
+        for symbol in SYMBOLS[:N_GLOBAL]:
+            columns[symbol] = columns[symbol].sum(axis=-1, keepdims=True)
+        for symbol, slope in self._scale_slopes.items():
+            columns[symbol] = columns[symbol] + (slope * external @ to_rows)[..., None]
+        return columns
+
+
+def _covectors(derivative: Array) -> Array:
+    """Return derivatives (..., N, 3, 6) as covectors of the six rows, (..., 6, N, 3)."""
+    return np.moveaxis(derivative, -1, -3)

@@ -1,0 +1,317 @@
+"""The home pose: where the machine of a parameter vector stands with its actuators at ρ^0 (RR-8096 section 2.2).
+
+Models that are referred to it (the Jacobian of the initial pose, flexures that are straight there) need it for every
+parameter vector. It is that of perfect joints, by the 6-PUS closure r without deformation: the pose with G r = 0, where
+G is the pseudo-inverse of the pose Jacobian at the nominal home. For six legs that is r = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from bayescal.errors import InputError, NumericalError
+from bayescal.machines.deformations.base import DeformationBasis
+from bayescal.machines.models.base import newton_step
+from bayescal.machines.models.legs import LegVectors, compute_leg_vectors, cross_first_axis, scatter
+from bayescal.machines.models.six_pus import SixPus
+from bayescal.machines.parameters import ParameterLayout
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix, skew_matrix
+from bayescal.numerics.scratch import Workspace
+
+MAX_STEPS = 30
+STEP_TOLERANCE = 1e-11
+CLOSED = 2e-14  # largest closure at a home pose by the machine's size: 1e-11 mm for half a metre
+INNER_STEPS = 3  # each gains what the machine is like the nominal one, two digits or one
+LARGEST_STEP = 100.0  # mm, rad
+SMALLEST_VERSINE = 2.0**-53  # for which angle and sine are not yet zero
+SIX = 6
+SKEW = skew_matrix(np.eye(3)).reshape(3, 9).T  # w to the entries of its skew matrix
+
+
+def guess_level_pose(lower: Array, platform_points: Array, leg_lengths: Array) -> tuple[Array, Array]:
+    """Return a level pose above lower joints (N, 3) from which Newton's method finds the home pose."""
+    horizontal = (lower - platform_points)[:, :2]
+    centre = horizontal.mean(axis=0)
+    reach = leg_lengths**2 - np.sum((horizontal - centre) ** 2, axis=1)
+    if np.any(reach <= 0):
+        leg = int(np.argmin(reach))
+        raise InputError(f"leg {leg + 1} of {leg_lengths[leg]:g} mm cannot span its joints")
+    height = np.mean(lower[:, 2] + np.sqrt(reach) - platform_points[:, 2])
+    return np.array([*centre, height]), np.eye(3)
+
+
+@dataclass(frozen=True, eq=False)
+class BatchHome:
+    """Home poses of a batch of B machines, the batch last; NaN for a machine without one.
+
+    Attributes
+    ----------
+    position, rotation : ndarray, shapes (3, B) and (3, 3, B)
+    direction, arm, vector : ndarray, shape (3, N, B)
+        u, R^0 b and g^0.
+    length : ndarray, shape (N, B)
+        |g^0|.
+    """
+
+    position: Array
+    rotation: Array
+    direction: Array
+    arm: Array
+    vector: Array
+    length: Array
+
+
+@dataclass(frozen=True, eq=False)
+class HomeSolver:
+    """Home pose of the nominal machine, from which those of others are found.
+
+    Attributes
+    ----------
+    layout : ParameterLayout
+    position, rotation : ndarray, shapes (3,) and (3, 3)
+        Nominal home pose; NaN where there is none.
+    gain : ndarray, shape (6, N)
+        G: pose error (mm, rad) per mm of closure.
+    projection : ndarray, shape (N, N), or None
+        The part of a closure that a pose error explains; None for six legs, where that is all of it.
+    slope : ndarray, shape (6, D)
+        Derivative of the pose (position, rotation vector) by the parameters.
+    """
+
+    layout: ParameterLayout
+    position: Array
+    rotation: Array
+    gain: Array
+    projection: Array | None
+    slope: Array
+
+    @cached_property
+    def _points(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where a, b and (u_x, u_y) stand in a parameter vector, shapes (3, N), (3, N) and (2, N)."""
+        names = (("a_x", "a_y", "a_z"), ("b_x", "b_y", "b_z"), ("u_x", "u_y"))
+        a, b, u = (np.stack([self.layout.index[symbol] for symbol in group]) for group in names)
+        return a, b, u
+
+    @cached_property
+    def _offset(self) -> Array:
+        return (self.slope @ self.layout.nominal)[:, None]
+
+    @cached_property
+    def _tolerance(self) -> float:
+        """Largest closure in mm; what the largest coordinate leaves to rounding is a hundredth of it."""
+        lengths = [self.layout.take(self.layout.nominal, s) for s in ("a_x", "a_y", "a_z", "l", "rho0")]
+        return CLOSED * float(np.abs(np.concatenate([self.position, *lengths])).max())
+
+    @np.errstate(all="ignore")  # far out iterations diverge: NaN in the end
+    def solve(self, theta: Array) -> BatchHome:
+        """Return the home poses of parameter vectors (B, D) near the nominal machine, for hot loops.
+
+        From the linear prediction about the nominal home, Newton steps until every machine closes; each solves its
+        equations by iteration with the nominal Jacobian, which takes no factorisation per machine.
+        """
+        parameters, index = np.ascontiguousarray(theta.T), self.layout.index
+        base, joint, u = (parameters[points] for points in self._points)
+        leg_length, n_legs = parameters[index["l"]], joint.shape[1]
+        direction = np.empty_like(joint)
+        direction[:2] = u
+        np.sqrt(1.0 - u[0] * u[0] - u[1] * u[1], out=direction[2])
+        lower = base + parameters[index["rho0"]] * direction
+        step = self.slope @ parameters - self._offset
+        position = self.position[:, None] + step[:3]
+        body = np.empty((3, 3 + n_legs, len(theta)))  # axes and joints of the platform, from its origin
+        np.einsum("kmb,mj->kjb", turn_by(step[3:]), self.rotation, out=body[:, :3])
+        np.einsum("kmb,mib->kib", body[:, :3], joint, out=body[:, 3:])
+        slope = np.empty((6, *leg_length.shape))
+        for _ in range(MAX_STEPS):
+            vector = (position[:, None] - lower) + body[:, 3:]
+            length = np.sqrt(np.einsum("kib,kib->ib", vector, vector))
+            residual = leg_length - length
+            seen = np.abs(residual if self.projection is None else self.projection @ residual)
+            moving = (seen > self._tolerance).any(axis=0)  # not where it is NaN
+            if not moving.any():
+                break
+            np.divide(vector, length, out=slope[:3])
+            cross_first_axis(body[:, 3:], slope[:3], out=slope[3:])
+            step = self._solve_step(slope, residual)
+            step *= moving  # so that no machine's home depends on others
+            position = position + step[:3]
+            body = np.einsum("kmb,mib->kib", turn_by(step[3:]), body)
+        rotation, arm = body[:, :3], body[:, 3:]
+        lost = ~(seen <= self._tolerance).all(axis=0)
+        if lost.any():
+            for part in (position, body, vector, length):
+                part[..., lost] = np.nan
+        return BatchHome(position, rotation, direction, arm, vector, length)
+
+    def _solve_step(self, slope: Array, residual: Array) -> Array:
+        """Return the step s (6, B) with G (slope · s - residual) = 0, by iteration with the nominal inverse."""
+        step = self.gain @ residual
+        for _ in range(INNER_STEPS):
+            step += self.gain @ (residual - np.einsum("kib,kb->ib", slope, step))
+        np.minimum(step, LARGEST_STEP, out=step)
+        return np.maximum(step, -LARGEST_STEP, out=step)
+
+
+def turn_by(rotation_vector: Array) -> Array:
+    """Return rotations (3, 3, B) that are Exp(w) to second order in rotation vectors w, shape (3, B), by Cayley's map.
+
+    As steps of an iteration they lead to the same end, without angles.
+    """
+    half = 0.5 * rotation_vector
+    turn = (SKEW @ half).reshape(3, 3, -1)
+    turn += half[:, None] * half
+    square = np.einsum("kb,kb->b", half, half)
+    diagonal = turn.reshape(9, -1)[::4]
+    diagonal -= square
+    turn *= 2.0 / (1.0 + square)
+    diagonal += 1.0
+    return turn
+
+
+def no_displacement(n_legs: int) -> DeformationBasis:
+    """Return actuators at their initial positions, where no deformation acts."""
+    return DeformationBasis(np.zeros(n_legs), np.zeros(n_legs), {}, np.zeros((n_legs, n_legs)))
+
+
+@lru_cache(maxsize=64)
+def home_solver(layout: ParameterLayout) -> HomeSolver:
+    """Return the solver about the nominal machine's home pose, found by Newton's method."""
+    theta, n_legs = layout.nominal, len(layout.index["l"])
+    closure, basis = SixPus().prepare(layout, theta), no_displacement(n_legs)
+    start = compute_leg_vectors(layout, theta, np.zeros(3), np.eye(3), basis)
+    joint = layout.take_vector(theta, "b")
+    position, rotation = guess_level_pose(joint - start.vector, joint, layout.take(theta, "l"))
+    step = np.full(6, np.nan)
+    for _ in range(MAX_STEPS):
+        step = newton_step(closure(position, rotation, basis, with_parameters=False))
+        position = position + step[:3]
+        rotation = matrix_from_rotation_vector(np.nan_to_num(step[3:])) @ rotation
+        if not np.any(np.abs(step) > STEP_TOLERANCE):
+            break
+    if not np.abs(step).max() < STEP_TOLERANCE:
+        position = np.full(3, np.nan)
+    here = closure(position, rotation, basis)
+    spread = np.where(np.isfinite(here.pose), -here.pose, np.eye(n_legs, 6))  # elongation per pose change
+    try:
+        gain = np.linalg.pinv(spread)
+    except np.linalg.LinAlgError as error:
+        raise NumericalError("home pose: singular pose Jacobian") from error
+    projection = None if n_legs == SIX else spread @ gain
+    return HomeSolver(layout, position, rotation, gain, projection, gain @ here.parameters)
+
+
+# --- one machine or many, with derivatives ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Home:
+    """Home poses of parameter vectors with their first derivatives; leading axes are those of the vectors.
+
+    Attributes
+    ----------
+    position, rotation : ndarray, shapes (..., 3) and (..., 3, 3)
+        p^0 in mm and R^0; NaN where there is none.
+    legs : LegVectors
+        Leg vectors there.
+    """
+
+    position: Array
+    rotation: Array
+    legs: LegVectors
+
+    @cached_property
+    def slope(self) -> Array:
+        """Derivative of the pose (position, rotation vector) by the parameters, shape (..., 6, D)."""
+        legs = self.legs
+        back = legs.pull_back(legs.axis)
+        parameters = scatter(legs.layout, {"l": np.ones_like(legs.length)} | {s: -c for s, c in back.columns.items()})
+        gain = home_solver(legs.layout).gain
+        square = gain @ back.pose
+        square = np.where(np.isfinite(square).all(axis=(-1, -2), keepdims=True), square, np.eye(6))
+        try:
+            return np.linalg.solve(square, gain @ parameters)
+        except np.linalg.LinAlgError as error:
+            raise NumericalError("home pose: singular pose Jacobian") from error
+
+    def pull_back(self, covector: Array, pose: Array | None = None) -> Array:
+        """Return the parameter derivatives (..., N, D) of w_i · g_i, and of a covector (..., N, 6) on the pose."""
+        back = self.legs.pull_back(covector)
+        on_pose = back.pose if pose is None else back.pose + pose
+        return scatter(self.legs.layout, back.columns) + on_pose @ self.slope
+
+
+def solve_home(layout: ParameterLayout, theta: Array) -> Home:
+    """Return the home poses of parameter vectors (..., D), NaN where there is none."""
+    leading = theta.shape[:-1]
+    found = home_solver(layout).solve(theta.reshape(-1, layout.size))
+    position = np.ascontiguousarray(found.position.T).reshape(*leading, 3)
+    rotation = np.ascontiguousarray(found.rotation.transpose(2, 0, 1)).reshape(*leading, 3, 3)
+    basis = no_displacement(len(layout.index["l"]))
+    return Home(position, rotation, compute_leg_vectors(layout, theta, position, rotation, basis))
+
+
+# --- turns since home -------------------------------------------------------------------------------------------------
+
+
+def compute_turn(rotation: Array, home: Array) -> Array:
+    """Return φ = Log(R R^0ᵀ), shape (..., 3); zero where there is no home pose."""
+    turned = rotation @ np.swapaxes(home, -1, -2)
+    good = np.isfinite(turned).all(axis=(-1, -2), keepdims=True)
+    return rotation_vector_from_matrix(np.where(good, turned, np.eye(3)))
+
+
+class BatchTurns:
+    """Turns since home, φ = Log(R R^0ᵀ), of fixed poses and batches of home poses; below half a turn.
+
+    Both the trace of R R^0ᵀ, 1 + 2 cos|φ|, and its skew part, of size sin|φ|, are linear in the entries of R^0.
+    """
+
+    def __init__(self, rotation: Array) -> None:
+        self._half_trace = -0.5 * rotation.reshape(-1, 9)
+        skew = np.zeros((3, len(rotation), 3, 3))
+        for k, (m, n) in enumerate(((1, 2), (2, 0), (0, 1))):
+            skew[k, :, m] += 0.5 * rotation[:, n]
+            skew[k, :, n] -= 0.5 * rotation[:, m]
+        self._skew = skew.reshape(3, -1, 9)
+        self._workspace = Workspace()
+
+    def evaluate(self, home_rotation: Array) -> Array:
+        """Return φ, shape (3, P, B), for home rotations (3, 3, B); keeps ``stretch``, |φ| / sin|φ|, shape (P, B)."""
+        shape, entries = (len(self._half_trace), home_rotation.shape[-1]), home_rotation.reshape(9, -1)
+        versine, sine = (self._workspace.take(name, *shape) for name in ("versine", "sine"))
+        angle, stretch = (self._workspace.take(name, *shape) for name in ("angle", "stretch"))
+        np.matmul(self._half_trace, entries, out=versine)
+        versine += 1.5
+        np.maximum(versine, SMALLEST_VERSINE, out=versine)
+        np.arccos(np.subtract(1.0, versine, out=angle), out=angle)
+        np.subtract(2.0, versine, out=sine)
+        sine *= versine
+        np.divide(angle, np.sqrt(sine, out=sine), out=stretch)
+        self._versine, self._angle, self.stretch = versine, angle, stretch
+        self._turn = np.matmul(self._skew, entries, out=self._workspace.take("turn", 3, *shape))
+        self._turn *= stretch
+        return self._turn
+
+    def turn_back(self, rotation_vector: Array) -> Array:
+        """Return Jl⁻¹(φ) ω, how φ changes with small turns ω of the platform, shapes (3, P, B).
+
+        It is ω - φ x ω / 2 + (1 - |φ| / 2 cot(|φ| / 2)) / |φ|² φ x (φ x ω).
+        """
+        take, shape = self._workspace.take, self._turn.shape
+        result, across, factor = take("turned back", *shape), take("across", *shape), take("factor", *shape[1:])
+        cross_first_axis(self._turn, rotation_vector, out=across)
+        cross_first_axis(self._turn, across, out=result)
+        np.subtract(2.0, self._versine, out=factor)
+        factor *= self.stretch
+        factor *= -0.5
+        factor += 1.0
+        factor /= self._angle
+        factor /= self._angle
+        result *= factor
+        across *= 0.5
+        result -= across
+        result += rotation_vector
+        return result

@@ -1,0 +1,130 @@
+"""Closures that compare a leg's length with the distance between its two joints: what 6-PUS and 6-UPS have in common.
+
+They differ in what an actuator does: it moves the lower joint, or it changes the length that is wanted.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import ClassVar
+
+import numpy as np
+
+from bayescal.machines.deformations.base import DeformationBasis
+from bayescal.machines.mechanism import Mechanism
+from bayescal.machines.models.base import BoundClosure, Closure, KinematicModel, Linearisation
+from bayescal.machines.models.legs import compute_leg_vectors, scatter
+from bayescal.machines.parameters import ParameterBlock, ParameterLayout
+from bayescal.numerics.geometry import Array
+from bayescal.numerics.scratch import Workspace
+
+
+def list_point_blocks(mechanism: Mechanism) -> tuple[ParameterBlock, ...]:
+    """Return a and b of each leg."""
+    points = {"a": mechanism.base_points, "b": mechanism.platform_points}
+    return tuple(
+        ParameterBlock(f"{symbol}_{axis}", tuple(values[:, k].tolist()))
+        for symbol, values in points.items()
+        for k, axis in enumerate("xyz")
+    )
+
+
+class LegDistance(KinematicModel):
+    """Legs with perfect joints: f = l - |g|."""
+
+    def prepare(self, layout: ParameterLayout, theta: Array) -> Closure:
+        """Return the closure; see `KinematicModel.prepare` for shapes."""
+        return partial(self._close, layout, theta)
+
+    def _close(
+        self,
+        layout: ParameterLayout,
+        theta: Array,
+        position: Array,
+        rotation: Array,
+        basis: DeformationBasis,
+        with_parameters: bool = True,
+    ) -> Linearisation:
+        """Return l - |g| and its exact derivatives; see `Closure` for shapes and frames."""
+        legs = compute_leg_vectors(layout, theta, position, rotation, basis)
+        residual = layout.take(theta, "l") - legs.length
+        back = legs.pull_back(-legs.axis, with_parameters)
+        if not with_parameters:
+            return Linearisation(residual, back.pose, back.actuators)
+        columns = back.columns | {"l": np.ones_like(legs.length)}
+        return Linearisation(residual, back.pose, back.actuators, scatter(layout, columns))
+
+
+class LegDistanceClosure(BoundClosure):
+    """Leg vectors and lever arms of all poses as products of a fixed design and the parameters of a leg.
+
+    The leg vector g = q + R b* - c and its lever arm R b* = R b + (constant + κ φ) R e_z are linear in the features
+    (1, b, κ, c) of a leg, c its lower joint: a design (P, F) for each component times the features (F, B), with
+    F = 7 + number of deformation parameters; the lever arm needs only the first of them. A joint that travels has
+    features of its own after c. The pose derivative of f is (-g, R b* x -g) / |g|, of which the numerator is kept.
+    """
+
+    n_travel: ClassVar[int] = 0
+    """Number of features after c."""
+
+    def __init__(self, layout: ParameterLayout, position: Array, rotation: Array, basis: DeformationBasis) -> None:
+        self._layout, symbols = layout, tuple(basis.coefficients)
+        n_poses, n_legs = basis.displacement.shape
+        z_axis = rotation[:, :, 2].T[:, None]
+        arm = [basis.constant.T * z_axis]
+        arm += [np.broadcast_to(rotation[:, :, k].T[:, None], (3, n_legs, n_poses)) for k in range(3)]
+        arm += [basis.coefficients[symbol].T * z_axis for symbol in symbols]
+        self._arm_design = np.stack(arm, axis=-1)
+        lower = np.zeros((3, n_legs, n_poses, 3 + self.n_travel))
+        for k in range(3):
+            lower[k, :, :, k] = 1.0
+        self._design = np.concatenate([-self._arm_design, lower], axis=-1)
+        self._design[..., 0] -= position.T[:, None]
+        groups = (("a_x", "a_y", "a_z"), ("b_x", "b_y", "b_z", *symbols))
+        self._base, self._linear = (np.stack([layout.index[symbol] for symbol in group]) for group in groups)
+        self._workspace = Workspace()
+
+    def _features(self, theta: Array) -> Array:
+        """Return the features of each leg, shape (F, N, B)."""
+        parameters, (n_linear, n_legs) = np.ascontiguousarray(theta.T), self._linear.shape
+        features = np.empty((self._design.shape[-1], n_legs, len(theta)))
+        features[0] = 1.0
+        np.take(parameters, self._linear, axis=0, out=features[1 : 1 + n_linear], mode="clip")  # others would buffer
+        self._fill_lower(parameters, features[1 + n_linear :])
+        return features
+
+    def _fill_lower(self, parameters: Array, lower: Array) -> None:
+        """Write the features (3 and more, N, B) of the lower joints, from parameters (D, B)."""
+        np.take(parameters, self._base, axis=0, out=lower, mode="clip")
+
+    def evaluate(self, theta: Array) -> Array:
+        """Return l - |g|, shape (N, P, B)."""
+        self._measure(theta)
+        return np.subtract(self._layout.take(theta, "l").T[:, None], self._length, out=self._take("closure"))
+
+    def _take(self, name: str, *leading: int) -> Array:
+        """Return a scratch array (..., N, P, B)."""
+        return self._workspace.take(name, *leading, *self._length.shape)
+
+    def _measure(self, theta: Array) -> Array:
+        """Find leg vectors, moments and lengths; return the lever arms, shape (3, N, P, B), scratch."""
+        features, take = self._features(theta), self._workspace.take
+        _, n_legs, n_poses, n_arm = self._arm_design.shape
+        shape = (n_legs, n_poses, len(theta))
+        self._slope, self._length = take("slope", 6, *shape), take("length", *shape)
+        vector, moment, arm, work = self._slope[:3], self._slope[3:], self._take("arm", 3), self._take("work")
+        np.matmul(self._design, features.transpose(1, 0, 2), out=vector)
+        np.matmul(self._arm_design, features[:n_arm].transpose(1, 0, 2), out=arm)
+        for k, (m, n) in enumerate(((1, 2), (2, 0), (0, 1))):
+            np.multiply(arm[m], vector[n], out=moment[k])
+            moment[k] -= np.multiply(arm[n], vector[m], out=work)
+        np.einsum("kipb,kipb->ipb", vector, vector, out=self._length)
+        np.sqrt(self._length, out=self._length)
+        return arm
+
+    def along(self, pose_error: Array) -> Array:
+        """Return the pose derivative times e, shape (N, P, B)."""
+        change = self._take("change")
+        np.einsum("kipb,kpb->ipb", self._slope, pose_error, out=change)
+        change /= self._length
+        return change

@@ -1,0 +1,171 @@
+"""The vectors from the lower to the upper joint of every leg, and how anything that depends on them is differentiated.
+
+Leg i goes from c = a + ρ u to p + R b*, with b* = b + Δb_z e_z (RR-8096 eq. 5): g = p + R b* - c. A strut's lower
+joint stays at a; its layout has neither u nor ρ^0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayescal.machines.deformations.base import DeformationBasis
+from bayescal.machines.parameters import ParameterLayout
+from bayescal.numerics.geometry import Array
+
+
+def lower_joints_travel(layout: ParameterLayout) -> bool:
+    """Return whether actuators move the lower joints along u; otherwise they change the legs' lengths."""
+    return "rho0" in layout.index
+
+
+def actuator_directions(layout: ParameterLayout, theta: Array) -> Array:
+    """Return the unit vectors u, shape (..., N, 3), with u_z = sqrt(1 - u_x² - u_y²); NaN where that is not real."""
+    u_x, u_y = layout.take(theta, "u_x"), layout.take(theta, "u_y")
+    with np.errstate(invalid="ignore", over="ignore"):
+        u_z = np.sqrt(1.0 - u_x * u_x - u_y * u_y)
+    return np.stack([u_x, u_y, u_z], axis=-1)
+
+
+def dot(first: Array, second: Array) -> Array:
+    """Return scalar products over the last axis."""
+    return np.asarray(np.einsum("...k,...k->...", first, second))
+
+
+def cross(first: Array, second: Array) -> Array:
+    """Return vector products over the last axis."""
+    result = np.empty(np.broadcast_shapes(first.shape, second.shape))
+    for k, (m, n) in enumerate(((1, 2), (2, 0), (0, 1))):
+        np.multiply(first[..., m], second[..., n], out=result[..., k])
+        result[..., k] -= first[..., n] * second[..., m]
+    return result
+
+
+def cross_first_axis(first: Array, second: Array, out: Array | None = None) -> Array:
+    """Return vector products over the first axis, for arrays with the batch last."""
+    if out is None:
+        out = np.empty((3, *np.broadcast_shapes(first.shape[1:], second.shape[1:])))
+    for k, (m, n) in enumerate(((1, 2), (2, 0), (0, 1))):
+        np.multiply(first[m], second[n], out=out[k])
+        out[k] -= first[n] * second[m]
+    return out
+
+
+@dataclass(frozen=True)
+class PulledBack:
+    """Derivatives of Σ w · dg of one leg each, by everything the leg vector depends on; leading axes those of w.
+
+    Attributes
+    ----------
+    pose : ndarray, shape (..., N, 6)
+    actuators : ndarray, shape (..., N, N)
+    columns : dict of symbol to ndarray, shape (..., N)
+        By the leg's own parameters.
+    """
+
+    pose: Array
+    actuators: Array
+    columns: dict[str, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class LegVectors:
+    """Leg vectors at given poses; leading axes are those of poses and parameter vectors, broadcast.
+
+    Attributes
+    ----------
+    layout : ParameterLayout
+    basis : DeformationBasis
+    rotation : ndarray, shape (..., 3, 3)
+    direction, arm, vector, axis : ndarray, shape (..., N, 3)
+        u, R b* and g in mm, z = g / |g|; base frame. u is zero for struts.
+    travel, length : ndarray, shape (..., N)
+        ρ, zero for struts, and |g| in mm.
+    """
+
+    layout: ParameterLayout
+    basis: DeformationBasis
+    rotation: Array
+    direction: Array
+    arm: Array
+    vector: Array
+    axis: Array
+    travel: Array
+    length: Array
+
+    @property
+    def platform_z(self) -> Array:
+        """Direction R e_z in which a deflection moves a joint, shape (..., 1, 3)."""
+        return self.rotation[..., None, :, 2]
+
+    def pull_back(self, covector: Array, with_parameters: bool = True) -> PulledBack:
+        """Return the derivatives of w · g for covectors w, shape (..., N, 3), held fixed; columns where asked for."""
+        moment = cross(self.arm, covector)
+        pose = np.concatenate([np.broadcast_to(covector, moment.shape), moment], axis=-1)
+        actuators = dot(covector, self.platform_z)[..., None] * self.basis.actuator_gain
+        actuators = actuators - np.eye(covector.shape[-2]) * dot(covector, self.direction)[..., None]
+        return PulledBack(pose, actuators, self.columns(covector, covector) if with_parameters else {})
+
+    def columns(self, covector: Array, joint_covector: Array) -> dict[str, Array]:
+        """Return the derivatives by the legs' parameters, those by b* with covectors of their own, (..., N, 3)."""
+        columns = {f"a_{name}": -covector[..., k] for k, name in enumerate("xyz")}
+        if lower_joints_travel(self.layout):
+            slope = self.direction[..., :2] / self.direction[..., 2:]
+            for k, name in enumerate("xy"):
+                columns[f"u_{name}"] = -self.travel * (covector[..., k] - covector[..., 2] * slope[..., k])
+            columns["rho0"] = -dot(covector, self.direction)
+        local, along_z = joint_covector @ self.rotation, dot(joint_covector, self.platform_z)
+        columns |= {f"b_{name}": local[..., k] for k, name in enumerate("xyz")}
+        return columns | {symbol: along_z * c for symbol, c in self.basis.coefficients.items()}
+
+    def with_rows(self) -> LegVectors:
+        """Return the same with an axis before the legs', for closures whose every row depends on all legs."""
+        basis = replace(
+            self.basis,
+            displacement=self.basis.displacement[..., None, :],
+            constant=self.basis.constant[..., None, :],
+            coefficients={symbol: c[..., None, :] for symbol, c in self.basis.coefficients.items()},
+        )
+        vectors = {name: getattr(self, name)[..., None, :, :] for name in ("direction", "arm", "vector", "axis")}
+        scalars = {name: getattr(self, name)[..., None, :] for name in ("travel", "length")}
+        return LegVectors(self.layout, basis, self.rotation[..., None, :, :], **vectors, **scalars)
+
+
+def compute_leg_vectors(
+    layout: ParameterLayout, theta: Array, position: Array, rotation: Array, basis: DeformationBasis
+) -> LegVectors:
+    """Return the leg vectors; shapes and frames as in `KinematicModel.linearise`."""
+    if lower_joints_travel(layout):
+        direction = actuator_directions(layout, theta)
+        travel = layout.take(theta, "rho0") + basis.displacement
+    else:
+        travel = np.zeros(basis.displacement.shape[-1])
+        direction = np.zeros((*travel.shape, 3))
+    joint = layout.take_vector(theta, "b")
+    joint = np.broadcast_to(joint, np.broadcast_shapes(joint.shape, (*basis.displacement.shape, 3))).copy()
+    joint[..., 2] += basis.deflection(layout, theta)
+    arm = np.einsum("...jk,...ik->...ij", rotation, joint)
+    vector = position[..., None, :] + arm - layout.take_vector(theta, "a") - travel[..., None] * direction
+    length = np.linalg.norm(vector, axis=-1)
+    return LegVectors(layout, basis, rotation, direction, arm, vector, vector / length[..., None], travel, length)
+
+
+def scatter_rows(layout: ParameterLayout, *parts: dict[str, Array]) -> Array:
+    """Return derivatives of every row by every leg's parameters, shapes (..., M, N), as rows (..., M, D), summed."""
+    rows = np.zeros((*np.broadcast_shapes(*(c.shape[:-1] for part in parts for c in part.values())), layout.size))
+    for part in parts:
+        for symbol, column in part.items():
+            where = layout.index[symbol]  # the values of a symbol stand together
+            rows[..., where[0] : where[-1] + 1] += column
+    return rows
+
+
+def scatter(layout: ParameterLayout, columns: dict[str, Array]) -> Array:
+    """Return the derivatives of leg i by leg i's own parameters, shapes (..., N), as rows (..., N, D)."""
+    first = next(iter(columns.values()))
+    rows = np.zeros((*np.broadcast_shapes(*(c.shape for c in columns.values())), layout.size))
+    legs = np.arange(first.shape[-1])
+    for symbol, column in columns.items():
+        rows[..., legs, layout.index[symbol]] = column
+    return rows

@@ -1,0 +1,59 @@
+"""The 6-PUS model: flexures as perfect spherical joints, legs of fixed length (RR-8096 section 4.1).
+
+Closure of leg i (eq. 30): f = l - |g| with g = p + R (b + Δb_z e_z) - a - ρ u. The model holds for any number of legs.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from bayescal.machines.deformations.base import DeformationBasis
+from bayescal.machines.mechanism import Mechanism
+from bayescal.machines.models.base import BoundClosure
+from bayescal.machines.models.leg_distance import LegDistance, LegDistanceClosure, list_point_blocks
+from bayescal.machines.parameters import ParameterBlock, ParameterLayout
+from bayescal.numerics.geometry import Array
+
+
+class SixPus(LegDistance):
+    """P-U-S legs with perfect joints."""
+
+    name: ClassVar[str] = "six_pus"
+    title: ClassVar[str] = "6-PUS"
+
+    def blocks(self, mechanism: Mechanism) -> tuple[ParameterBlock, ...]:
+        """Return a, b, u (its x and y), l and ρ^0 of each leg."""
+        directions = [(f"u_{axis}", mechanism.directions[:, k]) for k, axis in enumerate("xy")]
+        return (
+            *list_point_blocks(mechanism),
+            *(ParameterBlock(symbol, tuple(v.tolist()), "1", lower=-1.0, upper=1.0) for symbol, v in directions),
+            ParameterBlock("l", tuple(mechanism.leg_lengths.tolist()), lower=0.0),
+            ParameterBlock("rho0", tuple(mechanism.initial_actuator_positions.tolist())),
+        )
+
+    def bind(self, layout: ParameterLayout, position: Array, rotation: Array, basis: DeformationBasis) -> BoundClosure:
+        """Return the closure as matrix products per leg."""
+        return SixPusClosure(layout, position, rotation, basis)
+
+
+class SixPusClosure(LegDistanceClosure):
+    """f = l - |g| for batches; lower joints a + ρ u have the features c = a + ρ^0 u and, times Δρ, u."""
+
+    n_travel: ClassVar[int] = 3
+
+    def __init__(self, layout: ParameterLayout, position: Array, rotation: Array, basis: DeformationBasis) -> None:
+        super().__init__(layout, position, rotation, basis)
+        for k in range(3):
+            self._design[k, :, :, k - 3] = basis.displacement.T
+        self._direction = np.stack([layout.index[symbol] for symbol in ("u_x", "u_y")])
+
+    def _fill_lower(self, parameters: Array, lower: Array) -> None:
+        """Write c and u, shapes (3, N, B)."""
+        home, direction = lower[:3], lower[3:]
+        np.take(parameters, self._direction, axis=0, out=direction[:2], mode="clip")
+        with np.errstate(invalid="ignore"):
+            np.sqrt(1.0 - direction[0] * direction[0] - direction[1] * direction[1], out=direction[2])
+        np.multiply(parameters[self._layout.index["rho0"]], direction, out=home)
+        home += parameters[self._base]

@@ -1,0 +1,127 @@
+"""The parameter vector: which numbers describe a machine, what they are called and where they stand.
+
+Every kinematic model and every deformation declares blocks of parameters; a layout lays the blocks one after another in
+one flat vector ``theta`` of length D, so that batches of machines are plain arrays of shape (..., D).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from bayescal.errors import InputError
+from bayescal.numerics.geometry import Array
+
+
+@dataclass(frozen=True)
+class ParameterBlock:
+    """One symbol's parameters: one value per leg, or one value for the machine.
+
+    Attributes
+    ----------
+    symbol : str
+        For example ``a_x``.
+    nominal : tuple of float
+        Nominal values, one per leg (or a single one).
+    unit : str
+        ``mm``, ``N``, ``N mm2`` or ``1``.
+    per_leg : bool
+        Whether the values belong to legs; then they are named ``a_x[1]``, legs counted from one.
+    lower, upper : float
+        There is a machine only strictly between them.
+    """
+
+    symbol: str
+    nominal: tuple[float, ...]
+    unit: str = "mm"
+    per_leg: bool = True
+    lower: float = -np.inf
+    upper: float = np.inf
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the block's parameters."""
+        if not self.per_leg:
+            return (self.symbol,)
+        return tuple(f"{self.symbol}[{leg}]" for leg in range(1, len(self.nominal) + 1))
+
+
+@dataclass(frozen=True)
+class ParameterLayout:
+    """Blocks of parameters laid out in one flat vector."""
+
+    blocks: tuple[ParameterBlock, ...]
+
+    @cached_property
+    def index(self) -> dict[str, np.ndarray]:
+        """Positions of each symbol's values in the vector."""
+        positions, start = {}, 0
+        for block in self.blocks:
+            positions[block.symbol] = np.arange(start, start + len(block.nominal))
+            start += len(block.nominal)
+        return positions
+
+    @cached_property
+    def size(self) -> int:
+        """Length D of the vector."""
+        return sum(len(block.nominal) for block in self.blocks)
+
+    @cached_property
+    def nominal(self) -> Array:
+        """Nominal vector, shape (D,)."""
+        return np.array([value for block in self.blocks for value in block.nominal], dtype=np.float64)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters, in order."""
+        return tuple(name for block in self.blocks for name in block.names)
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each parameter, in order."""
+        return tuple(block.unit for block in self.blocks for _ in block.nominal)
+
+    @property
+    def symbols(self) -> tuple[str, ...]:
+        """Symbols of the blocks, in order."""
+        return tuple(block.symbol for block in self.blocks)
+
+    @cached_property
+    def limits(self) -> tuple[Array, Array]:
+        """Open bounds of each parameter, shapes (D,)."""
+        pairs = [(block.lower, block.upper) for block in self.blocks for _ in block.nominal]
+        lower, upper = np.array(pairs, dtype=np.float64).reshape(-1, 2).T
+        return lower, upper
+
+    @cached_property
+    def _limited(self) -> np.ndarray:
+        lower, upper = self.limits
+        return np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
+
+    def inside(self, theta: Array) -> np.ndarray:
+        """Return whether every parameter lies between its bounds, shape (..., D) to (...); False for NaN."""
+        some, (lower, upper) = self._limited, self.limits
+        values = theta[..., some]
+        result: np.ndarray = ((values > lower[some]) & (values < upper[some])).all(axis=-1)
+        return result
+
+    def check(self, theta: Array) -> None:
+        """Raise InputError that names the first parameter of a vector (D,) outside its bounds, with its value."""
+        lower, upper = self.limits
+        for k in self._limited:
+            if not lower[k] < theta[k] < upper[k]:
+                unit = "" if self.units[k] == "1" else f" {self.units[k]}"
+                below = f" and below {upper[k]:g}" if np.isfinite(upper[k]) else ""
+                raise InputError(
+                    f"parameter {self.names[k]}: found {theta[k]:g}{unit}, expected above {lower[k]:g}{below}"
+                )
+
+    def take(self, theta: Array, symbol: str) -> Array:
+        """Return one symbol's values, shape (..., D) to (..., n)."""
+        return theta[..., self.index[symbol]]
+
+    def take_vector(self, theta: Array, prefix: str) -> Array:
+        """Return the points ``prefix_x, prefix_y, prefix_z`` of the legs, shape (..., D) to (..., N, 3)."""
+        return np.stack([self.take(theta, f"{prefix}_{axis}") for axis in "xyz"], axis=-1)

@@ -1,0 +1,143 @@
+"""What a machine's sensors read: each reading as a function of the pose and of the machine's parameters.
+
+With internal sensors nobody measures the pose. What a model of the readings supplies is s = h(v, d): the readings s
+that a machine of parameters d gives where it stands at v. The loop constraints f(d, s, v) = 0 of Šika et al. (2008,
+eq. 1) are s - h(v, d) = 0, one per sensor. An instrument beside the machine that measures the pose v itself, or a part
+of it, is one more reading, so that calibration with and without such an instrument is the same thing (eq. 2).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from bayescal.errors import InputError
+from bayescal.machines.parameters import ParameterLayout
+from bayescal.numerics.geometry import Array
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One sensor.
+
+    Attributes
+    ----------
+    name : str
+        For example ``s[2]``: what it reads, on which leg.
+    unit : str
+        ``mm`` or ``rad``.
+    external : bool
+        Whether it stands beside the machine, for the calibration only.
+    """
+
+    name: str
+    unit: str
+    external: bool = False
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Readings and their derivatives; leading axes are those of machines and poses.
+
+    Attributes
+    ----------
+    values : ndarray, shape (..., K)
+        h, mm and rad; NaN where the machine cannot stand.
+    by_pose : ndarray, shape (..., K, q)
+        H = ∂h/∂v.
+    by_parameters : ndarray, shape (..., K, D)
+        A = ∂h/∂d; empty where it was not asked for.
+    """
+
+    values: Array
+    by_pose: Array
+    by_parameters: Array = field(default_factory=lambda: np.empty(0))
+
+
+class ReadingModel(ABC):
+    """A machine seen by its sensors: K readings of a pose with q coordinates, D parameters."""
+
+    @property
+    @abstractmethod
+    def layout(self) -> ParameterLayout:
+        """Layout of the parameters."""
+
+    @property
+    @abstractmethod
+    def channels(self) -> tuple[Channel, ...]:
+        """All sensors that the machine could have."""
+
+    @property
+    @abstractmethod
+    def pose_units(self) -> tuple[str, ...]:
+        """Units of the pose's q coordinates, ``mm`` or ``rad``."""
+
+    @abstractmethod
+    def frame_parameters(self) -> tuple[str, ...]:
+        """Names of the parameters that define the frames of base and platform: given, where no instrument does it."""
+
+    @abstractmethod
+    def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
+        """Return the names of the parameters that some sensors depend on, in the layout's order."""
+
+    @abstractmethod
+    def read(self, theta: Array, pose: Array) -> Array:
+        """Return the readings h.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (..., D)
+            Parameters, broadcast against the leading axes of the poses.
+        pose : ndarray, shape (..., q)
+            Poses v.
+
+        Returns
+        -------
+        ndarray, shape (..., K)
+            mm and rad; NaN where the machine cannot stand.
+        """
+
+    @abstractmethod
+    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True) -> Readings:
+        """Return the readings with their derivatives; arguments as in `read`."""
+
+    @abstractmethod
+    def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+        """Return where the tool's centre is and what moves it.
+
+        Returns
+        -------
+        position : ndarray, shape (..., m)
+            mm, base frame.
+        by_pose : ndarray, shape (..., m, q)
+        by_parameters : ndarray, shape (..., m, D)
+        """
+
+    @abstractmethod
+    def rotation(self, pose: Array) -> Array:
+        """Return how the platform is turned at poses (..., q), from its frame to the base's, shape (..., m, m)."""
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of all sensors."""
+        return tuple(channel.name for channel in self.channels)
+
+    def select(self, names: Iterable[str]) -> np.ndarray:
+        """Return where sensors stand among all, in the machine's order; a kind such as ``s`` stands for all its legs.
+
+        Raises
+        ------
+        InputError
+            For a name that is no sensor's, with those there are.
+        """
+        wanted: set[str] = set()
+        for name in names:
+            found = {other for other in self.names if name in (other, other.partition("[")[0])}
+            if not found:
+                raise InputError(f"sensor {name!r}: unknown here, expected some of {', '.join(self.names)}")
+            wanted |= found
+        return np.array([k for k, name in enumerate(self.names) if name in wanted], dtype=int)

@@ -1,0 +1,1 @@
+"""Arrays and nothing else: geometry and scratch memory."""

@@ -1,1 +1,0 @@
-"""One machine calibrated from the readings of its own sensors: posteriors, evidence, audit and prediction."""

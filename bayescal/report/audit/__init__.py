@@ -1,1 +1,0 @@
-"""The report of an audit: from its directory to one page."""

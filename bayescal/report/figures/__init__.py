@@ -1,1 +1,0 @@
-"""Figures of a study's report, one function each, from tables to a matplotlib figure."""

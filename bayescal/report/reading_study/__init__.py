@@ -1,1 +1,0 @@
-"""The page of a machine calibrated from its own readings."""

@@ -1,0 +1,1 @@
+"""Reproductions of papers: kinds of experiment and claims of one paper each."""

@@ -1,0 +1,207 @@
+"""The documented machine: calibrabilities, and many simulated calibrations with each set by both procedures."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from itertools import pairwise
+
+import joblib
+import numpy as np
+import pandas as pd
+
+from bayescal.density.readings.calibrability import compute_calibrability
+from bayescal.density.readings.tool import locate_tool
+from bayescal.experiments.shared.reading_machine import ZEROS
+from bayescal.numerics.geometry import Array
+from bayescal.reproductions.sika2008.predict import predict_covariance, predict_tool
+from bayescal.reproductions.sika2008.setting import CALIBRATIONS, Plan, Plans, Setting
+from bayescal.reproductions.sika2008.simulate import (
+    BAYESIAN,
+    PAPER,
+    PROCEDURES,
+    Measured,
+    Simulated,
+    Spread,
+    measure,
+    simulate,
+    state_spread,
+    weigh,
+)
+from bayescal.reproductions.sika2008.statistics import cover, ratio_of, rms_of
+
+QUANTILE, LEVEL = 1.6448536269514722, 0.9  # of the middle 90 % of a normal distribution
+QUANTITIES = ("lengths", "guide_angles", "tool", "tool_in_use")
+FIRST = 0  # which calibration is shown alone
+
+type Found = dict[tuple[str, str], Simulated]
+
+
+def run_documented(setting: Setting, workers: int) -> dict[str, pd.DataFrame]:
+    """Return the tables of the documented machine."""
+    plans, rng = setting.plans, setting.rng(CALIBRATIONS)
+    measured = measure(plans, setting.pose, setting.targets, setting.config.calibrations, rng)
+    found = simulate_all(setting, plans, measured, workers)
+    spread = {plan.name: state_spread(found[plan.name, BAYESIAN], setting.targets) for plan in plans.plans}
+    return {
+        "calibrability": list_calibrabilities(plans, setting.pose),
+        "errors": list_errors(setting, found),
+        "steps": list_steps(plans, found),
+        "parameters": _list_parameters(found, spread),
+        "coverage": _list_coverage(plans, found, spread),
+        "path": _list_path(setting, measured, found),
+        "uncalibrated": _list_uncalibrated(setting, measured),
+    }
+
+
+def simulate_all(setting: Setting, plans: Plans, measured: Measured, workers: int) -> Found:
+    """Return the calibrations by set and procedure."""
+    tasks = [(plan, procedure) for plan in plans.plans for procedure in PROCEDURES]
+    parallel = joblib.Parallel(n_jobs=workers, inner_max_num_threads=None if workers == 1 else 1)
+    results = parallel(
+        joblib.delayed(simulate)(plans, plan, procedure, measured, setting.pose, setting.targets)
+        for plan, procedure in tasks
+    )
+    return {(plan.name, procedure): one for (plan, procedure), one in zip(tasks, results, strict=True)}
+
+
+def list_calibrabilities(plans: Plans, pose: Array) -> pd.DataFrame:
+    """Return C of each set in different units, and how many parameters it calibrates."""
+    rows = [
+        {"set": plan.name, "n_sensors": len(plan.sensors.names), "n_parameters": len(plan.parameters)}
+        | asdict(compute_calibrability(plan.sensors, plan.free, pose))
+        for plan in plans.plans
+    ]
+    return pd.DataFrame(rows)
+
+
+def name_parts(plans: tuple[Plan, ...]) -> dict[str, set[str]]:
+    """Return the lengths and the guide angles that several sets calibrate; zeros of angle sensors belong to neither."""
+    common = set.intersection(*(set(plan.parameters) for plan in plans))
+    unit = {name: unit for plan in plans for name, unit in zip(plan.parameters, plan.units, strict=True)}
+    angles = {name for name in common if unit[name] == "rad" and name.partition("[")[0] not in ZEROS}
+    return {"lengths": {name for name in common if unit[name] == "mm"}, "guide_angles": angles}
+
+
+def squares_of(one: Simulated, quantity: str, parts: dict[str, set[str]]) -> Array:
+    """Return a quantity's mean square error in each calibration, shape (C,), mm² or rad²."""
+    if quantity in parts:
+        return one.squares(parts[quantity])
+    return one.tool_squares if quantity == "tool" else one.noisy_tool_squares
+
+
+def list_errors(setting: Setting, found: Found) -> pd.DataFrame:
+    """Return root mean square errors of sets and procedures, mm and rad; of the paper's also those predicted."""
+    parts = name_parts(setting.plans.plans)
+    rows = []
+    for (name, procedure), one in found.items():
+        row: dict[str, object] = {"set": name, "procedure": procedure}
+        for quantity in QUANTITIES:
+            rms = rms_of(squares_of(one, quantity, parts))
+            row |= {quantity: rms.value, f"{quantity}_se": rms.error}
+        if procedure == PAPER:
+            covariance = predict_covariance(one.plan, setting.pose)
+            where = [k for k, p in enumerate(one.plan.parameters) if p in parts["lengths"]]
+            row["lengths_predicted"] = float(np.sqrt(np.mean(np.diagonal(covariance)[where])))
+            row["tool_predicted"] = predict_tool(one.plan, covariance, setting.targets)
+        row |= {"n_failed": int((~one.good).sum()), "most_iterations": int(one.found.n_iterations.max())}
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def list_steps(plans: Plans, found: Found) -> pd.DataFrame:
+    """Return by which factors errors fall from each set to the next, those of the same machines."""
+    rows = []
+    for before, after in pairwise(plans.plans):
+        parts = name_parts((before, after))
+        for procedure in PROCEDURES:
+            for quantity in QUANTITIES:
+                pair = (squares_of(found[plan.name, procedure], quantity, parts) for plan in (before, after))
+                ratio = ratio_of(*pair)
+                row = {"from": before.name, "to": after.name, "procedure": procedure, "quantity": quantity}
+                rows.append(row | {"ratio": ratio.value, "standard_error": ratio.error})
+    return pd.DataFrame(rows)
+
+
+def _list_parameters(found: Found, spread: dict[str, Spread]) -> pd.DataFrame:
+    """Return each parameter's errors: in the first calibration, root mean square, tolerance, stated and covered."""
+    parts = []
+    for (name, procedure), one in found.items():
+        table = pd.DataFrame(
+            {
+                "set": name,
+                "procedure": procedure,
+                "parameter": one.plan.parameters,
+                "unit": one.plan.units,
+                "tolerance": one.plan.free.scale,
+                "first_error": one.error[FIRST],
+                "rms_error": np.sqrt(np.nanmean(one.error**2, axis=0)),
+            }
+        )
+        table["rms_se"] = table["rms_error"] / np.sqrt(2.0 * one.good.sum())  # errors are near normal
+        if procedure == BAYESIAN:
+            stated = spread[name].parameters
+            table["stated_sd"] = np.sqrt(np.nanmean(stated**2, axis=0))
+            inside = np.abs(one.error[one.good]) < QUANTILE * stated[one.good]
+            table["covered"] = inside.mean(axis=0)
+        parts.append(table)
+    return pd.concat(parts, ignore_index=True)
+
+
+def _list_coverage(plans: Plans, found: Found, spread: dict[str, Spread]) -> pd.DataFrame:
+    rows = []
+    for plan in plans.plans:
+        one, stated = found[plan.name, BAYESIAN], spread[plan.name]
+        pairs = {
+            "parameters": (one.error, stated.parameters),
+            "tool": (one.tool, stated.tool),
+            "tool_in_use": (one.noisy_tool, stated.noisy_tool),
+        }
+        for what, (error, sd) in pairs.items():
+            found_cover = cover(error, sd, QUANTILE, LEVEL)
+            rows.append(
+                {
+                    "set": plan.name,
+                    "of": what,
+                    "quantities": int(np.prod(error.shape[1:])),
+                    "share": found_cover.share.value,
+                    "standard_error": found_cover.share.error,
+                    "lowest": found_cover.lowest,
+                    "highest": found_cover.highest,
+                    "binomial_error": found_cover.binomial_error,
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def _list_path(setting: Setting, measured: Measured, found: Found) -> pd.DataFrame:
+    """Return the error of the tool's centre along the path: of the first calibration, and its root mean square."""
+    sensors, path, parts = setting.plans.every.sensors, setting.path, []
+    readings = sensors.read(measured.theta[:, None], path)
+    truth, _, _ = sensors.model.tool(measured.theta[:, None], path)
+    for (name, procedure), one in found.items():
+        columns = setting.plans.columns(one.plan)
+        located = locate_tool(weigh(one.plan, procedure), one.found.theta, readings[..., columns], path)
+        error = (located.position - truth)[one.good & located.converged.all(axis=1)]
+        first = located.position[FIRST] - truth[FIRST]
+        table = pd.DataFrame({"set": name, "procedure": procedure, "pose": np.arange(1, len(path) + 1)})
+        table["first_x_mm"], table["first_y_mm"] = first[:, 0], first[:, 1]
+        squares = np.sum(error**2, axis=-1)
+        table["rms_mm"] = np.sqrt(np.mean(squares, axis=0))
+        table["rms_se_mm"] = np.std(squares, axis=0, ddof=1) / np.sqrt(len(squares)) / (2.0 * table["rms_mm"])
+        parts.append(table)
+    return pd.concat(parts, ignore_index=True)
+
+
+def _list_uncalibrated(setting: Setting, measured: Measured) -> pd.DataFrame:
+    """Return the tool's error of machines taken for nominal, read by the sensors of lengths that the first set has."""
+    plan = setting.plans.plans[0]
+    units = [setting.machine.channels[k].unit for k in plan.sensors.chosen]
+    lengths = np.flatnonzero(np.array(units) == "mm")
+    if len(lengths) < plan.sensors.n_coordinates:
+        return pd.DataFrame()
+    sensors, columns = plan.sensors.select(lengths), setting.plans.columns(plan)[lengths]
+    nominal = np.tile(plan.free.centre, (len(measured.theta), 1))
+    located = locate_tool(sensors, nominal, measured.at_targets[..., columns], setting.targets)
+    truth, _, _ = sensors.model.tool(measured.theta[:, None], setting.targets)
+    rms = rms_of(np.mean(np.sum((located.position - truth) ** 2, axis=-1), axis=-1))
+    return pd.DataFrame([{"sensors": " ".join(sensors.names), "tool": rms.value, "tool_se": rms.error}])

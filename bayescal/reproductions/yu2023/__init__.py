@@ -1,0 +1,1 @@
+"""Yu, Wu and Wang (2023): simulated calibrations of hexapods."""

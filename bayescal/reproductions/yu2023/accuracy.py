@@ -1,0 +1,260 @@
+"""Selected poses against random ones, and least squares with and without weights (Yu, Wu and Wang 2023, section 5).
+
+Every repeat has its own measurement noise, the same for both sets of poses and for all weightings, and its own random
+set; the machine is the same in all. The published figures come from one repeat.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from bayescal.errors import InputError, NumericalError
+from bayescal.files.csv_tables import read_table
+from bayescal.numerics.geometry import Array
+from bayescal.reproductions.yu2023.evaluate import PoseErrors
+from bayescal.reproductions.yu2023.least_squares import Calibrations, Weighting
+from bayescal.reproductions.yu2023.outcome import PERCENTILES, Outcome, describe, list_records
+from bayescal.reproductions.yu2023.schema import AccuracyStudyConfig, PoseNoiseConfig
+from bayescal.reproductions.yu2023.setting import ERROR_SYMBOLS, CommandedPoses, Setting, noise_scale, select_all
+
+INDEX = "O1"
+FIGURES = ("position_max_mm", "position_mean_mm", "attitude_max_deg", "attitude_mean_deg")
+METHODS = ("optimal", "random")
+SHOWN_LEG = 0
+
+
+def list_weightings(noise: PoseNoiseConfig, parameter_error: float) -> dict[str, Weighting]:
+    """Return the paper's weighting, that by the noise, and that with the prior beside it."""
+    scale = noise_scale(noise)
+    return {
+        "unweighted": Weighting(np.ones(6)),
+        "weighted": Weighting(scale),
+        "bayesian": Weighting(scale, parameter_error),
+    }
+
+
+def spread_selections(selected: list[CommandedPoses], repeats: int) -> CommandedPoses:
+    """Return one selection for each repeat, taken in turn."""
+    turn = np.arange(repeats) % len(selected)
+    coordinates = np.stack([poses.coordinates for poses in selected])[turn]
+    return CommandedPoses(coordinates, np.stack([poses.actuators for poses in selected])[turn])
+
+
+def run_accuracy(setting: Setting, study: AccuracyStudyConfig, workers: int) -> Outcome:
+    """Return the distribution of table 8's figures, of the parameters and of what weights gain."""
+    seeds = np.random.SeedSequence(setting.config.seed).spawn(study.selections + 1)
+    rng = np.random.default_rng(seeds[-1])
+    truth = np.tile(setting.read_machine(study.parameter_errors), (study.repeats, 1))
+    selected = select_all(setting, [(INDEX, study.poses)] * study.selections, seeds[:-1], workers)
+    sets = {
+        "optimal": spread_selections(selected, study.repeats),
+        "random": setting.draw_random(study.poses, study.repeats, rng),
+    }
+    noise = noise_scale(study.noise) * rng.standard_normal((study.repeats, study.poses, 6))
+    weightings = list_weightings(study.noise, setting.config.parameter_error_mm)
+    found: dict[tuple[str, str], Calibrations] = {}
+    errors: dict[tuple[str, str], PoseErrors] = {}
+    for method, poses in sets.items():
+        measured = setting.stand(truth, poses) + noise
+        for name, weighting in weightings.items():
+            found[method, name] = setting.calibrate(poses, measured, weighting)
+            errors[method, name] = setting.evaluate(truth, found[method, name].theta)
+    repeats = _list_repeats(truth, found, errors)
+    published = _read_figures(setting, study.published)
+    table = _describe_figures(repeats, published)
+    parameters = _list_parameters(setting, study, truth[0], found["optimal", "unweighted"])
+    tables = {
+        "repeats": repeats,
+        "table8": table,
+        "ratios": _list_ratios(repeats),
+        "reductions": _list_reductions(repeats, published),
+        "parameters": parameters,
+        "convergence": _list_convergence(setting, truth[0], found["optimal", "unweighted"]),
+        "verification": _list_verification(errors),
+    }
+    values = [poses.value for poses in selected]
+    return Outcome(tables, _summarise(tables, values) | _judge_published(repeats, published))
+
+
+def _list_repeats(
+    truth: Array, found: dict[tuple[str, str], Calibrations], errors: dict[tuple[str, str], PoseErrors]
+) -> pd.DataFrame:
+    parts = []
+    for (method, weighting), calibrations in found.items():
+        if not calibrations.converged.all():
+            count = int((~calibrations.converged).sum())
+            raise NumericalError(f"{method} poses, {weighting}: {count} of {len(truth)} calibrations did not converge")
+        error = errors[method, weighting]
+        parts.append(
+            pd.DataFrame(
+                {
+                    "poses": method,
+                    "weighting": weighting,
+                    "repeat": np.arange(1, len(truth) + 1),
+                    **error.figures,
+                    "integrated_deg": error.integrated("deg"),
+                    "parameter_rms_mm": np.sqrt(np.mean((calibrations.theta - truth) ** 2, axis=1)),
+                    "iterations": calibrations.n_iterations,
+                }
+            )
+        )
+    return pd.concat(parts, ignore_index=True)
+
+
+def _read_figures(setting: Setting, name: str | None) -> dict[tuple[str, str], float]:
+    """Return the published figures by method and figure."""
+    if name is None:
+        return {}
+    path = setting.folder / name
+    table = read_table(path, ("method", *FIGURES))
+    values = table.numbers(FIGURES)
+    methods = table.text("method")
+    if sorted(methods) != sorted(METHODS):
+        raise InputError(f"{path}: method: found {', '.join(methods)}, expected {' and '.join(METHODS)}")
+    return {(m, f): float(values[k, j]) for k, m in enumerate(methods) for j, f in enumerate(FIGURES)}
+
+
+def _describe_figures(repeats: pd.DataFrame, published: dict[tuple[str, str], float]) -> pd.DataFrame:
+    rows = []
+    for key, group in repeats.groupby(["poses", "weighting"], sort=False):
+        method, weighting = (str(part) for part in key)
+        for figure in FIGURES:
+            printed = published.get((method, figure)) if weighting == "unweighted" else None
+            label = {"poses": method, "weighting": weighting, "figure": figure}
+            rows.append(label | describe(group[figure].to_numpy(), printed))
+    return pd.DataFrame(rows)
+
+
+def _list_ratios(repeats: pd.DataFrame) -> pd.DataFrame:
+    """Return how many times smaller the mean errors are with weights, on the same data.
+
+    The ratio of the means over all repeats, its standard error, and the range of the ratios of single repeats.
+    """
+    rows = []
+    for method in METHODS:
+        ours = repeats[repeats["poses"] == method].set_index("repeat")
+        plain = ours[ours["weighting"] == "unweighted"]
+        for weighting in ("weighted", "bayesian"):
+            other = ours[ours["weighting"] == weighting]
+            for figure in ("position_mean_mm", "attitude_mean_deg", "parameter_rms_mm"):
+                one, two = plain[figure].to_numpy(), other[figure].to_numpy()
+                ratio = float(one.mean() / two.mean())
+                spread = np.std(one / one.mean() - two / two.mean(), ddof=1)
+                row = {"poses": method, "weighting": weighting, "figure": figure, "ratio": ratio}
+                row["standard_error"] = float(ratio * spread / np.sqrt(len(one)))
+                row["low"], row["high"] = (float(x) for x in np.percentile(one / two, (2.5, 97.5)))
+                row["share_better"] = float(np.mean(two < one))
+                rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _pick(repeats: pd.DataFrame, method: str, figure: str) -> Array:
+    """Return a figure of the paper's least squares in every repeat, shape (repeats,)."""
+    rows = (repeats["poses"] == method) & (repeats["weighting"] == "unweighted")
+    return repeats.loc[rows, figure].to_numpy()
+
+
+def _list_reductions(repeats: pd.DataFrame, published: dict[tuple[str, str], float]) -> pd.DataFrame:
+    """Return by what share selected poses reduce the paper's figures, repeat by repeat, all without weights."""
+    rows = []
+    for figure in FIGURES:
+        optimal, random = (_pick(repeats, method, figure) for method in METHODS)
+        printed = 1.0 - published["optimal", figure] / published["random", figure] if published else None
+        rows.append({"figure": figure} | describe(1.0 - optimal / random, printed))
+    return pd.DataFrame(rows)
+
+
+def _judge_published(repeats: pd.DataFrame, published: dict[tuple[str, str], float]) -> dict[str, object]:
+    """Return how many published figures lie inside the repeats, and how often a repeat has as many outside."""
+    if not published:
+        return {}
+    found = np.stack([_pick(repeats, *key) for key in published], axis=-1)
+    printed = np.array(list(published.values()))
+    low, high = np.percentile(found, (PERCENTILES[0], PERCENTILES[-1]), axis=0)
+    outside = int(((printed < low) | (printed > high)).sum())
+    own = ((found < low) | (found > high)).sum(axis=1)
+    return {
+        "published": len(printed),
+        "published_in_range": int(((printed >= found.min(axis=0)) & (printed <= found.max(axis=0))).sum()),
+        "published_in_middle": len(printed) - outside,
+        "share_with_as_many_outside": float(np.mean(own >= outside)),
+    }
+
+
+def _list_parameters(setting: Setting, study: AccuracyStudyConfig, truth: Array, found: Calibrations) -> pd.DataFrame:
+    """Return preset, published and identified parameter errors, those identified in the first repeat."""
+    layout = setting.machine.layout
+    errors = found.theta - layout.nominal
+    table = pd.DataFrame(
+        {
+            "parameter": layout.names,
+            "preset_mm": truth - layout.nominal,
+            "identified_mm": errors[0],
+            "sd_over_repeats_mm": errors.std(axis=0, ddof=1),
+        }
+    )
+    if study.published_parameters is None:
+        return table
+    path = setting.folder / study.published_parameters
+    columns = tuple(ERROR_SYMBOLS)[:-1]  # the printed table has no dh
+    values = read_table(path, ("leg", *columns)).numbers(columns)
+    published = np.full(layout.size, np.nan)
+    for k, name in enumerate(columns):
+        published[layout.index[ERROR_SYMBOLS[name]]] = values[:, k]
+    return table.assign(published_mm=published)
+
+
+def _list_convergence(setting: Setting, truth: Array, found: Calibrations) -> pd.DataFrame:
+    """Return the remaining errors of the first hardpoint's parameters after each iteration of the first repeat."""
+    layout = setting.machine.layout
+    names = [name for name in layout.names if name.endswith(f"[{SHOWN_LEG + 1}]")]
+    places = [layout.names.index(name) for name in names]
+    rows = [
+        {"iteration": k, "parameter": name, "error_mm": theta[0, place] - truth[place]}
+        for k, theta in enumerate(found.trace)
+        for name, place in zip(names, places, strict=True)
+    ]
+    return pd.DataFrame(rows)
+
+
+def _list_verification(errors: dict[tuple[str, str], PoseErrors]) -> pd.DataFrame:
+    """Return the errors at every verification pose, those of the first repeat."""
+    parts = [
+        pd.DataFrame(
+            {
+                "poses": method,
+                "weighting": weighting,
+                "pose": np.arange(1, error.position.shape[1] + 1),
+                "position_mm": error.position[0],
+                "attitude_deg": np.degrees(error.attitude[0]),
+            }
+        )
+        for (method, weighting), error in errors.items()
+    ]
+    return pd.concat(parts, ignore_index=True)
+
+
+def _summarise(tables: dict[str, pd.DataFrame], values: list[float]) -> dict[str, object]:
+    repeats, parameters, convergence = tables["repeats"], tables["parameters"], tables["convergence"]
+    ours = repeats[(repeats["poses"] == "optimal") & (repeats["weighting"] == "unweighted")]
+    summary: dict[str, object] = {
+        "O1": values,
+        "parameter_rms_mm": describe(ours["parameter_rms_mm"].to_numpy()),
+        "iterations": int(ours["iterations"].max()),
+        "largest_change_mm": _largest_changes(convergence),
+        "table8": list_records(tables["table8"]),
+        "ratios": list_records(tables["ratios"]),
+    }
+    if "published_mm" in parameters:
+        off = (parameters["published_mm"] - parameters["preset_mm"]).dropna()
+        summary["published_parameter_rms_mm"] = float(np.sqrt(np.mean(off**2)))
+        scaled = off / parameters["sd_over_repeats_mm"].loc[off.index]
+        summary["published_parameter_rms_sd"] = float(np.sqrt(np.mean(scaled**2)))
+    return summary
+
+
+def _largest_changes(convergence: pd.DataFrame) -> list[float]:
+    """Return the largest change of a shown parameter in each iteration, mm."""
+    table = convergence.pivot_table(index="iteration", columns="parameter", values="error_mm").to_numpy()
+    return [float(x) for x in np.abs(np.diff(table, axis=0)).max(axis=1)]

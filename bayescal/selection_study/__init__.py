@@ -1,1 +1,0 @@
-"""Experiments on pose selection: sets of poses chosen, compared, and tried by simulated calibrations."""

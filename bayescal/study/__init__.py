@@ -1,1 +1,0 @@
-"""A study from its config to its results directory."""

@@ -1,0 +1,217 @@
+"""The robust pose: exact without noise, calibrated with it, unmoved by wrong targets."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.spatial.transform import Rotation
+
+from bayescal.data.photogrammetry.rigid_fit import (
+    TUNING_CONSTANT,
+    compute_efficiency,
+    compute_variance_factor,
+    fit_rigid_body,
+    weighted_rigid_transform,
+)
+from bayescal.errors import InputError
+from bayescal.numerics.geometry import compute_pose_error
+
+NOISE = 0.005
+
+
+def simulate(reference, n_poses, noise, rng):
+    rotation = Rotation.random(n_poses, rng=rng).as_matrix()
+    position = rng.uniform(-500, 500, (n_poses, 3))
+    measured = position[:, None] + reference @ rotation.swapaxes(-1, -2)
+    return position, rotation, measured + noise * rng.standard_normal(measured.shape)
+
+
+def cylinder(n_targets, rng):
+    angle = rng.uniform(0, 2 * np.pi, n_targets)
+    return np.stack([np.cos(angle), np.sin(angle), rng.uniform(0, 50, n_targets)], axis=-1)
+
+
+def whiten(error, covariance):
+    return np.einsum("pi,pij,pj->p", error, np.linalg.inv(covariance), error)
+
+
+def distance_between(fit, other):
+    """Return the difference of two fits in units of the sd of the second."""
+    error = compute_pose_error(fit.position, fit.rotation, other.position, other.rotation)
+    return np.sqrt(whiten(np.atleast_2d(error), other.covariance.reshape(-1, 6, 6)))
+
+
+def integrate_efficiency(c):
+    """Return (E[w + r w'/3])² / (E[w² r²] / 3) over the Maxwell density of r, by quadrature."""
+
+    def density(r):
+        return np.sqrt(2 / np.pi) * r**2 * np.exp(-(r**2) / 2)
+
+    def weight(r):
+        return (1 - (r / c) ** 2) ** 2
+
+    def derivative(r):
+        return -4 * r / c**2 * (1 - (r / c) ** 2)
+
+    slope = quad(lambda r: (weight(r) + r * derivative(r) / 3) * density(r), 0, c, epsabs=1e-13)[0]
+    variance = quad(lambda r: weight(r) ** 2 * r**2 / 3 * density(r), 0, c, epsabs=1e-13)[0]
+    return slope**2 / variance
+
+
+@pytest.mark.parametrize("constant", [2.0, 4.685, TUNING_CONSTANT, 9.0])
+def test_efficiency_agrees_with_quadrature(constant):
+    assert compute_efficiency(constant) == pytest.approx(integrate_efficiency(constant), rel=1e-9)
+
+
+def test_tuning_constant_gives_95_percent():
+    assert integrate_efficiency(TUNING_CONSTANT) == pytest.approx(0.95, abs=1e-10)
+
+
+def test_variance_factor_tends_to_the_asymptotic_one():
+    assert compute_variance_factor(10**7) == pytest.approx(1 / 0.95, rel=1e-6)
+    assert 1.0 < compute_variance_factor(6) < compute_variance_factor(12) < 1 / 0.95
+
+
+@pytest.mark.parametrize("n_targets", [3, 4, 6, 30])
+def test_exact_without_noise(n_targets):
+    rng = np.random.default_rng(1)
+    reference = rng.uniform(-100, 100, (n_targets, 3))
+    position, rotation, measured = simulate(reference, 20, 0.0, rng)
+    fit = fit_rigid_body(reference, measured, NOISE)
+    np.testing.assert_allclose(fit.position, position, atol=1e-10)
+    np.testing.assert_allclose(fit.rotation, rotation, atol=1e-12)
+    assert fit.converged.all()
+    assert np.all(fit.chi2 < 1e-12)
+
+
+def test_weighted_transform_agrees_with_scipy():
+    rng = np.random.default_rng(2)
+    reference = rng.uniform(-100, 100, (9, 3))
+    _, _, measured = simulate(reference, 5, 5.0, rng)
+    weights = rng.uniform(0.1, 1, (5, 9))
+    position, rotation = weighted_rigid_transform(reference, measured, weights)
+    for k in range(5):
+        mean_r = np.average(reference, axis=0, weights=weights[k])
+        mean_m = np.average(measured[k], axis=0, weights=weights[k])
+        expected = Rotation.align_vectors(measured[k] - mean_m, reference - mean_r, weights=weights[k])[0].as_matrix()
+        np.testing.assert_allclose(rotation[k], expected, atol=1e-12)
+        np.testing.assert_allclose(position[k], mean_m - expected @ mean_r, atol=1e-9)
+
+
+def test_planar_and_mirrored_targets_give_a_proper_rotation():
+    rng = np.random.default_rng(3)
+    flat = np.c_[rng.uniform(-100, 100, (8, 2)), np.zeros(8)]
+    _, rotation, measured = simulate(flat, 50, 0.0, rng)
+    np.testing.assert_allclose(fit_rigid_body(flat, measured, NOISE).rotation, rotation, atol=1e-12)
+    solid = rng.uniform(-100, 100, (8, 3))
+    mirrored = weighted_rigid_transform(solid, solid * [1, 1, -1], np.ones(8))[1]
+    assert np.linalg.det(mirrored) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("n_targets", [4, 6, 12, 40])
+@pytest.mark.parametrize("shape", ["box", "cylinder"])
+def test_errors_have_the_stated_covariance(n_targets, shape):
+    rng = np.random.default_rng(100 + n_targets)
+    reference = rng.uniform(-100, 100, (n_targets, 3)) if shape == "box" else cylinder(n_targets, rng)
+    n_poses = 1000
+    position, rotation, measured = simulate(reference, n_poses, NOISE, rng)
+    fit = fit_rigid_body(reference, measured, NOISE)
+    square = whiten(compute_pose_error(position, rotation, fit.position, fit.rotation), fit.covariance)
+    assert abs(square.mean() - 6) < 3.5 * np.sqrt(12 / n_poses)
+    dof = 3 * n_targets - 6
+    assert fit.chi2.mean() / dof == pytest.approx(1.0, abs=4 * np.sqrt(2 / dof / n_poses))
+    assert fit.converged.mean() > 0.995
+
+
+@pytest.mark.parametrize("n_targets", [6, 7, 12, 84])
+@pytest.mark.parametrize("size", [0.2, 1000.0])
+@pytest.mark.parametrize("together", [False, True])
+def test_wrong_targets_do_not_move_the_pose(n_targets, size, together):
+    rng = np.random.default_rng(7)
+    reference = rng.uniform(-100, 100, (n_targets, 3)) if n_targets == 84 else cylinder(n_targets, rng)
+    n_wrong = -(-n_targets // 3) - 1
+    _, _, measured = simulate(reference, 40, NOISE, rng)
+    wrong = np.argsort(rng.random((40, n_targets)), axis=1)[:, :n_wrong]
+    shift = rng.standard_normal((40, 1 if together else n_wrong, 3))
+    shift *= size / np.linalg.norm(shift, axis=-1, keepdims=True)
+    corrupt, without = measured.copy(), measured.copy()
+    row = np.arange(40)[:, None]
+    corrupt[row, wrong] += shift
+    without[row, wrong] = np.nan
+    fit, clean = fit_rigid_body(reference, corrupt, NOISE), fit_rigid_body(reference, without, NOISE)
+    assert np.max(distance_between(fit, clean)) < 1.0
+    assert np.median(distance_between(fit, clean)) < 1e-6
+    assert np.mean(fit.weights[row, wrong] == 0) > 0.99
+
+
+def test_least_squares_does_move_with_a_wrong_target():
+    rng = np.random.default_rng(8)
+    reference = cylinder(12, rng)
+    _, _, measured = simulate(reference, 1, NOISE, rng)
+    clean = fit_rigid_body(reference, measured, NOISE)
+    measured[0, 3, 0] += 1000.0
+    position, rotation = weighted_rigid_transform(reference, measured, np.ones((1, 12)))
+    error = compute_pose_error(position, rotation, clean.position, clean.rotation)
+    assert np.sqrt(whiten(error, clean.covariance))[0] > 1e3
+
+
+def test_unseen_targets_are_as_good_as_absent():
+    rng = np.random.default_rng(9)
+    reference = rng.uniform(-100, 100, (15, 3))
+    _, _, measured = simulate(reference, 6, NOISE, rng)
+    measured[:, 4] = np.nan
+    measured[:, 9, 1] = np.nan  # one missing coordinate makes the target unseen
+    keep = np.setdiff1d(np.arange(15), [4, 9])
+    fit = fit_rigid_body(reference, measured, NOISE)
+    expected = fit_rigid_body(reference[keep], measured[:, keep], NOISE)
+    np.testing.assert_allclose(fit.position, expected.position, atol=1e-9)
+    np.testing.assert_allclose(fit.covariance, expected.covariance, rtol=1e-6, atol=1e-15)
+    assert np.all(fit.weights[:, [4, 9]] == 0)
+    assert np.all(fit.dof == 3 * 13 - 6)
+
+
+def test_poses_are_fitted_independently_of_their_batch():
+    rng = np.random.default_rng(10)
+    reference = rng.uniform(-100, 100, (15, 3))
+    _, _, measured = simulate(reference, 6, NOISE, rng)
+    measured[rng.random((6, 15)) < 0.2] = np.nan
+    batch = fit_rigid_body(reference, measured.reshape(2, 3, 15, 3), NOISE)
+    assert batch.covariance.shape == (2, 3, 6, 6)
+    assert batch.weights.shape == (2, 3, 15)
+    assert batch.chi2.shape == (2, 3)
+    for k in range(6):
+        single = fit_rigid_body(reference, measured[k], NOISE)
+        assert single.position.shape == (3,)
+        assert single.converged.shape == ()
+        np.testing.assert_allclose(single.rotation, batch.rotation[k // 3, k % 3], atol=1e-12)
+
+
+def test_fit_follows_a_motion_of_the_measurement_frame():
+    rng = np.random.default_rng(11)
+    reference = rng.uniform(-100, 100, (10, 3))
+    _, _, measured = simulate(reference, 4, NOISE, rng)
+    turn, shift = Rotation.random(rng=rng).as_matrix(), rng.uniform(-1000, 1000, 3)
+    fit, moved = fit_rigid_body(reference, measured, NOISE), fit_rigid_body(reference, measured @ turn.T + shift, NOISE)
+    np.testing.assert_allclose(moved.position, fit.position @ turn.T + shift, atol=1e-8)
+    np.testing.assert_allclose(moved.rotation, turn @ fit.rotation, atol=1e-10)
+    both = np.kron(np.eye(2), turn)
+    np.testing.assert_allclose(moved.covariance, both @ fit.covariance @ both.T, rtol=1e-6, atol=1e-13)
+
+
+def test_input_errors():
+    rng = np.random.default_rng(12)
+    reference = rng.uniform(-100, 100, (6, 3))
+    measured = np.stack([reference, reference])
+    measured[1, 2:] = np.nan
+    with pytest.raises(InputError, match="fit 1: found 2 seen targets, expected at least 3"):
+        fit_rigid_body(reference, measured, NOISE)
+    line = np.outer(np.linspace(0, 100, 6), [1.0, 2.0, 3.0]) + 1e-4 * rng.standard_normal((6, 3))
+    with pytest.raises(InputError, match="of a line"):
+        fit_rigid_body(line, line, NOISE)
+    with pytest.raises(InputError, match="consistent"):
+        fit_rigid_body(reference, rng.uniform(-100, 100, (6, 3)), NOISE)
+    with pytest.raises(InputError, match=r"expected \(\.\.\., 6, 3\)"):
+        fit_rigid_body(reference, measured[:, :5], NOISE)
+    with pytest.raises(InputError, match="noise"):
+        fit_rigid_body(reference, reference, 0.0)

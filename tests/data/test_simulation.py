@@ -1,0 +1,208 @@
+"""The twin: files and back recover the true poses and K; the shipped data are what the shipped config gives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import studies
+from scipy import stats
+
+from bayescal.config import load_simulation
+from bayescal.data.photogrammetry.poses import extract_poses
+from bayescal.data.photogrammetry.survey import read_survey
+from bayescal.data.simulation import Twin, build_twin, format_survey, simulate_survey
+from bayescal.errors import InputError, NumericalError
+from bayescal.files.csv_tables import read_matrix
+from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.numerics.geometry import rotation_vector_from_matrix
+
+FILES = ("targets.csv", "actuators.csv", "target_reference.csv")
+RARE = 1e-4
+
+
+def load_twin(path: Path) -> Twin:
+    return build_twin(load_simulation(path), path.parent)
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    """Return the inputs of the shipped telescope study."""
+    return studies.load_study(studies.TELESCOPE / "study.toml")
+
+
+@pytest.fixture
+def config(tmp_path) -> Path:
+    """Return the config of a tiny simulation."""
+    studies.write_texts(tmp_path, studies.tiny_texts())
+    return tmp_path / "simulate.toml"
+
+
+def check_chi_square(value: float, dof: int) -> None:
+    """Check that a sum of squares is neither too large nor too small for its degrees of freedom."""
+    assert RARE < stats.chi2.sf(value, dof) < 1 - RARE
+
+
+def test_files_and_back_recover_the_true_poses(config):
+    studies.edit(config, "actuator_um = 1.0", "actuator_um = 0.0")
+    studies.edit(config, "count = 5", "count = 12")
+    twin = load_twin(config)
+    survey = simulate_survey(twin, np.random.default_rng(3))
+    for name, text in format_survey(survey, "test").items():
+        (config.parent / name).write_text(text)
+    read = read_survey(*(config.parent / name for name in FILES), 6)
+    found = extract_poses(read, 3e-3).poses
+    truth = solve_forward_kinematics(twin.machine, twin.theta, read.actuators)
+    turn = rotation_vector_from_matrix(found.rotation @ np.swapaxes(truth.rotation, -1, -2))
+    error = np.concatenate([found.position - truth.position, turn], axis=1)
+    chi2 = np.einsum("pi,pij,pj->", error, np.linalg.inv(found.covariance), error)
+    check_chi_square(float(chi2), error.size)
+    assert np.abs(error[:, :3]).max() < 0.05
+
+
+def test_wrong_noise_fails_the_same_check(config):
+    studies.edit(config, "target_um = 3.0", "target_um = 6.0")
+    survey = simulate_survey(load_twin(config), np.random.default_rng(3))
+    extraction = extract_poses(survey, 3e-3)
+    dof = int(extraction.base.dof.sum() + extraction.platform.dof.sum())
+    assert stats.chi2.sf(extraction.chi2_per_dof * dof, dof) < RARE
+
+
+def test_round_trip_through_text_keeps_every_digit(config):
+    twin = load_twin(config)
+    survey = simulate_survey(twin, np.random.default_rng(3))
+    texts = format_survey(survey, "test")
+    for name, text in texts.items():
+        (config.parent / name).write_text(text)
+    read = read_survey(*(config.parent / name for name in FILES), 6)
+    assert read.poses == survey.poses
+    np.testing.assert_array_equal(read.verification, survey.verification)
+    np.testing.assert_allclose(read.platform.measured, survey.platform.measured, atol=5.1e-7, rtol=0)
+    assert format_survey(read, "test") == texts
+
+
+def test_same_seed_same_bytes_other_seed_others(config):
+    twin = load_twin(config)
+    one, same, other = (format_survey(simulate_survey(twin, np.random.default_rng(seed)), "test") for seed in (1, 1, 2))
+    assert one == same
+    assert one["targets.csv"] != other["targets.csv"]
+    assert one["actuators.csv"] == other["actuators.csv"]  # commanded, not noisy
+
+
+def test_measurement_frame_differs_from_pose_to_pose(config):
+    survey = simulate_survey(load_twin(config), np.random.default_rng(3))
+    first = survey.base.measured[:, 0]
+    assert np.ptp(first, axis=0).min() > 500
+
+
+def test_shipped_data_are_those_of_the_shipped_config():
+    path = studies.TELESCOPE / "simulate.toml"
+    config = load_simulation(path)
+    twin = build_twin(config, path.parent)
+    texts = format_survey(simulate_survey(twin, np.random.default_rng(config.seed)), config.origin)
+    assert set(texts) == {file.name for file in (studies.TELESCOPE / "data").iterdir()}
+    for name, text in texts.items():
+        assert (studies.TELESCOPE / "data" / name).read_bytes() == text.encode(), name
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_shipped_headers_say_reconstructed_and_state_units(name):
+    lines = (studies.TELESCOPE / "data" / name).read_text().splitlines()
+    comments = [line for line in lines[:4] if line.startswith("#")]
+    assert "Reconstructed" in comments[0]
+    assert "never measured" in comments[0]
+    assert " mm" in comments[1]
+    assert "_mm" in lines[len(comments)]
+
+
+def test_shipped_twin_is_the_one_described(shipped):
+    assert shipped.extraction.poses.n_poses == 46
+    assert shipped.survey.actuators.shape == (46, 6)
+    np.testing.assert_allclose(np.unique(np.abs(shipped.displacement[:40])), [0, 1.3])
+    dof = int(shipped.extraction.base.dof.sum() + shipped.extraction.platform.dof.sum())
+    check_chi_square(shipped.extraction.chi2_per_dof * dof, dof)
+
+
+# --- the ring follows eq. (4) ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def true_matrix() -> np.ndarray:
+    return 1e-3 * read_matrix(studies.TELESCOPE / "deformation_matrix.csv", 6)
+
+
+def test_ring_gives_back_the_matrix_of_eq_4(shipped, true_matrix):
+    estimate = shipped.ring_matrix
+    error = (estimate.matrix - true_matrix).ravel()
+    check_chi_square(float(error @ np.linalg.solve(estimate.covariance, error)), 36)
+    assert (np.abs(error) < 4 * estimate.sd.ravel()).all()
+    assert estimate.sd.max() < 1e-3
+    check_chi_square(estimate.chi2, estimate.dof)
+
+
+def test_another_matrix_fails_the_same_check(shipped, true_matrix):
+    error = (shipped.ring_matrix.matrix - true_matrix.T).ravel()
+    assert stats.chi2.sf(float(error @ np.linalg.solve(shipped.ring_matrix.covariance, error)), 36) < RARE
+
+
+def test_ring_gives_the_kappa_that_the_matrix_implies(shipped, true_matrix):
+    travel = shipped.displacement[~shipped.survey.verification]
+    implied = np.sum(travel * (travel @ true_matrix.T), axis=0) / np.sum(travel**2, axis=0)
+    np.testing.assert_allclose(shipped.ring_linear.kappa, implied, atol=1.5e-3)
+    # the report's nominal value is 0.011; what K does beyond its diagonal is scatter to a linear ring
+    assert ((shipped.ring_linear.kappa > 0.005) & (shipped.ring_linear.kappa < 0.025)).all()
+    assert (shipped.ring_linear.residual_sd > 5e-3).all()
+
+
+def test_offset_of_kappa_leaves_the_ring_alone(config):
+    twin = load_twin(config)
+    without = twin.theta.copy()
+    without[twin.machine.layout.index["kappa"]] = twin.machine.layout.nominal[twin.machine.layout.index["kappa"]]
+    assert not np.array_equal(without, twin.theta)
+    travel = np.concatenate([twin.calibration, twin.verification])
+    expected = travel @ twin.machine.deformation.matrix.T
+    studies.edit(config, "target_um = 3.0", "target_um = 1e-3")
+    studies.edit(config, "actuator_um = 1.0", "actuator_um = 0.0")
+    for theta in (twin.theta, without):
+        survey = simulate_survey(load_twin(config), np.random.default_rng(1), theta)
+        pads = survey.platform.leg > 0
+        fit = extract_poses(survey, 1e-6).platform
+        local = np.einsum("pmi,pi->pm", survey.platform.measured[:, pads] - fit.position[:, None], fit.rotation[..., 2])
+        lift = local - survey.platform.reference[pads, 2]
+        np.testing.assert_allclose(lift, np.repeat(expected, 2, axis=1), atol=2e-5)
+
+
+# --- faults ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ('model = "six_pus"', 'model = "six_puss"', "model: found 'six_puss', did you mean 'six_pus'?"),
+        ("kappa = [", "kapa = [", "truth.offsets: found 'kapa', did you mean 'kappa'?"),
+        ("l = [0.37, ", "l = [", "truth.offsets.l: found 5 values, expected 1 or 6"),
+        ('calibration = "calib', 'calibration = "kalib', "no such file"),
+        ('calibration = "calibration_conf', 'calibration = "deformation_conf', "no such file"),
+        ("pad_radius_mm = 12.0", "", "found per_pad 2 without pad_radius_mm, expected both"),
+    ],
+)
+def test_faulty_simulation(config, old, new, expected):
+    studies.edit(config, old, new)
+    with pytest.raises(InputError) as caught:
+        load_twin(config)
+    assert expected in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_table_of_another_machine(config):
+    path = config.with_name("calibration_configurations.csv")
+    path.write_text("drho_1,drho_2\n1,0\n")
+    with pytest.raises(InputError, match="found 2 columns, expected 6, one per leg"):
+        load_twin(config)
+
+
+def test_unreachable_pose_is_a_numerical_failure(config):
+    studies.edit(config, "unit_mm = 1.3", "unit_mm = 2000.0")
+    with pytest.raises(NumericalError, match=r"pose \d+ of 16 not found"):
+        simulate_survey(load_twin(config), np.random.default_rng(1))

@@ -1,0 +1,121 @@
+"""Poses from readings, and what readings say of the parameters when no pose is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from reading_machines import SENSORS, SETS, WORKSPACE, LinearModel, sliding_star, star_of
+
+from bayescal.density.readings.poses import (
+    SensorSet,
+    eliminate_poses,
+    find_poses,
+    null_basis,
+    solve_least_squares,
+)
+from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses
+
+
+def setting(names=("s", "phi"), model=None):
+    model = model or sliding_star()
+    sensors = build_sensors(model, SENSORS, names)
+    return model, sensors, draw_poses(model, WORKSPACE, np.random.default_rng(4))
+
+
+@pytest.mark.parametrize("names", [*SETS.values(), ("s[1]", "s[2]", "phi[2]", "psi[4]"), ("psi",)])
+def test_exact_readings_lead_back_to_their_poses_from_home(names, rng):
+    model, sensors, pose = setting(names)
+    theta = model.layout.nominal * (1 + 1e-4 * rng.standard_normal((3, 1, model.layout.size)))
+    found = find_poses(sensors, theta, sensors.read(theta, pose), np.tile(model.home, (len(pose), 1)))
+    assert found.converged.all()
+    np.testing.assert_allclose(found.pose, np.broadcast_to(pose, found.pose.shape), rtol=0, atol=1e-8)
+    assert np.abs(found.error).max() < 1e-5
+
+
+@pytest.mark.parametrize("n_legs", [3, 5, 6])
+def test_any_number_of_legs(n_legs):
+    model = star_of(n_legs)
+    sensors = build_sensors(model, SENSORS, ("s", "psi[1]"))
+    pose = draw_poses(model, WORKSPACE.model_copy(update={"angle_deg": 10.0}), np.random.default_rng(4))
+    start = np.tile(model.home, (len(pose), 1))
+    found = find_poses(sensors, model.layout.nominal, sensors.read(model.layout.nominal, pose), start)
+    np.testing.assert_allclose(found.pose, pose, rtol=0, atol=1e-8)
+
+
+def test_noisy_readings_give_the_least_squares_pose(rng):
+    """No step away from it explains the readings better."""
+    model, sensors, pose = setting()
+    nominal = model.layout.nominal
+    measured = sensors.read(nominal, pose) + sensors.noise * rng.standard_normal((len(pose), 8))
+    found = find_poses(sensors, nominal, measured, pose)
+    best = (found.error**2).sum(axis=1)
+    for move in 1e-4 * np.concatenate([np.eye(3), -np.eye(3)]):
+        other = (measured - sensors.read(nominal, found.pose + move)) / sensors.noise
+        assert ((other**2).sum(axis=1) > best).all()
+
+
+def test_readings_of_no_pose_are_named_or_flagged():
+    model, sensors, pose = setting()
+    measured = sensors.read(model.layout.nominal, pose)
+    measured[4, :2] += 5000.0
+    with pytest.raises(NumericalError, match="pose 5: no pose found"):
+        find_poses(sensors, model.layout.nominal, measured, pose)
+    found = find_poses(sensors, model.layout.nominal, measured, pose, check=False)
+    assert found.converged.tolist() == [k != 4 for k in range(len(pose))]
+
+
+@pytest.mark.parametrize("names", SETS.values())
+def test_null_basis_is_orthonormal_and_sees_no_pose(names):
+    model, sensors, pose = setting(names)
+    here = sensors.linearise(model.layout.nominal, pose)
+    basis = null_basis(here.by_pose)
+    assert basis.shape == (len(pose), sensors.redundancy, len(sensors.chosen))
+    identity = basis @ np.swapaxes(basis, 1, 2)
+    np.testing.assert_allclose(identity, np.broadcast_to(np.eye(sensors.redundancy), identity.shape), atol=1e-12)
+    scale = np.abs(here.by_pose).max()
+    assert np.abs(basis @ here.by_pose).max() < 1e-12 * scale
+
+
+@pytest.mark.parametrize("names", SETS.values())
+def test_eliminated_rows_are_what_re_found_poses_leave(names, rng):
+    """The machine moves, every pose follows: what is left of its readings is what the rows say."""
+    model, sensors, pose = setting(names)
+    nominal = model.layout.nominal
+    rows = eliminate_poses(sensors.linearise(nominal, pose))
+    basis = null_basis(sensors.linearise(nominal, pose).by_pose)
+    for _ in range(5):
+        move = rng.standard_normal(model.layout.size) * np.where(np.array(model.layout.units) == "mm", 1e-3, 1e-6)
+        left = [find_poses(sensors, nominal + sign * move, sensors.read(nominal, pose), pose).error for sign in (1, -1)]
+        change = np.einsum("pzk,pk->pz", basis, 0.5 * (left[0] - left[1]))
+        np.testing.assert_allclose(change, -rows @ move, rtol=1e-5, atol=1e-6 * np.abs(rows @ move).max())
+
+
+def test_a_singular_jacobian_has_no_solution(rng):
+    jacobian = rng.standard_normal((4, 5, 3))
+    jacobian[1, :, 2] = 2.0 * jacobian[1, :, 0]
+    jacobian[2, 0, 0] = np.nan
+    right = rng.standard_normal((4, 5))
+    found = solve_least_squares(jacobian, right)
+    assert np.isnan(found).all(axis=1).tolist() == [False, True, True, False]
+    for k in (0, 3):
+        np.testing.assert_allclose(found[k], np.linalg.lstsq(jacobian[k], right[k], rcond=None)[0], rtol=1e-9)
+
+
+def test_too_few_equations_are_counted():
+    _, sensors, _ = setting(("s",))
+    sensors.check(18, 18)
+    with pytest.raises(InputError, match=r"found 17 equations \(17 poses with 4 readings, less 3 unknowns"):
+        sensors.check(17, 18)
+    three = sensors.select(np.arange(3))
+    with pytest.raises(InputError, match="found 0 equations"):
+        three.check(1000, 1)
+    with pytest.raises(InputError, match="found 0 equations"):
+        sensors.select(np.arange(2)).check(1000, 1)
+
+
+@pytest.mark.parametrize("noise", [0.0, -1.0, np.nan, np.inf])
+def test_noise_must_be_above_zero(noise):
+    model = LinearModel(np.eye(2), np.eye(2))
+    with pytest.raises(InputError, match=r"sensor s\[2\]: found a noise of"):
+        SensorSet(model, np.arange(2), np.array([1.0, noise]))

@@ -1,0 +1,196 @@
+"""The posterior with its poses integrated out, against parameters and poses sampled together and closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from reading_machines import (
+    SETS,
+    WORKSPACE,
+    JointTarget,
+    gaussian_log_evidence,
+    sliding_star,
+    small_posterior,
+    star_of,
+)
+
+from bayescal.density.priors import NormalPrior
+from bayescal.density.readings.posterior import SelfCalibrationPosterior
+from bayescal.errors import InputError
+from bayescal.experiments.shared.reading_machine import workspace_volume
+from bayescal.inference.bridge import estimate_by_bridge
+from bayescal.inference.exploration import explore
+from bayescal.inference.importance import estimate_by_importance
+from bayescal.inference.mode import find_modes
+from bayescal.inference.sampling import sample_posterior
+from bayescal.machines.readings.schema import ReadingTolerancesConfig
+
+TINY = ReadingTolerancesConfig(length_mm=1e-3, angle_deg=1e-4, zero_deg=1e-3)
+
+
+def sample(target, seed, steps=120):
+    """Return draws in sampling coordinates (S, n), and the evidence by importance and by bridge sampling."""
+    seeds = np.random.SeedSequence(seed).spawn(2)
+    found = explore(target, seeds[0], 64)
+    density = found.straight.log_density
+    importance = estimate_by_importance(density, found.proposal, np.random.default_rng(seed), 4000)
+    draws = sample_posterior(found, seeds[1], 4, 64, 20, steps)
+    rng = np.random.default_rng(seed + 1)
+    bridge = estimate_by_bridge(density, draws.straight, draws.log_density, rng, 4000, found.proposal)
+    assert not draws.diagnostics.list_problems()
+    return draws.y.reshape(-1, target.n_parameters), importance.log_evidence, bridge.log_evidence
+
+
+# --- against the poses as unknowns -----------------------------------------------------------------------------------
+
+JOINT = [
+    pytest.param(3, ("s", "phi"), 6, id="three legs"),
+    pytest.param(4, SETS[8], 10, id="8 sensors", marks=pytest.mark.slow),
+    pytest.param(4, SETS[4], 20, id="4 sensors", marks=pytest.mark.slow),
+    pytest.param(4, SETS[12], 15, id="12 sensors", marks=pytest.mark.slow),
+    pytest.param(5, ("s", "psi"), 15, id="five legs", marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize(("n_legs", "names", "n_poses"), JOINT)
+def test_parameters_and_poses_sampled_together_give_the_same(n_legs, names, n_poses):
+    posterior = small_posterior(names, n_poses, 3, sliding_star() if n_legs == 4 else star_of(n_legs))
+    joint = JointTarget(posterior)
+    own, *evidence = sample(posterior, 1)
+    both, *joint_evidence = sample(joint, 2)
+    both = both[:, : posterior.n_parameters]
+    assert np.abs((own.mean(axis=0) - both.mean(axis=0)) / own.std(axis=0)).max() < 0.1
+    np.testing.assert_allclose(both.std(axis=0), own.std(axis=0), rtol=0.05)
+    assert np.ptp([*evidence, *joint_evidence]) < 0.1
+
+
+@pytest.mark.parametrize("names", SETS.values(), ids=[f"{n} sensors" for n in SETS])
+def test_the_poses_follow_their_normal_given_the_parameters(names, rng):
+    """Without any sampler: joint density by eliminated density times the pose's normal is one, wherever one looks."""
+    posterior = small_posterior(names, 20, 5)
+    joint = JointTarget(posterior)
+    mode = find_modes(posterior)[0]
+    y = mode.y + rng.standard_normal((300, posterior.n_parameters)) @ np.linalg.cholesky(mode.covariance).T
+    theta = posterior.theta(y)
+    pose, _ = posterior.likelihood.find_poses(theta)
+    slope = joint.sensors.linearise(theta[:, None], pose, with_parameters=False).by_pose
+    factor = np.linalg.cholesky(np.linalg.inv(np.swapaxes(slope, -1, -2) @ slope))
+    normal = rng.standard_normal(pose.shape)
+    density = -0.5 * (normal**2).sum(axis=(1, 2)) - 30 * np.log(2 * np.pi) - np.linalg.slogdet(factor)[1].sum(axis=1)
+    stands = joint.join(y, pose + np.einsum("bpij,bpj->bpi", factor, normal))
+    log_joint = joint.log_density(stands) - np.linalg.slogdet(joint.unit)[1].sum()
+    weight = log_joint - posterior.log_density(y) - density
+    assert np.abs(weight).max() < 1e-2
+    assert abs(weight.mean()) < 1e-4
+
+
+def test_the_joint_density_of_the_tests_has_its_gradient():
+    joint = JointTarget(small_posterior(SETS[8], 6, 3))
+    y = joint.approach() + 1e-3
+    steps = 1e-4 * np.eye(len(y))
+    differences = (joint.log_density(y + steps) - joint.log_density(y - steps)) / 2e-4
+    gradient = joint.gradient(y)[0]
+    np.testing.assert_allclose(gradient, differences, rtol=0, atol=1e-7 * np.abs(gradient).max())
+
+
+# --- closed forms ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("names", SETS.values(), ids=[f"{n} sensors" for n in SETS])
+def test_evidence_has_the_closed_form_where_tolerances_are_tiny(names):
+    posterior = small_posterior(names, 26, 7, tolerances=TINY)
+    likelihood = posterior.likelihood
+    pose, _ = likelihood.find_poses(posterior.centre[None])
+    expected = gaussian_log_evidence(
+        likelihood.sensors, likelihood.measured, pose[0], posterior.moves, workspace_volume(WORKSPACE)
+    )
+    _, importance, bridge = sample(posterior, 3, steps=40)
+    assert importance == pytest.approx(expected, abs=0.02)
+    assert bridge == pytest.approx(expected, abs=0.02)
+
+
+def test_covariance_is_that_of_the_draws():
+    posterior = small_posterior(SETS[8], 20, 9)
+    draws, _, _ = sample(posterior, 4, steps=40)
+    mode = posterior.approach()
+    factor = np.linalg.cholesky(posterior.covariance(mode))
+    white = np.linalg.solve(factor, (draws - mode).T)
+    np.testing.assert_allclose(np.cov(white), np.eye(len(mode)), atol=0.1)
+
+
+# --- gradient, coordinates -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("common", [(), ("l",)], ids=["", "one length"])
+@pytest.mark.parametrize("names", SETS.values(), ids=[f"{n} sensors" for n in SETS])
+def test_gradient_against_differences(names, common, rng):
+    posterior = small_posterior(names, 20, 11, common=common)
+    mode = posterior.approach()
+    factor = np.linalg.cholesky(posterior.covariance(mode))  # a step along one parameter alone is far off a ridge
+    for distance in (0.0, 1.0, 5.0):
+        y = mode + distance * factor @ rng.standard_normal(len(mode))
+        steps = 1e-2 * factor.T
+        differences = (posterior.log_density(y + steps) - posterior.log_density(y - steps)) / 2e-2
+        gradient = factor.T @ posterior.gradient(y)[0]
+        np.testing.assert_allclose(gradient, differences, rtol=1e-4, atol=1e-4)
+
+
+def test_gauss_newton_hessian_is_the_curvature_at_the_mode():
+    posterior = small_posterior(SETS[12], 20, 13)
+    mode = posterior.approach()
+    hessian = posterior.gradient(mode)[1]
+    factor = np.linalg.cholesky(np.linalg.inv(-hessian))
+    steps = 1e-2 * factor.T
+    middle = posterior.log_density(mode[None])[0]
+    curvature = (posterior.log_density(mode + steps) + posterior.log_density(mode - steps) - 2 * middle) / 1e-4
+    np.testing.assert_allclose(curvature, -1.0, atol=5e-3)
+
+
+def test_parameters_that_deviate_alike_are_one_coordinate(rng):
+    posterior = small_posterior(SETS[8], 20, 11, common=("l",))
+    every = small_posterior(SETS[8], 20, 11)
+    assert posterior.n_parameters == every.n_parameters - 3
+    assert [name for name in posterior.names if name.startswith("l")] == ["l"]
+    y = rng.standard_normal((4, posterior.n_parameters))
+    layout = posterior.likelihood.sensors.model.layout
+    lengths = layout.take(posterior.theta(y), "l") - layout.take(layout.nominal, "l")
+    place = posterior.names.index("l")
+    np.testing.assert_allclose(lengths, np.repeat(0.3 * y[:, place, None], 4, axis=1), rtol=1e-9)
+    np.testing.assert_allclose(posterior.natural(y)[:, place], 800.0 + 0.3 * y[:, place])
+    spread = every.natural(np.zeros((1, every.n_parameters)))
+    assert spread.shape == (1, 22)
+    same = posterior.log_density(y) - posterior.log_prior(y)
+    np.testing.assert_allclose(same, every.likelihood(posterior.theta(y)), rtol=1e-12)
+
+
+def test_prior_is_normal_about_the_machine_as_expected():
+    posterior = small_posterior(SETS[4], 20, 11)
+    y = np.zeros((1, posterior.n_parameters))
+    assert (posterior.theta(y)[0] == posterior.likelihood.sensors.model.layout.nominal).all()
+    assert posterior.log_prior(y)[0] == pytest.approx(-9.0 * np.log(2 * np.pi))
+
+
+@pytest.mark.parametrize(
+    ("priors", "fixed", "common"),
+    [
+        ({"l[9]": 1.0}, {}, {}),
+        ({"l[1]": 1.0}, {"x": 0.0}, {}),
+        ({"l": 1.0}, {}, {"l": ("l[1]", "l[7]")}),
+        ({"l": 1}, {}, {}),
+    ],
+)
+def test_unknown_parameters_are_refused(priors, fixed, common):
+    likelihood = small_posterior(SETS[8], 20, 11).likelihood
+    with pytest.raises(InputError, match="unknown here, expected one of x_P, y_P"):
+        SelfCalibrationPosterior(likelihood, {k: NormalPrior(0.0, v) for k, v in priors.items()}, fixed, common)
+
+
+def test_a_fixed_value_stays():
+    likelihood = small_posterior(SETS[8], 20, 11).likelihood
+    posterior = SelfCalibrationPosterior(likelihood, {"l[1]": NormalPrior(801.0, 0.5)}, {"l[2]": 799.5})
+    assert likelihood.sensors.model.layout.take(posterior.theta(np.ones((1, 1))), "l")[0].tolist() == [
+        801.5,
+        799.5,
+        800,
+        800,
+    ]

@@ -1,0 +1,130 @@
+"""The audit as its users meet it: exit codes, one line on standard error, everything written or nothing."""
+
+from __future__ import annotations
+
+import json
+
+import audit_problems as problems
+import pytest
+
+from bayescal.experiments.audit import run as run_module
+
+SMALL = """
+extends = "base.toml"
+simulated_calibrations = 4
+expected_over_draws = 3
+profiles = ["l[1]"]
+
+[workspace]
+poses = 20
+
+[sweep]
+noise = [1.0]
+poses = [10, 40]
+workspace = [1.0]
+
+[[what_if]]
+name = "<b>twice</b>"
+poses_factor = 2.0
+"""
+
+
+@pytest.fixture
+def design(tmp_path):
+    """Return a design that extends a copy of the camera hexapod's."""
+    shipped = (problems.DESIGNS / "camera_hexapod.toml").read_text()
+    shipped = shipped.replace('"camera_hexapod_mechanism', f'"{problems.DESIGNS}/camera_hexapod_mechanism')
+    (tmp_path / "base.toml").write_text(shipped)
+    path = tmp_path / "design.toml"
+    path.write_text(SMALL)
+    return path
+
+
+def test_an_audit_writes_results_and_report(call, design, tmp_path):
+    out = tmp_path / "out"
+    code, said, complaint = call("audit", design, "--out", out)
+    assert (code, complaint) == (0, "")
+    assert "Of 42 parameters" in said
+    summary = json.loads((out / "audit.json").read_text())
+    assert summary["simulated_calibrations"]["n"] == 4
+    assert all("posterior_sd_over_draws" in values for values in summary["parameters"].values())
+    assert [change["name"] for change in summary["what_if"]] == ["<b>twice</b>", "40 poses chosen I-optimally"]
+    page = (out / "audit.html").read_text()
+    assert "<b>twice" not in page
+    assert "&lt;b&gt;twice" in page
+    before = page
+    assert call("report", out)[0] == 0
+    assert (out / "audit.html").read_text() == before
+    assert call("audit", design, "--out", out)[0] == 0  # its own results may be replaced
+    assert not list(tmp_path.glob("*.partial"))
+
+
+def test_the_same_design_gives_the_same_numbers(call, design, tmp_path):
+    for name in ("one", "other"):
+        assert call("audit", design, "--out", tmp_path / name)[0] == 0
+    one, other = ((tmp_path / name / "audit.json").read_text() for name in ("one", "other"))
+    assert one == other
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ('measured_by = ["laser"]', "measured_by: found sensor 'laser', expected one of better_tracker"),
+        ('[parameters]\nl = { prior = "normal", sd = 0.0 }', "found 0.0, expected greater than"),
+        ('profiles = ["q[1]"]', "profile of 'q[1]': not free here"),
+        ("[poses]\ncount = 0", "poses.count: found 0"),
+        ("[poses]\nrange_mm = 20.0", "expected at most the actuator range of 14.1 mm"),
+        ("[workspace]\nposition_mm = [90.0, 0.0, 0.0]", "workspace: out of reach at x"),
+    ],
+)
+def test_a_design_at_fault_is_one_line_and_nothing_is_written(call, design, tmp_path, change, message):
+    design.write_text(f'extends = "base.toml"\n{change}\n')
+    code, said, complaint = call("audit", design, "--out", tmp_path / "out")
+    assert (code, said, complaint.count("\n")) == (2, "", 1)
+    assert message in complaint
+    assert "design.toml" in complaint
+    assert not (tmp_path / "out").exists()
+
+
+def test_other_directories_are_left_alone(call, design, tmp_path):
+    precious = tmp_path / "precious"
+    precious.mkdir()
+    (precious / "notes.txt").write_text("mine")
+    code, _, complaint = call("audit", design, "--out", precious)
+    assert code == 2
+    assert "holds no audit" in complaint
+    assert [path.name for path in precious.iterdir()] == ["notes.txt"]
+
+
+def test_a_failure_on_the_way_leaves_the_old_results(call, design, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    assert call("audit", design, "--out", out)[0] == 0
+    before = {path: path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
+
+    def fail(folder):
+        raise OSError(28, "No space left on device", str(folder))
+
+    monkeypatch.setattr(run_module, "write_audit_report", fail)
+    code, _, complaint = call("audit", design, "--out", out)
+    assert code == 2
+    assert "No space left" in complaint
+    assert {path: path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()} == before
+
+
+def test_a_posterior_that_did_not_converge_is_exit_code_3(call, design, tmp_path, monkeypatch):
+    compute_audit = run_module.compute_audit
+
+    def compute(config, folder, planner):
+        results = compute_audit(config, folder, planner)
+        results.summary["posterior"] = {
+            **{"origin": "made up", "n_draws": 8, "converged": False, "problems": ["R-hat 1.2"], "parameters": {}},
+            **{"requirements": {}, "principal_angle_deg": None},
+        }
+        return results
+
+    monkeypatch.setattr(run_module, "compute_audit", compute)
+    code, said, complaint = call("audit", design, "--out", tmp_path / "out")
+    assert (code, complaint.count("\n")) == (3, 1)
+    assert "did not converge" in complaint
+    assert "Of 42 parameters" in said
+    assert (tmp_path / "out" / "audit.html").is_file()

@@ -1,0 +1,63 @@
+"""Every shipped design runs and says what its machine is known to hide; the command line runs one as a user would."""
+
+from __future__ import annotations
+
+import json
+
+import audit_problems as problems
+import numpy as np
+import pytest
+
+from bayescal.experiments.audit.audit import analyse
+from bayescal.experiments.audit.inputs import read_inputs
+from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.audit.run import compute_audit
+
+NULLS = {"six_pus": 6, "beam": 6, "jacobian": {"none": 24, "linear": 30, "matrix": 30}}
+HEXAPODS = {"camera_hexapod": (42, 42), "m2_hexapod": (42, 42), "camera_hexapod_frames": (54, 42)}
+KEYS = {"contraction", "nats", "kind", "loadings", "sentence"}
+
+
+@pytest.mark.parametrize("name", problems.SHIPPED)
+def test_shipped_design(name):
+    path = problems.DESIGNS / f"{name}.toml"
+    config = load_audit(path).model_copy(update={"simulated_calibrations": 0, "expected_over_draws": 0})
+    summary = compute_audit(config, path.parent).summary
+    json.dumps(summary, allow_nan=False)
+    assert summary["structural_rank_is_clear"]
+    n, rank = summary["n_parameters"], summary["structural_rank"]
+    if name in HEXAPODS:
+        assert (n, rank) == HEXAPODS[name]
+        assert {s.partition("[")[0] for s in summary["recommended_free"]} >= {"l"}
+    else:
+        _, *model, deformation = name.split("_")
+        expected = NULLS.get("_".join(model), 6)
+        expected = expected[deformation] if isinstance(expected, dict) else expected
+        if "stiffness" in name:
+            assert n - rank >= expected  # springs in a row besides
+        else:
+            assert n - rank == expected
+        last = "u_x" if deformation == "none" else "kappa"
+        assert {s.partition("[")[0] for s in summary["recommended_free"]} == {"a_x", "a_y", "b_x", "b_y", "l", last}
+    assert all(set(direction) >= KEYS for direction in summary["directions"])
+    for name_, values in summary["parameters"].items():
+        assert values["verdict"] in ("identifiable", "weak", "not"), name_
+        assert values["why"]
+    assert set(summary["recommended_free"]) <= set(summary["parameters"])
+    assert all({"limit", "predicted_sd", "probability"} <= set(r) for r in summary["requirements"].values())
+
+
+def test_directions_of_rubins_m2_hexapod():
+    """Strut 4 lies along x at home: of a_x, b_x and l it shows the sum alone."""
+    path = problems.DESIGNS / "m2_hexapod.toml"
+    inputs = read_inputs(load_audit(path), path.parent)
+    knowledge, analysis = inputs.knowledge, analyse(inputs)
+    weak = np.stack([d.vector for d in analysis.directions if d.kind == "practical"], axis=1)
+    basis = np.linalg.qr(weak)[0]
+    for symbols, moves in ((("a_x", "l"), (1.0, 1.0)), (("b_x", "l"), (1.0, -1.0)), (("a_x", "b_x"), (1.0, 1.0))):
+        vector = np.zeros(len(knowledge.names))
+        for symbol, move in zip(symbols, moves, strict=True):
+            place = knowledge.names.index(f"{symbol}[4]")
+            vector[place] = (-move if symbols[1] == "l" and symbol == "l" else move) / knowledge.sd[place]
+        vector /= np.linalg.norm(vector)
+        assert np.linalg.norm(basis.T @ vector) > 0.99, symbols

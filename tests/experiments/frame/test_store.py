@@ -1,0 +1,355 @@
+"""Results are replaced whole or not at all; finished tasks survive a kill, damaged ones count as not finished."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pickle
+import random
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studies import snapshot
+
+from bayescal.errors import InputError
+from bayescal.experiments.frame import store as store_module
+from bayescal.experiments.frame.store import IDENTITY_FILE, PROVENANCE_FILE, Store, list_differences
+from bayescal.experiments.study.inputs import hash_identity
+from bayescal.files.atomic import read_json, write_atomically
+
+IDENTITY = {"config": {"seed": 1, "sampler": {"steps": 10}, "free": ["a", "b"]}, "files": {"data.csv": "abc"}}
+ARRAYS = {"draws": np.arange(600.0).reshape(20, 30), "wall_seconds": np.array(0.5)}
+
+
+class KilledError(BaseException):
+    """Stands for the moment at which a process is killed."""
+
+
+@pytest.fixture
+def store(tmp_path) -> Store:
+    """Return a store that has begun."""
+    found = Store(tmp_path / "results" / "study")
+    found.begin(IDENTITY, resume=False)
+    return found
+
+
+def fill(folder: Path, content: str) -> None:
+    """Put the results of one run in a folder."""
+    provenance = {"config_sha256": hash_identity(IDENTITY), **IDENTITY}
+    (folder / PROVENANCE_FILE).write_text(json.dumps(provenance))
+    (folder / "tables").mkdir()
+    for name in ("summary.json", "tables/ranking.csv"):
+        (folder / name).write_text(content)
+
+
+def contents(folder: Path) -> set[str]:
+    return {(folder / name).read_text() for name in ("summary.json", "tables/ranking.csv")}
+
+
+def list_names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def publish(store: Store, content: str) -> None:
+    fill(store.stage(), content)
+    store.publish()
+
+
+# --- publishing ------------------------------------------------------------------------------------------------------
+
+
+def test_publish_makes_the_results_and_removes_the_work(store):
+    store.save_task("k", ARRAYS)
+    publish(store, "new")
+    assert contents(store.out) == {"new"}
+    assert list_names(store.out.parent) == ["study"]
+
+
+def test_publish_replaces_everything(store):
+    publish(store, "old")
+    (store.out / "left over").touch()
+    store.begin(IDENTITY, resume=False)
+    publish(store, "new")
+    assert contents(store.out) == {"new"}
+    assert not (store.out / "left over").exists()
+    assert list_names(store.out.parent) == ["study"]
+
+
+@pytest.mark.parametrize("step", ["stage", "rename", "exchange", "remove staged", "remove partial"])
+@pytest.mark.parametrize("exists", [False, True], ids=["first", "again"])
+def test_kill_leaves_the_old_results_or_the_new(store, monkeypatch, step, exists):
+    if exists:
+        publish(store, "old")
+        store.begin(IDENTITY, resume=False)
+    fill(store.stage(), "new")
+    done = []
+
+    def kill(*arguments, **options):
+        raise KilledError
+
+    def kill_second_time(path, **options):
+        if done:
+            raise KilledError
+        done.append(path)
+
+    with monkeypatch.context() as patched:
+        if step == "stage":
+            (store.staged / "tables" / "ranking.csv").unlink()  # killed while writing: nothing is published
+        elif step == "rename":
+            patched.setattr(Path, "rename", kill)
+            patched.setattr(store_module, "_exchange", kill)
+        elif step == "exchange":
+            patched.setattr(store_module.shutil, "rmtree", kill)
+        else:
+            patched.setattr(store_module.shutil, "rmtree", kill if step == "remove staged" else kill_second_time)
+        if step != "stage":
+            with contextlib.suppress(KilledError):
+                store.publish()
+    if store.out.exists():
+        assert contents(store.out) in ({"old"}, {"new"})
+        assert contents(store.out) == ({"old"} if step in ("stage", "rename") else {"new"})
+    else:
+        assert not exists
+        assert step in ("stage", "rename")
+    store.check_results(IDENTITY)
+    store.begin(IDENTITY, resume=False)
+    publish(store, "next")
+    assert contents(store.out) == {"next"}
+    assert list_names(store.out.parent) == ["study"]
+
+
+def test_exchange_is_one_system_call_here(store, monkeypatch):
+    publish(store, "old")
+    store.begin(IDENTITY, resume=False)
+    fill(store.stage(), "new")
+    monkeypatch.setattr(Path, "rename", None)  # a second step would be needed without the system call
+    store.publish()
+    assert contents(store.out) == {"new"}
+
+
+def test_exchange_without_the_system_call(store, monkeypatch):
+    publish(store, "old")
+    store.begin(IDENTITY, resume=False)
+    monkeypatch.setattr(store_module.ctypes, "CDLL", lambda *_, **__: None)
+    publish(store, "new")
+    assert contents(store.out) == {"new"}
+    assert list_names(store.out.parent) == ["study"]
+
+
+def test_results_behind_a_link_are_replaced_where_they_are(store):
+    publish(store, "old")
+    link = store.out.parent.parent / "link"
+    link.symlink_to(store.out)
+    linked = Store(link)
+    linked.begin(IDENTITY, resume=False)
+    publish(linked, "new")
+    assert link.is_symlink()
+    assert contents(store.out) == {"new"}
+
+
+def test_current_directory_may_hold_the_results(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    store = Store(Path())
+    store.check_results(IDENTITY)
+    store.begin(IDENTITY, resume=False)
+    publish(store, "new")
+    assert contents(tmp_path / "here") == {"new"}
+
+
+def test_write_atomically_leaves_the_old_file_when_killed(tmp_path, monkeypatch):
+    path = tmp_path / "file"
+    write_atomically(path, b"old")
+
+    def kill(*_):
+        raise KilledError
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", kill)
+        with pytest.raises(KilledError):
+            write_atomically(path, b"new")
+    assert path.read_bytes() == b"old"
+    write_atomically(path, b"new")
+    assert snapshot(tmp_path) == {"file": b"new"}
+
+
+def test_write_atomically_to_a_directory(tmp_path):
+    with pytest.raises(InputError, match="is a directory, expected a file name"):
+        write_atomically(tmp_path, b"text")
+
+
+# --- refusals --------------------------------------------------------------------------------------------------------
+
+
+def test_new_and_empty_directories_and_own_results_are_fine(store):
+    store.check_results(IDENTITY)
+    store.out.mkdir()
+    store.check_results(IDENTITY)
+    publish(store, "old")
+    store.check_results(IDENTITY)
+
+
+def test_results_of_another_config_are_refused(store):
+    publish(store, "old")
+    other = json.loads(json.dumps(IDENTITY))
+    other["config"]["seed"] = 2
+    before = snapshot(store.out.parent)
+    with pytest.raises(InputError, match=r"holds results of another config .*, expected those of this one") as caught:
+        store.check_results(other)
+    assert "\n" not in str(caught.value)
+    assert snapshot(store.out.parent) == before
+
+
+def test_a_directory_without_results_is_refused(store):
+    store.out.mkdir()
+    (store.out / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match="holds no results of a study"):
+        store.check_results(IDENTITY)
+
+
+def test_a_file_is_refused(store):
+    store.out.write_text("years of work")
+    with pytest.raises(InputError, match="holds no results of a study"):
+        store.check_results(IDENTITY)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1]", '"x"', "\x00"])
+def test_damaged_provenance_is_refused(store, text):
+    store.out.mkdir()
+    (store.out / PROVENANCE_FILE).write_text(text)
+    with pytest.raises(InputError, match=r"provenance\.json") as caught:
+        store.check_results(IDENTITY)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_foreign_directory_in_the_way_of_the_work_is_not_emptied(tmp_path):
+    store = Store(tmp_path / "study")
+    store.partial.mkdir()
+    (store.partial / "thesis.tex").write_text("years of work")
+    before = snapshot(tmp_path)
+    with pytest.raises(InputError, match="is no interrupted run"):
+        store.begin(IDENTITY, resume=False)
+    assert snapshot(tmp_path) == before
+
+
+def test_begin_again_forgets_the_interrupted_run(store):
+    store.save_task("k", ARRAYS)
+    (store.partial / "k2.npz.tmp").write_bytes(b"half")
+    store.begin(IDENTITY, resume=False)
+    assert list_names(store.partial) == [IDENTITY_FILE]
+
+
+# --- resuming --------------------------------------------------------------------------------------------------------
+
+
+def test_resume_keeps_the_tasks(store):
+    store.save_task("k", ARRAYS)
+    store.begin(IDENTITY, resume=True)
+    found = store.load_task("k")
+    assert found is not None
+    assert found.keys() == ARRAYS.keys()
+    for name, values in ARRAYS.items():
+        np.testing.assert_array_equal(found[name], values)
+        assert found[name].dtype == values.dtype
+
+
+def test_nothing_to_resume(tmp_path):
+    with pytest.raises(InputError, match="found no interrupted run, expected one to resume"):
+        Store(tmp_path / "study").begin(IDENTITY, resume=True)
+    assert snapshot(tmp_path) == {}
+
+
+def test_resume_with_another_config_lists_every_difference(store):
+    other = json.loads(json.dumps(IDENTITY))
+    other["config"]["sampler"]["steps"] = 20
+    other["config"]["free"] = ["a", "c"]
+    other["files"]["data.csv"] = "def"
+    other["config"]["new"] = 1
+    before = snapshot(store.out.parent)
+    with pytest.raises(InputError) as caught:
+        store.begin(other, resume=True)
+    message = str(caught.value)
+    assert "\n" not in message
+    for difference in (
+        "config.sampler.steps: 10 -> 20",
+        'config.free[1]: "b" -> "c"',
+        'files.data.csv: "abc" -> "def"',
+        "config.new: null -> 1",
+    ):
+        assert difference in message
+    assert "seed" not in message
+    assert snapshot(store.out.parent) == before
+
+
+def test_no_differences_between_equals():
+    assert list_differences(IDENTITY, json.loads(json.dumps(IDENTITY))) == []
+    assert list_differences({"a": [1, 2]}, {"a": [1, 2, 3]}) == ["a: [1, 2] -> [1, 2, 3]"]
+    assert list_differences({"a": 1}, {"a": {"b": 1}}) == ['a: 1 -> {"b": 1}']
+
+
+# --- tasks -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_task_not_there_is_not_finished(store):
+    assert store.load_task("k") is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_damaged_task_counts_as_not_finished(store, seed):
+    store.save_task("k", ARRAYS)
+    path = store.partial / "k.npz"
+    whole, rng = path.read_bytes(), random.Random(seed)
+    damaged = [b"", b"PK", b"\x93NUMPY", whole[: len(whole) // 2], whole[:-1], whole[1:]]
+    damaged += [whole[: rng.randrange(len(whole))] for _ in range(30)]
+    for _ in range(60):
+        at = rng.randrange(300, 4000)  # in the numbers of the first array
+        damaged.append(whole[:at] + bytes([whole[at] ^ (1 << rng.randrange(8))]) + whole[at + 1 :])
+    for content in damaged:
+        path.write_bytes(content)
+        assert store.load_task("k") is None
+
+
+def test_a_bare_array_is_no_task(store):
+    np.save(store.partial / "k.npy", np.zeros(3))
+    shutil.move(store.partial / "k.npy", store.partial / "k.npz")
+    assert store.load_task("k") is None
+
+
+class Bomb:
+    """Does something on being unpickled."""
+
+    exploded = False
+
+    def __reduce__(self):
+        return (setattr, (Bomb, "exploded", True))
+
+
+def test_nothing_is_unpickled(store):
+    np.savez(store.partial / "k.npz", x=np.array([Bomb()], dtype=object))
+    assert store.load_task("k") is None
+    (store.partial / "k.npz").write_bytes(pickle.dumps(Bomb()))
+    assert store.load_task("k") is None
+    assert not Bomb.exploded
+
+
+def test_nothing_is_pickled(store):
+    with pytest.raises(ValueError, match="Object arrays cannot be saved"):
+        store.save_task("k", {"x": np.array([Bomb()], dtype=object)})
+    assert store.load_task("k") is None
+
+
+def test_read_json_says_what_is_wrong(tmp_path):
+    path = tmp_path / "x.json"
+    for prepare, expected in (
+        (lambda: None, "no such file"),
+        (lambda: path.write_text("[1]"), "found a list, expected a JSON object"),
+        (lambda: path.write_text("{"), "cannot be read as JSON"),
+        (lambda: path.write_bytes(b"\xff"), "cannot be read as UTF-8 text"),
+    ):
+        prepare()
+        with pytest.raises(InputError, match=expected) as caught:
+            read_json(path)
+        assert "\n" not in str(caught.value)

@@ -1,0 +1,64 @@
+"""The committed results of the shipped experiments belong to the shipped configs, and hold what is claimed of them."""
+
+from __future__ import annotations
+
+import json
+
+import pandas as pd
+import pytest
+import studies
+
+from bayescal.config import load_experiment
+from bayescal.experiments.pose_selection.run import identify_selection
+from bayescal.experiments.study.inputs import hash_identity
+
+FOLDER = studies.EXPERIMENTS / "pose_selection"
+RESULTS = studies.EXPERIMENTS.parent / "results"
+NAMES = {
+    "yu2023_table1": "pose_selection_table1",
+    "rr8096_figure14": "pose_selection_figure14",
+    "hexapod_i_optimal": "pose_selection_i_optimal",
+}
+
+
+def read(name: str, table: str) -> pd.DataFrame:
+    return pd.read_csv(RESULTS / name / f"{table}.csv")
+
+
+@pytest.mark.parametrize("experiment", NAMES)
+def test_results_are_those_of_the_shipped_config(experiment):
+    config = load_experiment(FOLDER / f"{experiment}.toml")
+    assert config.name == NAMES[experiment]
+    folder = RESULTS / config.name
+    found = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))["config_sha256"]
+    assert found == hash_identity(identify_selection(config, FOLDER))
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert summary["name"] == config.name
+    assert summary["headline"]
+    chosen = {(c.label or c.method, name, n) for c in config.selections for name in c.criteria for n in c.n_poses}
+    table = read(config.name, "selection_summary")
+    assert {tuple(row) for row in table[["label", "criterion", "n_poses"]].itertuples(index=False)} >= chosen
+
+
+def test_published_indices_are_reached():
+    table = read("pose_selection_table1", "published")
+    assert len(table) == 30
+    assert (table["ratio"] > 0.9995).all()
+
+
+def test_order_of_figure_14_from_15_poses_on():
+    table = read("pose_selection_figure14", "error_summary").set_index(["name", "n_poses"])
+    error = table["mean_position_um"]
+    for n in (15, 20, 40):
+        assert error["continuous", n] < 0.95 * error["exchange", n]
+        assert error["exchange", n] < 0.95 * error["random", n]
+    for n in (7, 8, 10):
+        assert max(error["continuous", n], error["exchange", n]) < error["random", n]
+    assert error["continuous", 40] < error["table_3", 40] < error["exchange", 40]
+
+
+def test_i_optimal_poses_are_better_than_o1_optimal_ones():
+    table = read("pose_selection_i_optimal", "error_summary").set_index(["name", "n_poses"])
+    for column in ("predicted_share_of_limits", "simulated_share_of_limits"):
+        ratio = table.loc["I", column] / table.loc["O1", column]
+        assert ((ratio > 0.97) & (ratio < 0.995)).all(), column

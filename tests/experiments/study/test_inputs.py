@@ -1,0 +1,269 @@
+"""Faults that show only when a study's files meet: found before any long computation, named by file and place."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import studies
+
+from bayescal.config import load_experiment
+from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.study import run as run_module
+from bayescal.experiments.study.run import run_study
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    """Return a folder with a tiny study and its data."""
+    studies.write_tiny_study(tmp_path)
+    return tmp_path
+
+
+def change_targets(folder: Path, change: Callable[[list[str]], list[str] | None]) -> None:
+    path = folder / "data" / "targets.csv"
+    lines = path.read_text().splitlines()
+    rows = [change(line.split(",")) for line in lines[3:]]
+    path.write_text("\n".join([*lines[:3], *(",".join(row) for row in rows if row is not None)]) + "\n")
+
+
+def fail(folder: Path, file: str) -> str:
+    """Return the one-line message with which loading fails; it names the file at fault."""
+    with pytest.raises(InputError) as caught:
+        studies.load_study(folder / "study.toml")
+    message = str(caught.value)
+    assert message.startswith(str(folder / file))
+    assert "expected" in message
+    assert "\n" not in message
+    return message
+
+
+def leave_only_the_variant_none(folder: Path) -> None:
+    """Let no variant need K or a published table."""
+    text = (folder / "study.toml").read_text()
+    at = text.index('[[variants]]\nmodel = "six_pus"\ndeformation = "matrix"')
+    text = text[:at] + text[text.index("[sampler]") :]
+    (folder / "study.toml").write_text(text.replace('kappa = { prior = "normal", sd = 0.01 }\n', ""))
+
+
+@pytest.mark.parametrize(
+    ("change", "pose", "body"),
+    [
+        (lambda row: [*row[:3], *(str(1e-3 * float(x)) for x in row[3:])], "C01", "base"),
+        (lambda row: [*row[:3], "1", "2", "3"] if row[:2] == ["C02", "platform"] else row, "C02", "platform"),
+    ],
+    ids=["metres", "all in one point"],
+)
+def test_targets_that_fit_no_body_name_pose_and_body(folder, change, pose, body):
+    change_targets(folder, change)
+    assert f"pose {pose!r}: {body}: found 0 consistent targets" in fail(folder, "data/targets.csv")
+
+
+@pytest.mark.parametrize("only_none", [False, True], ids=["with K", "without K"])
+def test_pad_that_was_not_seen_names_pose_and_leg(folder, only_none):
+    if only_none:
+        leave_only_the_variant_none(folder)
+    change_targets(folder, lambda row: None if row[0] == "C03" and row[2].startswith("L2") else row)
+    assert "pose 'C03': found no seen target on the pad of leg 2" in fail(folder, "data/targets.csv")
+
+
+@pytest.mark.parametrize("only_none", [False, True], ids=["with K", "without K"])
+def test_poses_too_few_for_the_matrix(folder, only_none):
+    if only_none:
+        leave_only_the_variant_none(folder)
+    path = folder / "data" / "actuators.csv"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:8], *(x for x in lines[8:] if x.startswith("V"))]) + "\n")
+    kept = {line.split(",")[0] for line in path.read_text().splitlines()}
+    change_targets(folder, lambda row: row if row[0] in kept else None)
+    assert "found 5 poses with actuator displacements in 5 independent directions" in fail(folder, "data/targets.csv")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("l,mm", "l,cm", "line 3: unit: found 'cm', expected one of mm, 1, 1e-3"),
+        ("0.37", "about 0.4", "line 3: leg1: found 'about 0.4', expected a number"),
+        (",leg6", "", "line 2: found no column 'leg6'"),
+    ],
+)
+def test_faulty_published_table(folder, old, new, expected):
+    studies.edit(folder / "published.csv", old, new)
+    assert expected in fail(folder, "published.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "expected"),
+    [
+        ("study.toml", "target_noise_um = 3.0", "target_noise_um = 1e-300", "data.target_noise_um: found 1e-300"),
+        ("study.toml", "actuator_noise_um = 1.0", "actuator_noise_um = 1e200", "data.actuator_noise_um: found 1e+200"),
+        ("study.toml", "sd = 2.0", "sd = 1e300", "parameters.l.sd: found 1e+300"),
+        ("study.toml", "tolerance_mm = [2.0]", "tolerance_mm = [1e-300]", "sensitivity.tolerance_mm.0: found 1e-300"),
+        ("study.toml", "offset = 0.0", "offset = 1e300", "parameters.b_z.offset: found 1e+300"),
+        ("study.toml", 'free = ["l"]', 'free = ["l", "l"]', "frees 'l' twice, expected each symbol once"),
+        ("study.toml", "draws = 1000", "draws = 5000", "max_draws 1000 below draws 5000"),
+        ("mechanism.toml", "[0.0, 0.0, 1.0]", "[0.0, 0.0, 1e300]", "legs.direction.2: found 1e+300"),
+        ("mechanism.toml", "radius_mm = 130.0", "radius_mm = 9.0\npoints_mm = [[1, 2, 3]]", "platform: expected"),
+        ("mechanism.toml", "azimuth_deg = [265.0", "points_mm = [[1, 2, 3]]\n#", "platform: expected either"),
+    ],
+)
+def test_slips_in_numbers(folder, name, old, new, expected):
+    studies.edit(folder / name, old, new)
+    assert expected in fail(folder, name)
+
+
+# --- models of flexures ----------------------------------------------------------------------------------------------
+
+FIRST_VARIANT = 'model = "six_pus"\ndeformation = "none"\nfree = ["l"]'
+FIXED = 'b_z = { prior = "fixed", offset = 0.0 }\n'
+
+
+def choose(folder: Path, model: str, parameter: str = "", free: str = '["l"]') -> None:
+    """Let the study's first variant take another model, with one more line of [parameters] and what it frees."""
+    studies.edit(folder / "study.toml", FIRST_VARIANT, f'model = "{model}"\ndeformation = "none"\nfree = {free}')
+    studies.edit(folder / "study.toml", FIXED, f"{FIXED}{parameter}\n")
+
+
+def fail_variant(folder: Path, name: str) -> str:
+    """Return the one-line message with which loading fails; it names the variant at fault."""
+    with pytest.raises(InputError) as caught:
+        studies.load_study(folder / "study.toml")
+    message = str(caught.value)
+    assert message.startswith(f"variant {name!r}: ")
+    assert "expected" in message
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize(
+    ("model", "parameter", "expected"),
+    [
+        (
+            "beam",
+            "beta = { prior = 'fixed', offset = 0.35 }",
+            "parameter beta[1]: found 0.6, expected above 0 and below",
+        ),
+        (
+            "beam",
+            "beta = { prior = 'fixed', offset = [0, 0, 0, -0.25, 0, 0] }",
+            "parameter beta[4]: found 0, expected above 0 and below 0.5",
+        ),
+        ("beam", "l_b = { prior = 'fixed', offset = -11 }", "parameter l_b[1]: found -1 mm, expected above 0"),
+        (
+            "stiffness",
+            "k1_d = { prior = 'fixed', offset = -1e6 }",
+            "parameter k1_d: found -990183 N mm2, expected above",
+        ),
+        (
+            "six_pus",
+            "u_x = { prior = 'fixed', offset = 1.5 }",
+            "parameter u_x[1]: found 1.5, expected above -1 and below",
+        ),
+    ],
+)
+def test_values_fixed_outside_the_bounds(folder, model, parameter, expected):
+    choose(folder, model, parameter)
+    assert expected in fail_variant(folder, f"{model}/none")
+
+
+@pytest.mark.parametrize(
+    ("model", "symbol", "width", "expected"),
+    [
+        ("beam", "beta", "0.3", "parameter beta[1]: found a prior from -0.05 to 0.55, expected it between 0 and 0.5"),
+        ("beam", "beta", "[0.1, 0.1, 0.3, 0.1, 0.1, 0.1]", "parameter beta[3]: found a prior from -0.05 to 0.55"),
+        ("beam", "l_b", "11.0", "parameter l_b[1]: found a prior from -1 to 21, expected it between 0"),
+        (
+            "stiffness",
+            "k1_d",
+            "1e6",
+            "parameter k1_d: found a prior from -990183 to 1.00982e+06, expected it between 0",
+        ),
+        ("six_pus", "u_x", "1.5", "parameter u_x[1]: found a prior from -1.5 to 1.5, expected it between -1 and 1"),
+    ],
+)
+def test_uniform_priors_that_leave_the_bounds(folder, model, symbol, width, expected):
+    choose(folder, model, f"{symbol} = {{ prior = 'uniform', half_width = {width} }}", f'["{symbol}"]')
+    assert expected in fail_variant(folder, f"{model}/none")
+
+
+@pytest.mark.parametrize(
+    ("model", "parameters"),
+    [
+        ("six_pus", "u_x = { prior = 'fixed', offset = 0.8 }\nu_y = { prior = 'fixed', offset = 0.8 }"),
+        ("jacobian", "a_x = { prior = 'fixed', offset = [0, 0, 600.0, 0, 0, 0] }"),
+        ("beam", "a_x = { prior = 'fixed', offset = [0, 0, 600.0, 0, 0, 0] }"),
+        ("stiffness", "a_x = { prior = 'fixed', offset = [0, 0, 600.0, 0, 0, 0] }"),
+    ],
+    ids=["direction off the sphere", "no home pose", "no home pose of a beam", "no home pose of the stiffness model"],
+)
+def test_a_start_that_is_no_machine(folder, model, parameters):
+    """Every value lies between its bounds, and yet there is no such machine."""
+    choose(folder, model, parameters)
+    assert "found no machine at the priors' centres" in fail_variant(folder, f"{model}/none")
+
+
+@pytest.mark.parametrize("model", ["beam", "stiffness", "stiffness_fixed"])
+@pytest.mark.parametrize("section", ["flexures", "stiffness"])
+def test_models_of_flexures_need_them(folder, model, section):
+    path = folder / "mechanism.toml"
+    path.write_text(path.read_text()[: path.read_text().index(f"[{section}]")])
+    choose(folder, model)
+    if section == "stiffness" and model == "beam":
+        assert studies.load_study(folder / "study.toml").mechanism.flexures.section is None
+    else:
+        assert f"found no [{section}], expected" in fail(folder, "mechanism.toml")
+
+
+def test_one_stiffness_for_all_legs(folder):
+    choose(folder, "stiffness", "k1_d = { prior = 'uniform', half_width = [1, 2, 3, 4, 5, 6] }", '["k1_d"]')
+    assert "parameters.k1_d: found 6 values, expected 1" in fail_variant(folder, "stiffness/none")
+
+
+@pytest.mark.parametrize("model", ["jacobian", "beam", "stiffness", "stiffness_fixed"])
+def test_every_model_loads(folder, model):
+    choose(folder, model)
+    inputs = studies.load_study(folder / "study.toml")
+    assert inputs.machine(inputs.config.variants[0]).model.name == model
+
+
+def test_singular_geometry_names_the_file(folder):
+    studies.edit(
+        folder / "mechanism.toml",
+        "[265.0, 275.0, 25.0, 35.0, 145.0, 155.0]",
+        "[220.0, 320.0, 340.0, 80.0, 100.0, 200.0]",
+    )
+    assert "singular geometry" in fail(folder, "mechanism.toml")
+
+
+@pytest.mark.parametrize("error", [ValueError("array must not contain infs"), OverflowError(34, "too large")])
+def test_a_failure_of_scipy_is_numerical(folder, monkeypatch, error):
+    def fail_always(inputs, task):
+        raise error
+
+    monkeypatch.setattr(run_module, "run_task", fail_always)
+    with pytest.raises(NumericalError, match="six_pus-none-tau-free"):
+        run_study(load_experiment(folder / "study.toml"), folder, folder / "out")
+
+
+def test_left_handed_targets_are_a_numerical_failure_or_a_misfit(folder):
+    change_targets(folder, lambda row: [*row[:5], str(-float(row[5]))])
+    try:
+        result = run_study(load_experiment(folder / "study.toml"), folder, folder / "out")
+    except (InputError, NumericalError):
+        return
+    assert not result.converged
+
+
+def kill_worker(inputs, task):
+    """Stand for the kernel that ends a process for want of memory."""
+    import os
+
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_killed_worker_is_a_numerical_failure(folder, monkeypatch):
+    monkeypatch.setattr(run_module, "_run_in_worker", kill_worker)
+    with pytest.raises(NumericalError, match="a worker was killed"):
+        run_study(load_experiment(folder / "study.toml"), folder, folder / "out", workers=2)

@@ -1,0 +1,344 @@
+"""A tiny study end to end: what it writes, that its numbers depend on config and seed alone, and that it can resume."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import arviz as az
+import numpy as np
+import pandas as pd
+import pytest
+import studies
+import xarray as xr
+
+from bayescal.config import load_experiment
+from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.study import run as run_module
+from bayescal.experiments.study.fit import list_tasks, run_task
+from bayescal.experiments.study.inputs import hash_identity
+from bayescal.experiments.study.run import StudyResult, run_study
+
+VARIANTS = {"six_pus/none": 7, "six_pus/matrix": 13}
+NUMBERS = (
+    *("log_evidence", "log_evidence_se", "elpd_loo", "elpd_loo_se", "rhat_max", "ess_bulk_min", "wall_seconds"),
+    *("ess_tail_min", "acceptance"),
+)
+
+
+def run(path: Path, out: Path, workers: int = 1, resume: bool = False, **changes: Any) -> StudyResult:
+    config = load_experiment(path).model_copy(update=changes)
+    return run_study(config, path.parent, out, workers, resume)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Return a folder with a tiny study."""
+    folder = tmp_path_factory.mktemp("tiny")
+    studies.write_tiny_study(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(folder) -> StudyResult:
+    """Return the finished tiny study."""
+    return run(folder / "study.toml", folder / "results" / "first")
+
+
+@pytest.fixture(scope="module")
+def summary(result) -> dict[str, Any]:
+    return json.loads((result.out / "summary.json").read_text())
+
+
+@pytest.fixture(autouse=True)
+def _skip_reports(monkeypatch):
+    """Let only the first run, made before, write its report: the numbers do not depend on it."""
+    monkeypatch.setattr(run_module, "write_report", lambda folder: folder)
+
+
+def without_wall_seconds(out: Path) -> str:
+    """Return summary.json, wall times aside; the rest byte for byte."""
+    lines = (out / "summary.json").read_text().splitlines()
+    kept = [line for line in lines if '"wall_seconds"' not in line]
+    assert len(lines) - len(kept) == 2 * len(VARIANTS)
+    return "\n".join(kept)
+
+
+# --- summary.json ----------------------------------------------------------------------------------------------------
+
+
+def numbers_in(value: Any) -> list[float]:
+    if isinstance(value, dict):
+        return [n for inner in value.values() for n in numbers_in(inner)]
+    if isinstance(value, list):
+        return [n for inner in value for n in numbers_in(inner)]
+    return [value] if isinstance(value, int | float) else []
+
+
+def test_summary_has_what_the_issue_asks_for(summary):
+    assert summary["experiment"] == "tiny"
+    assert summary["seed"] == 11
+    assert len(summary["config_sha256"]) == 64
+    assert set(summary["variants"]) == set(VARIANTS)
+    for name, n_parameters in VARIANTS.items():
+        fit = summary["variants"][name]
+        assert fit["n_parameters"] == n_parameters
+        assert type(fit["n_parameters"]) is int
+        assert all(type(fit[key]) is float for key in NUMBERS)
+        assert type(fit["converged"]) is bool
+        assert len(fit["log_evidence_methods"]) >= 2
+        assert all(type(value) is float for value in fit["log_evidence_methods"].values())
+        assert fit["log_evidence"] in fit["log_evidence_methods"].values()
+        for use in ("calibration", "verification"):
+            for error in ("position_error_mm", "orientation_error_deg"):
+                assert 0 < fit[use][error]["mean"] <= fit[use][error]["max"]
+        assert type(fit["verification"]["elpd"]) is float
+        assert len(fit["parameters"]) == n_parameters
+
+
+def test_every_number_of_the_summary_is_finite(result, summary):
+    assert all(math.isfinite(n) for n in numbers_in(summary))
+    text = (result.out / "summary.json").read_text()
+    json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_parameters_are_summarised(summary, name):
+    parameters = summary["variants"][name]["parameters"]
+    symbols = {"six_pus/none": ["l"], "six_pus/matrix": ["l", "kappa"]}[name]
+    assert set(parameters) == {f"{s}[{leg}]" for s in symbols for leg in range(1, 7)} | {"tau"}
+    for values in parameters.values():
+        assert {"nominal", "mean", "sd", "q05", "q95", "prior_sd"} <= values.keys()
+        assert values["q05"] < values["mean"] < values["q95"]
+        assert values["sd"] > 0
+    assert parameters["l[1]"]["nominal"] == 500.0
+    assert parameters["l[1]"]["prior_sd"] == 2.0
+
+
+def test_matrix_variant_finds_the_lengths_of_the_twin(summary):
+    truth = [0.37, -0.45, 1.02, 0.25, 0.43, 0.58]
+    found = summary["variants"]["six_pus/matrix"]["parameters"]
+    for leg, offset in enumerate(truth, start=1):
+        values = found[f"l[{leg}]"]
+        assert abs(values["mean"] - 500.0 - offset) < 5 * values["sd"]
+
+
+def test_ranking_is_sorted(summary):
+    evidences = [summary["variants"][name]["log_evidence"] for name in summary["ranking"]]
+    assert sorted(summary["ranking"]) == sorted(VARIANTS)
+    assert evidences == sorted(evidences, reverse=True)
+    assert summary["ranking"][0] == "six_pus/matrix"
+
+
+def test_too_short_a_run_says_so(result, summary):
+    assert not result.converged
+    for fit in summary["variants"].values():
+        assert not fit["converged"]
+        assert any("ESS" in problem for problem in fit["problems"])
+        assert fit["without_model_error"]["n_parameters"] == fit["n_parameters"] - 1
+
+
+# --- the other files -------------------------------------------------------------------------------------------------
+
+
+def test_results_directory_holds_everything_and_nothing_is_left_beside_it(result, folder):
+    names = {path.name for path in result.out.iterdir()}
+    assert {"summary.json", "provenance.json", "tables", "posterior"} <= names
+    tables = {path.name for path in (result.out / "tables").iterdir()}
+    assert {"ranking.csv", "parameters.csv", "predictions.csv", "sensitivity.csv", "least_squares.csv"} <= tables
+    assert not list(folder.glob("**/*.partial"))
+
+
+def test_results_hold_a_report(result):
+    page = (result.out / "report.html").read_text()
+    assert "six_pus/matrix" in page
+    assert list((result.out / "figures").glob("*.png"))
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_netcdf_opens_with_the_named_groups(result, summary, name):
+    path = result.out / "posterior" / f"{name.replace('/', '-')}.nc"
+    with xr.open_datatree(path, engine="h5netcdf") as tree:
+        expected = {"posterior", "sample_stats", "log_likelihood", "observed_data", "constant_data", "predictions"}
+        assert expected <= set(tree.children)
+        draws = tree["posterior"]["l"]
+        assert draws.dims == ("chain", "draw", "leg")
+        assert draws.sizes["chain"] == 4
+        parameters = summary["variants"][name]["parameters"]
+        for leg in range(1, 7):
+            stored = draws.sel(leg=leg)
+            values = parameters[f"l[{leg}]"]
+            assert abs(float(stored.mean()) - values["mean"]) < 1e-9 * 500
+            assert abs(float(stored.std()) - values["sd"]) < 1e-6 * values["sd"]
+        assert tree["log_likelihood"]["measured_pose"].sizes["calibration_pose"] == studies.N_CALIBRATION
+        assert np.isfinite(tree["log_likelihood"]["measured_pose"]).all()
+        assert tree.attrs["variant"] == name
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Estimated shape parameter of Pareto")  # so few draws
+            loo = az.loo(tree, var_name="measured_pose")
+        assert abs(float(loo.elpd) - summary["variants"][name]["elpd_loo"]) < 1e-6
+    assert az.from_netcdf(path, engine="h5netcdf")["posterior"]["l"].shape[0] == 4
+
+
+def test_provenance_says_where_the_results_come_from(result, summary, folder):
+    provenance = json.loads((result.out / "provenance.json").read_text())
+    assert provenance["config_sha256"] == summary["config_sha256"]
+    assert provenance["seed"] == 11
+    assert provenance["config"]["parameters"]["l"] == {"prior": "normal", "sd": 2.0}
+    assert hash_identity({"config": provenance["config"], "files": provenance["files"]}) == summary["config_sha256"]
+    assert provenance["versions"]["numpy"] == np.__version__
+    assert {"bayescal", "emcee", "scipy", "arviz"} <= provenance["versions"].keys()
+    expected = {"mechanism.toml", "published.csv", *studies.tiny_survey_texts()}
+    assert set(provenance["files"]) == expected
+    for name, value in provenance["files"].items():
+        assert value == hashlib.sha256((folder / name).read_bytes()).hexdigest()
+
+
+def test_tables_agree_with_the_summary(result, summary):
+    ranking = pd.read_csv(result.out / "tables" / "ranking.csv")
+    assert list(ranking["variant"]) == summary["ranking"]
+    best = summary["variants"][summary["ranking"][0]]
+    assert ranking["log_evidence"][0] == pytest.approx(best["log_evidence"], rel=1e-8)
+    sensitivity = pd.read_csv(result.out / "tables" / "sensitivity.csv")
+    assert list(sensitivity["tolerance_mm"]) == [2.0, 2.0]
+    # the tolerance of the config itself: the same evidence with other random numbers
+    for row in sensitivity.to_dict("records"):
+        assert row["log_evidence"] == pytest.approx(
+            summary["variants"][row["variant"]]["log_evidence_methods"]["importance"], abs=0.3
+        )
+    predictions = pd.read_csv(result.out / "tables" / "predictions.csv")
+    assert len(predictions) == 2 * len(VARIANTS) * (studies.N_CALIBRATION + studies.N_VERIFICATION)
+    published = pd.read_csv(result.out / "tables" / "least_squares.csv").query("variant == 'six_pus/matrix'")
+    assert published["difference"].abs().max() < 0.1
+
+
+# --- the numbers depend on config and seed alone ---------------------------------------------------------------------
+
+
+def test_one_worker_or_two_give_the_same(result, folder):
+    run(folder / "study.toml", folder / "results" / "two workers", workers=2)
+    assert without_wall_seconds(folder / "results" / "two workers") == without_wall_seconds(result.out)
+
+
+def test_other_seed_gives_others(result, folder):
+    other = run(folder / "study.toml", folder / "results" / "other seed", seed=12)
+    assert other.summary["config_sha256"] != result.summary["config_sha256"]
+    for name in VARIANTS:
+        one, two = (r.summary["variants"][name] for r in (result, other))
+        assert one["log_evidence"] != two["log_evidence"]
+        assert one["log_evidence"] == pytest.approx(two["log_evidence"], abs=0.5)
+
+
+def test_title_changes_no_number(result, folder):
+    other = run(folder / "study.toml", folder / "results" / "other title", title="Another")
+    one, two = (without_wall_seconds(r.out).replace("Another", "Tiny study") for r in (result, other))
+    assert one == two
+
+
+@pytest.mark.parametrize("n_finished", [1, 3])
+def test_interrupted_and_resumed_equals_uninterrupted(result, folder, monkeypatch, n_finished):
+    out = folder / "results" / f"interrupted after {n_finished}"
+    calls = []
+
+    def interrupt_later(inputs, task):
+        if len(calls) == n_finished:
+            raise KeyboardInterrupt
+        calls.append(task)
+        return run_task(inputs, task)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(run_module, "run_task", interrupt_later)
+        with pytest.raises(KeyboardInterrupt):
+            run(folder / "study.toml", out)
+    assert not out.exists()
+    assert len(list(out.with_name(out.name + ".partial").glob("*.npz"))) == n_finished
+    with pytest.raises(InputError, match=r"cannot resume, the config differs: config.seed: 11 -> 12"):
+        run(folder / "study.toml", out, resume=True, seed=12)
+    n_before = len(calls)
+
+    def count(inputs, task):
+        calls.append(task)
+        return run_task(inputs, task)
+
+    monkeypatch.setattr(run_module, "run_task", count)
+    run(folder / "study.toml", out, resume=True, title="Tiny study")
+    assert len(calls) - n_before == len(list_tasks(studies.load_study(folder / "study.toml"))) - n_finished
+    assert without_wall_seconds(out) == without_wall_seconds(result.out)
+    for name in ("parameters", "predictions", "sensitivity"):
+        table = f"tables/{name}.csv"
+        assert (out / table).read_bytes() == (result.out / table).read_bytes()
+    assert not out.with_name(out.name + ".partial").exists()
+
+
+def test_resume_after_changed_data_is_refused(folder, tmp_path, monkeypatch):
+    path = studies.write_tiny_study(tmp_path)
+
+    def interrupt(inputs, task):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(run_module, "run_task", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            run(path, tmp_path / "out")
+    data = tmp_path / "data" / "actuators.csv"
+    data.write_text(data.read_text() + "# measured again\n")
+    with pytest.raises(InputError, match=r"cannot resume, the config differs: files.data/actuators.csv"):
+        run(path, tmp_path / "out", resume=True)
+
+
+def test_numerical_failure_of_one_task_keeps_all_others(tmp_path, monkeypatch):
+    path = studies.write_tiny_study(tmp_path)
+    calls = []
+
+    def fail_later(inputs, task):
+        calls.append(task)
+        if len(calls) == 2:
+            raise NumericalError("as if")
+        return run_task(inputs, task)
+
+    monkeypatch.setattr(run_module, "run_task", fail_later)
+    with pytest.raises(NumericalError, match=r"as if; \d of \d tasks are kept"):
+        run(path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    kept = {file.stem for file in (tmp_path / "out.partial").glob("*.npz")}
+    assert kept == {task.key for task in calls} - {calls[1].key}
+    monkeypatch.setattr(run_module, "run_task", run_task)
+    assert run(path, tmp_path / "out", resume=True).out.is_dir()
+
+
+def test_results_of_another_config_are_kept(result, folder):
+    before = studies.snapshot(result.out.parent)
+    with pytest.raises(InputError, match="holds results of another config"):
+        run(folder / "study.toml", result.out, seed=99)
+    assert studies.snapshot(result.out.parent) == before
+
+
+# --- smaller studies -------------------------------------------------------------------------------------------------
+
+
+def keep_poses(folder: Path, *names: str) -> None:
+    for file in ("targets", "actuators"):
+        path = folder / "data" / f"{file}.csv"
+        lines = path.read_text().splitlines()
+        path.write_text("\n".join([*lines[:3], *(line for line in lines[3:] if line.split(",")[0] in names)]) + "\n")
+
+
+def test_study_without_verification_poses(tmp_path):
+    path = studies.write_tiny_study(tmp_path)
+    keep_poses(tmp_path, *(f"C{k:02d}" for k in range(1, 14)))
+    result = run(path, tmp_path / "out")
+    assert all(fit["verification"] is None for fit in result.summary["variants"].values())
+    assert result.summary["n_poses"] == {"calibration": 13, "verification": 0}
+
+
+def test_study_with_missing_targets_runs(tmp_path):
+    path = studies.write_tiny_study(tmp_path)
+    targets = tmp_path / "data" / "targets.csv"
+    lines = targets.read_text().splitlines()
+    missing = ("C01,base,B02", "C02,platform,P03", "C03,platform,L41", "V01,base,B05")
+    targets.write_text("\n".join(line for line in lines if not line.startswith(missing)) + "\n")
+    assert run(path, tmp_path / "out").summary["ranking"][0] == "six_pus/matrix"

@@ -1,0 +1,109 @@
+"""CSV tables: every fault names its file and line; what spreadsheets add (marks, line ends, quotes) is fine."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayescal.errors import InputError
+from bayescal.files.csv_tables import format_table, read_matrix, read_table
+
+COLUMNS = ("pose", "x_mm", "y_mm")
+
+
+@pytest.fixture
+def path(tmp_path) -> Path:
+    return tmp_path / "table.csv"
+
+
+def fail(path: Path, columns: tuple[str, ...] | None = COLUMNS) -> str:
+    """Return the one-line message with which reading fails."""
+    with pytest.raises(InputError) as caught:
+        read_table(path, columns).numbers(("x_mm", "y_mm"))
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "found no header, expected the columns pose, x_mm, y_mm"),
+        ("# only a comment\n", "found no header"),
+        ("pose,x_mm,y_mm\n", "found no rows, expected at least one"),
+        ("# note\npose,x_m,y_mm\nA,1,2\n", "line 2: found column 'x_m', did you mean 'x_mm'?, expected pose, x_mm"),
+        ("pose,x_mm\nA,1\n", "line 1: found no column 'y_mm', expected pose, x_mm, y_mm"),
+        ("pose,x_mm,y_mm,y_mm\nA,1,2,3\n", "line 1: found a column twice"),
+        ("pose,x_mm,y_mm,colour\nA,1,2,3\n", "line 1: found column 'colour'"),
+        ("pose;x_mm;y_mm\nA;1;2\n", "line 1: found column 'pose;x_mm;y_mm'"),
+        ("A,1,2\nB,1,2\n", "line 1: found column 'A', expected"),
+        ("pose,x_mm,y_mm\nA,1,2\n\n# note\nB,1\n", "line 5: found 2 cells, expected 3"),
+        ("pose,x_mm,y_mm\nA,1,2,3\n", "line 2: found 4 cells, expected 3"),
+        ("pose,x_mm,y_mm\nA,1,2\nB,one,2\n", "line 3: x_mm: found 'one', expected a number"),
+        ("pose,x_mm,y_mm\nA,1,2\nB,1.0 mm,2\n", "line 3: x_mm: found '1.0 mm', expected a number"),
+        ("pose,x_mm,y_mm\nA,1,1_0\n", "line 2: y_mm: found '1_0', expected a number"),
+        ("pose,x_mm,y_mm\nA,1,\n", "line 2: y_mm: found '', expected a number"),
+        ("pose,x_mm,y_mm\nA,nan,2\n", "line 2: x_mm: found nan, expected a finite number"),
+        ("pose,x_mm,y_mm\nA,1,-inf\n", "line 2: y_mm: found -inf, expected a finite number"),
+        ("pose,x_mm,y_mm\nA,1,1e999\n", "line 2: y_mm: found 1e999, expected a finite number"),
+        ("pose,x_mm,y_mm\nA,1,1e300\n", "line 2: y_mm: found 1e300, expected at most 1e+09 in size"),
+        ('pose,x_mm,y_mm\nA,1,"2\nB,1,2\n', "line 2: found no CSV row"),
+        ('pose,x_mm,y_mm\nA,1,2\nB,1,"2\n', "line 3: found no CSV row"),
+    ],
+)
+def test_faulty_table(path, text, expected):
+    path.write_text(text)
+    assert expected in fail(path)
+
+
+def test_missing_file_directory_and_binary(path):
+    assert "no such file, expected a CSV table" in fail(path)
+    assert "cannot be read" in fail(path.parent)
+    path.write_bytes(b"pose,x_mm,y_mm\nA,\xff,2\n")
+    assert "cannot be read as UTF-8" in fail(path)
+
+
+def test_empty_name_is_an_error(path):
+    path.write_text("pose,x_mm,y_mm\nA,1,2\n ,1,2\n")
+    with pytest.raises(InputError, match=re.escape(f"{path}, line 3: pose: found an empty cell, expected a name")):
+        read_table(path, COLUMNS).text("pose")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"pose,x_mm,y_mm\nA,1,-2.5e0\nB,3,4\n",
+        b"\xef\xbb\xbfpose,x_mm,y_mm\r\nA,1,-2.5\r\nB,3,4\r\n",
+        b"\xef\xbb\xbf# note\n\n# more\npose,x_mm,y_mm\nA,1,-2.5\n\n# between\nB,3,4",
+        b"y_mm, pose ,x_mm\n-2.5, A ,1\n4,B, 3 \n",
+        b'"pose","x_mm","y_mm"\n"A","1","-2.5"\n"B","3","4"\n',
+    ],
+    ids=["plain", "windows", "comments", "other order, spaces", "quotes"],
+)
+def test_same_table_however_written(path, content):
+    path.write_bytes(content)
+    table = read_table(path, COLUMNS)
+    assert table.text("pose") == ["A", "B"]
+    np.testing.assert_array_equal(table.numbers(("x_mm", "y_mm")), [[1, -2.5], [3, 4]])
+
+
+def test_line_numbers_count_comments_and_blanks(path):
+    path.write_text("# one\n\npose,x_mm,y_mm\n# four\nA,1,2\n\nB,3,4\n")
+    assert read_table(path, COLUMNS).lines == (5, 7)
+
+
+def test_matrix_of_another_width(path):
+    path.write_text("a,b\n1,2\n")
+    np.testing.assert_array_equal(read_matrix(path, 2), [[1, 2]])
+    with pytest.raises(InputError, match="found 2 columns, expected 6, one per leg"):
+        read_matrix(path, 6)
+
+
+def test_format_and_read_round_trip(path):
+    path.write_text(format_table(["Note, with a comma"], COLUMNS, [("A", 0.1, 2.0), ("B", -1e-7, 3.0)]))
+    table = read_table(path, COLUMNS)
+    np.testing.assert_array_equal(table.numbers(("x_mm", "y_mm")), [[0.1, 2.0], [-1e-7, 3.0]])

@@ -1,0 +1,228 @@
+"""Which parameters to free, and the ridges by name: what RR-8096 found by hand has to come out without a hint."""
+
+from __future__ import annotations
+
+import audit_problems as problems
+import numpy as np
+import pytest
+import telescope_machines as machines
+
+from bayescal.identifiability.directions import find_directions
+from bayescal.identifiability.frames import frame_symbols
+from bayescal.identifiability.information import Information, information_of_rows
+from bayescal.identifiability.ridges import describe_ridges
+from bayescal.identifiability.selection import select_parameters
+from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity
+from bayescal.identifiability.sparse import find_sparse_basis
+from bayescal.identifiability.structure import find_structural_rank
+from bayescal.identifiability.units import Units
+from bayescal.limits import INFORMED
+from bayescal.machines.kinematics import compute_home_legs
+from bayescal.numerics.geometry import compute_pose_error
+
+POINTS = {"a_x", "a_y", "b_x", "b_y", "l"}
+FRAMES = tuple(s for frame in ("base", "tool") for part in frame_symbols(frame) for s in part)
+
+
+def _analyse(knowledge, plan):
+    information = information_of_rows(compute_sensitivity(knowledge, plan.actuators).rows(plan), knowledge.sd)
+    null = find_structural_rank(knowledge, plan, np.random.default_rng(0)).null_space
+    selection = select_parameters(information, knowledge.symbols, FRAMES)
+    return information, null, selection, find_directions(information, null, selection.fixed)
+
+
+def _by_pivot(knowledge, directions):
+    """Return the ridges' moves for a unit of their pivot, by the pivot's name."""
+    found = {}
+    for d in directions:
+        if d.pivot is not None:
+            natural = d.vector * knowledge.sd
+            move = natural / natural[d.pivot]
+            found[knowledge.names[d.pivot]] = {
+                knowledge.names[k]: move[k] for k in np.argsort(-np.abs(d.vector)) if d.vector[k]
+            }
+    return found
+
+
+@pytest.mark.parametrize("model", ["six_pus", "jacobian", "beam", "stiffness"])
+@pytest.mark.parametrize(("deformation", "last"), [("none", "u_x"), ("linear", "kappa"), ("matrix", "kappa")])
+def test_what_to_free_is_what_the_report_freed(model, deformation, last):
+    knowledge, plan = problems.build_telescope_problem(deformation, model)
+    _, _, selection, _ = _analyse(knowledge, plan)
+    assert {knowledge.symbols[k] for k in selection.free} == POINTS | {last}
+    assert len(selection.free) == 36
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_to_free_does_not_depend_on_the_order_of_the_legs(seed):
+    knowledge, plan = problems.build_telescope_problem("linear")
+    information, _, selection, _ = _analyse(knowledge, plan)
+    legs = np.random.default_rng(seed).permutation(6)
+    order = np.concatenate([6 * block + legs for block in range(len(knowledge.names) // 6)])
+    shuffled = select_parameters(Information(information.root[:, order]), knowledge.symbols)
+    assert {knowledge.symbols[k] for k in shuffled.free} == {knowledge.symbols[k] for k in selection.free}
+
+
+def test_selected_parameters_are_identifiable_together_and_no_symbol_more():
+    knowledge, plan = problems.build_telescope_problem("none")
+    information, _, selection, _ = _analyse(knowledge, plan)
+
+    def least(free):
+        part = information.matrix[np.ix_(free, free)]
+        return 1.0 - np.diagonal(np.linalg.inv(part + np.eye(len(free)))).max()
+
+    free = list(selection.free)
+    assert least(free) >= INFORMED
+    for symbol in {knowledge.symbols[k] for k in selection.fixed}:
+        assert least(free + [k for k, s in enumerate(knowledge.symbols) if s == symbol]) < INFORMED
+    assert least(free + list(selection.extra)) >= INFORMED
+
+
+def test_a_tolerance_decides_between_two_that_stand_for_each_other():
+    """One measured sum: the parameter with the larger tolerance is freed, whatever the order."""
+    for sd, expected in (((1.0, 3.0), (1,)), ((3.0, 1.0), (0,))):
+        information = information_of_rows(np.array([[50.0, 50.0]]), np.array(sd))
+        assert select_parameters(information, ("p", "q")).free == expected
+
+
+def test_there_are_as_many_directions_as_parameters_and_they_span_the_space():
+    for deformation in ("none", "linear"):
+        knowledge, plan = problems.build_telescope_problem(deformation)
+        _, null, _, directions = _analyse(knowledge, plan)
+        assert len(directions) == len(knowledge.names)
+        assert sum(d.kind == "structural" for d in directions) == null.shape[1]
+        vectors = np.stack([d.vector for d in directions if d.kind != "informed"], axis=1)
+        assert np.linalg.matrix_rank(vectors, tol=1e-3) == vectors.shape[1]
+        for d in directions:
+            assert (d.contraction >= INFORMED) == (d.kind == "informed")
+
+
+def test_lengths_along_a_leg():
+    """RR-8096 eq. (36): of a_z, b_z and l only λ a_z - λ b_z + l is seen, λ the cosine of the leg at home."""
+    knowledge, plan = problems.build_telescope_problem("none")
+    _, _, _, directions = _analyse(knowledge, plan)
+    ridges = _by_pivot(knowledge, directions)
+    vectors = compute_home_legs(knowledge.machine)
+    lengths = np.linalg.norm(vectors, axis=1)
+    for leg in range(6):
+        axis = vectors[leg] / lengths[leg]
+        for symbol, sign in (("a_z", -1.0), ("b_z", 1.0)):
+            move = ridges[f"{symbol}[{leg + 1}]"]
+            # the ridge keeps z·δa - z·δb + δl: as it runs it takes a and b sideways, too
+            seen = move[f"l[{leg + 1}]"]
+            for k, name in enumerate("xyz"):
+                seen += axis[k] * (move.get(f"a_{name}[{leg + 1}]", 0.0) - move.get(f"b_{name}[{leg + 1}]", 0.0))
+            assert abs(seen) < 5e-3
+            assert set(move) <= {f"{s}[{leg + 1}]" for s in ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "l")}
+            assert move[f"l[{leg + 1}]"] == pytest.approx(sign / axis[2], rel=0.02)
+
+
+def test_initial_position_against_the_attachment():
+    knowledge, plan = problems.build_telescope_problem("none")
+    ridges = _by_pivot(knowledge, _analyse(knowledge, plan)[3])
+    for leg in range(1, 7):
+        assert ridges[f"rho0[{leg}]"] == pytest.approx({f"rho0[{leg}]": 1.0, f"a_z[{leg}]": -1.0}, abs=1e-6)
+
+
+@pytest.mark.parametrize("model", ["six_pus", "jacobian"])
+def test_gain_against_direction(model):
+    """RR-8096 eqs. (38) to (40): κ = const + u_z + (z_x / z_z) u_x, and with y; a_x keeps the joint's place."""
+    knowledge, plan = problems.build_telescope_problem("linear", model)
+    ridges = _by_pivot(knowledge, _analyse(knowledge, plan)[3])
+    vectors = compute_home_legs(knowledge.machine)
+    for leg in range(1, 7):
+        for k, axis in enumerate("xy"):
+            move = ridges[f"u_{axis}[{leg}]"]
+            slope = vectors[leg - 1, k] / vectors[leg - 1, 2]
+            assert move[f"kappa[{leg}]"] == pytest.approx(slope, abs=0.02)
+            assert move[f"a_{axis}[{leg}]"] == pytest.approx(-machines.INITIAL_POSITION, rel=0.1)
+
+
+def test_second_component_of_a_direction():
+    """Without κ an actuator's direction may turn about the leg: z·u stays."""
+    knowledge, plan = problems.build_telescope_problem("none", "jacobian")
+    ridges = _by_pivot(knowledge, _analyse(knowledge, plan)[3])
+    vectors = compute_home_legs(knowledge.machine)
+    for leg in range(1, 7):
+        move = next(m for p, m in ridges.items() if p in (f"u_x[{leg}]", f"u_y[{leg}]"))
+        along = sum(vectors[leg - 1, k] * move[f"u_{axis}[{leg}]"] for k, axis in enumerate("xy"))
+        assert abs(along) < 0.02 * np.linalg.norm(vectors[leg - 1, :2]) * max(
+            abs(v) for v in move.values() if abs(v) < 9
+        )
+
+
+def test_initial_position_of_the_jacobian_model():
+    """RR-8096 section 7.1.2: a joint moved along its leg, with ρ^0 and l, leaves the Jacobian model as it is."""
+    knowledge, plan = problems.build_telescope_problem("none", "jacobian")
+    _, null, _, directions = _analyse(knowledge, plan)
+    assert null.shape[1] == 24
+    structural = [
+        {knowledge.symbols[k] for k in np.flatnonzero(d.vector)} for d in directions if d.kind == "structural"
+    ]
+    assert sum("rho0" in symbols for symbols in structural) >= 6
+
+
+def test_frames_move_with_the_joints():
+    """A frame's displacement and all joints of its body, and nothing else."""
+    machine = machines.build_machine("none", model="six_ups")
+    knowledge = problems.build_knowledge(machine, None, FRAMES)
+    _, _, _, directions = _analyse(knowledge, problems.build_plan(machine))
+    shifts = {}
+    for d in (d for d in directions if d.kind == "structural"):
+        names = {knowledge.names[k] for k in np.flatnonzero(d.vector)}
+        for frame, body in (("base", "a"), ("tool", "b")):
+            for axis in "xyz":
+                if names == {f"{frame}_{axis}", *(f"{body}_{axis}[{leg}]" for leg in range(1, 7))}:
+                    shifts[frame, axis] = d
+    assert len(shifts) == 6
+    assert sum(d.kind == "structural" for d in directions) == 12
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_sparse_basis_gives_back_planted_groups(seed):
+    """Disjoint groups of parameters, mixed at random, are taken apart again."""
+    rng = np.random.default_rng(seed)
+    n, sizes = 60, rng.integers(2, 6, 8)
+    places = np.split(rng.permutation(n)[: sizes.sum()], np.cumsum(sizes)[:-1])
+    groups = np.zeros((n, 8))
+    for k, place in enumerate(places):
+        groups[place, k] = rng.uniform(0.3, 1.0, len(place)) * rng.choice([-1, 1], len(place))
+    mixed = np.linalg.qr(groups @ rng.normal(size=(8, 8)))[0]
+    basis, pivots = find_sparse_basis(mixed, ())
+    assert len(set(pivots)) == 8
+    assert {frozenset(np.flatnonzero(v)) for v in basis.T} == {frozenset(p.tolist()) for p in places}
+
+
+# --- words -------------------------------------------------------------------------------------------------------
+
+
+def test_sentences_say_what_the_machine_does():
+    """The largest change of a measured pose, found again from the machine itself for the stated move."""
+    knowledge, plan = problems.build_telescope_problem("linear")
+    _, _, _, directions = _analyse(knowledge, plan)
+    ridges = describe_ridges(knowledge, plan, plan.actuators, directions, Units())
+    assert len(ridges) == sum(d.kind != "informed" for d in directions)
+    for ridge in ridges[::5]:
+        theta = np.tile(knowledge.centre, (2, 1))
+        for name, value in ridge.loadings.items():
+            theta[1, knowledge.layout.names.index(name)] += value
+        position, rotation = compute_measured_poses(knowledge, theta, plan.actuators)
+        change = compute_pose_error(position[1], rotation[1], position[0], rotation[0])
+        assert np.linalg.norm(change[:, :3], axis=1).max() == pytest.approx(ridge.position_change, rel=1e-6, abs=1e-10)
+    first = next(r for r in ridges if knowledge.names[r.direction.pivot] == "a_z[3]")
+    assert first.sentence.startswith("Leg 3: changing a_z by +1 mm with l by \u22121.03 mm")
+    assert "changes no measured pose by more than 0." in first.sentence
+
+
+def test_curved_ridges_are_followed():
+    """Along u the gain falls with u_z: a move bent with the ridge changes poses far less than a straight one."""
+    knowledge, plan = problems.build_telescope_problem("linear", "jacobian")
+    _, _, _, directions = _analyse(knowledge, plan)
+    ridges = describe_ridges(knowledge, plan, plan.actuators, directions, Units())
+    ridge = next(r for r in ridges if knowledge.names[r.direction.pivot] == "u_x[1]")
+    straight = ridge.direction.vector * knowledge.sd
+    straight *= ridge.step / straight[ridge.direction.pivot]
+    theta = np.tile(knowledge.centre, (2, 1))
+    theta[1, knowledge.free] += straight
+    position, _ = compute_measured_poses(knowledge, theta, plan.actuators)
+    assert ridge.position_change < 0.2 * np.linalg.norm(position[1] - position[0], axis=1).max()

@@ -1,0 +1,343 @@
+"""What accuracy remains, what would help, and designs that cannot be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import audit_problems as problems
+import numpy as np
+import pytest
+import telescope_machines as machines
+from scipy.stats import norm
+
+from bayescal.errors import InputError
+from bayescal.experiments.audit.audit import analyse, run_audit
+from bayescal.experiments.audit.changes import apply_change, evaluate_change
+from bayescal.experiments.audit.inputs import close_legs, read_inputs
+from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.audit.results import summarise, tabulate
+from bayescal.experiments.audit.schema import WhatIfConfig
+from bayescal.identifiability.information import Information, information_of_rows
+from bayescal.identifiability.pose_volume import Workspace, find_workspace_actuators
+from bayescal.identifiability.requirements import Forecast, Requirement
+from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity
+from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics
+from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
+
+TELESCOPE = problems.DESIGNS / "telescope_six_pus_none.toml"
+CAMERA = problems.DESIGNS / "camera_hexapod.toml"
+REFERENCE = "telescope_six_pus_none.toml"
+
+
+@pytest.fixture(scope="module")
+def telescope():
+    return read_inputs(load_audit(TELESCOPE), TELESCOPE.parent)
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return read_inputs(load_audit(CAMERA), CAMERA.parent)
+
+
+@pytest.fixture(scope="module")
+def audited(telescope):
+    audit = run_audit(telescope)
+    return audit, summarise(audit)
+
+
+# --- requirements ------------------------------------------------------------------------------------------------
+
+
+def test_probability_of_one_pose_and_one_number_is_that_of_a_normal():
+    """At a single pose |e_z| is half-normal."""
+    knowledge, plan = problems.build_telescope_problem()
+    plan = replace(plan, actuators=plan.actuators[:20])
+    information = information_of_rows(compute_sensitivity(knowledge, plan.actuators).rows(plan), knowledge.sd)
+    forecast = Forecast(compute_sensitivity(knowledge, plan.actuators[:1]), knowledge.sd)
+    for limit in (0.0003, 0.0006, 0.0012):
+        (outlook,) = forecast.judge([Requirement("z", limit)], information, plan, np.random.default_rng(1), ())
+        expected = 2 * norm.cdf(limit / outlook.predicted_sd) - 1
+        assert outlook.probability == pytest.approx(expected, abs=4 * np.sqrt(0.25 / 2000))
+
+
+def test_predicted_sd_is_that_of_machines_drawn_from_the_prior(telescope):
+    """Before the calibration: poses of machines with small tolerances, by forward kinematics itself."""
+    knowledge = telescope.knowledge
+    small = replace(knowledge, priors={name: 0.01 * sd for name, sd in knowledge.priors.items()})
+    actuators = telescope.workspace_actuators[:4]
+    forecast = Forecast(compute_sensitivity(small, actuators), small.sd)
+    theta = np.tile(small.centre, (4000, 1))
+    theta[:, small.free] += small.sd * np.random.default_rng(0).standard_normal((4000, len(small.sd)))
+    position, rotation = compute_measured_poses(small, theta, actuators)
+    at, turned = compute_measured_poses(small, small.centre, actuators)
+    error = compute_pose_error(position, rotation, at, turned)
+    expected = np.sqrt(np.diagonal(forecast.covariance(np.eye(len(small.sd))), axis1=1, axis2=2))
+    assert error.std(axis=0) / expected == pytest.approx(np.ones((4, 6)), abs=0.05)
+
+
+def test_nothing_learnt_leaves_everything_as_it_was(telescope):
+    n = len(telescope.knowledge.sd)
+    forecast = Forecast(compute_sensitivity(telescope.knowledge, telescope.workspace_actuators), telescope.knowledge.sd)
+    nothing = Information(np.zeros((1, n)))
+    for outlook in forecast.judge(telescope.requirements, nothing, telescope.plan, np.random.default_rng(0), ()):
+        assert outlook.predicted_sd == pytest.approx(outlook.prior_sd, rel=1e-9)
+        assert outlook.probability == pytest.approx(outlook.prior_probability, abs=0.03)
+
+
+def test_what_fixing_the_rest_costs(telescope):
+    """Errors of least squares that takes some parameters for nominal, simulated to first order."""
+    information, rng = analyse(telescope).information, np.random.default_rng(4)
+    free = analyse(telescope).selection.free
+    root, chosen = information.root, np.array(free)
+    truth = rng.standard_normal((20_000, root.shape[1]))
+    measured = truth @ root.T + rng.standard_normal((20_000, len(root)))
+    fitted = np.zeros_like(truth)
+    part = root[:, chosen]
+    fitted[:, chosen] = measured @ part @ np.linalg.inv(part.T @ part + np.eye(len(free)))
+    errors = truth - fitted
+    expected = information.errors_of_reduced(free)
+    forecast = Forecast(
+        compute_sensitivity(telescope.knowledge, telescope.workspace_actuators[:5]), telescope.knowledge.sd
+    )
+    found = np.einsum("wji,bi->bwj", forecast.slope, errors).std(axis=0)
+    predicted = np.sqrt(np.diagonal(forecast.covariance(expected), axis1=1, axis2=2))
+    assert found / predicted == pytest.approx(np.ones((5, 6)), abs=0.03)
+
+
+def test_norms_are_stricter_than_their_parts(telescope):
+    forecast = Forecast(compute_sensitivity(telescope.knowledge, telescope.workspace_actuators), telescope.knowledge.sd)
+    information = analyse(telescope).information
+    wanted = [Requirement("x", 0.011), Requirement("position", 0.011)]
+    x, length = forecast.judge(wanted, information, telescope.plan, np.random.default_rng(0), ())
+    assert 0.0 < length.probability < x.probability < 1.0
+    assert length.predicted_sd > x.predicted_sd
+
+
+def test_the_telescope_meets_table_1_of_the_report(audited):
+    _, summary = audited
+    assert set(summary["requirements"]) == {"x", "y", "z", "rotation_x", "rotation_y"}
+    limits = {name: outlook["limit"] for name, outlook in summary["requirements"].items()}
+    assert limits == pytest.approx({"x": 0.1, "y": 0.1, "z": 0.01, "rotation_x": 0.05, "rotation_y": 0.05})
+    for outlook in summary["requirements"].values():
+        assert outlook["prior_probability"] < 0.1
+        assert outlook["probability"] > 0.99
+        assert outlook["predicted_sd"] < outlook["limit"] / 3
+
+
+# --- workspace ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", ["ellipsoid", "box", "axes"])
+def test_workspace_keeps_its_shape(shape):
+    half = np.array([2.0, 1.0, 0.0, 0.01, 0.0, 0.02])
+    moves = Workspace(half, shape, 300).sample(300, 0)
+    share = np.divide(moves, half, out=np.zeros_like(moves), where=half > 0)
+    assert len(moves) == 300
+    assert np.abs(share).max() <= 1.0
+    assert np.all(moves[:, half == 0] == 0)
+    radius = np.linalg.norm(share, axis=1)
+    inside = share[9:]
+    if shape == "ellipsoid":
+        assert radius.max() <= 1.0 + 1e-12
+        assert np.mean(np.linalg.norm(inside, axis=1) ** 4) == pytest.approx(0.5, abs=0.03)  # uniform in a 4-ball
+    elif shape == "box":
+        assert radius.max() > 1.5
+    else:
+        assert np.all((inside != 0).sum(axis=1) <= 1)
+
+
+def test_workspace_actuators_lead_back_to_its_poses(camera):
+    machine = camera.knowledge.machine
+    theta = machine.layout.nominal
+    actuators = find_workspace_actuators(machine, theta, camera.workspace, 60, 3)
+    home = check_home_pose(machine)
+    moves = camera.workspace.sample(60, 3)
+    found = solve_forward_kinematics(machine, theta, actuators)
+    assert np.abs(found.position - home.position - moves[:, :3]).max() < 1e-8
+    assert np.abs(found.rotation - matrix_from_rotation_vector(moves[:, 3:]) @ home.rotation).max() < 1e-11
+
+
+# --- what would help ---------------------------------------------------------------------------------------------
+
+
+def test_twice_the_same_poses_are_half_the_variance_of_noise(telescope):
+    """Doubling the poses of a table and dividing both noises by the root of two tell the same."""
+    twice = evaluate_change(telescope, WhatIfConfig(name="", poses_factor=2.0), None)
+    less = WhatIfConfig(name="", noise_factor=0.5**0.5, actuator_noise_factor=0.5**0.5)
+    finer = evaluate_change(telescope, less, None)
+    assert twice.n_poses == 80
+    assert twice.information.contraction == pytest.approx(finer.information.contraction, abs=1e-9)
+
+
+def test_more_of_anything_never_tells_less(telescope):
+    base = analyse(telescope).information.nats
+    for change in (
+        WhatIfConfig(name="", poses_factor=1.5),
+        WhatIfConfig(name="", noise_factor=0.9),
+        WhatIfConfig(name="", actuator_noise_factor=0.9),
+        WhatIfConfig(name="", sensors=["photogrammetry", "laser_tracker"]),
+    ):
+        assert evaluate_change(telescope, change, None).information.nats > base
+
+
+def test_a_wider_workspace_says_that_the_actuators_do_not_reach(telescope):
+    wide = evaluate_change(telescope, WhatIfConfig(name="", workspace_factor=2.0), None)
+    assert wide.beyond_range
+    assert not evaluate_change(telescope, WhatIfConfig(name=""), None).beyond_range
+    impossible = evaluate_change(telescope, WhatIfConfig(name="", workspace_factor=400.0), None)
+    assert impossible.information is None
+
+
+def test_other_poses_replace_the_planned_ones(telescope):
+    change = WhatIfConfig.model_validate({"name": "", "poses": {"plan": "extremes", "count": 7}})
+    plan = apply_change(telescope, change)
+    moves = plan.actuators - telescope.knowledge.machine.mechanism.initial_actuator_positions
+    assert plan.actuators.shape == (7, 6)
+    assert set(np.unique(np.round(np.abs(moves), 9))) <= {0.0, 1.3}
+
+
+def test_tables_and_summary_agree(audited):
+    audit, summary = audited
+    tables = tabulate(summary, audit)
+    assert list(tables["parameters"]["parameter"]) == list(summary["parameters"])
+    assert tables["directions"]["direction"].max() == summary["n_parameters"] == len(summary["directions"])
+    assert summary["n_structural"] + summary["structural_rank"] == summary["n_parameters"]
+    names = {name for d in summary["directions"] for name in d["loadings"]}
+    assert names <= set(summary["parameters"])
+    for values in summary["parameters"].values():
+        left = values["posterior_sd"] / values["prior_sd"]
+        assert values["contraction"] == pytest.approx(1 - left**2, abs=1e-9)
+        assert values["nats"] == pytest.approx(-np.log(left), rel=1e-6, abs=1e-9)
+    symbols = {name.partition("[")[0] for name in summary["recommended_free"]}
+    assert symbols == {"a_x", "a_y", "b_x", "b_y", "u_x", "l"}
+    for direction in summary["directions"]:
+        if direction["kind"] != "informed":
+            assert direction["effect_on_pose"] == "harmless"
+
+
+def test_stricter_limits_make_the_unknown_harmful(telescope):
+    """With stricter limits what is not known is no longer harmless."""
+    for share, word in ((1.0, "harmless"), (0.01, "noticeable"), (1e-3, "harmful")):
+        strict = replace(telescope, requirements=[replace(r, limit=share * r.limit) for r in telescope.requirements])
+        audit = run_audit(strict)
+        assert audit.harm(max((r.direction for r in audit.ridges), key=lambda d: d.contraction))[0] == word
+    unjudged = run_audit(replace(telescope, requirements=[]))
+    assert unjudged.harm(unjudged.ridges[0].direction)[0] == "unknown"
+
+
+# --- units in the design -----------------------------------------------------------------------------------------
+
+SCALES = {"um": 1e3, "mm": 1.0, "m": 1e-3, "arcsec": 3600.0, "mrad": np.pi / 0.18, "deg": 1.0, "rad": np.pi / 180}
+
+
+@pytest.mark.parametrize(("length", "angle"), [("m", "rad"), ("um", "arcsec"), ("m", "mrad")])
+def test_a_design_in_other_units_says_the_same(length, angle, tmp_path):
+    config = load_audit(problems.DESIGNS / "camera_hexapod_frames.toml")
+    dumped = config.model_dump(mode="json", exclude_none=True)
+    dumped["units"] = {"length": length, "angle": angle}
+    for prior in dumped["parameters"].values():
+        prior["sd"] *= SCALES[length]
+    for frame in dumped["frames"].values():
+        frame["position"] *= SCALES[length]
+        frame["rotation"] *= SCALES[angle]
+    for name in dumped["requirements"]:
+        dumped["requirements"][name] *= SCALES[angle if name.startswith("rotation") else length]
+    one, other = (
+        summarise(run_audit(read_inputs(c, problems.DESIGNS))) for c in (config, type(config).model_validate(dumped))
+    )
+    assert other["structural_rank"] == one["structural_rank"] == 42
+    assert other["recommended_free"] == one["recommended_free"]
+    for name, values in one["parameters"].items():
+        factor = SCALES[length if values["unit"] == "mm" else angle]
+        assert other["parameters"][name]["verdict"] == values["verdict"]
+        assert other["parameters"][name]["contraction"] == pytest.approx(values["contraction"], abs=1e-7)
+        assert other["parameters"][name]["posterior_sd"] == pytest.approx(values["posterior_sd"] * factor, rel=1e-6)
+    assert [d["kind"] for d in other["directions"]] == [d["kind"] for d in one["directions"]]
+    assert sorted(d["nats"] for d in other["directions"]) == pytest.approx(
+        sorted(d["nats"] for d in one["directions"]), abs=1e-5
+    )
+    for name, outlook in one["requirements"].items():
+        assert other["requirements"][name]["probability"] == pytest.approx(outlook["probability"], abs=0.01)
+
+
+# --- designs at fault --------------------------------------------------------------------------------------------
+
+
+def _write(tmp_path, text, base=REFERENCE):
+    """Return a design that extends a copy of a shipped one, its files named absolutely."""
+    shipped = (problems.DESIGNS / base).read_text()
+    (tmp_path / "base.toml").write_text(shipped.replace('"../telescope', f'"{problems.DESIGNS.parent}/telescope'))
+    path = tmp_path / "design.toml"
+    path.write_text(f'extends = "base.toml"\n{text}')
+    return path
+
+
+FAULTS = {
+    "zero tolerance": ('[parameters]\nl = { prior = "normal", sd = 0.0 }', "parameters.l.*found 0"),
+    "unknown parameter": ('[parameters]\nq_x = { prior = "normal", sd = 1.0 }', "found 'q_x'.*expected one of"),
+    "unknown sensor": ('measured_by = ["theodolite"]', "found sensor 'theodolite', expected one of laser_tracker"),
+    "unknown sensor in a what-if": (
+        '[[what_if]]\nname = "w"\nsensors = ["theodolite"]',
+        "what_if 'w': sensors: found sensor 'theodolite'",
+    ),
+    "unknown kind of sensor": ('[sensors.new]\nkind = "sextant"', "found 'sextant', expected one of 'pose', 'targets'"),
+    "pose out of reach": ("[poses]\nunit_mm = 2.0", "pose 1, leg 1: found a displacement of 2 mm, expected at most"),
+    "workspace out of reach": (
+        "[workspace]\nposition_mm = [1.0, 1.0, 3.0]",
+        "workspace: out of reach at z -?3 mm: leg . would have to move .* expected at most the .* 1.3 mm",
+    ),
+    "a few targets on a line": (
+        '[sensors.photogrammetry]\nkind = "targets"\nbase = { points_mm = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]] }',
+        "sensors.photogrammetry.base: found 2 targets",
+    ),
+    "unknown model": ('[variant]\nmodel = "seven_pus"', "found 'seven_pus', did you mean"),
+    "missing table": ('[poses]\nconfigurations = "nothing.csv"', "nothing.csv: no such file"),
+    "unknown key": ("[workspace]\ndepth_mm = 3", "workspace.depth_mm: unknown key"),
+    "no prior": ('[variant]\nfree = ["u_z"]', "found 'u_z'"),
+    "unit": ('[units]\nlength = "inch"', "units.length: found 'inch', expected"),
+}
+
+
+@pytest.mark.parametrize("fault", sorted(FAULTS))
+def test_designs_at_fault_are_told_in_one_line(fault, tmp_path):
+    text, message = FAULTS[fault]
+    path = _write(tmp_path, text)
+    with pytest.raises(InputError, match=message) as caught:
+        run_audit(read_inputs(load_audit(path), path.parent))
+    assert "\n" not in str(caught.value)
+
+
+def test_poses_that_the_machine_cannot_take_are_named(tmp_path):
+    mechanism = (problems.DESIGNS.parent / "telescope" / "mechanism.toml").read_text()
+    (tmp_path / "far.toml").write_text(mechanism.replace("actuator_range_mm = 1.3", "actuator_range_mm = 900.0"))
+    moves = "r1,r2,r3,r4,r5,r6\n0,0,0,0,0,0\n600,-600,600,-600,600,-600\n"
+    (tmp_path / "moves.csv").write_text(moves)
+    text = 'mechanism = "far.toml"\n[poses]\nplan = "file"\nconfigurations = "moves.csv"\nunit_mm = 1.0\n'
+    path = _write(tmp_path, text)
+    with pytest.raises(InputError, match="pose 2: found no pose at displacements 600, -600"):
+        read_inputs(load_audit(path), path.parent)
+
+
+def test_designs_may_not_extend_themselves(tmp_path):
+    path = tmp_path / "loop.toml"
+    path.write_text('extends = "loop.toml"\nkind = "audit"')
+    with pytest.raises(InputError, match="extends: found more than 8 designs"):
+        load_audit(path)
+    path.write_text('extends = "../loop.toml"\nkind = "audit"')
+    with pytest.raises(InputError, match="expected a design in the same directory"):
+        load_audit(path)
+
+
+def test_plans_of_redundant_legs_close():
+    """Eight legs cannot stand anywhere: the closure vanishes at every pose of a plan."""
+    machine = machines.build_machine("linear", machines.build_random_mechanism(8, 2))
+    knowledge = problems.build_knowledge(machine)
+    plan = problems.build_plan(machine, 10)
+    theta = machine.layout.nominal
+
+    def gap(actuators):
+        found = solve_forward_kinematics(machine, theta, actuators)
+        return np.abs(machine.linearise(theta, found.position, found.rotation, actuators).residual).max()
+
+    assert gap(plan.actuators) > 0.1
+    assert gap(close_legs(knowledge, plan.actuators)) < 1e-9

@@ -1,0 +1,173 @@
+"""The beam model against RR-8096's equations (10) to (17) solved numerically, and the one solution that it has."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import studies
+import telescope_machines as machines
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics, solve_inverse_kinematics
+from bayescal.machines.models.beam import compute_shift
+
+REACH = 3.0  # mm, more than twice the actuator range
+HALVED_TWICE = 16.0  # a term of the fourth power when the angle is halved
+
+
+@pytest.fixture(scope="module")
+def configurations():
+    """Return the actuator positions of tables 3 and 4, shape (46, 6), mm."""
+    file = studies.TELESCOPE / "verification_configurations.csv"
+    table_4 = np.array([row.split(",")[-6:] for row in file.read_text().splitlines()[2:]], dtype=float)
+    assert table_4.shape == (6, 6)
+    return np.concatenate([machines.table_3_actuators(), machines.INITIAL_POSITION + machines.ACTUATOR_RANGE * table_4])
+
+
+# --- one flexure -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("beta", [0.01, 0.1, 0.25, 0.4, 0.49])
+@pytest.mark.parametrize("angle", [0.0, 0.02, 0.5, 2.0, np.pi])
+def test_shift_is_the_positive_root_of_equation_15(beta, angle):
+    l_b, cosine = 10.0, np.cos(angle)
+    coefficients = [1.0, (1 - 2 * beta) * l_b * cosine, (beta - 0.75) * l_b**2]
+    roots = np.roots(coefficients)
+    assert (roots > 0).tolist().count(True) == 1  # the product of the roots is negative
+    expected = brentq(lambda x: np.polyval(coefficients, x), 0.0, 10 * l_b, xtol=1e-14, rtol=1e-15)
+    found = compute_shift(np.array(cosine), np.array(l_b), np.array(beta))
+    assert found == pytest.approx(expected, rel=1e-12)
+    assert found == pytest.approx(roots.max(), rel=1e-9)
+
+
+@pytest.mark.parametrize("beta", [0.01, 0.25, 0.49])
+def test_a_straight_flexure_turns_about_its_middle(beta):
+    assert compute_shift(np.array(1.0), np.array(10.0), np.array(beta)) == pytest.approx(5.0, rel=1e-14)
+
+
+def bend(l_b, delta):
+    """Return Δx and Δy of a flexure of length l_b bent by δ, the length of eq. (11) by numerical integration."""
+    curvature = delta / l_b
+    length, _ = quad(lambda x: np.sqrt(1 + (curvature * x) ** 2) - 1, 0, l_b, epsabs=1e-18, epsrel=1e-13)
+    return length, curvature * l_b**2 / 2
+
+
+def test_bent_flexure_follows_a_circle_to_the_fourth_power():
+    """Eqs. (10) to (13): radius 3/4 l_b; what is left over falls by sixteen when δ is halved."""
+    l_b = 10.0
+    angles = np.radians([4.0, 2.0, 1.0])
+    shift = np.array([bend(l_b, delta) for delta in angles])
+    np.testing.assert_allclose(
+        shift[:, 0],
+        l_b * ((angles * np.sqrt(1 + angles**2) + np.arcsinh(angles)) / (2 * angles) - 1),
+        rtol=1e-9,
+    )
+    left = (shift[:, 0] - 0.75 * l_b) ** 2 + shift[:, 1] ** 2 - (0.75 * l_b) ** 2
+    np.testing.assert_allclose(left[:-1] / left[1:], HALVED_TWICE, rtol=0.01)
+    np.testing.assert_allclose(left / (l_b**2 * angles**4), 1.5 / 40 + 1 / 36, rtol=0.01)
+    other = (shift[:, 0] - 0.5 * l_b) ** 2 + shift[:, 1] ** 2 - (0.5 * l_b) ** 2  # an ideal pivot's circle does not fit
+    np.testing.assert_allclose(other[:-1] / other[1:], 4.0, rtol=0.01)
+
+
+def end_of_flexure(l_b, beta, angle):
+    """Return where the model's flexure ends, along the undeformed flexure from its end backwards, and across."""
+    shift = compute_shift(np.cos(angle), np.array(l_b), np.array(beta))
+    return 0.5 * l_b - shift * np.cos(angle), shift * np.sin(angle)
+
+
+def test_model_ends_where_beam_theory_does():
+    """With β = 1/4 a flexure's end is off by the fourth power of its angle, with an ideal pivot by the second."""
+    l_b, angles = 10.0, np.radians([4.0, 2.0, 1.0])
+    misfit = {}
+    for beta in (0.25, 0.4999999):
+        along, across = end_of_flexure(l_b, beta, angles)
+        misfit[beta] = along - [bend(l_b, 2 * y / l_b)[0] for y in across]
+    quarter, pivot = misfit.values()
+    np.testing.assert_allclose(quarter[:-1] / quarter[1:], HALVED_TWICE, rtol=0.05)
+    np.testing.assert_allclose(pivot[:-1] / pivot[1:], 4.0, rtol=0.05)
+    assert np.abs(quarter).max() < 0.01 * np.abs(pivot).max()
+
+
+def test_shift_at_one_degree():
+    """A quarter of a micrometre for l_b = 10 mm and β = 1/4; RR-8096 states below 0.3 µm."""
+    shift = compute_shift(np.cos(np.radians(1.0)), np.array(10.0), np.array(0.25)) - 5.0
+    assert shift == pytest.approx(0.25e-3, abs=0.01e-3)
+
+
+# --- a machine -------------------------------------------------------------------------------------------------------
+
+
+def close_by_hand(theta, layout, leg, home, position, rotation, rho):
+    """Return f of eq. (32) for one leg without deformation, every Δl the root of its quadratic equation."""
+    value = {symbol: theta[layout.index[symbol][leg]] for symbol in layout.symbols}
+    u = np.array([value["u_x"], value["u_y"], np.sqrt(1 - value["u_x"] ** 2 - value["u_y"] ** 2)])
+    a, b = (np.array([value[f"{point}_{axis}"] for axis in "xyz"]) for point in "ab")
+    g = position + rotation @ b - a - rho * u
+    start = home.position + home.rotation @ b - a - value["rho0"] * u
+    z, z0 = g / np.linalg.norm(g), start / np.linalg.norm(start)
+    l_b, beta = value["l_b"], value["beta"]
+    shifts = [
+        np.roots([1.0, (1 - 2 * beta) * l_b * (z @ other), (beta - 0.75) * l_b**2]).max()
+        for other in (z0, rotation @ home.rotation.T @ z0)
+    ]
+    return value["l"] - l_b + sum(shifts) - np.linalg.norm(g)
+
+
+def test_closure_is_equation_32(rng):
+    """With every parameter off nominal; the home pose by forward kinematics of the 6-PUS."""
+    mechanism = machines.build_random_mechanism(6, seed=5)
+    machine, perfect = (machines.build_machine("none", mechanism, model) for model in ("beam", "six_pus"))
+    layout = machine.layout
+    theta = layout.nominal + machines.spread_of(layout) * rng.standard_normal(layout.size)
+    assert layout.inside(theta)
+    nominal = mechanism.initial_actuator_positions
+    home = solve_forward_kinematics(perfect, theta[: perfect.layout.size], nominal)
+    offset = layout.take(theta, "rho0") - nominal  # actuators are read from the nominal initial position
+    position = home.position + rng.uniform(-3, 3, (4, 3))
+    rotation = machines.matrix_from_rotation_vector(rng.uniform(-0.1, 0.1, (4, 3)))
+    actuators = nominal + rng.uniform(-2, 2, (4, 6))
+    found = machine.linearise(theta, position, rotation, actuators).residual
+    expected = [
+        [close_by_hand(theta, layout, leg, home, p, r, rho[leg] + offset[leg]) for leg in range(6)]
+        for p, r, rho in zip(position, rotation, actuators, strict=True)
+    ]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
+
+
+def test_machine_is_the_6_pus_at_home_and_not_elsewhere(configurations):
+    beam, perfect = (machines.build_machine("none", model=model) for model in ("beam", "six_pus"))
+    home = check_home_pose(beam)
+    np.testing.assert_allclose(home.position, check_home_pose(perfect).position, atol=1e-10)
+    poses = [solve_forward_kinematics(m, m.layout.nominal, configurations) for m in (beam, perfect)]
+    difference = np.linalg.norm(poses[0].position - poses[1].position, axis=1)
+    assert 0.1e-3 < difference.max() < 5e-3
+
+
+def test_every_leg_has_one_actuator_position(configurations):
+    """f falls or rises all the way over ±3 mm about each of the 46 configurations, so that it vanishes once."""
+    machine = machines.build_machine("none", model="beam")
+    theta, grid = machine.layout.nominal, np.linspace(-REACH, REACH, 301)
+    pose = solve_forward_kinematics(machine, theta, configurations)
+    rho = machines.INITIAL_POSITION + np.broadcast_to(grid[:, None, None], (len(grid), 46, 6))
+    here = machine.linearise(theta, pose.position, pose.rotation, rho)  # without K a leg's f knows its own ρ only
+    slope = np.diagonal(here.actuators, axis1=-2, axis2=-1)
+    assert slope.min() > 0.9  # u · z is 0.99
+    np.testing.assert_array_equal(here.actuators * (1 - np.eye(6)), 0.0)
+    assert np.all(np.diff(here.residual, axis=0) > 0)
+    crossings = (np.diff(np.sign(here.residual), axis=0) != 0).sum(axis=0)
+    # a root on the grid counts in both neighbouring steps
+    np.testing.assert_array_equal(crossings - (here.residual == 0).sum(axis=0), 1)
+
+
+def test_newton_returns_the_same_from_far_starts(configurations, rng):
+    machine = machines.build_machine("none", model="beam")
+    theta = machine.layout.nominal
+    pose = solve_forward_kinematics(machine, theta, configurations)
+    usual = solve_inverse_kinematics(machine, theta, pose.position, pose.rotation).actuators
+    np.testing.assert_allclose(usual, configurations, rtol=0, atol=1e-9)
+    rho = machines.INITIAL_POSITION + REACH * rng.choice([-1.0, 1.0], (20, 46, 6))
+    for _ in range(6):
+        here = machine.linearise(theta, pose.position, pose.rotation, rho)
+        rho = rho - np.linalg.solve(here.actuators, here.residual[..., None])[..., 0]
+    np.testing.assert_allclose(rho, np.broadcast_to(usual, rho.shape), rtol=0, atol=1e-9)

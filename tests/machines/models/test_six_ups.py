@@ -1,0 +1,270 @@
+"""The 6-UPS: its closure written out, the real hexapods over their limits, and machines of another drive."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import hexapods
+import numpy as np
+import pytest
+import telescope_machines as machines
+from scipy.optimize import root
+from scipy.spatial.transform import Rotation
+
+from bayescal.config import load_mechanism
+from bayescal.density.least_squares import identify
+from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.priors import NormalPrior, UniformPrior
+from bayescal.errors import InputError
+from bayescal.inference.mode import find_modes
+from bayescal.machines.kinematics import (
+    Machine,
+    check_home_pose,
+    compute_home_legs,
+    compute_leg_slopes,
+    guess_home_pose,
+    solve_forward_kinematics,
+    solve_inverse_kinematics,
+)
+from bayescal.machines.models import MODELS
+from bayescal.numerics.geometry import compute_pose_error
+
+STROKE = 14.1
+SYMBOLS = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "l")
+CONDITION = {"camera": 7.70, "m2": 2.17}  # of the home pose, lengths by the platform's largest
+NO_MODEL_ERROR = ModelError(None)
+
+
+@pytest.fixture(params=hexapods.LIMITS)
+def name(request):
+    """Return the name of a hexapod."""
+    return request.param
+
+
+@pytest.fixture
+def machine(name):
+    """Return a hexapod without deformation."""
+    return machines.build_machine("none", hexapods.load_hexapod(name), "six_ups")
+
+
+def strut_lengths(position, rotation_vector, base, platform):
+    """Return the distances between the joints, one by one."""
+    rotation = Rotation.from_rotvec(rotation_vector).as_matrix()
+    return np.array([np.sqrt(sum((position + rotation @ b - a) ** 2)) for a, b in zip(base, platform, strict=True)])
+
+
+# --- the closure -----------------------------------------------------------------------------------------------------
+
+
+def test_closure_is_wanted_length_minus_distance(rng):
+    machine = machines.build_machine("matrix", model="six_ups")
+    layout, rho0 = machine.layout, machine.mechanism.initial_actuator_positions
+    theta = layout.nominal + machines.spread_of(layout) * rng.standard_normal(layout.size)
+    position, turn = np.array([1.0, -2.0, 503.0]), np.array([0.02, -0.05, 0.03])
+    displacement = rng.uniform(-1.3, 1.3, 6)
+    matrix = machines.TELESCOPE_MATRIX.copy()
+    np.fill_diagonal(matrix, layout.take(theta, "kappa"))
+    joints = layout.take_vector(theta, "b") + np.outer(matrix @ displacement, [0, 0, 1])
+    lengths = strut_lengths(position, turn, layout.take_vector(theta, "a"), joints)
+    found = machine.linearise(theta, position, Rotation.from_rotvec(turn).as_matrix(), rho0 + displacement).residual
+    np.testing.assert_allclose(found, layout.take(theta, "l") + displacement - lengths, rtol=0, atol=1e-12)
+    assert np.abs(found).min() > 1e-3
+
+
+def test_parameters_are_seven_per_strut(machine):
+    assert machine.layout.symbols == SYMBOLS
+    assert machine.layout.size == 42
+
+
+# --- real hexapods ---------------------------------------------------------------------------------------------------
+
+
+def test_home_pose_is_the_pivot_and_regular(name, machine):
+    home, mechanism = check_home_pose(machine), machine.mechanism
+    np.testing.assert_allclose(home.position, mechanism.home_position, atol=1e-9)
+    np.testing.assert_allclose(home.rotation, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(
+        compute_home_legs(machine), home.position + mechanism.platform_points - mechanism.base_points
+    )
+    np.testing.assert_allclose(mechanism.leg_lengths, 493.0, atol=0.1)
+    pose = machine.linearise(machine.layout.nominal, home.position, home.rotation, np.zeros(6)).pose
+    pose[:, 3:] /= np.linalg.norm(mechanism.platform_points, axis=1).max()
+    assert np.linalg.cond(pose) == pytest.approx(CONDITION[name], abs=0.01)
+
+
+def test_lateral_struts_need_the_stated_home():
+    """M2's are horizontal; with a longer one on the other side of its joint there is no guess above the base."""
+    m2 = hexapods.load_hexapod("m2")
+    home = np.array(m2.home_position)
+    struts = home + m2.platform_points - m2.base_points
+    np.testing.assert_allclose(struts[3:, 2], 0.0, atol=1e-9)
+    assert np.linalg.norm(guess_home_pose(replace(m2, home_position=None))[0] - home) > 100.0
+    struts[4] *= -1.2
+    lengths = np.linalg.norm(struts, axis=1)
+    other = replace(m2, base_points=home + m2.platform_points - struts, leg_lengths=lengths)
+    found = check_home_pose(machines.build_machine("none", other, "six_ups"))
+    np.testing.assert_allclose(found.position, home, atol=1e-9)
+    assert found.n_iterations == 1
+    with pytest.raises(InputError, match="leg 4 of 493 mm cannot span its joints"):
+        check_home_pose(machines.build_machine("none", replace(other, home_position=None), "six_ups"))
+
+
+def test_struts_have_no_slopes(machine):
+    """Of legs driven at the base they tell how a direction acts; horizontal struts have none that are finite."""
+    assert compute_leg_slopes(machine).tolist() == [[0.0, 0.0]] * 6
+    telescope = machines.build_machine("none")
+    legs = compute_home_legs(telescope)
+    np.testing.assert_array_equal(compute_leg_slopes(telescope), legs[:, :2] / legs[:, 2:])
+    assert np.abs(legs[:, :2]).max() > 10.0
+
+
+def test_every_axis_reaches_its_limit_within_the_stroke(name, machine):
+    """As the observatory's limits are meant: one axis at a time."""
+    position, rotation = hexapods.poses_about_pivot(name, np.concatenate([np.eye(6), -np.eye(6)]))
+    found = solve_inverse_kinematics(machine, machine.layout.nominal, position, rotation).actuators
+    assert 8.0 < np.abs(found).max() < STROKE
+
+
+def test_forward_finds_what_inverse_was_given_over_all_limits(name, machine, rng):
+    """Ten thousand poses and all combinations of the limits, many beyond the stroke; lengths are as between joints."""
+    ends = np.array(list(itertools.product([-1.0, 0.0, 1.0], repeat=6)))
+    position, rotation = hexapods.poses_about_pivot(name, np.concatenate([ends, rng.uniform(-1, 1, (10_000, 6))]))
+    theta, mechanism = machine.layout.nominal, machine.mechanism
+    actuators = solve_inverse_kinematics(machine, theta, position, rotation).actuators
+    turns = Rotation.from_matrix(rotation[:50]).as_rotvec()
+    for k in range(50):
+        lengths = strut_lengths(position[k], turns[k], mechanism.base_points, mechanism.platform_points)
+        np.testing.assert_allclose(actuators[k], lengths - mechanism.leg_lengths, atol=1e-11)
+    found = solve_forward_kinematics(machine, theta, actuators)
+    error = compute_pose_error(found.position, found.rotation, position, rotation)
+    assert np.abs(error[:, :3]).max() < 1e-11
+    assert np.abs(error[:, 3:]).max() < 1e-14
+    assert found.n_iterations <= 5
+
+
+@pytest.mark.parametrize("deformation", machines.deformation_names())
+def test_inverse_undoes_forward_over_the_stroke(name, deformation, rng):
+    machine = machines.build_machine(deformation, hexapods.load_hexapod(name), "six_ups")
+    theta = machine.layout.nominal + machines.spread_of(machine.layout) * rng.standard_normal(machine.layout.size)
+    actuators = rng.uniform(-STROKE, STROKE, (1000, 6))
+    pose = solve_forward_kinematics(machine, theta, actuators)
+    found = solve_inverse_kinematics(machine, theta, pose.position, pose.rotation)
+    np.testing.assert_allclose(found.actuators, actuators, rtol=0, atol=1e-10)
+
+
+def test_forward_kinematics_is_that_of_a_general_solver(machine, rng):
+    mechanism = machine.mechanism
+    for actuators in rng.uniform(-STROKE, STROKE, (5, 6)):
+
+        def miss(x, wanted=mechanism.leg_lengths + actuators):
+            joints = mechanism.base_points, mechanism.platform_points
+            return strut_lengths(mechanism.home_position + x[:3], x[3:] / 1e3, *joints) - wanted
+
+        expected = root(miss, np.zeros(6), tol=1e-13).x
+        found = solve_forward_kinematics(machine, machine.layout.nominal, actuators)
+        np.testing.assert_allclose(found.position, mechanism.home_position + expected[:3], atol=1e-8)
+        expected_rotation = Rotation.from_rotvec(expected[3:] / 1e3).as_matrix()
+        np.testing.assert_allclose(found.rotation, expected_rotation, atol=1e-11)
+        assert np.linalg.norm(expected) > 1.0
+
+
+def test_large_workspace_of_yu_2023(rng):
+    """Home at sqrt(800² - 643.21²) mm, without a stated home; ±100 mm and ±10 deg about it."""
+    mechanism = load_mechanism(hexapods.AUDIT / "yu2023_mechanism.toml")
+    machine = machines.build_machine("none", mechanism, "six_ups")
+    theta, home = machine.layout.nominal, check_home_pose(machine)
+    np.testing.assert_allclose(home.position, [0.0, 0.0, 475.70], atol=0.005)
+    share = np.concatenate([list(itertools.product([-1.0, 1.0], repeat=6)), rng.uniform(-1, 1, (1000, 6))])
+    position = home.position + 100.0 * share[:, :3]
+    rotation = Rotation.from_euler("xyz", 10.0 * share[:, 3:], degrees=True).as_matrix()
+    actuators = solve_inverse_kinematics(machine, theta, position, rotation).actuators
+    assert 0.95 * mechanism.actuator_range < np.abs(actuators).max() < mechanism.actuator_range
+    found = solve_forward_kinematics(machine, theta, actuators)
+    error = compute_pose_error(found.position, found.rotation, position, rotation)
+    assert np.abs(error).max() < 1e-11
+
+
+# --- identification --------------------------------------------------------------------------------------------------
+
+
+def simulate(machine, offset, rng, n_poses=40):
+    """Return poses of the nominal machine with offsets of size one, as measured."""
+    theta = machine.layout.nominal + offset * rng.standard_normal(machine.layout.size)
+    actuators = STROKE * rng.uniform(-1, 1, (n_poses, 6))
+    return theta, machines.simulate_poses(machine, theta, actuators, np.zeros(6), rng)
+
+
+def test_likelihood_is_exact_to_second_order_over_the_stroke(machine, rng):
+    """Machines 100, 10 and 1 µm off nominal in everything; errors of rotation as those of the platform's joints."""
+    actuators = STROKE * rng.uniform(-1, 1, (40, 6))
+    poses = machines.place_poses(machine, machine.layout.nominal, actuators, np.zeros((40, 6)))
+    likelihood = PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE)
+    lever = np.array([1.0] * 3 + [np.linalg.norm(machine.mechanism.platform_points, axis=1).max()] * 3)
+    offset, misfit = rng.standard_normal((20, machine.layout.size)), []
+    for size in (1e-1, 1e-2, 1e-3):
+        theta = machine.layout.nominal + size * offset
+        exact = solve_forward_kinematics(machine, theta[:, None], poses.actuators)
+        error = compute_pose_error(poses.position, poses.rotation, exact.position, exact.rotation)
+        assert np.abs(error * lever).max() > size
+        misfit.append(np.abs((likelihood.pose_errors(theta) - error) * lever).max())
+    np.testing.assert_allclose(np.array(misfit[:-1]) / misfit[1:], 100.0, rtol=0.05)
+    assert misfit[-1] < 1e-6
+
+
+def test_gradient_with_everything_free(machine, rng):
+    """Horizontal struts too: nothing refers to their slopes."""
+    _, poses = simulate(machine, 0.0, rng)
+    layout = machine.layout
+    priors = {name: NormalPrior(value, 1.0) for name, value in zip(layout.names, layout.nominal, strict=True)}
+    priors["l[2]"] = UniformPrior(*(priors["l[2]"].mean + np.array([-2.0, 2.0])))
+    posterior = Posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(0.01))
+    posterior.check_machine()
+    y = 1e-3 * rng.standard_normal(posterior.n_parameters)
+    theta = posterior.theta(y[None])
+    np.testing.assert_allclose(posterior.coordinates.y_from_theta(theta)[0], y[:42], atol=1e-9)
+    found, _ = posterior.gradient(y)
+    expected = machines.stencil_derivative(posterior.log_density, y, np.full(len(y), 1e-4))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-4 * np.abs(expected).max())
+
+
+def test_mode_is_where_the_machine_is(machine, rng):
+    """In units of the posterior's own spread; there is one mode, since a strut has no mirror image."""
+    theta, poses = simulate(machine, 1.0, rng)
+    layout = machine.layout
+    priors = {name: NormalPrior(value, 1.0) for name, value in zip(layout.names, layout.nominal, strict=True)}
+    posterior = Posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, NO_MODEL_ERROR)
+    (mode,) = find_modes(posterior)
+    assert mode.converged
+    off = mode.y - posterior.coordinates.y_from_theta(theta)
+    assert 18 < off @ np.linalg.solve(mode.covariance, off) < 78  # χ² of 42: 0.05 % on either side
+    nominal = mode.y  # from the nominal machine, where y is zero
+    assert nominal @ np.linalg.solve(mode.covariance, nominal) > 1e4
+
+
+def test_least_squares_finds_the_lengths(machine, rng):
+    theta = machine.layout.nominal.copy()
+    planted = rng.standard_normal(6)
+    theta[machine.layout.index["l"]] += planted
+    actuators = STROKE * rng.uniform(-1, 1, (20, 6))
+    poses = machines.place_poses(machine, theta, actuators, np.zeros((20, 6)))
+    fit = identify(machine, poses, ("l",))
+    assert fit.converged
+    assert fit.n_identified == 6
+    np.testing.assert_allclose(fit.theta - machine.layout.nominal, theta - machine.layout.nominal, atol=1e-9)
+
+
+# --- drives ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", machines.model_names())
+def test_a_model_refuses_the_other_drive(model):
+    """One line: the model, what was found and what would do."""
+    struts = MODELS[model].drive == "strut"
+    mechanism = machines.build_telescope() if struts else machines.build_hexapod()
+    with pytest.raises(InputError) as caught:
+        Machine(mechanism, machines.build_model(model, mechanism), machines.build_deformation("none"))
+    expected = "one of beam, jacobian, six_pus, stiffness, stiffness_fixed" if struts else "six_ups"
+    found = "actuators at the base" if struts else "struts"
+    assert str(caught.value) == f"model {model!r}: found {found} in mechanism 'telescope', expected {expected}"

@@ -1,0 +1,342 @@
+"""The stiffness models against finite elements, statics in closed form, and their limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import telescope_machines as machines
+from finite_elements import FiniteElementMachine, external_wrench, node_stiffness, turn_to
+
+from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics, solve_inverse_kinematics
+from bayescal.machines.mechanism import ExternalLoad
+from bayescal.machines.models.beam_elements import compute_chain_stiffness
+from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
+
+MODELS = ("stiffness", "stiffness_fixed")
+GRAVITY, MASS = 9.80665, 10.0  # m/s² and kg
+PULL = ExternalLoad(
+    force=(20.0, -35.0, 15.0),
+    moment=(4000.0, -2500.0, 3000.0),
+    weight=(0.0, 0.0, -MASS * GRAVITY),
+    centre_of_mass=(10.0, -20.0, 60.0),
+)
+N_MM_PER_N_M = 1e3
+
+
+@pytest.fixture(params=MODELS)
+def model(request):
+    """Return the name of a stiffness model."""
+    return request.param
+
+
+def soften(mechanism, factor):
+    """Return the mechanism with flexures that bend and twist more easily, and pull as before."""
+    section = mechanism.flexures.section
+    softer = replace(section, k1=factor * section.k1, k3=factor * section.k3)
+    return replace(mechanism, flexures=replace(mechanism.flexures, section=softer))
+
+
+def wrench_of(machine, *arguments):
+    """Return W of eq. (33), shape (..., 6), in N and N mm, at given parameters, poses and actuator positions."""
+    to_wrench = machine.model.objective(machine.mechanism)
+    return machine.linearise(*arguments).residual @ to_wrench.T * np.repeat([1.0, N_MM_PER_N_M], 3)
+
+
+def wrench_slope(machine, *arguments):
+    """Return dW/dX, shape (..., 6, 6), in N and N mm per mm and rad."""
+    to_wrench = machine.model.objective(machine.mechanism) * np.repeat([1.0, N_MM_PER_N_M], 3)[:, None]
+    return to_wrench @ machine.linearise(*arguments).pose
+
+
+# --- equilibrium -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=["telescope", "random"])
+def mechanism(request):
+    """Return the telescope, or a machine of stout flexures that leans in every way, both under load."""
+    if request.param == "telescope":
+        return machines.build_telescope(load=PULL)
+    return replace(machines.build_random_mechanism(6, seed=4), load=PULL)
+
+
+def move_about(machine, rng, n_poses=4):
+    """Return actuator positions within their range, shape (P, 6)."""
+    mechanism = machine.mechanism
+    return mechanism.initial_actuator_positions + mechanism.actuator_range * rng.uniform(-1, 1, (n_poses, 6))
+
+
+def test_wrench_is_that_of_the_finite_elements(model, mechanism, rng):
+    """At poses out of equilibrium, with K."""
+    machine = machines.build_machine("matrix", mechanism, model)
+    elements, theta = FiniteElementMachine(machine), machine.layout.nominal
+    rho = move_about(machine, rng)
+    pose = solve_forward_kinematics(machine, theta, rho)
+    position = pose.position + rng.uniform(-0.5, 0.5, (4, 3))
+    rotation = matrix_from_rotation_vector(rng.uniform(-0.01, 0.01, (4, 3))) @ pose.rotation
+    found = wrench_of(machine, theta, position, rotation, rho)
+    for k in range(4):
+        (_, upper), force, moment = elements.loads(position[k], rotation[k], rho[k])
+        pull, torque = external_wrench(mechanism.load, rotation[k])
+        levers = np.cross(upper - position[k], force[1])
+        expected = np.concatenate([pull - force[1].sum(axis=0), torque - (moment[1] + levers).sum(axis=0)])
+        size = np.repeat([np.abs(force).max(), np.abs(levers).max()], 3)
+        np.testing.assert_allclose(found[k] / size, expected / size, rtol=0, atol=1e-9)
+        assert np.abs(expected / size).max() > 1e-2
+
+
+def test_solved_poses_are_in_equilibrium(model, mechanism, rng):
+    """Platform: legs and external wrench. Whole machine: base and external wrench, about the base frame's origin."""
+    machine = machines.build_machine("matrix", mechanism, model)
+    elements, rho = FiniteElementMachine(machine), move_about(machine, rng)
+    pose = solve_forward_kinematics(machine, machine.layout.nominal, rho)
+    for position, rotation, one in zip(pose.position, pose.rotation, rho, strict=True):
+        (lower, upper), force, moment = elements.loads(position, rotation, one)
+        pull, torque = external_wrench(mechanism.load, rotation)
+        levers = np.cross(upper - position, force[1])
+        size, moment_size = np.abs(force).max(), np.abs(levers).max()
+        assert np.abs(pull - force[1].sum(axis=0)).max() < 1e-8 * size
+        assert np.abs(torque - (moment[1] + levers).sum(axis=0)).max() < 1e-8 * moment_size
+        np.testing.assert_allclose(force[0], -force[1], rtol=0, atol=1e-8 * size)
+        assert np.abs(pull + force[0].sum(axis=0)).max() < 1e-8 * size
+        assert size > 20
+        about_origin = (moment[0] + np.cross(lower, force[0])).sum(axis=0) + torque + np.cross(position, pull)
+        assert np.abs(about_origin).max() < levers_left_out(model) * moment_size
+        for leg in range(6):  # each leg, straight and of its nominal length
+            vector = upper[leg] - lower[leg]
+            axis = elements.start_axes[leg] if model == "stiffness_fixed" else vector / np.linalg.norm(vector)
+            couple = moment[0, leg] + moment[1, leg]
+            couple = couple + mechanism.leg_lengths[leg] * np.cross(axis, force[1, leg])
+            assert np.abs(couple).max() < 1e-8 * moment_size
+
+
+def levers_left_out(model):
+    """Return the share of a moment that a leg's change of length, or its lean from home, leaves out of balance."""
+    return 0.1 if model == "stiffness_fixed" else 1e-6
+
+
+def test_directions_of_the_home_pose_leave_moments_out_of_balance(rng):
+    """What eq. (28) gives away: the legs' levers change as they lean, by parts in a hundred, and the model does not."""
+    machine = machines.build_machine("none", machines.build_telescope(load=PULL), "stiffness_fixed")
+    elements, rho = FiniteElementMachine(machine), move_about(machine, rng)
+    pose = solve_forward_kinematics(machine, machine.layout.nominal, rho)
+    shares = []
+    for position, rotation, one in zip(pose.position, pose.rotation, rho, strict=True):
+        (lower, _), force, moment = elements.loads(position, rotation, one)
+        pull, torque = external_wrench(PULL, rotation)
+        about_origin = (moment[0] + np.cross(lower, force[0])).sum(axis=0) + torque + np.cross(position, pull)
+        shares.append(np.abs(about_origin).max() / np.abs(np.cross(lower, force[0])).max())
+    assert max(shares) > 1e-3
+
+
+# --- small displacements ---------------------------------------------------------------------------------------------
+
+
+def test_stiffness_at_home_is_that_of_the_finite_elements(model, mechanism):
+    """-dW/dX: symmetric and positive definite at home without load."""
+    machine = machines.build_machine("none", replace(mechanism, load=ExternalLoad()), model)
+    elements = FiniteElementMachine(machine)
+    rho = mechanism.initial_actuator_positions
+    found = -wrench_slope(machine, machine.layout.nominal, elements.home.position, elements.home.rotation, rho)
+    unit = np.sqrt(np.diag(found))
+    scaled = found / np.outer(unit, unit)
+    np.testing.assert_allclose(scaled, scaled.T, rtol=0, atol=1e-10)
+    assert np.linalg.eigvalsh(scaled)[0] > 1e-4
+    np.testing.assert_allclose(scaled, elements.stiffness() / np.outer(unit, unit), rtol=0, atol=1e-9)
+
+
+def linear_wrench(elements, shift, phi, travel):
+    """Return W of eqs. (22) to (29) for small displacements: nodes moved by first order, directions of home."""
+    mechanism, home = elements.mechanism, elements.home
+    total = np.zeros(6)
+    for leg in range(6):
+        axis, half = elements.start_axes[leg], 0.5 * mechanism.flexures.lengths[leg]
+        arm = home.rotation @ mechanism.platform_points[leg] + half * axis  # b' of eq. (22)
+        moved = np.concatenate([travel[leg] * mechanism.directions[leg], np.zeros(3), shift + np.cross(phi, arm), phi])
+        load = turn_to(node_stiffness(mechanism, leg), axis)[6:] @ moved
+        total -= np.concatenate([load[:3], load[3:] + np.cross(arm, load[:3])])
+    return total
+
+
+def test_small_displacements_are_those_of_the_linear_chain(model, mechanism, rng):
+    """The model's wrench leaves that of eq. (29) by the second power of the displacements."""
+    machine = machines.build_machine("none", replace(mechanism, load=ExternalLoad()), model)
+    elements = FiniteElementMachine(machine)
+    shift, phi, travel = rng.uniform(-1, 1, 3), rng.uniform(-0.01, 0.01, 3), rng.uniform(-1, 1, 6)
+    unit, misfits = np.array([1.0] * 3 + [100.0] * 3), []
+    expected = linear_wrench(elements, shift, phi, travel)
+    for size in (1e-2, 5e-3, 2.5e-3):
+        position = elements.home.position + size * shift
+        rotation = matrix_from_rotation_vector(size * phi) @ elements.home.rotation
+        rho = mechanism.initial_actuator_positions + size * travel
+        found = wrench_of(machine, machine.layout.nominal, position, rotation, rho)
+        misfits.append(np.linalg.norm((found - size * expected) / unit))
+    np.testing.assert_allclose(np.array(misfits[:-1]) / misfits[1:], 4.0, rtol=0.05)
+    assert misfits[-1] < 1e-3 * 2.5e-3 * np.linalg.norm(expected / unit)
+
+
+def test_moving_base_and_platform_alike_loads_nothing(model):
+    """Parallel actuators carry the whole machine along."""
+    direction = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0])
+    mechanism = machines.build_telescope(directions=np.tile(direction, (6, 1)))
+    machine = machines.build_machine("none", mechanism, model)
+    theta, home, far = machine.layout.nominal, check_home_pose(machine), 7.0
+    rho = mechanism.initial_actuator_positions + far
+    carried = machine.linearise(theta, home.position + far * direction, home.rotation, rho).residual
+    assert np.abs(carried).max() < 1e-10
+    left_behind = machine.linearise(theta, home.position, home.rotation, rho).residual
+    assert np.abs(left_behind).max() > 1.0
+    found = solve_forward_kinematics(machine, theta, rho)
+    np.testing.assert_allclose(found.position, home.position + far * direction, atol=1e-9)
+    np.testing.assert_allclose(found.rotation, home.rotation, atol=1e-11)
+
+
+# --- loads -----------------------------------------------------------------------------------------------------------
+
+
+def weigh(mass):
+    """Return the weight of a mass in kg, acting at the platform's origin."""
+    return ExternalLoad(weight=(0.0, 0.0, -mass * GRAVITY))
+
+
+def sink(mechanism, model):
+    """Return how far the platform goes down under its load, mm, and how far it goes aside or turns."""
+    loaded = machines.build_machine("none", mechanism, model)
+    free = check_home_pose(machines.build_machine("none", mechanism))
+    pose = solve_forward_kinematics(loaded, loaded.layout.nominal, mechanism.initial_actuator_positions)
+    aside = compute_pose_error(pose.position, pose.rotation, free.position, free.rotation)
+    return -aside[2], np.abs(np.delete(aside, 2)).max()
+
+
+def test_platform_sinks_by_the_axial_compliance_of_its_legs(model):
+    """A symmetric machine on soft joints: m g / Σ k_a cos², k_a the flexures and the leg in a row."""
+    mechanism = soften(machines.build_telescope(load=weigh(MASS)), 1e-9)
+    flexures = mechanism.flexures
+    compliance = 2 * 10.0 / flexures.section.k2 + (500.0 - 10.0) / flexures.leg_section.k2
+    home = check_home_pose(machines.build_machine("none", mechanism)).position[2]
+    cosine = (home - machines.INITIAL_POSITION) / 500.0
+    found, aside = sink(mechanism, model)
+    assert found == pytest.approx(MASS * GRAVITY * compliance / (6 * cosine**2), rel=1e-4)
+    assert aside < 1e-6 * found
+
+
+def test_platform_sinks_by_the_compliance_of_the_finite_elements(model):
+    """On joints that bend as they are, and stout ones."""
+    for diameter in (1.0, 4.0):
+        flexures = machines.build_flexures(6, diameter=diameter)
+        mechanism = machines.build_telescope(load=weigh(MASS), flexures=flexures)
+        elements = FiniteElementMachine(machines.build_machine("none", mechanism, model))
+        expected = MASS * GRAVITY * np.linalg.inv(elements.stiffness())[2, 2]
+        found, aside = sink(mechanism, model)
+        assert found == pytest.approx(expected, rel=1e-4)
+        assert aside < 1e-6 * found
+
+
+def test_twice_the_load_sinks_twice_as_far(model):
+    first, second = (sink(machines.build_telescope(load=weigh(mass)), model)[0] for mass in (1.0, 2.0))
+    assert second == pytest.approx(2 * first, rel=1e-4)
+
+
+def test_weight_acts_where_the_centre_of_mass_is(model):
+    """A weight off the origin is the same as one at the origin with its moment, and follows the platform's turn."""
+    machine = machines.build_machine("none", machines.build_telescope(load=PULL), model)
+    home = check_home_pose(machine)
+    rotation = matrix_from_rotation_vector(np.array([0.3, -0.2, 0.5]))
+    arguments = (machine.layout.nominal, home.position, rotation, machine.mechanism.initial_actuator_positions)
+    bare = machines.build_machine("none", machines.build_telescope(), model)
+    found = wrench_of(machine, *arguments) - wrench_of(bare, *arguments)
+    np.testing.assert_allclose(found, np.concatenate(external_wrench(PULL, rotation)), rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.parametrize("deformation", machines.deformation_names())
+def test_forward_and_inverse_kinematics_under_load(model, mechanism, deformation, rng):
+    machine = machines.build_machine(deformation, mechanism, model)
+    theta, rho = machine.layout.nominal, move_about(machine, rng, 50)
+    pose = solve_forward_kinematics(machine, theta, rho)
+    assert pose.converged.all()
+    found = solve_inverse_kinematics(machine, theta, pose.position, pose.rotation)
+    assert found.converged.all()
+    np.testing.assert_allclose(found.actuators, rho, rtol=0, atol=1e-9)
+    free = machines.build_machine(deformation, replace(mechanism, load=ExternalLoad()), model)
+    other = solve_inverse_kinematics(free, theta, pose.position, pose.rotation)
+    assert np.abs(other.actuators - rho).max() > 1e-3  # the load matters
+
+
+# --- limits ----------------------------------------------------------------------------------------------------------
+
+
+def test_soft_flexures_make_the_6_pus():
+    """Over table 3, by the first power of the flexures' stiffness."""
+    rho, distances = machines.table_3_actuators(), []
+    perfect = machines.build_machine("matrix")
+    expected = solve_forward_kinematics(perfect, perfect.layout.nominal, rho)
+    factors = (1.0, 1e-1, 1e-2, 1e-3, 1e-6)
+    for factor in factors:
+        machine = machines.build_machine("matrix", soften(machines.build_telescope(), factor), "stiffness")
+        pose = solve_forward_kinematics(machine, machine.layout.nominal, rho)
+        error = compute_pose_error(pose.position, pose.rotation, expected.position, expected.rotation)
+        distances.append(np.linalg.norm(error * [1, 1, 1, 130, 130, 130], axis=1).max())
+    np.testing.assert_allclose(distances / (distances[3] / 1e-3 * np.array(factors)), 1.0, rtol=0.02)
+    assert distances[-1] < 1e-6
+    assert 1e-4 < distances[0] < 1e-2
+
+
+def test_soft_flexures_with_the_directions_of_home_leave_the_lean_out():
+    """Then z^0 · (g - g^0) = 0: to the 6-PUS the legs are too long by their lean squared over twice their length."""
+    rho = machines.table_3_actuators()
+    perfect, left = machines.build_machine("none"), []
+    for factor in (1e-3, 1e-5, 1e-7):
+        machine = machines.build_machine("none", soften(machines.build_telescope(), factor), "stiffness_fixed")
+        elements = FiniteElementMachine(machine)
+        pose = solve_forward_kinematics(machine, machine.layout.nominal, rho)
+        mechanism = machine.mechanism
+        start = elements.home.position + mechanism.platform_points - mechanism.home_joints
+        joints = pose.position[:, None] + np.einsum("pjk,ik->pij", pose.rotation, mechanism.platform_points)
+        moved = joints - mechanism.base_points - rho[..., None] * mechanism.directions - start
+        along = np.einsum("pik,ik->pi", moved, elements.start_axes)
+        left.append(np.abs(along).max())
+    np.testing.assert_allclose(np.array(left) / left[0], [1.0, 1e-2, 1e-4], rtol=0.02)
+    lean = np.linalg.norm(moved - along[..., None] * elements.start_axes, axis=-1)
+    closure = perfect.linearise(perfect.layout.nominal, pose.position, pose.rotation, rho).residual
+    np.testing.assert_allclose(closure, -(lean**2) / (2 * 500.0), rtol=1e-3, atol=1e-9)
+    assert 0.03 < np.abs(closure).max() < 0.1
+
+
+def test_directions_of_home_make_a_linear_model(rng):
+    """Without the platform's turn twice the displacement takes twice the wrench; `stiffness` is not so."""
+    misfit = {}
+    for model in MODELS:
+        machine = machines.build_machine("none", model=model)
+        theta, home = machine.layout.nominal, check_home_pose(machine)
+        shift, travel = rng.uniform(-1, 1, 3), rng.uniform(-1, 1, 6)
+        once, twice = (
+            wrench_of(machine, theta, home.position + k * shift, home.rotation, machines.INITIAL_POSITION + k * travel)
+            for k in (1.0, 2.0)
+        )
+        misfit[model] = np.abs(twice - 2 * once).max() / np.abs(twice).max()
+    assert misfit["stiffness_fixed"] < 1e-10
+    assert misfit["stiffness"] > 1e-4
+
+
+def test_without_load_only_ratios_of_stiffnesses_count(model, rng):
+    """Legs of another material, no load: the same poses, and the same f, which is a length."""
+    machine = machines.build_machine("matrix", model=model)
+    layout, rho = machine.layout, move_about(machine, rng)
+    stiffer = layout.nominal.copy()
+    for symbol in ("k1_d", "k2_d", "k3_d", "k1_l", "k2_l", "k3_l"):
+        stiffer[layout.index[symbol]] *= 3.0
+    pose = solve_forward_kinematics(machine, layout.nominal, rho)
+    position = pose.position + rng.uniform(-0.5, 0.5, (4, 3))
+    first, second = (machine.linearise(x, position, pose.rotation, rho).residual for x in (layout.nominal, stiffer))
+    np.testing.assert_allclose(second, first, rtol=0, atol=1e-11)
+    assert np.abs(first).max() > 0.1
+
+
+def test_chain_of_the_telescope():
+    """What the telescope's steel rods come to, by hand: 6.3 N/µm along a leg, 1 N m per radian at a joint."""
+    flexures = machines.build_telescope().flexures
+    d, leg = flexures.section, flexures.leg_section
+    chain = compute_chain_stiffness(*(np.array(v) for v in (d.k1, d.k2, d.k3, leg.k1, leg.k2, leg.k3, 500.0, 10.0)))
+    assert chain.axial == pytest.approx(1 / (20 / (200e3 * np.pi / 4) + 490 / (200e3 * 25 * np.pi)), rel=1e-12)
+    assert chain.near == pytest.approx(200e3 * np.pi / 64 / 10.0, rel=0.01)

@@ -1,0 +1,186 @@
+"""Readings of a platform on sliding legs: its loops close, derivatives are those of differences, faults are named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sliding_platforms import SETS, build, make_content, read_star
+
+from bayescal.errors import InputError
+from bayescal.experiments.shared.reading_machine import poses_about_home
+from bayescal.machines.readings.sliding_platform import segments_cross
+
+CASES = [(n, points) for n in (3, 4, 6) for points in ("along", "against")]
+LISTED = {
+    4: "l1 xP2 yP2 beta2 l2 xiB2 xP3 yP3 beta3 l3 xiB3 etaB3 xP4 yP4 beta4 l4 xiB4 etaB4",
+    8: "l1 phi1 xP2 yP2 beta2 l2 xiB2 phi2 xP3 yP3 beta3 l3 xiB3 etaB3 phi3 xP4 yP4 beta4 l4 xiB4 etaB4 phi4",
+    12: "l1 phi1 psi1 xP2 yP2 beta2 l2 xiB2 phi2 psi2 xP3 yP3 beta3 l3 xiB3 etaB3 phi3 psi3 "
+    "xP4 yP4 beta4 l4 xiB4 etaB4 phi4 psi4",
+}
+"""Calibrated parameters of three sets as section 5 of Šika et al. (2008) lists them, subscripts of zeros left out."""
+
+
+def draw(model, rng, n_machines=4, n_poses=5):
+    """Return machines (n, 1, D) with every parameter off, and poses (1, P, 3)."""
+    units = np.where(np.array(model.layout.units) == "mm", 5.0, 0.02)
+    theta = model.layout.nominal + units * rng.standard_normal((n_machines, 1, model.layout.size))
+    moves = rng.uniform(-1.0, 1.0, (n_poses, 3)) * [120.0, 120.0, 0.3]
+    return theta, poses_about_home(model, moves)[None]
+
+
+@pytest.mark.parametrize(("n", "points"), CASES)
+def test_loops_close_in_the_complex_plane(rng, n, points):
+    """From carriage and leg angle to the platform's joint, by a way that solves nothing."""
+    model = build(make_content(n, points))
+    theta, pose = draw(model, rng)
+    take = {symbol: model.layout.take(theta, symbol) for symbol in model.layout.symbols}
+    s, phi, psi = (model.read(theta, pose)[..., k * n : (k + 1) * n] for k in range(3))
+    guide = np.exp(1j * take["beta"])
+    leg = take["l"] * guide * np.exp(1j * (phi + take["phi0"]))
+    reached = take["x_P"] + 1j * take["y_P"] + s * guide + leg
+    joint = pose[..., :1] + 1j * pose[..., 1:2] + np.exp(1j * pose[..., 2:]) * (take["xi_B"] + 1j * take["eta_B"])
+    np.testing.assert_allclose(reached, joint, atol=1e-9)
+    seen_from_platform = leg * np.exp(-1j * pose[..., 2:])
+    np.testing.assert_allclose(take["l"] * np.exp(1j * (psi + take["psi0"])), seen_from_platform, atol=1e-9)
+    along = (leg / guide).real
+    assert (along > 0).all() if points == "along" else (along < 0).all()
+
+
+@pytest.mark.parametrize(("n", "points"), CASES)
+def test_derivatives_are_those_of_central_differences(rng, n, points):
+    model = build(make_content(n, points, turn_deg=12.0))
+    theta, pose = draw(model, rng, 3, 4)
+    found = model.linearise(theta, pose)
+    np.testing.assert_array_equal(found.values, model.read(theta, pose))
+    h = 1e-5
+    steps = h * np.eye(3)
+    by_pose = np.stack([(model.read(theta, pose + e) - model.read(theta, pose - e)) / (2 * h) for e in steps], -1)
+    steps = h * np.eye(model.layout.size)
+    by_parameters = np.stack([(model.read(theta + e, pose) - model.read(theta - e, pose)) / (2 * h) for e in steps], -1)
+    np.testing.assert_allclose(found.by_pose, by_pose, atol=2e-6, rtol=1e-7)
+    np.testing.assert_allclose(found.by_parameters, by_parameters, atol=2e-6, rtol=1e-7)
+    assert model.linearise(theta, pose, with_parameters=False).by_parameters.size == 0
+
+
+def test_tool_and_its_derivatives(rng):
+    model = build(make_content(4))
+    theta, pose = draw(model, rng)
+    position, by_pose, by_parameters = model.tool(theta, pose)
+    offset = model.layout.take(theta, "xi_V") + 1j * model.layout.take(theta, "eta_V")
+    there = pose[..., :1] + 1j * pose[..., 1:2] + np.exp(1j * pose[..., 2:]) * offset
+    np.testing.assert_allclose(position[..., 0] + 1j * position[..., 1], there[..., 0], atol=1e-10)
+    np.testing.assert_allclose(model.read(theta, pose)[..., -3:-1], position, atol=0)
+    h = 1e-5
+    for k, e in enumerate(h * np.eye(3)):
+        slope = (model.tool(theta, pose + e)[0] - model.tool(theta, pose - e)[0]) / (2 * h)
+        np.testing.assert_allclose(np.broadcast_to(by_pose[..., k], slope.shape), slope, atol=1e-6)
+    for k, e in enumerate(h * np.eye(model.layout.size)):
+        slope = (model.tool(theta + e, pose)[0] - model.tool(theta - e, pose)[0]) / (2 * h)
+        np.testing.assert_allclose(by_parameters[..., k], slope, atol=1e-6)
+
+
+def test_readings_of_one_pose_by_hand():
+    """The shipped machine at home: by symmetry sqrt(800² - 500²) from guide to joint, angle sensors at zero."""
+    model = read_star()
+    found = model.read(model.layout.nominal, model.home)
+    np.testing.assert_allclose(found[:4], -np.sqrt(800.0**2 - 500.0**2), rtol=1e-12)
+    np.testing.assert_allclose(found[4:12], 0.0, atol=1e-12)
+    np.testing.assert_allclose(found[12:], [0.0, 0.0, model.home[2]], atol=1e-12)
+
+
+@pytest.mark.parametrize("points", ["along", "against"])
+def test_angles_are_continuous_where_a_leg_passes_its_guide(points):
+    """A platform that crosses a guide's line; against its guide the plain arc tangent would jump there."""
+    model = build(make_content(3, points))
+    first = model.guide_points[0]
+    across = np.array([np.cos(model.guide_angles[0] - np.pi / 2), np.sin(model.guide_angles[0] - np.pi / 2)])
+    origin = first + np.linspace(-60.0, 60.0, 241)[:, None] * across
+    pose = np.column_stack([origin, np.full(241, model.home[2])])  # B_1 is the origin of the platform's frame
+    theta = model.layout.nominal
+    readings = model.read(theta, pose)
+    angle, seen = readings[:, 3] + model.layout.take(theta, "phi0")[0], readings[:, 6]
+    assert np.abs(np.diff(angle)).max() < 1e-3
+    assert np.abs(np.diff(seen)).max() < 1e-3
+    plain = np.arctan2(np.sin(angle), np.cos(angle))
+    assert (np.abs(np.diff(plain)).max() > 6.0) == (points == "against")
+
+
+@pytest.mark.parametrize("n", SETS)
+def test_calibrated_parameters_are_those_listed(n):
+    model = read_star()
+    names = [model.names[k] for k in model.select(SETS[n])]
+    assert len(names) == n
+    free = [name for name in model.seen_parameters(names) if name not in model.frame_parameters()]
+    ours = {name.replace("_", "").replace("0[", "[").replace("[", "").replace("]", "") for name in free}
+    listed = LISTED[n].split()
+    assert ours == set(listed)
+    assert len(free) == len(listed) == {4: 18, 8: 22, 12: 26}[n]
+
+
+def test_sensors_of_one_leg_see_that_leg():
+    model = build(make_content(6))
+    assert model.seen_parameters(["phi[5]"]) == tuple(
+        f"{symbol}[5]" for symbol in ("x_P", "y_P", "beta", "l", "xi_B", "eta_B", "phi0")
+    )
+    assert model.seen_parameters(["y_V"]) == ("xi_V", "eta_V")
+    assert model.seen_parameters(["phi_V"]) == ()
+    theta, pose = draw(model, np.random.default_rng(0), 1, 1)
+    slope = model.linearise(theta, pose).by_parameters[0, 0]
+    for k, name in enumerate(model.names):
+        moved = {model.layout.names[j] for j in np.flatnonzero(slope[k])}
+        assert moved <= set(model.seen_parameters([name]))
+
+
+def test_select_takes_kinds_and_names_in_the_machines_order():
+    model = read_star()
+    assert [model.names[k] for k in model.select(["phi[2]", "s", "phi[2]"])] == [
+        *(f"s[{k}]" for k in (1, 2, 3, 4)),
+        "phi[2]",
+    ]
+    for name in ("s[5]", "phi0", "S"):
+        with pytest.raises(InputError, match=r"unknown here, expected some of s\[1\]"):
+            model.select(["s", name])
+
+
+# --- faults ----------------------------------------------------------------------------------------------------------
+
+
+def test_unreachable_pose_and_leg_are_named():
+    model = read_star()
+    moves = np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [0.0, 320.0, 0.0]])
+    with pytest.raises(
+        InputError, match=r"'sliding_star': pose 3: leg 4 cannot reach it, found 820 mm from its guide, "
+    ):
+        model.check_poses(poses_about_home(model, moves))
+    assert np.isnan(model.read(model.layout.nominal, poses_about_home(model, moves))[2, 3])
+    model.check_poses(poses_about_home(model, moves[:2]))
+
+
+def test_crossed_legs_are_named():
+    model = read_star()
+    turned = poses_about_home(model, np.array([[0.0, 0.0, 0.1], [0.0, 0.0, np.pi]]))
+    with pytest.raises(InputError, match=r"path 2: legs \d and \d cross, expected legs that do not"):
+        model.check_poses(turned, lambda k: f"path {k + 1}")
+
+
+def test_faults_at_home_are_named():
+    star = read_star()
+    with pytest.raises(
+        InputError, match="home: leg 2 cannot reach it, found 500 mm from its guide, expected at most 300"
+    ):
+        replace(star, leg_lengths=np.array([800.0, 300.0, 800.0, 800.0]))
+    with pytest.raises(InputError, match=r"home: legs \d and \d cross"):
+        replace(star, home=poses_about_home(star, np.array([[0.0, 0.0, np.pi]]))[0])
+    content = make_content(4)
+    with pytest.raises(InputError, match="found 2 legs, expected at least 3"):
+        build(content | {"legs": content["legs"][:2]})
+
+
+def test_segments_cross_as_their_equations_say(rng):
+    a, b, c, d = rng.uniform(-1.0, 1.0, (4, 500, 2))
+    shares = np.linalg.solve(np.stack([b - a, c - d], axis=-1), (c - a)[..., None])[..., 0]
+    crossing = ((shares > 0.0) & (shares < 1.0)).all(axis=1)
+    assert 50 < crossing.sum() < 450
+    np.testing.assert_array_equal(segments_cross(a, b, c, d), crossing)

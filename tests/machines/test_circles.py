@@ -1,0 +1,95 @@
+"""Directions as gain and azimuth about the leg: a bijection that keeps area, and straight ridges."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import telescope_machines as machines
+
+from bayescal.density.posterior import ModelError
+from bayescal.machines.circles import find_circles
+from bayescal.numerics.geometry import matrix_from_rotation_vector
+
+LEGS = np.array([[0.2, 0.05, 1.0], [-0.1, 0.3, 1.0], [0.4, -0.4, 1.0]])
+UP = np.array([[0.0, 0.0, 1.0], [0.02, -0.03, np.sqrt(1 - 0.0013)], [0.0, 0.1, np.sqrt(0.99)]])
+
+
+@pytest.fixture
+def circles():
+    """Return the circles of three legs."""
+    clear, found = find_circles(UP, LEGS, np.full(3, 0.03))
+    assert clear.all()
+    return found
+
+
+def directions_near(rng, n):
+    """Return unit vectors (n, 3, 3) near the three nominal ones."""
+    turned = matrix_from_rotation_vector(0.1 * rng.standard_normal((n, 3, 3))) @ UP[..., None]
+    return turned[..., 0]
+
+
+def test_bijection(circles, rng):
+    u = directions_near(rng, 50)
+    w, psi = circles.polar(u)
+    u_x, u_y = circles.directions(w, psi)
+    np.testing.assert_allclose(u_x, u[..., 0], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(u_y, u[..., 1], rtol=0, atol=1e-14)
+
+
+def test_nominal_direction_has_azimuth_zero_and_the_nominal_gain(circles):
+    w, psi = circles.polar(UP)
+    np.testing.assert_allclose(w, circles.gain, atol=1e-15)
+    np.testing.assert_allclose(psi, 0.0, atol=1e-12)
+    np.testing.assert_allclose(w, np.sum(UP * LEGS, axis=1) / np.linalg.norm(LEGS, axis=1), atol=1e-15)
+
+
+def test_one_gain_for_every_azimuth(circles, rng):
+    w, _ = circles.polar(UP)
+    u_x, u_y = circles.directions(w, 0.8 * rng.standard_normal((20, 3)))
+    u = np.stack([u_x, u_y, np.sqrt(1 - u_x**2 - u_y**2)], axis=-1)
+    np.testing.assert_allclose(circles.polar(u)[0], np.broadcast_to(w, (20, 3)), rtol=0, atol=1e-14)
+    assert np.ptp(u_x, axis=0).min() > 0.1
+
+
+def test_slopes_and_area(circles, rng):
+    u = directions_near(rng, 1)[0]
+    w, psi = circles.polar(u)
+    by_w, by_psi = circles.slopes(u)
+    step = 1e-6
+    for found, (dw, dpsi) in ((by_w, (step, 0.0)), (by_psi, (0.0, step))):
+        high, low = (np.stack(circles.directions(w + s * dw, psi + s * dpsi), axis=-1) for s in (1, -1))
+        np.testing.assert_allclose(found, (high - low) / (2 * step), rtol=1e-6, atol=1e-8)
+    area = by_w[:, 0] * by_psi[:, 1] - by_w[:, 1] * by_psi[:, 0]
+    np.testing.assert_allclose(np.abs(area), u[:, 2], rtol=1e-12)
+
+
+def test_no_direction_and_one_that_points_down_are_nan(circles):
+    u_x, _ = circles.directions(np.array([1.01, 0.5, -0.99]), np.zeros(3))
+    assert np.isnan(u_x[0])
+    assert np.isfinite(u_x[1])
+    assert np.isnan(u_x[2])
+
+
+def test_leg_close_to_its_direction_has_no_circle():
+    clear, found = find_circles(UP, LEGS, np.array([0.03, 0.2, 0.03]))
+    np.testing.assert_array_equal(clear, [True, False, True])
+    assert len(found.gain) == 2
+
+
+def test_posterior_along_a_circle_is_that_of_the_prior(rng):
+    """Moving a direction around its leg with its joint in place changes the likelihood by next to nothing."""
+    machine = machines.build_machine("none")
+    poses = machines.simulate_poses(machine, machine.layout.nominal, machines.table_3_actuators(), np.zeros(6), rng)
+    symbols = ("a_x", "a_y", "a_z", "b_x", "b_y", "l", "u_x", "u_y")
+    posterior = machines.build_posterior("none", poses, ModelError(None), symbols)
+    azimuth = posterior.names.index("u_y[2]")
+    gain = posterior.names.index("u_x[2]")
+
+    def change(k, distance):
+        y = np.zeros((2, posterior.n_parameters))
+        y[1, k] = distance
+        low, high = posterior.likelihood(posterior.theta(y), np.zeros(6))
+        return abs(high - low)
+
+    assert change(azimuth, 1.0) < 1.0
+    assert change(gain, 1.0) > 500.0

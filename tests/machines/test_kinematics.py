@@ -1,0 +1,281 @@
+"""Forward against inverse kinematics, redundant machines, published figures, and what must be refused."""
+
+from __future__ import annotations
+
+import itertools
+import re
+
+import numpy as np
+import pytest
+import telescope_machines as machines
+
+from bayescal.errors import InputError, NumericalError
+from bayescal.machines.kinematics import (
+    check_home_pose,
+    compute_home_legs,
+    guess_home_pose,
+    solve_forward_kinematics,
+    solve_inverse_kinematics,
+)
+from bayescal.machines.mechanism import ExternalLoad
+from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
+
+N_POSES = 10_000
+SLOW_MODELS = ("stiffness", "stiffness_fixed")  # a thousand poses of these in the fast suite
+
+
+@pytest.mark.parametrize("deformation", machines.deformation_names())
+@pytest.mark.parametrize(
+    ("model", "n_poses"),
+    [
+        *((model, 1_000 if model in SLOW_MODELS else N_POSES) for model in machines.model_names()),
+        *(pytest.param(model, N_POSES, marks=pytest.mark.slow) for model in SLOW_MODELS),
+    ],
+)
+def test_inverse_undoes_forward(deformation, model, n_poses, rng):
+    machine = machines.build_machine(deformation, model=model)
+    theta = machines.telescope_truth(machine)
+    actuators = machines.INITIAL_POSITION + machines.ACTUATOR_RANGE * rng.uniform(-1, 1, (n_poses, 6))
+    forward = solve_forward_kinematics(machine, theta, actuators)
+    assert forward.converged.all()
+    found = solve_inverse_kinematics(machine, theta, forward.position, forward.rotation)
+    assert found.converged.all()
+    np.testing.assert_allclose(found.actuators, actuators, rtol=0, atol=1e-9)
+    if deformation != "none":
+        rigid = machines.build_machine("none", model=model)
+        shorter = theta[: rigid.layout.size]
+        other = solve_inverse_kinematics(rigid, shorter, forward.position[:100], forward.rotation[:100])
+        assert np.abs(other.actuators - actuators[:100]).max() > 1e-3  # the deformation matters
+
+
+@pytest.mark.parametrize("deformation", machines.deformation_names())
+@pytest.mark.parametrize(("model", "n_legs"), machines.model_cases(6, 7, 8))
+def test_random_machine_finds_the_pose_again(model, n_legs, deformation, rng):
+    machine = machines.build_machine(deformation, machines.build_random_mechanism(n_legs, seed=n_legs), model)
+    theta = machine.layout.nominal
+    home = check_home_pose(machine)
+    np.testing.assert_allclose(home.position, [3.0, -2.0, 400.0], atol=1e-9)
+    position = home.position + rng.uniform(-3, 3, (50, 3))
+    rotation = matrix_from_rotation_vector(rng.uniform(-0.02, 0.02, (50, 3)))
+    actuators = solve_inverse_kinematics(machine, theta, position, rotation).actuators
+    found = solve_forward_kinematics(machine, theta, actuators)
+    error = compute_pose_error(found.position, found.rotation, position, rotation)
+    assert np.abs(error[:, :3]).max() < 1e-9
+    assert np.abs(error[:, 3:]).max() < 1e-11
+
+
+def test_batches_of_machines_equal_single_ones(rng):
+    machine = machines.build_machine("matrix")
+    theta = machines.telescope_truth(machine) + rng.normal(0, 1e-3, (3, machine.layout.size))
+    actuators = machines.table_3_actuators()[:5]
+    batch = solve_forward_kinematics(machine, theta[:, None], actuators[None])
+    assert batch.position.shape == (3, 5, 3)
+    assert batch.rotation.shape == (3, 5, 3, 3)
+    one = solve_forward_kinematics(machine, theta[2], actuators[4])
+    np.testing.assert_allclose(batch.position[2, 4], one.position, atol=1e-11)
+    again = solve_inverse_kinematics(machine, theta[:, None], batch.position, batch.rotation)
+    np.testing.assert_allclose(again.actuators, np.broadcast_to(actuators, (3, 5, 6)), atol=1e-9)
+    here = batch.position[0], batch.rotation[0]  # the first machine's poses, as the others reach them
+    others = solve_inverse_kinematics(machine, theta[:, None], *here)
+    alone = solve_inverse_kinematics(machine, theta[1], *here)
+    np.testing.assert_allclose(others.actuators[1], alone.actuators, atol=1e-11)
+
+
+def test_newton_converges_quadratically_at_large_rotations(rng):
+    """Some ten degrees away six steps are enough, and the closure vanishes to rounding."""
+    machine = machines.build_machine("none", machines.build_random_mechanism(6, seed=6))
+    home = check_home_pose(machine)
+    position = home.position + rng.uniform(-5, 5, (50, 3))
+    rotation = matrix_from_rotation_vector(rng.uniform(-0.15, 0.15, (50, 3)))
+    actuators = solve_inverse_kinematics(machine, machine.layout.nominal, position, rotation).actuators
+    found = solve_forward_kinematics(machine, machine.layout.nominal, actuators)
+    assert found.n_iterations <= 6
+    here = machine.linearise(machine.layout.nominal, found.position, found.rotation, actuators)
+    assert np.abs(here.residual).max() < 1e-11
+
+
+def test_home_pose_of_the_telescope():
+    machine = machines.build_machine("matrix")
+    home = check_home_pose(machine)
+    np.testing.assert_allclose(home.position, [0, 0, machines.HOME_HEIGHT], atol=0.005)
+    np.testing.assert_allclose(home.rotation, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(compute_home_legs(machine), axis=1), 500.0, atol=1e-9)
+
+
+def test_worst_pose_error_of_one_micrometre_of_motor_error():
+    """RR-8096 states 6 µm at worst; with the recovered geometry the worst of all signs at the 40 poses is 5.9 µm."""
+    machine = machines.build_machine("none")
+    theta, actuators = machine.layout.nominal, machines.table_3_actuators()
+    pose = solve_forward_kinematics(machine, theta, actuators)
+    here = machine.linearise(theta, pose.position, pose.rotation, actuators)
+    slope = -np.linalg.solve(here.pose, here.actuators)[:, :3]
+    signs = np.array(list(itertools.product([-1.0, 1.0], repeat=6)))
+    error = np.linalg.norm(np.einsum("pij,sj->psi", slope, signs), axis=-1)
+    assert error.max() == pytest.approx(5.9, abs=0.05)  # µm per µm
+    # the linear figure is that of the machine: the worst signs at the worst pose, by forward kinematics
+    worst, choice = np.unravel_index(np.argmax(error), error.shape)
+    moved = solve_forward_kinematics(machine, theta, actuators[worst] + 1e-3 * signs[choice])
+    assert np.linalg.norm(moved.position - pose.position[worst]) == pytest.approx(1e-3 * error.max(), rel=1e-3)
+
+
+# --- what cannot be reached ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=machines.model_names())
+def telescope(request):
+    """Return the telescope with K, seen through each model."""
+    return machines.build_machine("matrix", model=request.param)
+
+
+def fail(solve, *arguments):
+    """Return the one line with which a solver fails."""
+    with pytest.raises(NumericalError) as caught:
+        solve(*arguments)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def far_poses():
+    """Return three poses about home, the second three metres up."""
+    position = np.array([[0.0, 0.0, machines.HOME_HEIGHT]] * 3)
+    position[1, 2] += 3000.0
+    return position, np.tile(np.eye(3), (3, 1, 1))
+
+
+def test_pose_out_of_reach_names_pose_leg_and_length(telescope):
+    message = fail(solve_inverse_kinematics, telescope, telescope.layout.nominal, *far_poses())
+    assert re.search(r"leg (\d) cannot reach pose 2 of 3, l\[\1\] is 500 mm", message)
+
+
+def test_pose_out_of_reach_is_flagged_without_check(telescope):
+    theta, (position, rotation) = telescope.layout.nominal, far_poses()
+    found = solve_inverse_kinematics(telescope, theta, position, rotation, check=False)
+    assert found.converged.tolist() == [True, False, True]
+    left = telescope.linearise(theta, position, rotation, found.actuators).residual
+    assert np.abs(left[[0, 2]]).max() < 1e-9
+
+
+def test_the_leg_that_cannot_reach_is_named():
+    """Where every leg closes by itself: one leg is too short for a pose that the others reach."""
+    machine = machines.build_machine("none")
+    theta, home = machine.layout.nominal.copy(), check_home_pose(machine)
+    theta[machine.layout.index["l"][2]] = 50.0
+    message = fail(solve_inverse_kinematics, machine, theta, home.position[None], home.rotation[None])
+    assert "leg 3 cannot reach pose 1 of 1, l[3] is 50 mm" in message
+
+
+def impossible_actuators():
+    """Return table 3's first three positions, the second with a leg pushed to where no pose closes."""
+    actuators = machines.table_3_actuators()[:3]
+    actuators[1, 0] += 1e5
+    return actuators
+
+
+def test_missing_pose_is_named(telescope):
+    message = fail(solve_forward_kinematics, telescope, telescope.layout.nominal, impossible_actuators())
+    assert "pose 2 of 3 not found in 30 Newton steps" in message
+
+
+def test_missing_pose_is_flagged_without_check(telescope):
+    theta, actuators = telescope.layout.nominal, impossible_actuators()
+    found = solve_forward_kinematics(telescope, theta, actuators, check=False)
+    assert found.converged.tolist() == [True, False, True]
+    assert found.n_iterations == 30
+    left = telescope.linearise(theta, found.position, found.rotation, actuators).residual
+    assert np.abs(left[[0, 2]]).max() < 1e-9
+
+
+def test_nothing_is_found_silently(telescope):
+    """Actuator positions and poses that are no numbers are not converged."""
+    theta, actuators = telescope.layout.nominal, machines.table_3_actuators()[:3]
+    pose = solve_forward_kinematics(telescope, theta, actuators)
+    actuators[1, 3] = np.nan
+    assert solve_forward_kinematics(telescope, theta, actuators, check=False).converged.tolist() == [True, False, True]
+    position = pose.position.copy()
+    position[2, 0] = np.nan
+    found = solve_inverse_kinematics(telescope, theta, position, pose.rotation, check=False)
+    assert found.converged.tolist() == [True, True, False]
+
+
+@pytest.mark.parametrize("model", ["stiffness", "stiffness_fixed"])
+def test_an_equilibrium_that_is_not_found_is_named(model):
+    """A hundred million newtons aside."""
+    machine = machines.build_machine("none", machines.build_telescope(load=ExternalLoad(force=(1e8, 0.0, 0.0))), model)
+    arguments = machine, machine.layout.nominal, machines.table_3_actuators()[:3]
+    assert not solve_forward_kinematics(*arguments, check=False).converged.any()
+    assert "pose 1 of 3 not found in 30 Newton steps" in fail(solve_forward_kinematics, *arguments)
+
+
+def test_no_machine_is_not_converged(telescope):
+    """A direction off the unit sphere; where there are none, a length that is no number."""
+    theta = telescope.layout.nominal.copy()
+    symbol, value = ("u_x", 1.2) if "u_x" in telescope.layout.index else ("l", np.nan)
+    theta[telescope.layout.index[symbol][2]] = value
+    actuators = machines.table_3_actuators()[:2]
+    found = solve_forward_kinematics(telescope, theta, actuators, check=False)
+    assert not found.converged.any()
+    assert "pose 1 of 2" in fail(solve_forward_kinematics, telescope, theta, actuators)
+    position, rotation = far_poses()
+    reached = solve_inverse_kinematics(telescope, theta, position[:1], rotation[:1], check=False)
+    assert not reached.converged.any()
+    assert "pose 1 of 1" in fail(solve_inverse_kinematics, telescope, theta, position[:1], rotation[:1])
+
+
+@pytest.mark.parametrize("model", machines.model_names())
+def test_a_machine_without_home_pose_finds_nothing_that_needs_it(model):
+    """One leg of a tenth of its length: the 6-PUS stands elsewhere or nowhere, what is referred to home nowhere."""
+    machine = machines.build_machine("none", model=model)
+    theta = machine.layout.nominal.copy()
+    theta[machine.layout.index["l"][2]] = 50.0
+    found = solve_forward_kinematics(machine, theta, machines.table_3_actuators()[:2], check=False)
+    assert not found.converged.any()
+
+
+def hexagon(radius):
+    angle = np.radians([0, 60, 120, 180, 240, 300])
+    return radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("base_points", "platform_points"),
+    [
+        (hexagon(130.0), hexagon(130.0)),  # parallel legs
+        (hexagon(155.0), hexagon(130.0)),  # similar hexagons: all legs meet in one point
+        (hexagon(155.0), np.tile([20.0, 0.0, 0.0], (6, 1))),
+        (hexagon(155.0), np.zeros((6, 3))),
+    ],
+    ids=["parallel", "similar", "one joint", "one joint at the origin"],
+)
+def test_singular_geometry_is_refused(base_points, platform_points):
+    mechanism = machines.build_telescope(base_points=base_points, platform_points=platform_points)
+    with pytest.raises(InputError, match="telescope"):
+        check_home_pose(machines.build_machine("none", mechanism))
+
+
+def test_regular_geometry_is_accepted():
+    mechanism = machines.build_telescope(base_points=machines.build_telescope().base_points + np.array([5.0, 0.0, 0.0]))
+    assert check_home_pose(machines.build_machine("none", mechanism)).converged.all()
+
+
+def test_legs_too_short_are_refused():
+    mechanism = machines.build_telescope(leg_lengths=np.array([500.0, 500, 50, 500, 500, 500]))
+    with pytest.raises(InputError, match="leg 3 of 50 mm cannot span"):
+        guess_home_pose(mechanism)
+
+
+def test_five_legs_are_refused():
+    telescope = machines.build_telescope()
+    fewer = {
+        field: getattr(telescope, field)[:5]
+        for field in ("base_points", "platform_points", "directions", "leg_lengths", "initial_actuator_positions")
+    }
+    with pytest.raises(InputError, match="found 5 legs, expected at least 6"):
+        machines.build_telescope(**fewer)
+
+
+def test_downward_direction_is_refused():
+    directions = np.tile([0.0, 0.0, 1.0], (6, 1))
+    directions[3] = [1.0, 0.0, 0.0]
+    with pytest.raises(InputError, match="leg 4"):
+        machines.build_telescope(directions=directions)

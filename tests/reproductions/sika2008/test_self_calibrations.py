@@ -1,0 +1,358 @@
+"""The shipped experiment, tiny; its parts against closed forms and against each other; what it refuses."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from sliding_platforms import STAR, copy_tiny, make_content
+
+from bayescal.config import load_experiment
+from bayescal.experiments.study.inputs import hash_identity
+from bayescal.reproductions.sika2008 import machines as machines_module
+from bayescal.reproductions.sika2008.documented import QUANTILE, list_calibrabilities, list_steps, name_parts
+from bayescal.reproductions.sika2008.machines import GEOMETRY, draw_candidate, lay_out
+from bayescal.reproductions.sika2008.predict import predict_covariance, predict_tool
+from bayescal.reproductions.sika2008.published import band_of, read_published
+from bayescal.reproductions.sika2008.run import identify, run_self_calibrations
+from bayescal.reproductions.sika2008.setting import read_setting
+from bayescal.reproductions.sika2008.simulate import BAYESIAN, PAPER, PROCEDURES, measure, simulate, state_spread
+from bayescal.reproductions.sika2008.statistics import cover, ratio_of, rms_of
+
+TABLES = {
+    "calibrability",
+    "correlations",
+    "coverage",
+    "errors",
+    "judged",
+    "machine_steps",
+    "machine_summary",
+    "machines",
+    "parameters",
+    "path",
+    "steps",
+    "sweep_errors",
+    "sweep_steps",
+    "uncalibrated",
+}
+FIGURES = {"errors", "machines", "parameters", "path", "predictors", "sweep"}
+
+
+@pytest.fixture
+def path(tmp_path):
+    """Return the config of the shipped experiment, tiny."""
+    return copy_tiny(tmp_path)
+
+
+@pytest.fixture
+def setting(path):
+    return read_setting(load_experiment(path), path.parent)
+
+
+def edit(path, old, new):
+    text = path.read_text()
+    assert old in text, old
+    path.write_text(text.replace(old, new))
+
+
+def run(path, name="out", workers=1):
+    out = path.parents[1] / name
+    return out, run_self_calibrations(load_experiment(path), path.parent, out, workers)
+
+
+def plain_text(page):
+    return re.sub(r"base64,[^\"]*", "", page.read_text())
+
+
+# --- the whole -------------------------------------------------------------------------------------------------------
+
+
+def test_shipped_experiment_runs_tiny(path):
+    out, text = run(path)
+    assert "report.html" in text
+    assert {p.stem for p in out.glob("*.csv")} == TABLES
+    assert {p.stem for p in (out / "figures").iterdir()} == FIGURES
+    summary = json.loads((out / "summary.json").read_text())
+    assert [row["n_parameters"] for row in summary["calibrability"]] == [18, 22, 26]
+    assert not re.search(r"\bnan\b", plain_text(out / "report.html"))
+    two, _ = run(path, "two", workers=2)
+    for table in out.glob("*.csv"):
+        assert table.read_bytes() == (two / table.name).read_bytes()
+    assert (out / "report.html").read_bytes() == (two / "report.html").read_bytes()
+
+
+def write_legs(path, n_legs):
+    """Give the experiment a machine with N legs."""
+    content = make_content(n_legs)
+    lines = ['kind = "sliding_platform"', 'name = "other"']
+    for leg in content["legs"]:
+        lines += ["[[legs]]", *(f"{key} = {json.dumps(value)}" for key, value in leg.items())]
+    lines += ["[tool]", "point_mm = [5.0, 7.0]", "[home]", "tool_mm = [3.0, -2.0]", "angle_deg = 4.0"]
+    (path.parent / "machine.toml").write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("n_legs", "sets"),
+    [
+        (3, {"angles": ["s", "phi"], "one more": ["s", "phi", "psi[2]"]}),
+        (6, {"carriages": ["s"], "all": ["s", "phi", "psi"]}),
+        (4, {"single": ["s", "phi[1]", "psi[3]"]}),
+        (4, {"outside": ["s", "x_V", "y_V"], "inside": ["s", "phi"]}),
+    ],
+)
+def test_any_sets_on_any_legs(path, n_legs, sets):
+    write_legs(path, n_legs)
+    text = path.read_text().partition("[[sets]]")[0]
+    text = text.replace("position_mm = 200.0", "position_mm = 150.0").replace("angle_deg = 30.0", "angle_deg = 15.0")
+    text = text.replace("n_poses = 20", "n_poses = 60", 1)
+    text = text.replace("[sensors]", "[sensors]\nx_V = { noise_um = 5.0 }\ny_V = { noise_um = 5.0 }")
+    path.write_text(
+        text + "".join(f"[[sets]]\nname = {json.dumps(n)}\nsensors = {json.dumps(s)}\n" for n, s in sets.items())
+    )
+    out, _ = run(path)
+    errors = pd.read_csv(out / "errors.csv")
+    assert list(dict.fromkeys(errors["set"])) == list(sets)
+    assert (errors["n_failed"] == 0).all()
+    assert errors["tool"].between(1e-5, 2.0).all()
+    assert not re.search(r"\bnan\b", plain_text(out / "report.html"))
+    assert "published figures" not in plain_text(out / "report.html")
+
+
+# --- parts -----------------------------------------------------------------------------------------------------------
+
+
+def test_prediction_is_what_simulation_finds(setting):
+    """For the paper's procedure; and with the wrong noise it is not."""
+    n = 300
+    for plan in setting.plans.plans[1:]:
+        measured = measure(setting.plans, setting.pose, setting.targets, n, setting.rng(9))
+        found = simulate(setting.plans, plan, PAPER, measured, setting.pose, setting.targets)
+        covariance = predict_covariance(plan, setting.pose)
+        ratio = np.sqrt(np.mean(found.error**2, axis=0) / np.diagonal(covariance))
+        assert np.abs(ratio - 1.0).max() < 4.5 / np.sqrt(2 * n) + 0.02
+        tool = predict_tool(plan, covariance, setting.targets)
+        assert np.sqrt(found.tool_squares.mean()) == pytest.approx(tool, rel=0.12)
+        louder = replace(plan, sensors=replace(plan.sensors, noise=1.5 * plan.sensors.noise))
+        assert np.diagonal(predict_covariance(louder, setting.pose)) == pytest.approx(2.25 * np.diagonal(covariance))
+
+
+def test_stated_intervals_cover_and_understated_ones_do_not(setting):
+    n = 200
+    plan = setting.plans.plans[2]
+    measured = measure(setting.plans, setting.pose, setting.targets, n, setting.rng(9))
+    found = simulate(setting.plans, plan, BAYESIAN, measured, setting.pose, setting.targets)
+    stated = state_spread(found, setting.targets)
+    pairs = ((found.error, stated.parameters), (found.tool, stated.tool), (found.noisy_tool, stated.noisy_tool))
+    for error, spread in pairs:
+        share = cover(error, spread, QUANTILE, 0.9).share
+        assert abs(share.value - 0.9) < 4.0 * share.error
+        assert share.error < 0.03
+        assert cover(error, 0.6 * spread, QUANTILE, 0.9).share.value < 0.8
+    added = found.noisy_tool - found.tool  # by the noise of the readings in use
+    wanted = stated.noisy_tool**2 - stated.tool**2
+    assert np.sqrt(np.mean(added**2) / np.mean(wanted)) == pytest.approx(1.0, abs=0.06)
+
+
+def test_sets_share_machines_and_noise(setting):
+    plans = setting.plans
+    measured = measure(plans, setting.pose, setting.targets, 4, setting.rng(9))
+    small, large = plans.plans[0], plans.plans[2]
+    np.testing.assert_array_equal(plans.columns(small), np.arange(4))
+    np.testing.assert_array_equal(plans.columns(large), np.arange(12))
+    assert small.sensors.names == tuple(plans.every.sensors.names[k] for k in plans.columns(small))
+    off = measured.readings - plans.every.sensors.read(measured.theta[:, None], setting.pose)
+    assert (off / plans.every.sensors.noise).std() == pytest.approx(1.0, abs=0.06)
+    exact = plans.every.sensors.read(measured.theta[:, None], setting.targets)
+    np.testing.assert_array_equal(measured.at_targets, exact)
+
+
+def test_parts_are_what_all_sets_calibrate(setting):
+    parts = name_parts(setting.plans.plans)
+    assert len(parts["lengths"]) == 15
+    assert parts["guide_angles"] == {"beta[2]", "beta[3]", "beta[4]"}
+
+
+def test_steps_are_ratios_of_root_mean_squares(setting):
+    measured = measure(setting.plans, setting.pose, setting.targets, 5, setting.rng(9))
+    found = {
+        (plan.name, procedure): simulate(setting.plans, plan, procedure, measured, setting.pose, setting.targets)
+        for plan in setting.plans.plans
+        for procedure in PROCEDURES
+    }
+    steps = list_steps(setting.plans, found).set_index(["from", "to", "procedure", "quantity"])["ratio"]
+    one, two = (found[name, PAPER].tool for name in ("4 sensors", "8 sensors"))
+    wanted = np.sqrt((one**2).sum() / (two**2).sum())
+    assert steps["4 sensors", "8 sensors", PAPER, "tool"] == pytest.approx(wanted)
+    assert wanted > 10.0
+
+
+def test_path_is_a_circle_of_the_tool(setting):
+    position, _, _ = setting.machine.tool(setting.machine.layout.nominal, setting.path)
+    np.testing.assert_allclose(np.linalg.norm(position, axis=1), 150.0, rtol=1e-12)
+    turned = np.degrees(setting.path[:, 2] - setting.machine.home[2])
+    assert turned.max() == pytest.approx(20.0)
+    assert turned.min() == pytest.approx(-20.0)
+
+
+# --- statistics ------------------------------------------------------------------------------------------------------
+
+
+def test_standard_errors_are_those_of_repeats(rng):
+    n, repeats = 150, 600
+    one, common = rng.standard_normal((2, repeats, n)) ** 2
+    two = 0.25 * (0.5 * one + 0.5 * common)
+    rms = [rms_of(row) for row in one]
+    assert np.mean([e.error for e in rms]) == pytest.approx(np.std([e.value for e in rms]), rel=0.15)
+    ratios = [ratio_of(a, b) for a, b in zip(one, two, strict=True)]
+    assert np.mean([e.value for e in ratios]) == pytest.approx(2.0, rel=0.02)
+    spread = np.std([e.value for e in ratios])
+    assert np.mean([e.error for e in ratios]) == pytest.approx(spread, rel=0.15)
+    loose = [ratio_of(a, rng.permutation(b)) for a, b in zip(one, two, strict=True)]  # machines that are not the same
+    assert np.mean([e.error for e in loose]) > 1.2 * spread
+
+
+def test_cover_counts_a_calibration_once(rng):
+    """All quantities of a calibration alike: the error is that of 100 calibrations, not of 1000 numbers."""
+    error = np.repeat(rng.standard_normal((100, 1)), 10, axis=1)
+    found = cover(error, np.ones((100, 10)), QUANTILE, 0.9)
+    assert found.share.error == pytest.approx(np.sqrt(found.share.value * (1 - found.share.value) / 99))
+    assert found.lowest == found.highest == found.share.value
+    assert found.binomial_error == pytest.approx(0.03)
+
+
+def test_failed_calibrations_are_left_out():
+    squares = np.array([4.0, np.nan, 4.0, 1.0])
+    assert rms_of(squares).value == pytest.approx(np.sqrt(3.0))
+    assert ratio_of(squares, np.array([1.0, 1.0, np.nan, 0.25])).value == pytest.approx(2.0)
+    assert np.isnan(rms_of(np.full(3, np.nan)).value)
+
+
+# --- machines --------------------------------------------------------------------------------------------------------
+
+
+def test_machines_are_drawn_from_their_ranges(setting):
+    config = setting.config.machines
+    drawn = [draw_candidate(setting, config, setting.rng(7, k)) for k in range(40)]
+    kept = [one for one in drawn if one is not None]
+    assert 10 < len(kept) < 40  # some do not reach their poses
+    for one in kept:
+        for name in GEOMETRY:
+            low, high = getattr(config, name)
+            assert low <= one.geometry[name] <= high
+        one.machine.check_poses(one.pose)
+        np.testing.assert_allclose(np.hypot(*one.machine.guide_points.T), one.geometry["guide_radius_mm"])
+        tool, _, _ = one.machine.tool(one.machine.layout.nominal, one.pose)
+        assert np.abs(tool).max() <= one.geometry["position_mm"]
+
+
+def test_the_documented_machine_is_one_of_them(setting):
+    geometry = dict.fromkeys(GEOMETRY, 0.0) | {"guide_radius_mm": 600.0, "leg_length_mm": 800.0}
+    ours = lay_out(geometry | {"platform_radius_mm": 100.0}, 4)
+    found = machines_module.build_sliding_platform(ours)
+    off = found.layout.nominal - setting.machine.layout.nominal
+    turns = np.array(found.layout.units) == "rad"
+    np.testing.assert_allclose(off[~turns], 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.exp(1j * off[turns]), 1.0, atol=1e-12)
+
+
+# --- published figures -----------------------------------------------------------------------------------------------
+
+
+def test_published_figures_are_the_papers(path):
+    found = read_published(load_experiment(path), path.parent)
+    assert found.sets == {"4 sensors": (18, 3e8), "8 sensors": (22, 3e4), "12 sensors": (26, 4e4)}
+    step = found.steps["4 sensors", "8 sensors"]
+    assert step == {"calibrability": 1e4, "parameters": 1e2, "tool": 1e2}
+    assert band_of("tool", 100.0) == pytest.approx((30.0, 300.0))
+    assert band_of("tool", 1.0) == (0.5, 2.0)
+    assert band_of("calibrability", 1e4) == (1e3, np.inf)
+
+
+# --- faults ----------------------------------------------------------------------------------------------------------
+
+
+def few_poses(path):
+    edit(path, "n_poses = 20", "n_poses = 17")
+
+
+FAULTS = [
+    (few_poses, r"sets: '4 sensors': sensors s\[1\], .*: found 17 equations \(17 poses .* for 18 parameters"),
+    (("calibrations.toml", 'sensors = ["s"]', 'sensors = ["s[1]", "s[2]"]'), "found 0 equations"),
+    (("calibrations.toml", '["s", "phi"]', '["s", "fi"]'), "sets: '8 sensors': sensor 'fi': unknown here"),
+    (("calibrations.toml", "phi = { noise_arcsec", "theta = { noise_arcsec"), "sensor 'theta': unknown here"),
+    (("calibrations.toml", "psi = { noise_arcsec = 0.5 }", ""), r"sensor psi\[1\]: found no noise"),
+    (("calibrations.toml", "phi = { noise_arcsec", "phi = { noise_um"), "found noise_um, expected noise_arcsec"),
+    (("calibrations.toml", "phi = { noise_arcsec", "phi = { noise_deg"), "sensors.phi.noise_deg: unknown key"),
+    (("calibrations.toml", "position_mm = 200.0", "position_mm = 500.0"), r"pose \d+: leg \d cannot reach it"),
+    (("calibrations.toml", "radius_mm = 150.0", "radius_mm = 450.0"), r"path: pose \d+: leg \d cannot reach it"),
+    (
+        ("calibrations.toml", "position_mm = 200.0\nangle_deg = 30.0", "position_mm = 50.0\nangle_deg = 170.0"),
+        r"machine 'sliding_star': pose \d+: legs \d and \d cross",
+    ),
+    (("calibrations.toml", 'name = "8 sensors"', 'name = "4 sensors"'), "found two sets of the name '4 sensors'"),
+    (
+        ("calibrations.toml", "[500.0, 1000.0]", "[1000.0, 500.0]"),
+        "leg_length_mm: found .*, expected the lower end first",
+    ),
+    (("calibrations.toml", "[500.0, 1000.0]", "[50.0, 60.0]"), "machines: found 0 in 150 draws that reach their poses"),
+    (("calibrations.toml", "machine.toml", "engine.toml"), "engine.toml: no such file"),
+    (("calibrations.toml", "calibrability.csv", "c.csv"), "c.csv: no such file"),
+    (
+        ("published/calibrability.csv", "8 sensors,", "9 sensors,"),
+        "line 4: set: found '9 sensors', expected one of 4 s",
+    ),
+    (("published/improvements.csv", "8 sensors,12 sensors", "4 sensors,12 sensors"), "expected neighbours in"),
+    (("machine.toml", "length_mm = 800.0", "length_mm = 400.0"), r"machine.toml: machine 'sliding_star': home: leg 1"),
+]
+
+
+@pytest.mark.parametrize(("fault", "match"), FAULTS)
+def test_faults_are_one_line_and_nothing_is_written(call, path, fault, match):
+    if callable(fault):
+        fault(path)
+    else:
+        edit(path.parent / fault[0], *fault[1:])
+    out = path.parents[1] / "out"
+    code, printed, error = call("run", path, "--out", out, "--workers", 1)
+    assert (code, printed) == (2, "")
+    assert error.count("\n") == 1
+    assert re.search(match, error), error
+    assert not list(path.parents[1].glob("out*"))
+
+
+def test_tolerances_beyond_reach_are_named(call, path):
+    edit(path, "length_mm = 0.3", "length_mm = 300.0")
+    code, _, error = call("run", path, "--out", path.parents[1] / "out", "--workers", 1)
+    assert code == 2
+    assert "tolerances: found machine" in error
+
+
+def test_calibrations_without_solution_are_a_numerical_failure(call, path):
+    """Readings so noisy that Gauss and Newton's method does not find its way."""
+    edit(path, "s = { noise_um = 1.0 }", "s = { noise_um = 100000.0 }")
+    code, _, error = call("run", path, "--out", path.parents[1] / "out", "--workers", 1)
+    assert code == 3
+    assert "none of 6 calibrations converged" in error
+    assert error.count("\n") == 1
+
+
+# --- committed results -----------------------------------------------------------------------------------------------
+
+
+def test_committed_results_are_those_of_the_committed_config():
+    """And what they say: the published pattern, and intervals that hold what they state."""
+    experiment, results = STAR / "calibrations.toml", STAR.parents[1] / "results" / "sliding_star_calibrations"
+    config = load_experiment(experiment)
+    provenance = json.loads((results / "provenance.json").read_text())
+    assert provenance["config_sha256"] == hash_identity(identify(config, STAR))
+    summary = json.loads((results / "summary.json").read_text())
+    assert all(row["reached"] for row in summary["judged"])
+    assert all(0.85 <= row["share"] <= 0.95 for row in summary["coverage"])
+    setting = read_setting(config, STAR)
+    found = list_calibrabilities(setting.plans, setting.pose)
+    committed = pd.DataFrame(summary["calibrability"])
+    np.testing.assert_allclose(found["metres_radians"], committed["metres_radians"], rtol=1e-6)

@@ -1,0 +1,284 @@
+"""Machines and data sets that the tests share: the telescope of RR-8096, random machines, simulated poses.
+
+Figures of the telescope are those of RR-8096 (table 3, eq. 4, table 7 a); the radii and azimuths that its lost figure
+held were recovered from its tables. Whatever is simulated here is a twin, never a measurement.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.priors import NormalPrior
+from bayescal.machines.deformations import DEFORMATIONS, Deformation, NominalDeformation
+from bayescal.machines.kinematics import Machine, solve_forward_kinematics
+from bayescal.machines.mechanism import Flexures, Mechanism, section_of_rod
+from bayescal.machines.models import MODELS, KinematicModel
+from bayescal.machines.parameters import ParameterLayout
+from bayescal.numerics.geometry import matrix_from_rotation_vector
+
+ACTUATOR_NOISE = 1e-3
+ACTUATOR_RANGE = 1.3
+INITIAL_POSITION = 10.0
+HOME_HEIGHT = 497.41
+
+TELESCOPE_MATRIX = 1e-3 * np.array(
+    [
+        [16, 0, -8, 12, -2, -20],
+        [0, 20, -17, -1, 13, -13],
+        [-2, -15, 14, 2, -9, 9],
+        [6, -12, 4, 14, -16, 2],
+        [-12, 7, 0, -15, 14, 4],
+        [-20, -1, 10, -10, 2, 19],
+    ]
+)
+# table 3, in units of the actuator range; one string per configuration, legs 1 to 6
+_TABLE_3 = [
+    "+--++-",
+    "+0+++-",
+    "0+--0+",
+    "++0--+",
+    "+++0-+",
+    "00--++",
+    "++000-",
+    "+--0--",
+    "---0--",
+    "-+-0--",
+    "---+-0",
+    "+-0++-",
+    "-+--+-",
+    "++000-",
+    "--0-0-",
+    "-0+-++",
+    "++++-0",
+    "--+0--",
+    "0-+-+-",
+    "-++0--",
+    "+-0+++",
+    "--00++",
+    "+++---",
+    "0-+-0+",
+    "+--+++",
+    "-++0-0",
+    "-+--++",
+    "-++0--",
+    "-++-0+",
+    "+-0-++",
+    "++0-0+",
+    "0+---+",
+    "+++--0",
+    "-+-+--",
+    "-+0++0",
+    "00+---",
+    "+0-+++",
+    "++0++-",
+    "-0+---",
+    "+----+",
+]
+TABLE_3 = np.array([[{"-": -1.0, "0": 0.0, "+": 1.0}[sign] for sign in row] for row in _TABLE_3])
+TABLE_7A = {
+    "a_x": [-1.71, 0.41, 0.30, -1.58, -0.18, -0.34],
+    "a_y": [-0.33, -0.21, -2.12, 0.37, 0.98, -2.62],
+    "b_x": [0.56, 1.91, 0.04, 0.41, -1.82, -0.32],
+    "b_y": [-0.19, -0.21, 2.25, 1.46, 0.61, -0.22],
+    "l": [0.37, -0.45, 1.02, 0.25, 0.43, 0.58],
+    "kappa": [9.58e-3, 1.98e-3, 4.43e-3, 3.33e-3, 0.67e-3, 6.99e-3],
+}
+FREE_SYMBOLS = {
+    "none": ("a_x", "a_y", "b_x", "b_y", "l", "u_x"),
+    "linear": ("a_x", "a_y", "b_x", "b_y", "l", "kappa"),
+    "matrix": ("a_x", "a_y", "b_x", "b_y", "l", "kappa"),
+}
+SIX_LEGS_ONLY = ("stiffness", "stiffness_fixed")  # six equations of equilibrium
+PERFECT_JOINTS = ("six_pus", "six_ups")  # nothing in these refers to the home pose
+PRIOR_SD = {"u_x": 0.05, "u_y": 0.05, "kappa": 0.01}
+
+
+def _polar(radius: float, azimuths: list[float]) -> np.ndarray:
+    angle = np.radians(azimuths)
+    return radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+
+
+def build_telescope(**changes: object) -> Mechanism:
+    """Return the telescope's nominal geometry, with fields replaced by name."""
+    fields = {
+        "name": "telescope",
+        "base_points": _polar(155.0, [220, 320, 340, 80, 100, 200]),
+        "platform_points": _polar(130.0, [265, 275, 25, 35, 145, 155]),
+        "directions": np.tile([0.0, 0.0, 1.0], (6, 1)),
+        "leg_lengths": np.full(6, 500.0),
+        "initial_actuator_positions": np.full(6, INITIAL_POSITION),
+        "actuator_range": ACTUATOR_RANGE,
+        "flexures": build_flexures(6),
+    }
+    return Mechanism(**(fields | changes))
+
+
+def build_flexures(n_legs: int, diameter: float = 1.0, leg_diameter: float = 10.0) -> Flexures:
+    """Return steel flexures of 10 mm on steel legs, diameters in mm."""
+    section, leg = section_of_rod(diameter, 200e3, 77e3), section_of_rod(leg_diameter, 200e3, 77e3)
+    return Flexures(np.full(n_legs, 10.0), np.full(n_legs, 0.25), section, leg)
+
+
+def build_random_mechanism(n_legs: int, seed: int) -> Mechanism:
+    """Return a machine of tilted legs and actuators that closes at the pose (3, -2, 400) mm, level."""
+    rng = np.random.default_rng(seed)
+    azimuth = np.arange(n_legs) * 360.0 / n_legs + rng.uniform(-12, 12, n_legs)
+    lower = _polar(160.0, list(azimuth)) + rng.normal(0, 10, (n_legs, 3))
+    upper = _polar(110.0, list(azimuth + 40.0 * (-1.0) ** np.arange(n_legs))) + rng.normal(0, 10, (n_legs, 3))
+    tilt = rng.normal(0, 0.1, (n_legs, 2))
+    directions = np.column_stack([tilt, np.sqrt(1 - np.sum(tilt**2, axis=1))])
+    initial = rng.uniform(5, 20, n_legs)
+    home = np.array([3.0, -2.0, 400.0])
+    return Mechanism(
+        name=f"random {n_legs}",
+        base_points=lower - initial[:, None] * directions,
+        platform_points=upper,
+        directions=directions,
+        leg_lengths=np.linalg.norm(home + upper - lower, axis=1),
+        initial_actuator_positions=initial,
+        actuator_range=2.0,
+        flexures=build_flexures(n_legs, diameter=1.5, leg_diameter=2.0),
+    )
+
+
+def put_on_struts(mechanism: Mechanism) -> Mechanism:
+    """Return a machine with struts in place of a machine's legs at home."""
+    still = np.zeros_like(mechanism.directions)
+    return replace(mechanism, base_points=mechanism.home_joints, directions=still, drive="strut")
+
+
+def build_hexapod(**changes: object) -> Mechanism:
+    """Return struts between the telescope's joints at home, with fields of the telescope replaced by name."""
+    return put_on_struts(build_telescope(**changes))
+
+
+def spread_of(layout: ParameterLayout) -> np.ndarray:
+    """Return how far each parameter is moved about nominal: 1 mm, 0.02, a tenth of a stiffness; shape (D,)."""
+    scale = {"mm": 1.0, "1": 0.02}
+    return np.array([scale.get(unit, 0.1 * value) for unit, value in zip(layout.units, layout.nominal, strict=True)])
+
+
+def model_names() -> list[str]:
+    """Return the names of all registered models."""
+    return list(MODELS)
+
+
+def model_cases(*n_legs: int) -> list[tuple[str, int]]:
+    """Return the names of all registered models with the numbers of legs that they take."""
+    return [(name, n) for name in MODELS for n in n_legs if n == 6 or name not in SIX_LEGS_ONLY]
+
+
+def deformation_names() -> list[str]:
+    """Return the names of all registered deformations."""
+    return list(DEFORMATIONS)
+
+
+def build_model(name: str, mechanism: Mechanism) -> KinematicModel:
+    """Return a registered model of a mechanism."""
+    return MODELS[name].from_mechanism(mechanism)
+
+
+def build_deformation(name: str, n_legs: int = 6) -> Deformation:
+    """Return a registered deformation with the telescope's figures, or a random K for other numbers of legs."""
+    matrix = TELESCOPE_MATRIX if n_legs == 6 else np.random.default_rng(n_legs).normal(0, 0.012, (n_legs, n_legs))
+    return DEFORMATIONS[name].from_nominal(NominalDeformation(0.011, lambda: matrix))
+
+
+def build_machine(deformation: str = "matrix", mechanism: Mechanism | None = None, model: str = "six_pus") -> Machine:
+    """Return a machine, its legs replaced by struts where the model takes these; without a mechanism, the telescope."""
+    mechanism = mechanism or build_telescope()
+    if MODELS[model].drive == "strut" and mechanism.drive == "base":
+        mechanism = put_on_struts(mechanism)
+    return Machine(mechanism, build_model(model, mechanism), build_deformation(deformation, mechanism.n_legs))
+
+
+def telescope_truth(machine: Machine) -> np.ndarray:
+    """Return the identified parameters of table 7 (a), shape (D,); kappa only if the machine has it."""
+    theta = machine.layout.nominal.copy()
+    for symbol, offset in TABLE_7A.items():
+        if symbol in machine.layout.index:
+            theta[machine.layout.index[symbol]] += offset
+    return theta
+
+
+def table_3_actuators() -> np.ndarray:
+    """Return the actuator positions of table 3, shape (40, 6), mm."""
+    return INITIAL_POSITION + ACTUATOR_RANGE * TABLE_3
+
+
+def measurement_covariance(n_poses: int) -> np.ndarray:
+    """Return full covariances of photogrammetry kind, 3 µm across and 10 µrad, correlated, shape (P, 6, 6)."""
+    sd = np.array([3e-3, 3e-3, 1e-3, 1e-5, 1e-5, 1e-5])
+    correlation = np.eye(6)
+    correlation[0, 4] = correlation[4, 0] = 0.5
+    correlation[1, 3] = correlation[3, 1] = -0.5
+    correlation[0, 1] = correlation[1, 0] = 0.2
+    return np.tile(correlation * np.outer(sd, sd), (n_poses, 1, 1))
+
+
+def place_poses(machine: Machine, theta: np.ndarray, actuators: np.ndarray, error: np.ndarray) -> MeasuredPoses:
+    """Return the predicted poses moved by pose errors (P, 6), with the usual covariance."""
+    exact = solve_forward_kinematics(machine, theta, actuators)
+    position = exact.position + error[:, :3]
+    rotation = matrix_from_rotation_vector(error[:, 3:]) @ exact.rotation
+    names = tuple(str(k + 1) for k in range(len(actuators)))
+    return MeasuredPoses(names, position, rotation, measurement_covariance(len(actuators)), actuators)
+
+
+def simulate_poses(
+    machine: Machine, theta: np.ndarray, actuators: np.ndarray, tau: np.ndarray, rng: np.random.Generator
+) -> MeasuredPoses:
+    """Return poses drawn from the density that `PoseLikelihood` claims for them."""
+    exact = place_poses(machine, theta, actuators, np.zeros((len(actuators), 6)))
+    covariance = PoseLikelihood(machine, exact, ACTUATOR_NOISE).pose_covariance(tau)
+    normal = rng.standard_normal((len(actuators), 6, 1))
+    error = (np.linalg.cholesky(covariance) @ normal)[..., 0]
+    return place_poses(machine, theta, actuators, error)
+
+
+def build_posterior(
+    deformation: str,
+    poses: MeasuredPoses,
+    model_error: ModelError,
+    symbols: tuple[str, ...] | None = None,
+    machine: Machine | None = None,
+) -> Posterior:
+    """Return a posterior with normal priors of 2 mm (lengths), 0.01 (kappa) and 0.05 (directions) about nominal."""
+    machine = machine or build_machine(deformation)
+    layout = machine.layout
+    chosen = symbols or FREE_SYMBOLS[deformation]
+    priors = {
+        name: NormalPrior(layout.nominal[k], PRIOR_SD.get(symbol, 2.0))
+        for block in layout.blocks
+        for symbol in (block.symbol,)
+        if symbol in chosen
+        for name, k in zip(block.names, layout.index[symbol], strict=True)
+    }
+    return Posterior(PoseLikelihood(machine, poses, ACTUATOR_NOISE), priors, model_error)
+
+
+def central_difference(function, x: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Return df/dx of an array function of a vector (n,), the derivative axis last."""
+    columns = []
+    for k in range(len(x)):
+        change = np.zeros_like(x)
+        change[k] = step[k]
+        columns.append((function(x + change) - function(x - change)) / (2 * step[k]))
+    return np.stack(columns, axis=-1)
+
+
+def stencil_derivative(function, x: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Return df/dx at a vector (n,) of a function of batches of vectors (K, n), the derivative axis last.
+
+    Six points per entry leave out the sixth power of the step only, so that steps may be long and rounding small.
+    """
+    nodes, weights = np.array([-3, -2, -1, 1, 2, 3]), np.array([-1, 9, -45, 45, -9, 1]) / 60
+    moved = x + np.einsum("k,ij->ikj", nodes, np.diag(step))
+    values = function(moved.reshape(-1, len(x)))
+    values = values.reshape(len(x), len(nodes), *values.shape[1:])
+    return np.moveaxis(np.einsum("k,ik...->i...", weights, values), 0, -1) / step

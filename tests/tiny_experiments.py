@@ -1,0 +1,70 @@
+"""All shipped experiments with little to do: the same files, with few draws, poses, candidates and repeats."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tomllib
+from pathlib import Path
+
+SHIPPED = Path(__file__).parents[1] / "experiments"
+
+SMALL = {
+    "study": {"walkers": "8", "burn_in": "5", "steps": "10", "draws": "1000", "max_draws": "1000"}
+    | {"tolerance_mm": "[2.0]"},
+    "pose_methods": {"repeats": "2", "n_targets": "[6, 8]"},
+    "hexapod_calibrations": {
+        **{"candidates": "150", "list_length": "5", "iterations": "3", "verification_poses": "7", "repeats": "4"},
+        **{"selections": "2", "parameter_sets": "3", "noise_draws": "4"},
+    },
+    "pose_selection": {
+        **{"repeats": "2", "iterations": "5", "n_sets": "20", "max_iterations": "5", "list_length": "10"},
+        **{"count": "150", "poses": "14", "machines": "4"},
+    },
+    "self_calibration": {"walkers": "56", "burn_in": "5", "steps": "12", "draws": "1000", "max_draws": "1000"},
+    "self_calibrations": {
+        **{"calibrations": "6", "verification_poses": "5", "n_poses": "20", "count": "3"},
+        "angle_noise_arcsec": "[0.5, 2.0]",
+    },
+    "sensor_placement": {"workspace_poses": "8", "machines": "4", "simulated_sets": "3", "n_poses": "20"},
+    "audit": {"simulated_calibrations": "4", "expected_over_draws": "3", "draws": "2000"},
+}
+"""By kind of experiment, what stands after the names of its keys in place of what is shipped."""
+
+REPLACED: dict[str, tuple[tuple[str, str], ...]] = {
+    "pose_selection": ((r"(?m)^n_poses = \[(\d+).*$", r"n_poses = [\1]"),),
+    "hexapod_calibrations": ((r"(?m)^poses = \[.*$", "poses = [12, 24]"),),
+    "sensor_placement": (
+        (r"(?m)^(tilt_[ab]) = {", r'"\1[1]" = {'),
+        (r'"tilt_a", "tilt_b"', '"tilt_a[1]"'),
+    ),
+}
+"""What is replaced besides, as regular expressions."""
+
+ADDED = {"audit": "\n[sweep]\nnoise = [1.0]\nposes = [10, 40]\nworkspace = [1.0]\n"}
+"""Sections that are shorter than what holds without them."""
+
+
+def copy_tiny(folder: Path) -> Path:
+    """Copy all shipped experiments to a folder, each with little to do; return where they stand."""
+    target = folder / "experiments"
+    shutil.copytree(SHIPPED, target)
+    for path in target.glob("*/*.toml"):
+        text = path.read_text(encoding="utf-8")
+        kind = read_kind(path)
+        for key, value in SMALL.get(kind, {}).items():
+            text = re.sub(rf"^{key} = (?!{{).*$", f"{key} = {value}", text, flags=re.MULTILINE)
+        for old, new in REPLACED.get(kind, ()):
+            text = re.sub(old, new, text)
+        if kind in ADDED and "extends" not in tomllib.loads(text):
+            text += ADDED[kind]
+        path.write_text(text, encoding="utf-8")
+    return target
+
+
+def read_kind(path: Path) -> str:
+    """Return the kind that a file states; that of what it extends where it states none."""
+    content = tomllib.loads(path.read_text(encoding="utf-8"))
+    if "extends" in content:
+        return read_kind(path.parent / content["extends"])
+    return str(content.get("kind", ""))
