@@ -1,22 +1,31 @@
-"""What a report page is made of: statements and tables, all text, nothing of how it looks."""
+"""What a page is made of: statements, tables, figures and folds, all text, nothing of how it looks."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import groupby
-from typing import Literal
+from typing import ClassVar, Literal
+
+from matplotlib import figure as mpl
 
 type Level = Literal["plain", "good", "warning", "bad"]
+
+FIGURE_NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
 @dataclass(frozen=True)
 class Statement:
     """A sentence computed from the numbers, how good the news is, and the word it is found by."""
 
+    block: ClassVar = "statement"
     text: str
     level: Level = "plain"
     lead: str = ""
+
+
+# --- tables ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -31,7 +40,8 @@ class Column:
     group : str
         Neighbours of the same group share a heading.
     kind : str
-        ``number`` columns are right-aligned, ``symbol`` columns are set as the field writes the symbol.
+        ``number`` columns are right-aligned, ``symbol`` columns are set as the field writes the symbol; ``seconds``
+        are wall times, the only numbers that differ between runs of the same config.
     symbolic : bool
         Whether the title is a parameter's symbol.
     """
@@ -39,7 +49,7 @@ class Column:
     title: str
     unit: str = ""
     group: str = ""
-    kind: Literal["number", "text", "name", "symbol"] = "number"
+    kind: Literal["number", "text", "name", "symbol", "seconds"] = "number"
     symbolic: bool = False
 
 
@@ -68,12 +78,28 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A table with its caption."""
+    """A table with its caption.
 
+    Attributes
+    ----------
+    caption : str
+    columns : tuple of Column
+    rows : tuple of tuple of Cell
+    notes : tuple of Statement
+        Below the table.
+    style : str
+        ``wide`` tables are set smaller, ``long`` ones join the rows of a parameter, ``claims`` have fixed widths.
+    headings : mapping of int to str
+        Headings over groups of rows, by the number of the row that follows.
+    """
+
+    block: ClassVar = "table"
     caption: str
     columns: tuple[Column, ...]
     rows: tuple[tuple[Cell, ...], ...]
     notes: tuple[Statement, ...] = ()
+    style: str = ""
+    headings: Mapping[int, str] = field(default_factory=dict)
 
     @property
     def groups(self) -> list[tuple[str, int]]:
@@ -83,32 +109,229 @@ class Table:
         return [(group, len(list(members))) for group, members in groupby(self.columns, key=lambda c: c.group)]
 
 
-@dataclass(frozen=True)
-class Fold:
-    """Tables behind a line that opens them; in print they are open."""
-
-    title: str
-    tables: tuple[Table, ...]
-    is_open: bool = False
-
-
-@dataclass(frozen=True)
-class FigureBlock:
-    """A figure's place in the report; without data it says why it was left out."""
-
-    name: str
-    caption: str
-    source: str | None
-    reason: str = ""
-    section: str = ""
-
-
 def make_table(
     caption: str,
     columns: Sequence[Column],
     rows: Sequence[Sequence[str | Cell]],
     notes: Sequence[Statement] = (),
+    style: str = "",
 ) -> Table:
     """Return a table whose plain strings have become cells."""
     cells = tuple(tuple(Cell(c) if isinstance(c, str) else c for c in row) for row in rows)
-    return Table(caption, tuple(columns), cells, tuple(notes))
+    return Table(caption, tuple(columns), cells, tuple(notes), style)
+
+
+def make_pairs(caption: str, rows: Sequence[Sequence[str | Cell]], notes: Sequence[Statement] = ()) -> Table:
+    """Return a table of questions and answers, without headings."""
+    return make_table(caption, (Column("", kind="text"), Column("", kind="text")), rows, notes)
+
+
+# --- figures -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """A figure with its caption, or the reason why it cannot be drawn.
+
+    Attributes
+    ----------
+    name : str
+        Of its file in ``figures``, without the ending; letters, digits, ``_`` and ``-``.
+    caption : str
+    draw : callable or None
+        Draws it; None where it is left out.
+    reason : str
+        Why it is left out.
+    """
+
+    block: ClassVar = "figure"
+    name: str
+    caption: str
+    draw: Callable[[], mpl.Figure] | None
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        """Check the name: a file is called by it."""
+        if not FIGURE_NAME.fullmatch(self.name):
+            raise ValueError(f"figure {self.name!r}: expected letters, digits, _ and -")
+
+
+# --- other blocks ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading within a section."""
+
+    block: ClassVar = "heading"
+    text: str
+
+
+@dataclass(frozen=True)
+class Absent:
+    """Why something is not there."""
+
+    block: ClassVar = "absent"
+    text: str
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Marks in a row behind a title."""
+
+    block: ClassVar = "counts"
+    title: str
+    marks: tuple[Cell, ...]
+
+
+@dataclass(frozen=True)
+class Preformatted:
+    """Text as it stands, such as a config."""
+
+    block: ClassVar = "preformatted"
+    text: str
+
+
+@dataclass(frozen=True)
+class Definitions:
+    """Questions with their answers."""
+
+    block: ClassVar = "definitions"
+    pairs: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Side:
+    """Tables side by side where there is room."""
+
+    block: ClassVar = "side"
+    tables: tuple[Table, ...]
+
+
+@dataclass(frozen=True)
+class Card:
+    """One finding: a parameter's symbol with words and marks, sentences, and more of the kind behind a line.
+
+    Attributes
+    ----------
+    symbol, where : str
+    marks : tuple of Cell
+    text : str
+    facts : tuple of str
+    more_title : str
+    more : tuple of str
+    """
+
+    block: ClassVar = "card"
+    symbol: str
+    where: str
+    marks: tuple[Cell, ...]
+    text: str
+    facts: tuple[str, ...] = ()
+    more_title: str = ""
+    more: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """Blocks behind a line that opens them; in print they are open."""
+
+    block: ClassVar = "fold"
+    title: str
+    blocks: tuple[Block, ...]
+    is_open: bool = False
+
+
+type Block = (
+    str | Statement | Table | Figure | Heading | Absent | Counts | Preformatted | Definitions | Side | Card | Fold
+)
+"""A string is a paragraph."""
+
+
+# --- the page ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A part of a page with its heading; ``anchor`` is what links lead to, ``short`` what stands in the navigation."""
+
+    title: str
+    blocks: tuple[Block, ...]
+    anchor: str = ""
+    short: str = ""
+
+
+def make_section(
+    title: str,
+    text: Sequence[str] = (),
+    tables: Sequence[Table] = (),
+    figures: Sequence[Figure] = (),
+    notes: Sequence[Statement] = (),
+    wide: bool = False,
+) -> Section:
+    """Return a section of paragraphs, then tables, figures and notes; ``wide`` sets the tables smaller."""
+    shown = [replace(table, style="wide") for table in tables] if wide else tables
+    return Section(title, (*text, *shown, *figures, *notes))
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """What the page of an experiment says.
+
+    Attributes
+    ----------
+    kind, name, title : str
+        What sort of experiment it is, its own name, and its heading.
+    origin : str
+        Where its data come from: simulated, reconstructed, measured.
+    headline : str
+        The result in one sentence.
+    verdict : tuple of Statement
+        What was found, each with a level; where one is bad the verdict is marked as failed.
+    sections : tuple of Section
+    facts : tuple of (str, str)
+        Below the heading, such as machine and plan.
+    failures : tuple of Statement
+        What forbids to rely on the numbers; before the headline.
+    failures_title : str
+    symbols : tuple of str
+        Parameters' symbols that running text sets as the field writes them.
+    """
+
+    kind: str
+    name: str
+    title: str
+    origin: str
+    headline: str
+    verdict: tuple[Statement, ...]
+    sections: tuple[Section, ...]
+    facts: tuple[tuple[str, str], ...] = ()
+    failures: tuple[Statement, ...] = ()
+    failures_title: str = ""
+    symbols: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check that no two figures would share a file."""
+        names = [figure.name for figure in self.figures()]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"figure {name!r} stands twice on the page, expected each name once")
+
+    @property
+    def failed(self) -> bool:
+        """Whether there is bad news."""
+        return bool(self.failures) or any(statement.level == "bad" for statement in self.verdict)
+
+    def figures(self) -> Iterator[Figure]:
+        """Yield the figures of all sections, folded ones too."""
+        for section in self.sections:
+            yield from find_figures(section.blocks)
+
+
+def find_figures(blocks: Sequence[Block]) -> Iterator[Figure]:
+    """Yield the figures among blocks and inside their folds."""
+    for block in blocks:
+        if isinstance(block, Figure):
+            yield block
+        elif isinstance(block, Fold):
+            yield from find_figures(block.blocks)

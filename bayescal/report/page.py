@@ -1,36 +1,72 @@
-"""Setting a page: templates, the text filters they use, and figures as PNG files and inside the page."""
+"""Setting a page: the template, the text filters it uses, and figures as PNG files and inside the page."""
 
 from __future__ import annotations
 
 import base64
 import io
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from bayescal.report.blocks import FigureBlock
+from bayescal.report.blocks import Page, Section
 from bayescal.report.style import RC
 from bayescal.report.symbols import split_symbol
 
 DPI = 120
+PAGE = "report.html"
+FIGURES = "figures"
+SUBSCRIPT = re.compile(r"(?<![\w&#;.])(Δ?[A-Za-zα-ω])_([A-Za-z0-9]{1,2})(?!\w)")
+SUPERSCRIPT = re.compile(r"(?<![\w&#])([A-Za-zα-ω])\^([A-Za-z0-9])(?!\w)")
 
 
-@dataclass(frozen=True)
-class Illustration:
-    """A figure to draw, or the reason why it cannot be drawn; ``section`` is where it belongs."""
+def write_page(page: Page, folder: Path, more: Sequence[Section] = ()) -> Path:
+    """Write ``figures/*.png`` and ``report.html`` into a results directory.
 
-    name: str
-    caption: str
-    draw: Callable[[], Figure] | None
-    reason: str = ""
-    section: str = ""
+    Parameters
+    ----------
+    page : Page
+    folder : Path
+    more : sequence of Section
+        Stand after the page's own, such as where the results come from.
+
+    Returns
+    -------
+    Path
+        The page; it holds its figures and its style and refers to no other file. Figures of an earlier page that it
+        does not show are removed.
+    """
+    images = {figure.name: render_png(figure.draw) for figure in page.figures() if figure.draw is not None}
+    figures = folder / FIGURES
+    for path in figures.glob("*.png"):
+        if path.stem not in images:
+            path.unlink()
+    for name, image in images.items():
+        figures.mkdir(exist_ok=True)
+        (figures / f"{name}.png").write_bytes(image)
+    text = render_page(page, images, more)
+    temporary = folder / f"{PAGE}.tmp"
+    temporary.write_text(text, encoding="utf-8")
+    return temporary.replace(folder / PAGE)
+
+
+def render_page(page: Page, images: Mapping[str, bytes], more: Sequence[Section] = ()) -> str:
+    """Return a page as HTML with these figures, PNG by name; all text is escaped."""
+    here = Path(__file__).parent
+    environment = Environment(
+        loader=FileSystemLoader(here), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= {"symbol": set_symbol, "bind": bind_units, "prose": make_prose(page.symbols)}
+    sources = {
+        name: f"data:image/png;base64,{base64.b64encode(image).decode('ascii')}" for name, image in images.items()
+    }
+    style = Markup((here / "page.css").read_text(encoding="utf-8"))
+    sections = [(one.anchor or f"section-{k}", one) for k, one in enumerate((*page.sections, *more), start=1)]
+    return environment.get_template("page.html").render(style=style, page=page, sections=sections, sources=sources)
 
 
 def render_png(draw: Callable[[], Figure]) -> bytes:
@@ -41,52 +77,7 @@ def render_png(draw: Callable[[], Figure]) -> bytes:
     return buffer.getvalue()
 
 
-def draw_figures(illustrations: Sequence[Illustration], folder: Path) -> dict[str, FigureBlock]:
-    """Draw the figures that can be drawn; those of an earlier report that can no longer be drawn are removed."""
-    folder.mkdir(exist_ok=True)
-    blocks = {}
-    for one in illustrations:
-        path, source = folder / f"{one.name}.png", None
-        if one.draw is None:
-            path.unlink(missing_ok=True)
-        else:
-            image = render_png(one.draw)
-            path.write_bytes(image)
-            source = f"data:image/png;base64,{base64.b64encode(image).decode('ascii')}"
-        blocks[one.name] = FigureBlock(one.name, one.caption, source, one.reason, one.section)
-    return blocks
-
-
-def render_template(
-    template: str, prose: Callable[[str], Markup], styles: Sequence[str] = ("report.css",), **values: Any
-) -> str:
-    """Return a page as HTML; all text is escaped.
-
-    Parameters
-    ----------
-    template : str
-        Name of a template beside this module.
-    prose : callable
-        Sets running text.
-    styles : sequence of str
-        Names of style sheets beside this module.
-    **values
-        What the template shows.
-    """
-    here = Path(__file__).parent
-    environment = Environment(
-        loader=FileSystemLoader(here), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters |= {"symbol": set_symbol, "bind": bind_units, "prose": prose}
-    style = Markup("".join((here / name).read_text(encoding="utf-8") for name in styles))
-    return environment.get_template(template).render(style=style, **values)
-
-
-def write_page(page: Path, text: str) -> Path:
-    """Write a page so that it is there whole or not at all."""
-    temporary = page.with_name(f"{page.name}.tmp")
-    temporary.write_text(text, encoding="utf-8")
-    return temporary.replace(page)
+# --- text --------------------------------------------------------------------------------------------------------
 
 
 def bind_units(text: str) -> str:
@@ -94,11 +85,33 @@ def bind_units(text: str) -> str:
     return re.sub(r"(?<=[\d=τ]) (?=%|µm|nm\b|mm\b|mdeg\b|nat\b|[0=±])", "\u00a0", text)
 
 
-def set_prose(text: str) -> Markup:
-    """Return running text with units bound to their numbers and symbols such as ``a_x`` and ``ρ^0`` set as such."""
-    escaped = str(escape(bind_units(text)))
-    lowered = re.sub(r"(?<![\w&#])(Δ?[A-Za-zα-ω])_([A-Za-z0-9]{1,2})(?!\w)", r"<i>\1</i><sub>\2</sub>", escaped)
-    return Markup(re.sub(r"(?<![\w&#])([A-Za-zα-ω])\^([A-Za-z0-9])(?!\w)", r"<i>\1</i><sup>\2</sup>", lowered))
+def make_prose(symbols: Sequence[str] = ()) -> Callable[[str], Markup]:
+    """Return what sets running text: escaped, units bound to their numbers, symbols as the field writes them.
+
+    Parameters
+    ----------
+    symbols : sequence of str
+        Parameters such as ``kappa``, set wherever they stand, with a leg's number as in ``a_z[3]``; others such as
+        ``u_z`` and ``ρ^0`` are set by their subscripts and superscripts alone.
+    """
+    alternatives = "|".join(re.escape(str(escape(s))) for s in sorted(symbols, key=len, reverse=True))
+    pattern = re.compile(rf"(?<![\w&#;.])({alternatives})(?:\[(\d+)\])?(?![\w\[])") if alternatives else None
+
+    def replace(found: re.Match[str]) -> str:
+        symbol = str(set_symbol(found[1]))
+        if not found[2]:
+            return symbol
+        within = symbol.endswith("</sub>")
+        return f"{symbol.removesuffix('</sub>')},{found[2]}</sub>" if within else f"{symbol}<sub>{found[2]}</sub>"
+
+    def prose(text: str) -> Markup:
+        marked = str(escape(bind_units(text)))
+        if pattern is not None:
+            marked = pattern.sub(replace, marked)
+        lowered = SUBSCRIPT.sub(r"<i>\1</i><sub>\2</sub>", marked)
+        return Markup(SUPERSCRIPT.sub(r"<i>\1</i><sup>\2</sup>", lowered))
+
+    return prose
 
 
 def set_symbol(symbol: str) -> Markup:

@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import re
 
-from bayescal.experiments.study.page.results import is_model_error, split_name
 from bayescal.report.numbers import MICROMETRES, PER_MILLE
 
+MODEL_ERROR = "tau"
 GREEK = {
     **{"alpha": "α", "beta": "β", "eta": "η", "kappa": "κ", "xi": "ξ"},
     **{"rho": "ρ", "tau": "τ", "phi": "φ", "psi": "ψ"},
 }
+
+
+def split_name(name: str) -> tuple[str, int]:
+    """Return symbol and leg of a parameter's name: ``a_x[3]`` is ``a_x`` of leg 3, ``k`` is ``k`` of leg 0."""
+    found = re.fullmatch(r"(.+)\[(\d+)\]", name)
+    return (found[1], int(found[2])) if found else (name, 0)
+
+
+def is_model_error(symbol: str) -> bool:
+    """Whether a symbol is a model error τ, which is no parameter of the machine."""
+    return symbol == MODEL_ERROR
 
 
 def split_symbol(symbol: str) -> tuple[str, str, str]:

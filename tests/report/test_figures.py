@@ -16,8 +16,9 @@ from bayescal.experiments.study.page.figures.flexure import choose_flexure, draw
 from bayescal.experiments.study.page.figures.joints import find_magnification, locate_joints, measure_moves
 from bayescal.experiments.study.page.illustrations import list_illustrations
 from bayescal.experiments.study.page.results import read_results
+from bayescal.experiments.study.page.styles import DEFORMATION_COLOURS, assign_styles, list_keys
 from bayescal.report.page import render_png
-from bayescal.report.style import DEFORMATION_COLOURS, RC, assign_styles, list_keys
+from bayescal.report.style import RC
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from bayescal.config.schema import Section
 from bayescal.experiments.frame.store import PROVENANCE_FILE, Store
 from bayescal.experiments.study.inputs import hash_identity
 from bayescal.files.atomic import read_text
-from bayescal.report.experiment_page import ExperimentPage, write_experiment_page
+from bayescal.report.blocks import Page, Section
 
 PAGE = "report.html"
 
@@ -43,7 +43,7 @@ def publish(
     identity: dict[str, Any],
     tables: Mapping[str, pd.DataFrame | None],
     summary: dict[str, Any],
-    page: ExperimentPage,
+    page: Page,
     digits: int = 6,
     more: Callable[[Path], None] | None = None,
 ) -> str:
@@ -59,7 +59,7 @@ def publish(
         Those that are not empty are written as CSV.
     summary : dict
         JSON-ready; its headline and verdict are the page's.
-    page : ExperimentPage
+    page : Page
     digits : int
         Significant ones of the tables.
     more : callable, optional
@@ -79,7 +79,7 @@ def publish(
     return list_lines(page, store.out)
 
 
-def list_lines(page: ExperimentPage, out: Path) -> str:
+def list_lines(page: Page, out: Path) -> str:
     """Return the page's verdict as lines for the terminal, and where the page is."""
     said = [f"{one.lead}: {one.text}" if one.lead else one.text for one in page.verdict]
     return "\n".join([page.headline, *said, f"report: {out / PAGE}"])

@@ -21,8 +21,7 @@ from bayescal.experiments.pose_selection.inputs import SelectionInputs
 from bayescal.experiments.pose_selection.tasks import DESIGN
 from bayescal.experiments.pose_selection.verdict import PRINTED, Tables, state_headline, state_verdict
 from bayescal.pose_selection import CRITERIA, METHODS
-from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
-from bayescal.report.experiment_page import ExperimentPage, PageFigure, PageSection
+from bayescal.report.blocks import Cell, Column, Figure, Page, Section, Statement, Table, make_section, make_table
 from bayescal.report.numbers import format_estimate, format_fixed, format_significant
 
 KIND = "Pose selection"
@@ -30,7 +29,7 @@ INDICES = ("O1", "O2", "O3", "O4", "O5")
 SMALL = 1e-2
 
 
-def build_page(inputs: SelectionInputs, tables: Tables) -> ExperimentPage:
+def build_page(inputs: SelectionInputs, tables: Tables) -> Page:
     """Return the page of an experiment's tables."""
     config = inputs.config
     sections = [
@@ -42,7 +41,7 @@ def build_page(inputs: SelectionInputs, tables: Tables) -> ExperimentPage:
         _chosen_section(tables),
         _method_section(inputs, tables),
     ]
-    return ExperimentPage(
+    return Page(
         KIND,
         config.name,
         config.title,
@@ -88,7 +87,7 @@ def _plain(value: float) -> str:
     return f"{mantissa}e-{int(power)}"
 
 
-def _published_section(tables: Tables) -> list[PageSection]:
+def _published_section(tables: Tables) -> list[Section]:
     table = tables.published
     if table is None:
         return []
@@ -121,16 +120,16 @@ def _published_section(tables: Tables) -> list[PageSection]:
         ]
         for _, row in table.iterrows()
     ]
-    figure = PageFigure(
+    figure = Figure(
         "published",
         "Indices found, by those published: best of the repeats, and mean with standard deviation over repeats.",
         partial(draw_ratios, table),
     )
     caption = f"Indices published by {tables.config.published.source} and found here."
-    return [PageSection("Published and found", (), (make_table(caption, columns, rows),), (figure,))]
+    return [make_section("Published and found", (), (make_table(caption, columns, rows),), (figure,))]
 
 
-def _trace_section(tables: Tables) -> list[PageSection]:
+def _trace_section(tables: Tables) -> list[Section]:
     """Return the traces of the first number of poses, where there are methods that go on from set to set."""
     section = tables.config.published
     if section is None or not section.iterations or tables.traces.empty:
@@ -160,17 +159,17 @@ def _trace_section(tables: Tables) -> list[PageSection]:
                     _estimate(value.mean(), value.std()),
                 ]
             )
-    figure = PageFigure(
+    figure = Figure(
         "traces",
         f"{criterion} of {n} poses by iteration: the first repeat thick, the others, with other candidates and another "
         "start, thin.",
         partial(draw_traces, tables.traces, criterion, n, section.iterations),
     )
     table = make_table(f"Iterations and {criterion} of {n} poses.", columns, body)
-    return [PageSection("The way there", (), (table,), (figure,))]
+    return [make_section("The way there", (), (table,), (figure,))]
 
 
-def _random_section(tables: Tables) -> list[PageSection]:
+def _random_section(tables: Tables) -> list[Section]:
     if tables.random_sets.empty:
         return []
     section = tables.config.published
@@ -189,15 +188,15 @@ def _random_section(tables: Tables) -> list[PageSection]:
         ]
         for what, values, published in (("mean", groups.mean(), mean), ("largest", groups.max(), largest))
     ]
-    figure = PageFigure(
+    figure = Figure(
         "random_sets",
         f"{criterion} of random sets of {n} poses, first draw.",
         partial(draw_random_sets, sets, criterion, mean, largest),
     )
-    return [PageSection("Random sets", (), (make_table(f"{criterion} of random sets.", columns, rows),), (figure,))]
+    return [make_section("Random sets", (), (make_table(f"{criterion} of random sets.", columns, rows),), (figure,))]
 
 
-def _error_sections(tables: Tables) -> list[PageSection]:
+def _error_sections(tables: Tables) -> list[Section]:
     if tables.errors.empty:
         return []
     wanted = tables.config.calibrations
@@ -219,7 +218,7 @@ def _error_sections(tables: Tables) -> list[PageSection]:
         bars = "simulated_rotation_arcsec_sd"
         quantities.append(Quantity("simulated_rotation_arcsec", "Rms rotation error, arcsec", bars))
     figures = [
-        PageFigure(
+        Figure(
             "errors",
             "Simulated pose errors over the workspace against the number of poses: mean and standard deviation over "
             "repeats, each of which is a mean over machines.",
@@ -227,7 +226,7 @@ def _error_sections(tables: Tables) -> list[PageSection]:
         )
     ]
     return [
-        PageSection(
+        make_section(
             "Accuracy after calibration",
             text,
             (_tabulate_errors(summary),),
@@ -238,7 +237,7 @@ def _error_sections(tables: Tables) -> list[PageSection]:
     ]
 
 
-def _pair_figures(tables: Tables) -> list[PageFigure]:
+def _pair_figures(tables: Tables) -> list[Figure]:
     errors = tables.errors[tables.errors["criterion"] != DESIGN]
     observed = errors[(errors["criterion"] == "O1") & (errors["name"] != "random")]
     if errors["criterion"].nunique() < 2 or observed.empty:
@@ -248,7 +247,7 @@ def _pair_figures(tables: Tables) -> list[PageFigure]:
     pairs = tabulate_pairs(errors, reference, part)
     pairs = pairs[pairs["name"] != "random"]
     caption = f"Pose errors by those of {reference} with the same machines: the geometric mean over repeats."
-    return [PageFigure("pairs", caption, partial(draw_paired, pairs, reference))]
+    return [Figure("pairs", caption, partial(draw_paired, pairs, reference))]
 
 
 def _tabulate_errors(summary: pd.DataFrame) -> Table:
@@ -269,7 +268,7 @@ def _tabulate_errors(summary: pd.DataFrame) -> Table:
     return make_table("Pose errors over the workspace after calibration, all repeats together.", columns, rows)
 
 
-def _design_section(tables: Tables) -> list[PageSection]:
+def _design_section(tables: Tables) -> list[Section]:
     given = tables.selections[tables.selections["criterion"] == DESIGN].drop_duplicates("label")
     if given.empty:
         return []
@@ -283,10 +282,10 @@ def _design_section(tables: Tables) -> list[PageSection]:
         cells = [_estimate(group[name].mean(), group[name].std()) for name in INDICES]
         rows.append([f"{label}, {criterion}, mean ± sd", str(n), *cells])
     table = make_table("Observability indices of given sets of poses beside those found here.", columns, rows)
-    return [PageSection("Given sets of poses", (), (table,))]
+    return [make_section("Given sets of poses", (), (table,))]
 
 
-def _chosen_section(tables: Tables) -> PageSection:
+def _chosen_section(tables: Tables) -> Section:
     columns = [
         Column("Method", kind="text"),
         Column("Criterion", kind="text"),
@@ -315,10 +314,10 @@ def _chosen_section(tables: Tables) -> PageSection:
         "kind “file” reads; all poses are in poses.csv."
     )
     table = make_table("Every selection: the criterion, larger is better, and the time of one.", columns, rows)
-    return PageSection("What was chosen", (), (table,), (), (note,))
+    return make_section("What was chosen", (), (table,), (), (note,))
 
 
-def _method_section(inputs: SelectionInputs, tables: Tables) -> PageSection:
+def _method_section(inputs: SelectionInputs, tables: Tables) -> Section:
     used = dict.fromkeys(c for choice in inputs.config.selections for c in choice.criteria)
     criteria = [[name, CRITERIA[name].title, CRITERIA[name].source] for name in used]
     methods = [
@@ -348,4 +347,4 @@ def _method_section(inputs: SelectionInputs, tables: Tables) -> PageSection:
         ),
         make_table("Methods.", [Column("Method", kind="text"), Column("Source", kind="text")], methods),
     )
-    return PageSection("How it was computed", text, tables_)
+    return make_section("How it was computed", text, tables_)

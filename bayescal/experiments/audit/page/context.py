@@ -11,10 +11,10 @@ from bayescal.experiments.audit.page.results import AuditResults
 from bayescal.experiments.audit.page.ridges import RidgeBlock, build_ridges
 from bayescal.experiments.audit.page.verdict import list_failures, state_headline, state_verdict
 from bayescal.experiments.audit.page.wording import count, format_fixed_span, format_sd, name_unit
-from bayescal.experiments.study.page.results import split_name
 from bayescal.experiments.study.page.variants import describe_deformation, label_model
 from bayescal.report.blocks import Column, FigureBlock, Statement, Table, make_table
 from bayescal.report.numbers import NOTHING, format_fixed, join_words
+from bayescal.report.symbols import split_name
 
 FOLLOWERS = 3  # named along a profile
 

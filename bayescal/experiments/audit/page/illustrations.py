@@ -14,9 +14,9 @@ from bayescal.experiments.audit.page.figures.spectrum import draw_spectrum
 from bayescal.experiments.audit.page.figures.sweeps import SWEEPS, draw_sweeps
 from bayescal.experiments.audit.page.results import AuditResults, Ridge
 from bayescal.experiments.audit.page.tables import name_change
-from bayescal.experiments.study.page.results import split_name
 from bayescal.report.numbers import join_words
 from bayescal.report.page import Illustration
+from bayescal.report.symbols import split_name
 
 PANELS = 12  # of ridges in the first figure
 

@@ -14,9 +14,9 @@ from pandas.errors import EmptyDataError
 
 from bayescal.errors import InputError
 from bayescal.experiments.audit.page.checks import REQUIREMENT_KEYS, check_summary
-from bayescal.experiments.study.page.results import split_name
 from bayescal.files.atomic import read_json
 from bayescal.report.reading import read_table
+from bayescal.report.symbols import split_name
 
 AUDIT_FILE = "audit.json"
 TABLE_COLUMNS = {

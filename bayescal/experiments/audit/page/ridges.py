@@ -17,8 +17,8 @@ from bayescal.experiments.audit.page.wording import (
     name_requirement,
     say_most,
 )
-from bayescal.experiments.study.page.results import split_name
 from bayescal.report.blocks import Cell, Level
+from bayescal.report.symbols import split_name
 
 KIND_WORDS = {"structural": "never seen", "practical": "weak"}
 EFFECT_WORDS = {

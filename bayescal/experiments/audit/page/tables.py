@@ -28,10 +28,10 @@ from bayescal.experiments.audit.page.wording import (
     name_requirement,
     name_unit,
 )
-from bayescal.experiments.study.page.results import split_name
 from bayescal.limits import INFORMED
 from bayescal.report.blocks import Cell, Column, Level, Statement, Table, make_table
 from bayescal.report.numbers import NOTHING, format_fixed
+from bayescal.report.symbols import split_name
 
 LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad"}
 EFFECT_LEVELS: dict[str, Level] = {"harmless": "good", "noticeable": "warning", "harmful": "bad", "unknown": "plain"}

@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 from markupsafe import Markup, escape
 
-from bayescal.experiments.study.page.results import split_name
 from bayescal.report.numbers import NOTHING, count_decimals, format_fixed, format_significant, join_words
 from bayescal.report.page import bind_units, set_symbol
+from bayescal.report.symbols import split_name
 
 SURE = 0.9995
 OTHER_SYMBOL = re.compile(r"(?<![\w&#;.])([A-Za-zα-ω])_([a-z])(?!\w)")  # such as u_z, which is no parameter

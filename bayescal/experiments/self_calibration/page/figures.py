@@ -10,9 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from bayescal.experiments.study.page.results import split_name
 from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE, RED
-from bayescal.report.symbols import quote, set_parameter
+from bayescal.report.symbols import quote, set_parameter, split_name
 
 MARKERS = ("o", "s", "^", "D", "v", "P")
 NINETY = 1.645  # standard deviations to either side that hold 90 % of a normal

@@ -17,8 +17,7 @@ from bayescal.experiments.self_calibration.page.verdict import (
     state_verdict,
     write_names,
 )
-from bayescal.report.blocks import Cell, Column, Level, Table, make_table
-from bayescal.report.experiment_page import ExperimentPage, PageFigure, PageSection
+from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Section, Table, make_section, make_table
 from bayescal.report.numbers import NOTHING, count_decimals, format_estimate, format_fixed, format_significant
 
 KIND = "Self-calibration"
@@ -34,7 +33,7 @@ NOMINAL_TOOL = (
 )
 
 
-def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> ExperimentPage:
+def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page:
     """Return the page of an experiment's tables."""
     sections = [
         _show_sensors(tables),
@@ -49,7 +48,7 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Expe
         ("Machine", str(summary["machine"])),
         ("Poses", f"{count['calibration']} for calibration, {count['verification']} for verification"),
     )
-    return ExperimentPage(
+    return Page(
         KIND,
         summary["experiment"],
         summary["title"],
@@ -82,7 +81,7 @@ def list_plain(tables: dict[str, pd.DataFrame]) -> dict[str, str]:
     return dict(zip(rows["variant"].astype(str), rows["title"].astype(str), strict=True))
 
 
-def _show_sensors(tables: dict[str, pd.DataFrame]) -> PageSection:
+def _show_sensors(tables: dict[str, pd.DataFrame]) -> Section:
     variants = tables["variants"]
     known = bool(variants["tool_calibrated_error_um"].notna().any())
     plain = variants[variants["plain"]] if variants["plain"].any() else variants
@@ -102,16 +101,16 @@ def _show_sensors(tables: dict[str, pd.DataFrame]) -> PageSection:
         "Sets of sensors; C is the condition of JᵀJ, poses eliminated. Tool errors before and after are predicted."
     )
     diamonds = " Diamonds: what the machine of the posterior mean truly errs by." if known else ""
-    figure = PageFigure(
+    figure = Figure(
         "tool",
         "Error of the tool's centre over the workspace, by what is unknown of the parameters: tolerances, then the "
         f"posterior.{diamonds}",
         lambda: figures.draw_tool(variants),
     )
-    return PageSection("What the sensors are worth", (NOMINAL_TOOL,), (make_table(caption, columns, rows),), (figure,))
+    return make_section("What the sensors are worth", (NOMINAL_TOOL,), (make_table(caption, columns, rows),), (figure,))
 
 
-def _show_models(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[PageSection]:
+def _show_models(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Section]:
     found = []
     variants = {row["variant"]: row for row in list_rows(tables["variants"])}
     columns = [Column("Model", kind="text"), Column("Free"), Column("Log-evidence"), Column("Difference", "nat")]
@@ -127,7 +126,7 @@ def _show_models(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> li
         "the expected log predictive density of the readings kept for verification. Misfit is what the mode leaves of "
         "the readings, rms over the degrees of freedom: 1 where the noise is all.",
     )
-    return [PageSection("Models ranked by evidence", text, tuple(found))] if found else []
+    return [make_section("Models ranked by evidence", text, tuple(found))] if found else []
 
 
 def _show_model(row: Row, best: float) -> list[str | Cell]:
@@ -144,7 +143,7 @@ def _show_model(row: Row, best: float) -> list[str | Cell]:
     ]
 
 
-def _show_identifiability(tables: dict[str, pd.DataFrame]) -> list[PageSection]:
+def _show_identifiability(tables: dict[str, pd.DataFrame]) -> list[Section]:
     if "identifiability" not in tables:
         return []
     table, titles = tables["identifiability"], list_plain(tables)
@@ -169,7 +168,7 @@ def _show_identifiability(tables: dict[str, pd.DataFrame]) -> list[PageSection]:
         for r in list_rows(tables["ridges"])
     ]
     told = ("Ridges, along which too little is learnt:", *ridges) if ridges else ("No ridge is left with any of them.",)
-    return [PageSection("Which parameters are identifiable", text + told, (make_table(caption, columns, rows),))]
+    return [make_section("Which parameters are identifiable", text + told, (make_table(caption, columns, rows),))]
 
 
 def _show_symbol(rows: pd.DataFrame, factor: float) -> Cell:
@@ -182,7 +181,7 @@ def _show_symbol(rows: pd.DataFrame, factor: float) -> Cell:
     return Cell(f"{format_significant(factor * rows['predicted_sd'].max(), 2)} ({share})", VERDICT_LEVELS[worst])
 
 
-def _show_parameters(tables: dict[str, pd.DataFrame]) -> PageSection:
+def _show_parameters(tables: dict[str, pd.DataFrame]) -> Section:
     parameters, titles = tables["parameters"], list_plain(tables)
     titles = titles or dict(zip(tables["variants"]["variant"], tables["variants"]["title"], strict=True))
     known = "true" in parameters
@@ -201,20 +200,20 @@ def _show_parameters(tables: dict[str, pd.DataFrame]) -> PageSection:
             line.append(format_fixed(factor * (first["true"] - first["nominal"]), places))
         rows.append([*line, *(_show_deviation(ours.get(variant), factor) for variant in titles)])
     ground = " Below: how far the truth is from the mean, in standard deviations; grey holds 90 %." if known else ""
-    figure = PageFigure(
+    figure = Figure(
         "parameters",
         f"What remains of each parameter's tolerance.{ground}",
         lambda: figures.draw_parameters(parameters, titles),
     )
     table = make_table("Parameters, posterior beside the truth." if known else "Parameters.", columns, rows)
-    return PageSection("Parameters", (), (table,), (figure,), wide=True)
+    return make_section("Parameters", (), (table,), (figure,), wide=True)
 
 
 def _show_deviation(row: Row | None, factor: float) -> str:
     return NOTHING if row is None else format_estimate(factor * (row["mean"] - row["nominal"]), factor * row["sd"])
 
 
-def _show_predictions(tables: dict[str, pd.DataFrame]) -> list[PageSection]:
+def _show_predictions(tables: dict[str, pd.DataFrame]) -> list[Section]:
     if "predictions" not in tables:
         return []
     variants, predictions = tables["variants"], tables["predictions"]
@@ -237,16 +236,16 @@ def _show_predictions(tables: dict[str, pd.DataFrame]) -> list[PageSection]:
         "From the machine's own sensors at each pose and draws of its parameters, the noise of the readings included. "
         "All poses of a variant share the errors of its parameters: its intervals hold the truth or miss it together.",
     )
-    figure = PageFigure(
+    figure = Figure(
         "predictions",
         "The tool's centre at the verification poses: mean and 90 % interval. Scales differ.",
         lambda: figures.draw_predictions(predictions, titles),
     )
     table = make_table("The tool's centre at the verification poses.", columns, rows)
-    return [PageSection("Prediction of the tool's centre", text, (table,), (figure,))]
+    return [make_section("Prediction of the tool's centre", text, (table,), (figure,))]
 
 
-def _show_method(tables: dict[str, pd.DataFrame]) -> PageSection:
+def _show_method(tables: dict[str, pd.DataFrame]) -> Section:
     columns = [Column("Variant", kind="text"), Column("importance", group="log-evidence")]
     columns += [Column("bridge", group="log-evidence"), Column("Efficiency"), Column("Pareto k")]
     columns += [Column("R-hat, largest"), Column("bulk, least", group="ESS"), Column("tail, least", group="ESS")]
@@ -271,4 +270,4 @@ def _show_method(tables: dict[str, pd.DataFrame]) -> PageSection:
         "Parameters have their tolerances as normal priors, and what defines the frames of base and platform is given.",
     )
     table: Table = make_table("Two estimates of the log-evidence, and the chains.", columns, rows)
-    return PageSection("Method and diagnostics", text, (table,))
+    return make_section("Method and diagnostics", text, (table,))

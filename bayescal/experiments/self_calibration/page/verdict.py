@@ -9,10 +9,9 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.experiments.study.page.results import split_name
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_fixed, format_odds, format_percent, format_significant, join_words
-from bayescal.report.symbols import split_symbol
+from bayescal.report.symbols import split_name, split_symbol
 
 DOUBT = 4.0  # standard deviations that χ² may be off
 NAME = re.compile(r"(?<![\w.])([A-Za-z]+\d?(?:_[A-Za-z])?)\[(\d+)\]|\b(xi|eta)_V\b")

@@ -10,8 +10,7 @@ import pandas as pd
 from bayescal.experiments.sensor_placement.page import figures
 from bayescal.experiments.sensor_placement.page.figures import write_sensors
 from bayescal.experiments.sensor_placement.page.tables import list_sensors, tabulate_front, tabulate_kinds
-from bayescal.report.blocks import Cell, Column, Level, Statement, make_table
-from bayescal.report.experiment_page import ExperimentPage, PageFigure, PageSection
+from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Section, Statement, make_section, make_table
 from bayescal.report.numbers import NOTHING, format_estimate, format_percent, format_significant, join_words
 
 KIND = "Sensor placement"
@@ -42,7 +41,7 @@ FRAMES = {
 }
 
 
-def build_page(summary: dict[str, Any], tables: dict[str, pd.DataFrame]) -> ExperimentPage:
+def build_page(summary: dict[str, Any], tables: dict[str, pd.DataFrame]) -> Page:
     """Return the page of an experiment's tables."""
     sections = (
         _front_section(summary, tables),
@@ -51,7 +50,7 @@ def build_page(summary: dict[str, Any], tables: dict[str, pd.DataFrame]) -> Expe
         _kinds_section(tables),
         _method_section(summary, tables),
     )
-    return ExperimentPage(
+    return Page(
         KIND,
         summary["name"],
         summary["title"],
@@ -197,7 +196,7 @@ def _list_facts(summary: dict[str, Any]) -> tuple[tuple[str, str], ...]:
 # --- sections ----------------------------------------------------------------------------------------------------
 
 
-def _front_section(summary: dict[str, Any], tables: dict[str, pd.DataFrame]) -> PageSection:
+def _front_section(summary: dict[str, Any], tables: dict[str, pd.DataFrame]) -> Section:
     always = " and ".join(dict.fromkeys(write_sensors(name.partition("[")[0]) for name in summary["always"]))
     text: tuple[str, ...] = (
         "A set stands on the front where none costs no more and is more accurate. Legs are interchangeable on a "
@@ -205,16 +204,16 @@ def _front_section(summary: dict[str, Any], tables: dict[str, pd.DataFrame]) -> 
         "and how many of them are as good to 5 %.",
     )
     text += (f"Not listed, for they are in every set: {always}.",) if always else ()
-    figure = PageFigure(
+    figure = Figure(
         "front",
         "Every set with its price; sets beyond thirty times the best error are not shown.",
         partial(figures.draw_front, tables["sets"], tables["front"], tables["named"], tables["simulated"]),
     )
     table = tabulate_front(tables["front"], summary["enough"]["sensors"], summary["within"])
-    return PageSection("Accuracy against price", text, (table,), (figure,), (), True)
+    return make_section("Accuracy against price", text, (table,), (figure,), (), True)
 
 
-def _number_section(tables: dict[str, pd.DataFrame]) -> PageSection:
+def _number_section(tables: dict[str, pd.DataFrame]) -> Section:
     best = tables["sets"][tables["sets"]["reason"] == ""].sort_values("rms_um", kind="stable")
     best = best.drop_duplicates("n_sensors").set_index("n_sensors")
     columns = [
@@ -233,16 +232,16 @@ def _number_section(tables: dict[str, pd.DataFrame]) -> PageSection:
         pattern = write_sensors(str(best.loc[n, "pattern"])) if n in best.index else NOTHING
         rows.append([str(n), *counts, format_significant(row["best_um"]), pattern])
     why = "; ".join(f"“{name}”: {words}" for name, words in REASONS.items())
-    figure = PageFigure(
+    figure = Figure(
         "numbers",
         "Every set with its number of sensors; the front needs no prices.",
         partial(figures.draw_numbers, tables["sets"], tables["front_by_number"], tables["named"]),
     )
     caption = f"Sets by number of sensors. {why}."
-    return PageSection("Accuracy against the number of sensors", (), (make_table(caption, columns, rows),), (figure,))
+    return make_section("Accuracy against the number of sensors", (), (make_table(caption, columns, rows),), (figure,))
 
 
-def _simulated_section(tables: dict[str, pd.DataFrame]) -> list[PageSection]:
+def _simulated_section(tables: dict[str, pd.DataFrame]) -> list[Section]:
     table = tables["simulated"]
     if table.empty:
         return []
@@ -275,19 +274,19 @@ def _simulated_section(tables: dict[str, pd.DataFrame]) -> list[PageSection]:
         "For each set true machines were drawn within the tolerances, their readings simulated with noise, and each "
         "machine calibrated with the tolerances as priors; then its tool's centre was located from noisy readings.",
     )
-    figure = PageFigure(
+    figure = Figure(
         "simulated",
         "Simulated over predicted errors; bars are two standard errors from the scatter over machines.",
         partial(figures.draw_simulated, table),
     )
     caption = "Predicted errors and those of simulated calibrations."
-    return [PageSection("Does it come true?", text, (make_table(caption, columns, rows),), (figure,))]
+    return [make_section("Does it come true?", text, (make_table(caption, columns, rows),), (figure,))]
 
 
-def _kinds_section(tables: dict[str, pd.DataFrame]) -> PageSection:
+def _kinds_section(tables: dict[str, pd.DataFrame]) -> Section:
     kinds = tables["kinds"]
     shown = kinds[kinds["n_feasible"] > 0].groupby("n_sensors").head(KINDS_SHOWN)
-    return PageSection(
+    return make_section(
         "How many of each kind",
         (
             f"For each number of sensors the {KINDS_SHOWN} best mixtures of kinds; where they stand is another matter, "
@@ -297,7 +296,7 @@ def _kinds_section(tables: dict[str, pd.DataFrame]) -> PageSection:
     )
 
 
-def _method_section(summary: dict[str, Any], tables: dict[str, pd.DataFrame]) -> PageSection:
+def _method_section(summary: dict[str, Any], tables: dict[str, pd.DataFrame]) -> Section:
     timing = tables["timing"].iloc[0]
     text = [
         FRAMES[summary["frames"]],
@@ -316,4 +315,4 @@ def _method_section(summary: dict[str, Any], tables: dict[str, pd.DataFrame]) ->
             "The axes of inclinometers are taken as mounted, only their zeros as unknown; joints have no play, and "
             "nothing drifts between poses."
         )
-    return PageSection("How it was computed", tuple(text))
+    return make_section("How it was computed", tuple(text))

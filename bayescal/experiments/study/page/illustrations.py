@@ -16,8 +16,9 @@ from bayescal.experiments.study.page.figures.parameters import draw_model_error,
 from bayescal.experiments.study.page.figures.ridges import draw_ridges
 from bayescal.experiments.study.page.figures.sensitivity import draw_sensitivity
 from bayescal.experiments.study.page.parameter_tables import choose_leg, rank_pairs
-from bayescal.experiments.study.page.results import MODEL_ERROR, SETTINGS, Results, split_name
+from bayescal.experiments.study.page.results import SETTINGS, Results
 from bayescal.experiments.study.page.sections import read_prior_scale
+from bayescal.experiments.study.page.styles import Styles, assign_styles
 from bayescal.experiments.study.page.variants import (
     choose_model,
     describe_deformation,
@@ -31,7 +32,7 @@ from bayescal.experiments.study.page.variants import (
     read_evidence,
 )
 from bayescal.report.page import Illustration
-from bayescal.report.style import Styles, assign_styles
+from bayescal.report.symbols import MODEL_ERROR, split_name
 
 BARS = (
     "each bar is as high as the largest error, the line across it is the mean, both as numbers. Errors of the "

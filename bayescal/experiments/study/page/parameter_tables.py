@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.experiments.study.page.published import compare_published, has_published, name_table
-from bayescal.experiments.study.page.results import MODEL_ERROR, Results, is_model_error, split_name
+from bayescal.experiments.study.page.results import Results
 from bayescal.experiments.study.page.variants import (
     describe_deformation,
     find_variants,
@@ -26,7 +26,7 @@ from bayescal.report.numbers import (
     format_significant,
     join_words,
 )
-from bayescal.report.symbols import name_parameter, scale_of, write_symbol
+from bayescal.report.symbols import MODEL_ERROR, is_model_error, name_parameter, scale_of, split_name, write_symbol
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,12 +17,12 @@ import pandas as pd
 from bayescal.errors import InputError
 from bayescal.files.atomic import read_json
 from bayescal.report.reading import NUMBER, Kinds, check_keys, read_table
+from bayescal.report.symbols import split_name
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
 
 SETTINGS = {"free": "with model error", "zero": "without model error (τ = 0)"}
-MODEL_ERROR = "tau"
 TEXT_COLUMNS = (
     *("variant", "model_error", "pose", "use", "parameter", "unit", "quantity"),
     *("claim", "section", "statement", "expected", "found", "verdict", "why"),
@@ -184,17 +183,6 @@ class Results:
     def legs(self) -> list[int]:
         """Numbers of the legs."""
         return sorted({*self.parameters["leg"], *self.least_squares["leg"]} - {0})
-
-
-def split_name(name: str) -> tuple[str, int]:
-    """Return symbol and leg of a parameter's name: ``a_x[3]`` is ``a_x`` of leg 3, ``k`` is ``k`` of leg 0."""
-    found = re.fullmatch(r"(.+)\[(\d+)\]", name)
-    return (found[1], int(found[2])) if found else (name, 0)
-
-
-def is_model_error(symbol: str) -> bool:
-    """Whether a symbol is a model error τ, which is no parameter of the machine."""
-    return symbol == MODEL_ERROR
 
 
 def read_results(folder: Path) -> Results:

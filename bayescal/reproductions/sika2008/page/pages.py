@@ -9,8 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.report.blocks import Cell, Column, Table, make_table
-from bayescal.report.experiment_page import ExperimentPage, PageFigure, PageSection
+from bayescal.report.blocks import Cell, Column, Figure, Page, Section, Table, make_section, make_table
 from bayescal.report.numbers import MINUS, format_estimate, format_fixed, format_percent, join_words
 from bayescal.reproductions.sika2008.page import figures
 from bayescal.reproductions.sika2008.page.figures import PAPER, PROCEDURE_LABELS, scale_of_quantity
@@ -41,7 +40,7 @@ type Tables = dict[str, pd.DataFrame]
 type Row = list[str | Cell]
 
 
-def build_page(name: str, title: str, tables: Tables, summary: dict[str, Any]) -> ExperimentPage:
+def build_page(name: str, title: str, tables: Tables, summary: dict[str, Any]) -> Page:
     """Return the page of an experiment's tables."""
     sections = [
         _show_calibrability(tables, summary),
@@ -55,7 +54,7 @@ def build_page(name: str, title: str, tables: Tables, summary: dict[str, Any]) -
     source = f"; published figures from {summary['source']}" if "source" in summary else ""
     origin = f"Simulated; the machine's dimensions are assumed, since none are published{source}"
     verdict, headline = state_verdict(tables, summary), state_headline(tables, summary)
-    return ExperimentPage(KIND, name, title, origin, headline, verdict, tuple(sections), _list_facts(summary))
+    return Page(KIND, name, title, origin, headline, verdict, tuple(sections), _list_facts(summary))
 
 
 def _list_facts(summary: dict[str, Any]) -> tuple[tuple[str, str], ...]:
@@ -79,7 +78,7 @@ def _list_facts(summary: dict[str, Any]) -> tuple[tuple[str, str], ...]:
 # --- calibrability ---------------------------------------------------------------------------------------------------
 
 
-def _show_calibrability(tables: Tables, summary: dict[str, Any]) -> PageSection:
+def _show_calibrability(tables: Tables, summary: dict[str, Any]) -> Section:
     text = (
         "C = cond(JᵀJ), J the Jacobian of the loop constraints by the calibrated parameters with the poses "
         "eliminated (eq. 6). A condition number compares directions of the parameters; where these mix lengths and "
@@ -104,7 +103,7 @@ def _show_calibrability(tables: Tables, summary: dict[str, Any]) -> PageSection:
         row += [format_printed(published.get(f"{before} to {after}", math.nan))] if published else []
         rows.append(row + [format_power(by_set[before][u] / by_set[after][u]) for u in UNIT_COLUMNS])
     caption = "Calibrability of the documented machine in different units."
-    return PageSection("Calibrability", text, (make_table(caption, columns, rows),))
+    return make_section("Calibrability", text, (make_table(caption, columns, rows),))
 
 
 def _published_values(tables: Tables, quantity: str) -> dict[str, float]:
@@ -118,15 +117,15 @@ def _published_values(tables: Tables, quantity: str) -> dict[str, float]:
 # --- errors ----------------------------------------------------------------------------------------------------------
 
 
-def _show_one(tables: Tables, summary: dict[str, Any]) -> PageSection:
+def _show_one(tables: Tables, summary: dict[str, Any]) -> Section:
     names, n, path = summary["sets"], summary["calibrations"], summary["path"]
-    first = PageFigure(
+    first = Figure(
         "parameters",
         f"After figure 4: deviation of calibrated parameters from the real ones, the paper's procedure. Dots: one "
         f"calibration; squares: root mean square over {n}, with standard errors; grey: what was known beforehand.",
         partial(figures.draw_parameters, tables["parameters"], names),
     )
-    second = PageFigure(
+    second = Figure(
         "path",
         "After figures 5 to 7: deviation of the computed tool's centre from the real one along a circle of "
         f"{path['radius_mm']:g} mm about home, the platform swinging by ±{path['angle_deg']:g} deg, readings without "
@@ -137,16 +136,16 @@ def _show_one(tables: Tables, summary: dict[str, Any]) -> PageSection:
         "The published graphs are lost; these show the same quantities. One calibration is one throw of the dice: the "
         "grey line is the root mean square over all.",
     )
-    return PageSection("One calibration", text, (), (first, second))
+    return make_section("One calibration", text, (), (first, second))
 
 
-def _show_errors(tables: Tables, summary: dict[str, Any]) -> PageSection:
+def _show_errors(tables: Tables, summary: dict[str, Any]) -> Section:
     factors: dict[str, list[float]] = {}
     for quantity in ("lengths", "guide_angles", "tool"):
         printed = _published_values(tables, quantity)
         if len(printed) == len(summary["sets"]) - 1 > 0:
             factors[quantity] = list(printed.values())
-    figure = PageFigure(
+    figure = Figure(
         "errors",
         f"Root mean square errors over {summary['calibrations']} calibrations of machines within the tolerances, with "
         "two standard errors; dotted, the published factors from the first set on.",
@@ -161,7 +160,7 @@ def _show_errors(tables: Tables, summary: dict[str, Any]) -> PageSection:
     )
     shown = [_error_table(tables["errors"])]
     shown += [_step_table(tables["steps"])] if len(tables["steps"]) else []
-    return PageSection("Errors after calibration", text, tuple(shown), (figure,))
+    return make_section("Errors after calibration", text, tuple(shown), (figure,))
 
 
 def _show(row: pd.Series[Any], quantity: str) -> str:
@@ -195,7 +194,7 @@ def _step_table(steps: pd.DataFrame) -> Table:
     return make_table("By which factors root mean square errors fall from set to set.", columns, rows)
 
 
-def _show_coverage(tables: Tables) -> PageSection:
+def _show_coverage(tables: Tables) -> Section:
     columns = [Column("Set", kind="text"), Column("Of", kind="text"), Column("Quantities"), Column("Covered", "%")]
     columns += [Column("lowest", "%", "Single quantities"), Column("highest", "%", "Single quantities")]
     columns += [Column("binomial se", "%", "Single quantities")]
@@ -214,13 +213,13 @@ def _show_coverage(tables: Tables) -> PageSection:
         "each calibration once, since errors of one calibration go together.",
     )
     caption = "How often 90 % intervals hold the truth; between 85 and 95 % is required."
-    return PageSection("Coverage", text, (make_table(caption, columns, rows),))
+    return make_section("Coverage", text, (make_table(caption, columns, rows),))
 
 
 # --- other machines, other noise -------------------------------------------------------------------------------------
 
 
-def _show_machines(tables: Tables, summary: dict[str, Any]) -> list[PageSection]:
+def _show_machines(tables: Tables, summary: dict[str, Any]) -> list[Section]:
     if "machines" not in tables:
         return []
     ranges, counts = summary["ranges"], summary["machines"]
@@ -234,7 +233,7 @@ def _show_machines(tables: Tables, summary: dict[str, Any]) -> list[PageSection]
         f"each set by the paper's procedure; {counts['failed']} of these calibrations did not converge and count in "
         "nothing.",
     )
-    found = PageFigure(
+    found = Figure(
         "machines",
         "C and factors of improvement over plausible machines. Dashed: published, in the colour of its set or step; "
         "triangles: the documented machine.",
@@ -246,19 +245,19 @@ def _show_machines(tables: Tables, summary: dict[str, Any]) -> list[PageSection]
             _documented(tables, summary),
         ),
     )
-    told = PageFigure(
+    told = Figure(
         "predictors",
         "Tool's error of each machine, root mean square over its calibrations, by C in metres and radians, by C in "
         "units of noise and tolerances, and by the error predicted to first order.",
         partial(figures.draw_predictors, tables["machines"], summary["sets"], SHOWN_PREDICTORS),
     )
-    many = PageSection("Many plausible machines", text, (_machine_table(tables["machine_summary"]),), (found,))
+    many = make_section("Many plausible machines", text, (_machine_table(tables["machine_summary"]),), (found,))
     words = (
         "Correlations are of logarithms over the machines. The scatter is the factor by which the tool's error lies "
         "about the fitted power of the predictor; the few calibrations of each machine alone make about a factor of "
         f"{_sampling_scatter(counts['calibrations']):.2f}.",
     )
-    return [many, PageSection("What C tells", words, (_correlation_table(tables, summary),), (told,))]
+    return [many, make_section("What C tells", words, (_correlation_table(tables, summary),), (told,))]
 
 
 def _spans(ranges: dict[str, Any]) -> dict[str, tuple[float, float]]:
@@ -329,11 +328,11 @@ def _correlation_table(tables: Tables, summary: dict[str, Any]) -> Table:
     return make_table("How well the tool's error follows from C, and from its prediction.", columns, rows)
 
 
-def _show_sweep(tables: Tables, summary: dict[str, Any]) -> list[PageSection]:
+def _show_sweep(tables: Tables, summary: dict[str, Any]) -> list[Section]:
     if "sweep_steps" not in tables or tables["sweep_steps"].empty:
         return []
     assumed = sorted({float(one["noise"]) for one in summary["sensors"] if one["unit"] == "arcsec"})
-    figure = PageFigure(
+    figure = Figure(
         "sweep",
         "Factors by which errors fall from set to set, with two standard errors, against the noise of the angle "
         "sensors. Grey line: the noise assumed elsewhere on this page.",
@@ -344,10 +343,10 @@ def _show_sweep(tables: Tables, summary: dict[str, Any]) -> list[PageSection]:
         "not know of them. So the factor between the two is a choice of encoders as much as a property of the "
         "machine. All noise levels calibrate the same machines with the same random numbers, fewer than above.",
     )
-    return [PageSection("The angle sensors' noise", text, (), (figure,))]
+    return [make_section("The angle sensors' noise", text, (), (figure,))]
 
 
-def _show_method(summary: dict[str, Any]) -> PageSection:
+def _show_method(summary: dict[str, Any]) -> Section:
     text = (
         "Symbols: s, position of a carriage on its guide; φ, angle of leg to carriage; ψ, angle of leg to platform; "
         "x_P and y_P, where a carriage reads zero; β, direction of a guide; l, length of a leg; ξ_B and η_B, its "
@@ -358,4 +357,4 @@ def _show_method(summary: dict[str, Any]) -> PageSection:
         "free of them: eq. 4 with the poses eliminated. Predictions to first order use the covariance of these "
         "projected rows.",
     )
-    return PageSection("How it was done", text)
+    return make_section("How it was done", text)

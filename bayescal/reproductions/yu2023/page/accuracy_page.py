@@ -6,8 +6,17 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.report.blocks import Cell, Column, Level, Statement, Table, make_table
-from bayescal.report.experiment_page import PageFigure, PageSection
+from bayescal.report.blocks import (
+    Cell,
+    Column,
+    Figure,
+    Level,
+    Section,
+    Statement,
+    Table,
+    make_section,
+    make_table,
+)
 from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant, join_words
 from bayescal.reproductions.yu2023.page import figures
 from bayescal.reproductions.yu2023.page.blocks import ANGLES, Parts, format_range, share_cell
@@ -42,18 +51,18 @@ def show_accuracy(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> P
     return headline, tuple(verdict), (_show_errors(tables), _show_weights(tables), _show_one(tables, summary))
 
 
-def _show_errors(tables: dict[str, pd.DataFrame]) -> PageSection:
+def _show_errors(tables: dict[str, pd.DataFrame]) -> Section:
     table = tables["table8"]
     plain = table[table["weighting"] == "unweighted"]
     caption = "Table 8's figures over the repeats; published ones dashed, in the colour of their poses."
-    figure = PageFigure("table8", caption, lambda: figures.draw_table8(tables["repeats"], table))
+    figure = Figure("table8", caption, lambda: figures.draw_table8(tables["repeats"], table))
     text = (ANGLES, "Every repeat has its own noise, shared by both sets of poses, and its own random set.")
     title = "Errors at the verification poses, least squares as in the paper (table 8)."
     shown = (_error_table(plain, title), _reduction_table(tables["reductions"]))
-    return PageSection("Selected poses against random ones", text, shown, (figure,))
+    return make_section("Selected poses against random ones", text, shown, (figure,))
 
 
-def _show_weights(tables: dict[str, pd.DataFrame]) -> PageSection:
+def _show_weights(tables: dict[str, pd.DataFrame]) -> Section:
     table, ratios = tables["table8"], tables["ratios"]
     weighted = table[table["weighting"] == "weighted"].drop(columns=["published", "share_below"], errors="ignore")
     text = (
@@ -61,20 +70,20 @@ def _show_weights(tables: dict[str, pd.DataFrame]) -> PageSection:
         "than that of the positions in mm, are nearly ignored. Divided by their noise both count for what they tell.",
     )
     title = "Errors at the verification poses, weighted by the noise."
-    return PageSection("What weights gain", text, (_ratio_table(ratios), _error_table(weighted, title)))
+    return make_section("What weights gain", text, (_ratio_table(ratios), _error_table(weighted, title)))
 
 
-def _show_one(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageSection:
+def _show_one(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Section:
     steps = (
         "After figure 8: errors of the first hardpoint's parameters over the iterations, first repeat; the published "
         "calibration ended at the diamonds, table 7 less table 6."
     )
     poses = "After figure 9: errors at the verification poses, first repeat; lines are table 8's published figures."
     found = (
-        PageFigure("figure8", steps, lambda: figures.draw_convergence(tables["convergence"], tables["parameters"])),
-        PageFigure("figure9", poses, lambda: figures.draw_verification(tables["verification"], tables["table8"])),
+        Figure("figure8", steps, lambda: figures.draw_convergence(tables["convergence"], tables["parameters"])),
+        Figure("figure9", poses, lambda: figures.draw_verification(tables["verification"], tables["table8"])),
     )
-    return PageSection("One calibration", (), (_parameter_table(tables["parameters"]),), found, wide=True)
+    return make_section("One calibration", (), (_parameter_table(tables["parameters"]),), found, wide=True)
 
 
 def _estimate(row: pd.DataFrame) -> str:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from bayescal.report.blocks import Cell, Statement
-from bayescal.report.experiment_page import PageSection
+from bayescal.report.blocks import Cell, Section, Statement
 from bayescal.report.numbers import format_significant
 
 TAIL = 0.025  # a published figure with less beside it is marked
@@ -14,7 +13,7 @@ ANGLES = (
     "angles α, β, γ about fixed axes; only the workspace is a box of rotation vectors."
 )
 
-type Parts = tuple[str, tuple[Statement, ...], tuple[PageSection, ...]]
+type Parts = tuple[str, tuple[Statement, ...], tuple[Section, ...]]
 """Headline, verdict and sections of a page."""
 
 

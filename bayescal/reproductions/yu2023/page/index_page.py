@@ -7,8 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
-from bayescal.report.experiment_page import PageFigure, PageSection
+from bayescal.report.blocks import Cell, Column, Figure, Section, Statement, Table, make_section, make_table
 from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant, join_words
 from bayescal.reproductions.yu2023.page import figures
 from bayescal.reproductions.yu2023.page.blocks import ANGLES, Parts, format_range, share_cell
@@ -43,26 +42,26 @@ def show_indices(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Pa
     return headline, tuple(verdict), (_show_errors(tables), _show_best(tables, summary))
 
 
-def _show_errors(tables: dict[str, pd.DataFrame]) -> PageSection:
+def _show_errors(tables: dict[str, pd.DataFrame]) -> Section:
     table = tables["table4"]
     one = (
         "After figure 5: 100 parameter sets, all with one draw of the noise, as in the paper; first selections. The "
         "published histograms have no printed numbers; their means are table 4's."
     )
     many = "The same over draws of the noise, each with its own machine, and over all selections."
-    return PageSection(
+    return make_section(
         "Mean integrated error",
         (ANGLES,),
         (_table4(table),),
         (
-            PageFigure("figure5", one, lambda: figures.draw_indices(tables["parameter_sets"], table)),
-            PageFigure("figure5_noise", many, lambda: figures.draw_indices_noise(tables["noise_draws"], table)),
+            Figure("figure5", one, lambda: figures.draw_indices(tables["parameter_sets"], table)),
+            Figure("figure5_noise", many, lambda: figures.draw_indices_noise(tables["noise_draws"], table)),
         ),
         wide=True,
     )
 
 
-def _show_best(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageSection:
+def _show_best(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Section:
     best = tables["best"]
     text = (
         "Machines and noise are the same for all indices. Intervals are Student's 95 % over the selections, which "
@@ -72,8 +71,8 @@ def _show_best(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
     if len(summary["workspaces"]) > 1 and "published_by_found_deg" in summary["workspaces"][0]:
         shown.append(_workspace_table(summary["workspaces"]))
     caption = "Mean integrated error over noise draws and selections, by that of the first index."
-    figure = PageFigure("best", caption, lambda: figures.draw_best(best, tables["table4"]))
-    return PageSection("Which index is best", text, tuple(shown), (figure,), wide=True)
+    figure = Figure("best", caption, lambda: figures.draw_best(best, tables["table4"]))
+    return make_section("Which index is best", text, tuple(shown), (figure,), wide=True)
 
 
 def _find_leaders(table: pd.DataFrame, column: str) -> dict[str, str]:

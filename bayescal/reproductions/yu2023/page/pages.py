@@ -6,8 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
-from bayescal.report.experiment_page import ExperimentPage, PageFigure, PageSection
+from bayescal.report.blocks import Cell, Column, Figure, Page, Statement, Table, make_section, make_table
 from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant
 from bayescal.reproductions.yu2023.page import figures
 from bayescal.reproductions.yu2023.page.accuracy_page import show_accuracy
@@ -18,13 +17,11 @@ KIND = "Simulated calibrations"
 ORIGIN = "Simulated; published figures from Yu, Wu and Wang (2023)"
 
 
-def build_page(
-    of: str, name: str, title: str, tables: dict[str, pd.DataFrame], summary: dict[str, Any]
-) -> ExperimentPage:
+def build_page(of: str, name: str, title: str, tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page:
     """Return the page of an experiment of one of the three kinds, ``observability``, ``accuracy`` and ``numbers``."""
     build = {"observability": show_indices, "accuracy": show_accuracy, "numbers": show_numbers}[of]
     headline, verdict, sections = build(tables, summary)
-    return ExperimentPage(KIND, name, title, ORIGIN, headline, verdict, sections)
+    return Page(KIND, name, title, ORIGIN, headline, verdict, sections)
 
 
 def show_numbers(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Parts:
@@ -49,8 +46,8 @@ def show_numbers(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Pa
         "Integrated error over the verification poses, after figure 10. The diamond is where the paper's conclusion "
         "puts the curve of random poses."
     )
-    figure = PageFigure("figure10", caption, lambda: figures.draw_numbers(table))
-    section = PageSection("Integrated error", text, (_number_table(table),), (figure,))
+    figure = Figure("figure10", caption, lambda: figures.draw_numbers(table))
+    section = make_section("Integrated error", text, (_number_table(table),), (figure,))
     return f"{found}; more selected poses {gains}.", verdict, (section,)
 
 

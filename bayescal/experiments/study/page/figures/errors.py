@@ -14,8 +14,9 @@ from matplotlib.ticker import FuncFormatter
 
 from bayescal.experiments.study.page.figures.overview import QUANTITIES
 from bayescal.experiments.study.page.results import SETTINGS
+from bayescal.experiments.study.page.styles import Styles
 from bayescal.report.numbers import MICROMETRES, format_significant
-from bayescal.report.style import GREY, INK, RED, Styles
+from bayescal.report.style import GREY, INK, RED
 
 SHADES = {"calibration": 0.85, "verification": 0.35}
 WIDTH = 0.38

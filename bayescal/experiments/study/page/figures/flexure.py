@@ -7,8 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from bayescal.experiments.study.page.styles import DEFORMATION_COLOURS
 from bayescal.report.numbers import format_significant
-from bayescal.report.style import DEFORMATION_COLOURS, INK
+from bayescal.report.style import INK
 
 ORANGE, BLUE, _ = DEFORMATION_COLOURS.values()
 NANOMETRES = 1e3  # in a micrometre

@@ -13,8 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from bayescal.experiments.study.page.styles import Styles, VariantStyle
 from bayescal.report.numbers import format_significant
-from bayescal.report.style import GREY, INK, PALE, Styles, VariantStyle
+from bayescal.report.style import GREY, INK, PALE
 
 HARDPOINTS = (("a_x", "a_y", "a"), ("b_x", "b_y", "b"))
 DEFORMATION_MARKERS = {"none": "o", "linear": "x", "matrix": "^"}  # as in the report's figure

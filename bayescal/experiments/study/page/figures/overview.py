@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from bayescal.experiments.study.page.results import SETTINGS
+from bayescal.experiments.study.page.styles import Styles
 from bayescal.report.numbers import MICROMETRES, MILLIDEGREES, format_fixed, format_significant
-from bayescal.report.style import INK, PALE, Styles
+from bayescal.report.style import INK, PALE
 
 QUANTITIES = (
     ("position_error_mm", MICROMETRES, "Position error (µm)"),

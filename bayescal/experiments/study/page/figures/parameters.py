@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from bayescal.experiments.study.page.results import MODEL_ERROR, is_model_error
+from bayescal.experiments.study.page.styles import Styles, list_keys
 from bayescal.report.numbers import MICROMETRES
-from bayescal.report.style import GREY, INK, PALE, Styles, list_keys
-from bayescal.report.symbols import scale_of, set_mathematics
+from bayescal.report.style import GREY, INK, PALE
+from bayescal.report.symbols import MODEL_ERROR, is_model_error, scale_of, set_mathematics
 
 PRIOR_90 = 1.645  # prior standard deviations to the 5 and 95 % points of a normal prior
 MANY = 8  # symbols from which the panels stand three in a row

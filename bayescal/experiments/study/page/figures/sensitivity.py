@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from bayescal.report.style import Styles, list_keys
+from bayescal.experiments.study.page.styles import Styles, list_keys
 
 SPREAD = 0.08  # of the axis between the first and the last model at one tolerance
 

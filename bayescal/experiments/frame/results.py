@@ -1,0 +1,158 @@
+"""Results as files: tables as CSV with the kinds of their columns kept, so that what is read is what was written."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import pandas as pd
+
+from bayescal.errors import InputError
+from bayescal.files.atomic import read_json
+
+SUMMARY_FILE = "summary.json"
+PROVENANCE_FILE = "provenance.json"
+TABLE_NAME = re.compile(r"([A-Za-z0-9_-]+/)?[A-Za-z0-9_-]+\.csv")
+KINDS: dict[str, Callable[[str], Any]] = {
+    "number": lambda cell: float(cell) if cell else float("nan"),
+    "integer": int,
+    "flag": {"True": True, "False": False}.__getitem__,
+    "text": str,
+}
+"""What a column may hold, and how a cell of it is read; an empty cell is NaN, or an empty text."""
+
+type ColumnKind = Literal["number", "integer", "flag", "text"]
+type Writer = Callable[[Path], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """What an experiment found.
+
+    Attributes
+    ----------
+    summary : dict
+        JSON-ready: what ``summary.json`` holds.
+    tables : dict of name to DataFrame
+        Those that are not empty are written as CSV.
+    files : mapping of name to str or callable
+        Further files, by their names in the results directory: texts, or what writes one to the path it is given.
+    provenance : dict
+        Where they come from; added by the frame.
+    folder : Path or None
+        Where they stand; added by the frame.
+    """
+
+    summary: dict[str, Any]
+    tables: dict[str, pd.DataFrame] = field(default_factory=dict)
+    files: Mapping[str, str | Writer] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)
+    folder: Path | None = None
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The config without its titles, as JSON has it."""
+        config: dict[str, Any] = self.provenance.get("config", {})
+        return config
+
+    def table(self, name: str) -> pd.DataFrame:
+        """Return a table; one without rows where there is none."""
+        return self.tables.get(name, pd.DataFrame())
+
+
+def write_results(results: Results, folder: Path, tables_in: str = "", digits: int = 9) -> None:
+    """Write tables, summary, further files and provenance into an empty directory.
+
+    Parameters
+    ----------
+    results : Results
+    folder : Path
+    tables_in : str
+        Folder of the tables, the results directory itself by default.
+    digits : int
+        Significant ones of the tables' numbers; zero for all.
+    """
+    kinds = {}
+    (folder / tables_in).mkdir(exist_ok=True)
+    for name, table in results.tables.items():
+        if not table.empty:
+            path = f"{tables_in}/{name}.csv" if tables_in else f"{name}.csv"
+            text = f"%.{digits}g" if digits else None
+            table.to_csv(folder / path, index=False, float_format=text, lineterminator="\n")
+            kinds[path] = {str(column): find_kind(table[column]) for column in table.columns}
+    write_json(folder / SUMMARY_FILE, results.summary)
+    for name, content in results.files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        if isinstance(content, str):
+            (folder / name).write_text(content, encoding="utf-8")
+        else:
+            content(folder / name)
+    write_json(folder / PROVENANCE_FILE, {**results.provenance, "tables": kinds})
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a JSON object, which has no number for what is not finite."""
+    path.write_text(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def find_kind(column: pd.Series) -> ColumnKind:
+    """Return what a column holds."""
+    if pd.api.types.is_bool_dtype(column):
+        return "flag"
+    if pd.api.types.is_integer_dtype(column):
+        return "integer"
+    if pd.api.types.is_float_dtype(column):
+        return "number"
+    known = column.dropna()
+    numbers = len(known) > 0 and all(isinstance(value, int | float) and not isinstance(value, bool) for value in known)
+    return "number" if numbers else "text"
+
+
+def read_results(folder: Path) -> Results:
+    """Read a results directory.
+
+    Raises
+    ------
+    InputError
+        Where it is none, a table is missing, or a cell is not what its column holds.
+    """
+    provenance = read_json(folder / PROVENANCE_FILE)
+    kinds = provenance.get("tables")
+    if not isinstance(kinds, dict) or not all(isinstance(columns, dict) for columns in kinds.values()):
+        raise InputError(f"{folder / PROVENANCE_FILE}: found no tables, expected results of this version")
+    for name in kinds:
+        if not TABLE_NAME.fullmatch(name):
+            raise InputError(f"{folder / PROVENANCE_FILE}: tables: found {name!r}, expected names of CSV files")
+    summary = read_json(folder / SUMMARY_FILE)
+    tables = {Path(name).stem: _read_table(folder / name, columns) for name, columns in kinds.items()}
+    return Results(summary, tables, {}, provenance, folder)
+
+
+def _read_table(path: Path, kinds: Mapping[str, str]) -> pd.DataFrame:
+    try:
+        table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file, expected a table of the results") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as a table ({' '.join(str(error).split())})") from error
+    if list(table.columns) != list(kinds):
+        raise InputError(f"{path}: found columns {', '.join(table.columns)}, expected {', '.join(kinds)}")
+    return pd.DataFrame({name: _read_column(path, table[name], kind) for name, kind in kinds.items()})
+
+
+def _read_column(path: Path, cells: pd.Series, kind: str) -> pd.Series:
+    if kind not in KINDS:
+        raise InputError(f"{path}: {cells.name}: found kind {kind!r} in {PROVENANCE_FILE}, expected {', '.join(KINDS)}")
+    if kind == "text":
+        return cells
+    read, values = KINDS[kind], []
+    for row, cell in enumerate(cells, start=2):
+        try:
+            values.append(read(cell))
+        except (ValueError, KeyError) as error:
+            raise InputError(f"{path}, line {row}: {cells.name}: found {cell!r}, expected a {kind}") from error
+    return pd.Series(values, name=cells.name)

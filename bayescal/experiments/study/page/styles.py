@@ -1,0 +1,63 @@
+"""How variants are drawn: one colour per deformation, one marker per model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import cycle
+from typing import Any
+
+from matplotlib.lines import Line2D
+
+from bayescal.experiments.study.page.variants import label_model, label_variant, split_variant
+from bayescal.report.style import INK, MARKERS, OTHER_COLOURS
+from bayescal.report.symbols import quote
+
+DEFORMATION_COLOURS = {"none": "#D55E00", "linear": "#0072B2", "matrix": "#009E73"}
+FEW = 4  # variants to name one by one in a legend
+
+
+@dataclass(frozen=True)
+class VariantStyle:
+    """How a variant is drawn: colour by deformation, marker by model."""
+
+    colour: str
+    marker: str
+    label: str
+    model: str
+    deformation: str
+
+
+type Styles = Mapping[str, VariantStyle]
+
+
+def assign_styles(variants: Sequence[str]) -> dict[str, VariantStyle]:
+    """Return the style of each variant ``model/deformation``: of all of a study, that it be the same in all figures."""
+    models = dict.fromkeys(split_variant(name)[0] for name in variants)
+    deformations = dict.fromkeys(split_variant(name)[1] for name in variants)
+    marker = dict(zip(models, cycle(MARKERS), strict=False))
+    others = cycle(OTHER_COLOURS)
+    colour = {name: DEFORMATION_COLOURS.get(name) or next(others) for name in deformations}
+    return {
+        name: VariantStyle(
+            colour[deformation],
+            marker[model],
+            quote(label_variant(name)),
+            quote(label_model(model)),
+            quote(deformation),
+        )
+        for name, (model, deformation) in ((name, split_variant(name)) for name in variants)
+    }
+
+
+def list_keys(styles: Styles, linewidth: float = 0.0) -> list[Line2D]:
+    """Return legend entries: a few variants one by one, many as colours of deformations and markers of models."""
+    shape: dict[str, Any] = {"markersize": 5, "linewidth": linewidth, "linestyle": "-" if linewidth else "none"}
+    if len(styles) <= FEW:
+        return [Line2D([], [], color=s.colour, marker=s.marker, label=s.label, **shape) for s in styles.values()]
+    colours = {s.deformation: s.colour for s in styles.values()}
+    markers = {s.model: s.marker for s in styles.values()}
+    return [
+        *(Line2D([], [], color=c, label=name, linewidth=3.0) for name, c in colours.items()),
+        *(Line2D([], [], color=INK, marker=m, label=name, **shape) for name, m in markers.items()),
+    ]
