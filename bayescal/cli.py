@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
 
-from bayescal.errors import BayescalError, InputError, NotConvergedError, NumericalError
+from bayescal.errors import BayescalError, InputError, NumericalError, name_faults
+from bayescal.experiments.frame.interrupts import INTERRUPTED, end_on_interrupt
 
-INTERRUPTED = 130
-RUNNERS = {
-    "pose_methods": ("bayescal.reproductions.rr8096.pose_methods.run", "run_pose_methods"),
-    "pose_selection": ("bayescal.experiments.pose_selection.run", "run_pose_selection"),
-    "hexapod_calibrations": ("bayescal.reproductions.yu2023.run", "run_hexapod_calibrations"),
-    "sensor_placement": ("bayescal.experiments.sensor_placement.run", "run_sensor_placement"),
-    "self_calibration": ("bayescal.experiments.self_calibration.run", "run_self_calibration"),
-    "self_calibrations": ("bayescal.reproductions.sika2008.run", "run_self_calibrations"),
-}
-"""What runs an experiment of a kind, given config, folder, results directory and workers; it returns what to print."""
+WIDTH = 120
+"""Of what is printed where there is no terminal."""
 
 app = typer.Typer(
     add_completion=False,
@@ -34,52 +23,60 @@ app = typer.Typer(
 )
 
 Experiment = Annotated[Path, typer.Argument(metavar="EXPERIMENT.toml", help="Config of the experiment.")]
+Out = Annotated[Path | None, typer.Option(help="Results directory; default results/NAME.")]
 Seed = Annotated[int | None, typer.Option(min=0, help="Seed in place of the config's.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Processes side by side; default one per core.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Take up an interrupted run of the same config.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 
 
 @app.command(epilog="Example: bayescal run experiments/telescope/study.toml --workers 2")
 def run(
     experiment: Experiment,
-    out: Annotated[Path | None, typer.Option(help="Results directory; default results/NAME.")] = None,
+    out: Out = None,
     seed: Seed = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes side by side; default one per core.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Take up an interrupted run of the same config.")] = False,
+    workers: Workers = None,
+    resume: Resume = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Run an experiment and write its results and its report."""
-    import joblib
+    """Run an experiment of any kind and write its results and its report."""
+    _run(experiment, None, out, seed, workers, resume, quiet)
 
-    from bayescal.config import StudyConfig, load_experiment
 
-    config = load_experiment(experiment)
+@app.command(epilog="Example: bayescal audit experiments/audit/m2_hexapod.toml")
+def audit(
+    design: Annotated[Path, typer.Argument(metavar="DESIGN.toml", help="Machine, tolerances, plan and requirements.")],
+    out: Out = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    resume: Resume = False,
+    quiet: Quiet = False,
+) -> None:
+    """Tell what a machine's measurements can and cannot determine: `bayescal run` of an audit."""
+    _run(design, "audit", out, seed, workers, resume, quiet)
+
+
+def _run(
+    path: Path, kind: str | None, out: Path | None, seed: int | None, workers: int | None, resume: bool, quiet: bool
+) -> None:
+    from joblib import cpu_count
+
+    from bayescal.experiments.frame.load import load_experiment, load_kind
+    from bayescal.experiments.frame.run import run_experiment
+
+    config = load_experiment(path) if kind is None else load_kind(path, kind)
     if seed is not None:
         config = config.model_copy(update={"seed": seed})
     where = out if out is not None else Path("results") / config.name
-    count = workers if workers is not None else joblib.cpu_count()
-    if not isinstance(config, StudyConfig):
-        from bayescal.experiments.study.inputs import naming
-
-        module, function = RUNNERS[config.kind]
-        with naming(experiment):
-            try:
-                typer.echo(getattr(import_module(module), function)(config, experiment.parent, where, count))
-            except NotConvergedError as error:
-                typer.echo(error.found)
-                raise
-        return
-    from bayescal.experiments.study.run import run_study
-
     interrupted = f"bayescal: interrupted; finished work is kept, go on with --resume (in {where}.partial)"
-    try:
-        with _end_on_interrupt(interrupted) if count == 1 else nullcontext():
-            result = run_study(config, experiment.parent, where, count, resume)
-    except KeyboardInterrupt:
-        typer.echo(interrupted, err=True)
-        raise typer.Exit(INTERRUPTED) from None
-    from bayescal.report.terminal import print_ranking
-
-    print_ranking(result.summary, where)
-    if not result.converged:
-        raise NumericalError(f"{where}: not everything converged, see the report; the results are written all the same")
+    with end_on_interrupt(interrupted), name_faults(path):
+        finished = run_experiment(config, path.parent, where, workers or cpu_count(), resume, quiet)
+    if not quiet:
+        finished.show(_make_console())
+    if not finished.converged:
+        raise NumericalError(
+            f"{where}: {'; '.join(finished.failures)}, see the report; the results are written all the same"
+        )
 
 
 @app.command(epilog="Example: bayescal simulate experiments/telescope/simulate.toml --out data --seed 1")
@@ -89,27 +86,21 @@ def simulate(
     seed: Seed = None,
 ) -> None:
     """Simulate the photogrammetry of a machine whose truth the config states, or readings of its own sensors."""
-    import numpy as np
-
-    from bayescal.config import load_reading_simulation, load_simulation
-    from bayescal.data.simulation import build_twin, format_survey, simulate_survey
-    from bayescal.experiments.self_calibration.simulate import simulate_readings
-    from bayescal.experiments.study.inputs import naming
+    from bayescal.experiments.frame.load import load
+    from bayescal.experiments.frame.run import compute_experiment
+    from bayescal.experiments.shared.simulated_data import SimulatedData
     from bayescal.files.atomic import write_atomically
 
-    readings = load_reading_simulation(config)
-    if readings is not None:
-        rng = np.random.default_rng(readings.seed if seed is None else seed)
-        with naming(config):
-            texts = simulate_readings(readings, config.parent, rng)
-    else:
-        loaded = load_simulation(config)
-        twin = build_twin(loaded, config.parent)
-        survey = simulate_survey(twin, np.random.default_rng(loaded.seed if seed is None else seed))
-        texts = format_survey(survey, loaded.origin)
+    experiment, loaded = load(config)
+    if not isinstance(experiment, SimulatedData):
+        raise InputError(f"{config}: kind: found {loaded.kind!r}, expected 'simulation' or 'reading_simulation'")
+    if seed is not None:
+        loaded = loaded.model_copy(update={"seed": seed})
+    with name_faults(config):
+        results = compute_experiment(loaded, config.parent)
     make_directory(out)
-    for name, text in texts.items():
-        write_atomically(out / name, text.encode())
+    for name, text in results.files.items():
+        write_atomically(out / name, str(text).encode())
         typer.echo(f"wrote {out / name}")
 
 
@@ -122,16 +113,14 @@ def poses_from_targets(
     method: Annotated[str | None, typer.Option(help="robust or line, in place of the config's.")] = None,
 ) -> None:
     """Extract the platform's poses in the base frame, with their covariances, from a study's targets."""
-    from bayescal.config import StudyConfig, load_experiment
     from bayescal.config.load import look_up
     from bayescal.data.photogrammetry.poses import METHODS
+    from bayescal.experiments.frame.load import load_kind
     from bayescal.experiments.study.inputs import load_inputs
     from bayescal.experiments.study.tables import format_poses
     from bayescal.files.atomic import write_atomically
 
-    config = load_experiment(experiment)
-    if not isinstance(config, StudyConfig):
-        raise InputError(f"{experiment}: kind: found {config.kind!r}, expected 'study'")
+    config = load_kind(experiment, "study")
     if method is not None:
         look_up(METHODS, method, "--method", experiment)
         config = config.model_copy(update={"data": config.data.model_copy(update={"pose_method": method})})
@@ -144,62 +133,31 @@ def poses_from_targets(
         typer.echo(f"wrote {out}")
 
 
-@app.command(epilog="Example: bayescal audit experiments/audit/telescope.toml")
-def audit(
-    design: Annotated[Path, typer.Argument(metavar="DESIGN.toml", help="Machine, tolerances, plan and requirements.")],
-    out: Annotated[Path | None, typer.Option(help="Directory for the results; default results/NAME.")] = None,
-) -> None:
-    """Tell what a machine's measurements can and cannot determine, before it is built or after."""
-    from bayescal.experiments.audit.i_optimal import propose_i_optimal
-    from bayescal.experiments.audit.load import load_audit
-    from bayescal.experiments.audit.run import write_audit
-    from bayescal.experiments.study.inputs import naming
-    from bayescal.report.terminal import print_audit
-
-    config = load_audit(design)
-    where = out if out is not None else Path("results") / config.name
-    with naming(design):
-        summary = write_audit(config, design.parent, where, propose_i_optimal)
-    print_audit(summary, where)
-    if not summary.get("posterior", {"converged": True})["converged"]:
-        raise NumericalError(
-            f"{where}: the posterior did not converge, see the report; the results are written all the same"
-        )
+Kind = Annotated[
+    str | None, typer.Option(help="module:Class or file.py:Class, for results of a kind that is not built in.")
+]
 
 
 @app.command(epilog="Example: bayescal report results/telescope")
 def report(
-    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Results directory of a study or of an audit.")],
+    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Results directory.")],
+    kind: Kind = None,
 ) -> None:
-    """Write the report of a results directory anew."""
-    if (results / "audit.json").is_file():
-        from bayescal.experiments.audit.page.write import write_audit_report
+    """Write the page of a results directory anew, from its files alone."""
+    from bayescal.experiments.frame.run import write_report
 
-        typer.echo(f"wrote {write_audit_report(results)}")
-        return
-    from bayescal.experiments.study.page.write import write_report
-    from bayescal.files.atomic import read_json
-
-    provenance = results / "provenance.json"
-    config = read_json(provenance).get("config") if provenance.is_file() else None
-    kind = config.get("kind") if isinstance(config, dict) else None
-    if isinstance(kind, str) and kind in RUNNERS:
-        raise InputError(
-            f"{results}: found results of kind {kind!r}, whose page `bayescal run` writes, "
-            "expected those of a study or an audit"
-        )
-    typer.echo(f"wrote {write_report(results)}")
+    typer.echo(f"wrote {write_report(results, kind)}")
 
 
 @app.command(epilog="Example: bayescal compare results/telescope results/telescope_seed2")
 def compare(
-    results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="Results directories of studies.")],
+    results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="Results directories of one kind.")],
+    kind: Kind = None,
 ) -> None:
-    """Rank the variants of several studies of the same data together."""
-    from bayescal.experiments.study.compare import compare_results
-    from bayescal.report.terminal import print_comparison
+    """Set several results side by side; of studies of the same data, rank their variants together."""
+    from bayescal.experiments.frame.compare import compare_results, show_comparison
 
-    print_comparison(compare_results(results))
+    show_comparison(compare_results(results, kind), _make_console())
 
 
 def make_directory(path: Path) -> None:
@@ -210,28 +168,9 @@ def make_directory(path: Path) -> None:
         raise InputError(f"{path}: cannot be made a directory ({error.strerror})") from error
 
 
-@contextmanager
-def _end_on_interrupt(message: str) -> Iterator[None]:
-    """Let an interrupt end the process at once, with a message.
-
-    Where the sampling is done in this process, a KeyboardInterrupt would be printed with its traceback by emcee, or
-    lost in a callback from C. Nothing needs to be unwound: every file is written whole or not at all. A process that
-    was started to ignore interrupts, in the background of a script, goes on ignoring them.
-    """
-    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield
-        return
-    show_cursor = "\x1b[?25h\n" if sys.stderr.isatty() else ""  # the progress bar hides it
-
-    def end(*_: object) -> None:
-        os.write(2, f"{show_cursor}{message}\n".encode())
-        os._exit(INTERRUPTED)
-
-    before = signal.signal(signal.SIGINT, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+def _make_console() -> Console:
+    found = Console(highlight=False, markup=False)
+    return found if found.is_terminal else Console(width=WIDTH, highlight=False, markup=False)
 
 
 def main() -> None:

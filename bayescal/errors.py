@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 
 class BayescalError(Exception):
     """Base of every error that bayescal raises on purpose; its message is one line."""
@@ -50,3 +54,13 @@ class NotConvergedError(NumericalError):
     def __init__(self, fault: str, found: str) -> None:
         super().__init__(fault)
         self.found = found
+
+
+@contextmanager
+def name_faults(what: Path | str) -> Iterator[None]:
+    """Put the name of a file or a variant before what is wrong with it, where the message does not start with it."""
+    try:
+        yield
+    except InputError as error:
+        text = str(error)
+        raise InputError(text if text.startswith(str(what)) else f"{what}: {text}") from error

@@ -15,14 +15,9 @@ from bayescal.density.priors import NormalPrior
 from bayescal.density.readings.likelihood import ReadingLikelihood
 from bayescal.density.readings.poses import SensorSet
 from bayescal.density.readings.posterior import SelfCalibrationPosterior
-from bayescal.experiments.shared.reading_machine import (
-    build_sensors,
-    draw_poses,
-    free_parameters,
-    read_sliding_platform,
-    workspace_volume,
-)
+from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters, workspace_volume
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
+from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings import Channel, ReadingModel, Readings, SlidingPlatform
 from bayescal.machines.readings.schema import PlanarPosesConfig, ReadingSensorConfig, ReadingTolerancesConfig
 
@@ -168,13 +163,16 @@ class JointTarget:
             ftol=1e-14,
         ).x
 
-    def mirror_images(self, y: np.ndarray) -> list:
+    def jumps(self, y: np.ndarray) -> list:
         return []
 
     def tau(self, y: np.ndarray) -> np.ndarray:
         return np.empty((*y.shape[:-1], 0))
 
-    def leg_coordinates(self) -> list:
+    def groups(self) -> list:
+        return []
+
+    def curved_ridges(self) -> list:
         return []
 
     def funnel(self, y: np.ndarray) -> None:

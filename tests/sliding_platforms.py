@@ -9,13 +9,8 @@ from pathlib import Path
 import numpy as np
 import studies
 
-from bayescal.experiments.shared.reading_machine import (
-    build_sensors,
-    build_sliding_platform,
-    draw_poses,
-    free_parameters,
-    read_sliding_platform,
-)
+from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters
+from bayescal.machines.read import build_sliding_platform, read_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
 from bayescal.machines.readings.schema import (
     PlanarPosesConfig,

@@ -13,18 +13,19 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.config.load import load_mechanism, look_up
-from bayescal.config.schema import SimulationConfig, TargetRingConfig
+from bayescal.config.load import look_up
 from bayescal.data.photogrammetry.survey import BODIES, REFERENCE_COLUMNS, TARGET_COLUMNS, BodyTargets, Survey
+from bayescal.data.schema import SimulationConfig, TargetRingConfig
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_matrix
 from bayescal.machines.deformations import MatrixDeformation
 from bayescal.machines.kinematics import Machine, build_machine, check_home_pose, solve_forward_kinematics
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.models import MODELS
+from bayescal.machines.read import load_mechanism
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
+from bayescal.numerics.units import MICROMETRE
 
-MICROMETRE = 1e-3
 DECIMALS = 6
 
 

@@ -23,7 +23,7 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
-from bayescal.numerics.scratch import Workspace
+from bayescal.numerics.scratch import Scratch
 
 REFINEMENTS = 2
 ROUNDING = 1e-10
@@ -74,7 +74,7 @@ class PoseLikelihood:
         _, log_volume = np.linalg.slogdet(np.swapaxes(pose, -1, -2) @ pose)
         self._constant = 0.5 * log_volume - 0.5 * pose.shape[-2] * np.log(2 * np.pi)
         self._to_error = self._find_projection()
-        self._workspace = Workspace()
+        self._scratch = Scratch()
         self._whitening: tuple[Array, Array, Array] | None = None
 
     @property
@@ -88,8 +88,8 @@ class PoseLikelihood:
         """Return r for parameter vectors (B, D), as an array (N, P, B) that the next call overwrites."""
         closure = self._bound.evaluate(np.asfortranarray(theta))  # the batch contiguous
         n_legs, n_poses, n_batch = closure.shape
-        result = self._workspace.take("leg errors", n_legs, n_poses, n_batch)
-        both = self._workspace.take("error", self._to_error.shape[1], n_poses, n_batch)
+        result = self._scratch.take("leg errors", n_legs, n_poses, n_batch)
+        both = self._scratch.take("error", self._to_error.shape[1], n_poses, n_batch)
         seen = closure
         for _ in range(REFINEMENTS):
             np.matmul(self._to_error, seen.transpose(1, 0, 2), out=both.transpose(1, 0, 2))
@@ -203,7 +203,7 @@ class PoseLikelihood:
     def _density_fixed(self, errors: Array, model_error: Array) -> Array:
         whitening, half_log_det = self._whiten(model_error)
         n_legs, n_poses, n_batch = errors.shape
-        white = self._workspace.take("white", n_poses, n_legs, n_batch)
+        white = self._scratch.take("white", n_poses, n_legs, n_batch)
         np.matmul(whitening, errors.transpose(1, 0, 2), out=white)
         square = np.einsum("pib,pib->pb", white, white)
         return -0.5 * square - half_log_det[:, None]
@@ -214,7 +214,7 @@ class PoseLikelihood:
         The errors are carried along as one more row of the matrix; in the factor that row holds the whitened errors.
         """
         n, variance = self.n_legs, model_error.T**2
-        factor = self._workspace.take("factor", n + 1, n, *errors.shape[1:])
+        factor = self._scratch.take("factor", n + 1, n, *errors.shape[1:])
         determinant = np.ones(errors.shape[1:])
         for j in range(n):
             column = factor[j:, j]

@@ -253,7 +253,7 @@ class Posterior:
         change = self.coordinates.jacobian(theta)
         return self.likelihood.leg_error_jacobian(theta)[1] @ change, self._prior_slope(change)
 
-    def leg_coordinates(self) -> list[np.ndarray]:
+    def groups(self) -> list[np.ndarray]:
         """Return which geometric coordinates belong to each leg."""
         layout, free = self._layout, self.coordinates.free
         per_leg = [block.symbol for block in layout.blocks if block.per_leg]
@@ -335,8 +335,11 @@ class Posterior:
         found[:n] = least_squares(residual, start[:n], jacobian, method="lm", xtol=1e-10, ftol=1e-10).x
         return found
 
-    def mirror_images(self, y: Array) -> list[tuple[int, Array]]:
-        """Return legs, and coordinates with the leg's direction mirrored to the other solution of the same gain."""
+    def jumps(self, y: Array) -> list[tuple[int, Array]]:
+        """Return legs, and coordinates with the leg's direction mirrored to the other solution of the same gain.
+
+        With u_x free and κ fixed the actuator gain u_z + (z_x / z_z) u_x has two solutions for u_x in every leg.
+        """
         coordinates, layout = self.coordinates, self._layout
         if "u_x" not in layout.index:
             return []
@@ -353,6 +356,14 @@ class Posterior:
             image[: self.n_geometry] = coordinates.y_from_theta(theta)
             images.append((leg, image))
         return images
+
+    def curved_ridges(self) -> list[tuple[int, np.ndarray]]:
+        """Return the coordinates of free directions u_x and u_y, each with the other coordinates of its leg.
+
+        Where κ is fixed the actuator gain is a quadratic of u_x that the other parameters of the leg have to follow.
+        """
+        tilted = np.array([name.startswith(("u_x[", "u_y[")) for name in self.names], dtype=bool)
+        return [(int(k), index[~tilted[index]]) for index in self.groups() for k in index[tilted[index]]]
 
     def funnel(self, y: Array) -> Funnel | None:
         """Return how the geometry depends on the model errors at y, shape (n,); None where there are none."""

@@ -1,1 +1,11 @@
-"""Kinds of experiment on one frame."""
+"""Kinds of experiment on one frame; a new one is a folder and a line."""
+
+KINDS = {
+    "audit": "bayescal.experiments.audit.kind:Audit",
+    "pose_selection": "bayescal.experiments.pose_selection.kind:PoseSelection",
+    "reading_simulation": "bayescal.experiments.self_calibration.simulation_kind:ReadingSimulation",
+    "self_calibration": "bayescal.experiments.self_calibration.kind:SelfCalibration",
+    "sensor_placement": "bayescal.experiments.sensor_placement.kind:SensorPlacement",
+    "simulation": "bayescal.experiments.simulation.kind:Simulation",
+    "study": "bayescal.experiments.study.kind:Study",
+}

@@ -16,9 +16,9 @@ from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.fits import Fitter, Measurements
 from bayescal.identifiability.frames import N_FRAME_PARAMETERS, move_frames
-from bayescal.identifiability.sensitivity import SIX, root_of
+from bayescal.identifiability.sensitivity import root_of
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 
 ROUNDS = 20
 LIMITS = (1.0, 1.96)  # standard deviations
@@ -100,7 +100,9 @@ def simulate_measurements(fitter: Fitter, moves: Array, rng: np.random.Generator
         held = solve_inverse_kinematics(machine, machine_theta, position, found.rotation, check=False)
         actuators, reached = held.actuators - error, found.converged & held.converged
     position, rotation = move_frames(theta[:, -N_FRAME_PARAMETERS:], found.position, found.rotation)
-    noise = np.einsum("pij,bpj->bpi", _sensor_noise(fitter.seen), rng.standard_normal((*error.shape[:-1], SIX)))
+    noise = np.einsum(
+        "pij,bpj->bpi", _sensor_noise(fitter.seen), rng.standard_normal((*error.shape[:-1], DEGREES_OF_FREEDOM))
+    )
     position, rotation = position + noise[..., :3], matrix_from_rotation_vector(noise[..., 3:]) @ rotation
     return Measurements(position, rotation, actuators), good & reached.all(axis=1)
 

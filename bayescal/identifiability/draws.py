@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.density.posterior import Posterior
-from bayescal.experiments.audit.schema import PosteriorConfig
 from bayescal.inference.diagnostics import Diagnostics
 from bayescal.inference.exploration import count_walkers, explore
 from bayescal.inference.sampling import sample_posterior
+from bayescal.inference.schema import DrawsConfig
 from bayescal.numerics.geometry import Array
 
 LEAST_STEPS = 4  # R-hat splits an ensemble in time
@@ -23,7 +23,8 @@ class Draws:
 
     Attributes
     ----------
-    posterior : Posterior
+    n_geometry : int
+        m.
     natural : ndarray, shape (E, S, n)
         Ensemble by ensemble, in natural units: the m parameters, then the free model errors.
     diagnostics : Diagnostics
@@ -31,7 +32,7 @@ class Draws:
         What speaks against convergence, in words.
     """
 
-    posterior: Posterior
+    n_geometry: int
     natural: Array
     diagnostics: Diagnostics
     problems: list[str]
@@ -39,7 +40,7 @@ class Draws:
     @cached_property
     def values(self) -> Array:
         """The parameters of all draws, shape (E S, m)."""
-        return self.natural[..., : self.posterior.n_geometry].reshape(-1, self.posterior.n_geometry)
+        return self.natural[..., : self.n_geometry].reshape(-1, self.n_geometry)
 
     @cached_property
     def mean(self) -> Array:
@@ -49,7 +50,7 @@ class Draws:
     @property
     def model_error_variance(self) -> float:
         """Posterior mean of τ², over all legs, mm²; zero without model error."""
-        tau = self.natural[..., self.posterior.n_geometry :]
+        tau = self.natural[..., self.n_geometry :]
         return float(np.mean(tau**2)) if tau.shape[-1] else 0.0
 
     def thin(self, n: int) -> Array:
@@ -57,7 +58,7 @@ class Draws:
         return self.values[np.linspace(0, len(self.values) - 1, min(n, len(self.values))).astype(int)]
 
 
-def draw_posterior(posterior: Posterior, config: PosteriorConfig, n_draws: int, seed: np.random.SeedSequence) -> Draws:
+def draw_posterior(posterior: Posterior, config: DrawsConfig, n_draws: int, seed: np.random.SeedSequence) -> Draws:
     """Return at least n draws of a posterior, explored first, as a study does it."""
     explore_seed, ensemble_seed = seed.spawn(2)
     exploration = explore(posterior, explore_seed, config.walkers)
@@ -68,4 +69,4 @@ def draw_posterior(posterior: Posterior, config: PosteriorConfig, n_draws: int, 
     if not all(mode.converged for mode in exploration.modes):
         problems.append("the mode search did not converge")
     natural = sample.natural.reshape(config.ensembles, -1, posterior.n_parameters)
-    return Draws(posterior, natural, sample.diagnostics, problems)
+    return Draws(posterior.n_geometry, natural, sample.diagnostics, problems)

@@ -18,9 +18,10 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.frames import N_FRAME_PARAMETERS, measured_pose_slopes, move_frames
-from bayescal.identifiability.sensitivity import SIX, compute_sensitivity, root_of
+from bayescal.identifiability.sensitivity import compute_sensitivity, root_of
 from bayescal.machines.models.base import Linearisation, newton_step
 from bayescal.numerics.geometry import (
+    DEGREES_OF_FREEDOM,
     Array,
     compute_left_inverse_jacobian,
     compute_pose_error,
@@ -174,7 +175,7 @@ class Fitter:
         self.knowledge, self.plan = knowledge, plan
         self.expected = compute_sensitivity(knowledge, plan.actuators)
         self.seen = plan.information(self.expected.poses)
-        self.redundant = plan.actuators.shape[-1] > SIX
+        self.redundant = plan.actuators.shape[-1] > DEGREES_OF_FREEDOM
         noise = self.expected.closure_noise(plan)
         self._whiten = None
         if self.redundant:
@@ -185,7 +186,7 @@ class Fitter:
             pose_noise = np.linalg.inv(np.swapaxes(pose, -1, -2) @ pose)
         else:
             pose_noise = self.expected.pose_noise(plan)
-        self._root = root_of(np.linalg.solve(np.eye(SIX) + self.seen @ pose_noise, self.seen))
+        self._root = root_of(np.linalg.solve(np.eye(DEGREES_OF_FREEDOM) + self.seen @ pose_noise, self.seen))
         n_machine = knowledge.machine.layout.size
         self._of_machine = knowledge.free[knowledge.free < n_machine]
         self._of_frames = knowledge.free[knowledge.free >= n_machine] - n_machine
@@ -245,7 +246,7 @@ class Fitter:
     def _evaluate(self, measured: Measurements, moves: Array, before: _State | None = None) -> _State:
         """Return the states at moves (B, n), predicted poses sought from those before, or from the expected ones."""
         n_machines, n = moves.shape
-        n_residuals = self.plan.n_poses * (SIX + self.redundant * self.plan.actuators.shape[-1])
+        n_residuals = self.plan.n_poses * (DEGREES_OF_FREEDOM + self.redundant * self.plan.actuators.shape[-1])
         poses = self.expected.poses if before is None else before
         state = _State(
             moves,
@@ -322,7 +323,7 @@ class Fitter:
         else:
             gain_seen = gain
         error = compute_pose_error(data.position, data.rotation, position, rotation)
-        root = np.broadcast_to(self._root, (*error.shape[:-1], SIX, SIX)).copy()
+        root = np.broadcast_to(self._root, (*error.shape[:-1], DEGREES_OF_FREEDOM, DEGREES_OF_FREEDOM)).copy()
         root[..., 3:] = root[..., 3:] @ np.swapaxes(compute_left_inverse_jacobian(error[..., 3:]), -1, -2)
         columns = (root @ gain_seen) @ by_parameters
         if len(self._of_frames):

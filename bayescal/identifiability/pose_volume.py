@@ -17,7 +17,7 @@ SLACK = 1e-9  # of the actuators' range
 
 
 @dataclass(frozen=True, eq=False)
-class Workspace:
+class PoseVolume:
     """Poses about the home pose.
 
     Attributes
@@ -56,7 +56,7 @@ class Workspace:
         return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True) * radius[:, None])
 
 
-def find_workspace_actuators(machine: Machine, theta: Array, workspace: Workspace, n: int, seed: int) -> Array:
+def find_workspace_actuators(machine: Machine, theta: Array, workspace: PoseVolume, n: int, seed: int) -> Array:
     """Return the actuator positions of poses of the workspace, shape (n', N), mm.
 
     Parameters
@@ -64,7 +64,7 @@ def find_workspace_actuators(machine: Machine, theta: Array, workspace: Workspac
     machine : Machine
     theta : ndarray, shape (D,)
         The machine's parameters.
-    workspace : Workspace
+    workspace : PoseVolume
     n, seed : int
         How many poses, and the seed of those inside.
 

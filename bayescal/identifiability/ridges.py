@@ -14,9 +14,9 @@ import numpy as np
 
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.directions import Direction
-from bayescal.identifiability.sensitivity import SIX, compute_measured_poses, compute_sensitivity
+from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity
 from bayescal.identifiability.units import Units
-from bayescal.numerics.geometry import Array, compute_pose_error
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, compute_pose_error
 
 MAIN = 0.2  # of the largest loading in tolerances, from which on a parameter is said to move, and not to follow
 NICE = (1.0, 2.0, 5.0)
@@ -109,7 +109,7 @@ def _bend(knowledge: Knowledge, plan: Plan, ridges: Sequence[Direction], moves: 
     Gauss-Newton steps with the derivatives of the expected machine, the priors holding back as they do there.
     """
     rows = compute_sensitivity(knowledge, plan.actuators)
-    scale = rows.rows(plan)[:, :SIX] * knowledge.sd
+    scale = rows.rows(plan)[:, :DEGREES_OF_FREEDOM] * knowledge.sd
     bent = moves.copy()
     for _ in range(BENDS):
         change = _pose_changes(knowledge, bent, plan.actuators)

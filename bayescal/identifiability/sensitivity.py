@@ -22,9 +22,8 @@ from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan, predict_poses
 from bayescal.identifiability.frames import N_FRAME_PARAMETERS, frame_slopes, move_frames
 from bayescal.machines.kinematics import SINGULAR_CONDITION, ForwardKinematics, solve_forward_kinematics
-from bayescal.numerics.geometry import Array
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 
-SIX = 6
 UNSEEN = 1e-13  # of a scaled matrix: what rounding leaves of a pose's coordinate that no sensor sees
 
 
@@ -73,20 +72,20 @@ class Sensitivity:
 
     def _root(self, plan: Plan, noise: Array) -> Array:
         seen = plan.information(self.poses)
-        return root_of(np.linalg.solve(np.eye(SIX) + seen @ noise, seen))
+        return root_of(np.linalg.solve(np.eye(DEGREES_OF_FREEDOM) + seen @ noise, seen))
 
     def rows(self, plan: Plan) -> Array:
         """Return the identification Jacobian in units of the noise, shape (P, N, n); of an exact six-legged one too."""
-        if self.by_pose.shape[-2] == SIX:
+        if self.by_pose.shape[-2] == DEGREES_OF_FREEDOM:
             return self.root(plan) @ self.slope
         if plan.actuator_noise == 0.0 and plan.model_error == 0.0:
             raise InputError("found no actuator noise and no model error, expected some where legs are redundant")
         whiten = np.linalg.inv(np.linalg.cholesky(self.closure_noise(plan)))
         pose, parameters = whiten @ self.by_pose, whiten @ self.by_parameters
         left, values, right = np.linalg.svd(pose)
-        gain = np.swapaxes(right, -1, -2) / values[..., None, :] @ np.swapaxes(left[..., :SIX], -1, -2)
+        gain = np.swapaxes(right, -1, -2) / values[..., None, :] @ np.swapaxes(left[..., :DEGREES_OF_FREEDOM], -1, -2)
         slope = self.frames - gain @ parameters
-        loops = np.swapaxes(left[..., SIX:], -1, -2) @ parameters
+        loops = np.swapaxes(left[..., DEGREES_OF_FREEDOM:], -1, -2) @ parameters
         return np.concatenate([self._root(plan, gain @ np.swapaxes(gain, -1, -2)) @ slope, loops], axis=1)
 
 
@@ -150,7 +149,7 @@ def linearise_at(
     """
     here = knowledge.machine.linearise(theta, found.position, found.rotation, actuators)
     own = np.zeros((*here.parameters.shape[:-1], N_FRAME_PARAMETERS))
-    seen = np.zeros((len(actuators), SIX, knowledge.layout.size))
+    seen = np.zeros((len(actuators), DEGREES_OF_FREEDOM, knowledge.layout.size))
     seen[..., -N_FRAME_PARAMETERS:] = frame_slopes(found.position, found.rotation)
     parameters = np.concatenate([here.parameters, own], axis=-1)[..., knowledge.free]
     gain = _invert(here.pose, name)

@@ -113,7 +113,7 @@ def _sharpen(straight: Straightening, main: Peak, modes: list[Mode], curve: bool
     """Fit the coordinates to the main peak, then all peaks in them; a peak that climbs into another is dropped."""
     straight, main = bend_at(straight, main)
     main = refine_peak(straight.log_density, main)
-    if curve and straight.tilted_coordinates():
+    if curve and straight.posterior.curved_ridges():
         straight, main = curve_at(straight, main)
         main = refine_peak(straight.log_density, main)
     peaks = [main]

@@ -52,33 +52,32 @@ class Mode:
 
 
 def find_modes(posterior: Target) -> list[Mode]:
-    """Return the posterior's modes, best first: the one found from the nominal machine and its mirror images.
+    """Return the posterior's modes, best first: the one found from its own start, and those its jumps lead to.
 
-    With u_x free and κ fixed the actuator gain u_z + (z_x / z_z) u_x has two solutions for u_x in every leg; each is
-    tried, leg by leg, again from every better mode found. A mirror image that holds no mass that matters is dropped.
+    Each jump is tried, again from every better mode found. A mode that holds no mass that matters is dropped.
     """
-    best, others = _climb_mirror_images(posterior)
+    best, others = _follow_jumps(posterior)
     first = _characterise(posterior, *best)
     worth = [other for other in others if other[1] > best[1] - 2 * WORTH_KEEPING]
     modes = [_characterise(posterior, *other) for other in worth]
     return [first, *(m for m in modes if m.converged and m.log_evidence > first.log_evidence - WORTH_KEEPING)]
 
 
-def _climb_mirror_images(posterior: Target) -> tuple[Climb, list[Climb]]:
-    """Return the best mode that mirroring single legs reaches, and the others seen on the way."""
+def _follow_jumps(posterior: Target) -> tuple[Climb, list[Climb]]:
+    """Return the best mode that jumps reach, and the others seen on the way."""
     best = _climb(posterior, posterior.approach())
     others: list[Climb] = []
     came_from = -1
     while True:
         improved = False
-        for leg, start in posterior.mirror_images(best[0]):
-            if leg == came_from:
+        for jump, start in posterior.jumps(best[0]):
+            if jump == came_from:
                 continue  # leads back
             other = _climb(posterior, start, best[1] - HOPELESS)
             if any(np.allclose(other[0], known[0], rtol=0.0, atol=SAME) for known in (best, *others)):
                 continue
             if other[1] > best[1]:
-                best, other, improved, came_from = other, best, True, leg
+                best, other, improved, came_from = other, best, True, jump
             others.append(other)
         if not improved:
             return best, others

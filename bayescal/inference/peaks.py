@@ -106,15 +106,15 @@ def _scaled(factor: Array, scale: Array) -> Array:
 
 
 def curve_at(straight: Straightening, peak: Peak) -> tuple[Straightening, Peak]:
-    """Return the straightening with shears along the free u_x and u_y, from how the other parameters of a leg follow.
+    """Return the straightening with shears along the curved ridges, from how the other coordinates follow.
 
-    From both sides of the peak along the ridge, a Newton step of the leg's other parameters shows where the density
+    From both sides of the peak along the ridge, a Newton step of the coordinates that follow shows where the density
     is largest; what the two steps have in common is the curve.
     """
     precision = np.linalg.inv(peak.factor @ peak.factor.T)
     spread = np.linalg.norm(peak.factor, axis=1)
     curves = []
-    for base, others in straight.tilted_coordinates():
+    for base, others in straight.posterior.curved_ridges():
         along = (peak.factor @ peak.factor[base]) / spread[base]
         block = precision[np.ix_(others, others)]
         step = 0.5 / np.sqrt(np.diag(block))

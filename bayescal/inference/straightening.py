@@ -1,13 +1,13 @@
 """Coordinates around a mode in which the posterior with free model errors is close to a Gaussian.
 
-Three things keep it from being one. The posterior of a leg's geometry is the wider the larger the leg's model error: a
-funnel. Around a mode the information of leg i is close to P + q B, with P the prior precision, B the information of
-the data at the mode and q = (m + τ̂²) / (m + τ²), m the rest of the leg's variance. In the basis that makes both
-diagonal each direction is stretched by sqrt((1 + λ) / (1 + q λ)): in the stretched coordinates the funnel is a
+Three things keep it from being one. The posterior of a group of coordinates is the wider the larger the group's model
+error: a funnel. Around a mode the information of group i is close to P + q B, with P the prior precision, B the
+information of the data at the mode and q = (m + τ̂²) / (m + τ²), m the rest of the group's variance. In the basis that
+makes both diagonal each axis is stretched by sqrt((1 + λ) / (1 + q λ)): in the stretched coordinates the funnel is a
 cylinder. The coordinate ζ of a model error is skewed, the more the smaller the model error:
-ζ = c + A η + B sqrt(1 + η²) takes three quantiles of its draws to those of a standard normal η. Last, where κ is fixed
-the actuator gain is a quadratic of u_x that the other parameters of the leg have to follow: a shear by β (u - u_0)² of
-unit volume straightens this ridge too.
+ζ = c + A η + B sqrt(1 + η²) takes three quantiles of its draws to those of a standard normal η. Last, where the data
+see a quadratic of one coordinate u that others make up for, these have to follow it: a shear by β (u - u_0)² of unit
+volume straightens this ridge too.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def bend_from_quantiles(low: Array, middle: Array, high: Array) -> Bend:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """The shear y_others = w_others + β (w_u - u_0)² of one leg, w_u unchanged."""
+    """The shear y_others = w_others + β (w_u - u_0)² along one ridge, w_u unchanged."""
 
     base: int
     others: np.ndarray
@@ -90,10 +90,10 @@ def fit_curve(y: Array, base: int, others: np.ndarray) -> Curve:
 
 
 @dataclass(frozen=True, eq=False)
-class LegBlock:
-    """One leg's coordinates and the generalised eigenbasis of its information against its prior."""
+class Block:
+    """One group's coordinates and the generalised eigenbasis of its information against its prior."""
 
-    leg: int
+    group: int
     index: np.ndarray
     basis: Array
     inverse: Array
@@ -109,19 +109,19 @@ class Straightening:
     posterior : Target
     centre : ndarray, shape (n,)
         The mode.
-    blocks : tuple of LegBlock
+    blocks : tuple of Block
         Empty without free model errors: then x is y.
     rest, tau : ndarray, shape (N,)
-        m in mm² and τ̂ in mm of each leg.
+        m and τ̂ of each group.
     bend : Bend or None
         Bend of the model errors' coordinates.
     curves : tuple of Curve
-        Shears along the free u_x and u_y; these are moved by none of them, so that the order does not matter.
+        Shears along curved ridges; what they follow is moved by none of them, so that the order does not matter.
     """
 
     posterior: Target
     centre: Array
-    blocks: tuple[LegBlock, ...]
+    blocks: tuple[Block, ...]
     rest: Array
     tau: Array
     bend: Bend | None = None
@@ -133,7 +133,7 @@ class Straightening:
             return []
         tau = self.posterior.tau(y)
         q = (self.rest + self.tau**2) / (self.rest + tau**2)
-        return [np.sqrt((1.0 + b.eigenvalues) / (1.0 + q[:, b.leg, None] * b.eigenvalues)) for b in self.blocks]
+        return [np.sqrt((1.0 + b.eigenvalues) / (1.0 + q[:, b.group, None] * b.eigenvalues)) for b in self.blocks]
 
     def _stretch(self, result: Array, stretches: list[Array]) -> Array:
         for block, stretch in zip(self.blocks, stretches, strict=True):
@@ -180,17 +180,8 @@ class Straightening:
     def fitted_to(self, y: Array) -> Straightening:
         """Return the straightening with bend and curves fitted to draws (B, n) in sampling coordinates."""
         bend = fit_bend(y[:, self.posterior.n_geometry :]) if self.blocks else None
-        curves = tuple(fit_curve(y, base, others) for base, others in self.tilted_coordinates())
+        curves = tuple(fit_curve(y, base, others) for base, others in self.posterior.curved_ridges())
         return replace(self, bend=bend, curves=curves)
-
-    def tilted_coordinates(self) -> list[tuple[int, np.ndarray]]:
-        """Return the coordinates of free directions u_x and u_y, each with the other coordinates of its leg."""
-        tilted = np.array([name.startswith(("u_x[", "u_y[")) for name in self.posterior.names])
-        if not tilted.any():
-            return []
-        return [
-            (int(k), index[~tilted[index]]) for index in self.posterior.leg_coordinates() for k in index[tilted[index]]
-        ]
 
 
 def straighten(posterior: Target, mode: Mode) -> Straightening:
@@ -199,8 +190,8 @@ def straighten(posterior: Target, mode: Mode) -> Straightening:
     if funnel is None:
         return Straightening(posterior, mode.y, (), np.empty(0), np.empty(0))
     blocks = []
-    for leg, index in enumerate(posterior.leg_coordinates()):
+    for group, index in enumerate(posterior.groups()):
         local = np.ix_(index, index)
         eigenvalues, basis = eigh(funnel.information[local], funnel.prior[local])
-        blocks.append(LegBlock(leg, index, basis, np.linalg.inv(basis), np.maximum(eigenvalues, 0.0)))
+        blocks.append(Block(group, index, basis, np.linalg.inv(basis), np.maximum(eigenvalues, 0.0)))
     return Straightening(posterior, mode.y, tuple(blocks), funnel.rest, funnel.tau)

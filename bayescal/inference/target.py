@@ -12,12 +12,9 @@ from bayescal.numerics.geometry import Array
 class Target(Protocol):
     """A posterior in sampling coordinates y of n entries, first those of the geometry, then those of model errors.
 
-    The geometry's coordinates are in units of the prior standard deviations; zero is the machine as expected.
+    The geometry's coordinates are in units of the prior standard deviations; zero is the machine as expected. Each of N
+    groups of them has a model error.
     """
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters, one per coordinate."""
 
     @property
     def n_parameters(self) -> int:
@@ -44,16 +41,25 @@ class Target(Protocol):
     def polish(self, y: Array) -> Array:
         """Return y, shape (n,), with the geometry that is best at its model errors."""
 
-    def mirror_images(self, y: Array) -> list[tuple[int, Array]]:
-        """Return legs and where other modes may be, reached by changing one leg each."""
+    def jumps(self, y: Array) -> list[tuple[int, Array]]:
+        """Return where other modes may be, seen from a mode at y, shape (n,): a jump's number, and where it leads.
+
+        A jump of the same number leads back from there.
+        """
 
     # --- straightening -------------------------------------------------------------------------------------------
 
     def tau(self, y: Array) -> Array:
-        """Return the model error of each leg in mm, shape (B, N)."""
+        """Return the model error of each group, (B, n) to (B, N)."""
 
-    def leg_coordinates(self) -> list[np.ndarray]:
-        """Return which geometric coordinates belong to each leg."""
+    def groups(self) -> list[np.ndarray]:
+        """Return which coordinates of the geometry belong to each group."""
+
+    def curved_ridges(self) -> list[tuple[int, np.ndarray]]:
+        """Return coordinates along which the density has a curved ridge, each with those that follow it there.
+
+        No coordinate that follows one has a ridge along itself.
+        """
 
     def funnel(self, y: Array) -> Funnel | None:
         """Return what makes the geometry the less certain the larger a model error, at y (n,); None without them."""
@@ -72,8 +78,8 @@ class Funnel(Protocol):
 
     @property
     def rest(self) -> Array:
-        """Each leg's variance but for the model error, shape (N,), mm²."""
+        """Each group's variance but for the model error, shape (N,), in the model errors' unit squared."""
 
     @property
     def tau(self) -> Array:
-        """Each leg's model error, shape (N,), mm."""
+        """Each group's model error, shape (N,)."""

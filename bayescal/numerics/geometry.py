@@ -11,6 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+DEGREES_OF_FREEDOM = 6
+"""Of a body in space, and how many coordinates a pose has."""
+
 type Array = NDArray[np.float64]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from bayescal.numerics.geometry import Array
 
 
-class Workspace:
+class Scratch:
     """Named scratch arrays, contents undefined; every array is valid until its name is taken again."""
 
     def __init__(self) -> None:

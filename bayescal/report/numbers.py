@@ -74,3 +74,16 @@ def format_span(values: list[float], decimals: int = 1) -> str:
 def join_words(words: list[str], between: str = "and") -> str:
     """Return ``a, b and c``."""
     return f" {between} ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+
+
+def format_plain(value: float, digits: int = 6, separator: str = "") -> str:
+    """Return a number with up to that many digits and no zeros at its end, as a setting or a tick is written.
+
+    ``separator``, a comma, stands between thousands.
+    """
+    return f"{value:{separator}.{digits}g}"
+
+
+def format_count(number: float) -> str:
+    """Return a whole number with commas between thousands."""
+    return f"{number:,.0f}"

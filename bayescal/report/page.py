@@ -41,6 +41,7 @@ def write_page(page: Page, folder: Path, more: Sequence[Section] = ()) -> Path:
         does not show are removed.
     """
     images = {figure.name: render_png(figure.draw) for figure in page.figures() if figure.draw is not None}
+    text = render_page(page, images, more)
     figures = folder / FIGURES
     for path in figures.glob("*.png"):
         if path.stem not in images:
@@ -48,7 +49,6 @@ def write_page(page: Page, folder: Path, more: Sequence[Section] = ()) -> Path:
     for name, image in images.items():
         figures.mkdir(exist_ok=True)
         (figures / f"{name}.png").write_bytes(image)
-    text = render_page(page, images, more)
     temporary = folder / f"{PAGE}.tmp"
     temporary.write_text(text, encoding="utf-8")
     return temporary.replace(folder / PAGE)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import studies
+from bayescal.experiments.shared.load_readings import load_sliding_platform
 
 from bayescal.config import (
     PoseMethodsConfig,
@@ -20,7 +21,6 @@ from bayescal.config import (
 )
 from bayescal.config.load import EXPERIMENTS
 from bayescal.errors import InputError
-from bayescal.experiments.shared.load_readings import load_sliding_platform
 from bayescal.machines.mechanism import ExternalLoad
 
 LOADERS = {

@@ -14,9 +14,9 @@ from bayescal.density import likelihood as likelihood_module
 from bayescal.density.likelihood import PoseLikelihood
 from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics
 from bayescal.numerics.geometry import compute_pose_error
+from bayescal.numerics.units import MICROMETRE
 
 TAU = np.array([0.5, 1.0, 2.0, 3.0, 5.0, 8.0]) * 1e-3
-MICROMETRE = 1e-3
 
 
 def build(deformation, size, rng, batch=3, **options):

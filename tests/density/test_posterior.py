@@ -302,7 +302,7 @@ def test_gauss_newton_hessian_near_the_mode(twin, rng):
 
 def test_every_coordinate_belongs_to_one_leg(twin):
     posterior = build(twin, SUBSETS["six of a leg"], ModelError(SCALE))
-    legs = posterior.leg_coordinates()
+    legs = posterior.groups()
     np.testing.assert_array_equal(np.sort(np.concatenate(legs)), np.arange(36))
     for leg, index in enumerate(legs, start=1):
         assert all(posterior.names[k].endswith(f"[{leg}]") for k in index)

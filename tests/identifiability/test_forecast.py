@@ -18,7 +18,7 @@ from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.audit.results import summarise, tabulate
 from bayescal.experiments.audit.schema import WhatIfConfig
 from bayescal.identifiability.information import Information, information_of_rows
-from bayescal.identifiability.pose_volume import Workspace, find_workspace_actuators
+from bayescal.identifiability.pose_volume import PoseVolume, find_workspace_actuators
 from bayescal.identifiability.requirements import Forecast, Requirement
 from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity
 from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics
@@ -130,7 +130,7 @@ def test_the_telescope_meets_table_1_of_the_report(audited):
 @pytest.mark.parametrize("shape", ["ellipsoid", "box", "axes"])
 def test_workspace_keeps_its_shape(shape):
     half = np.array([2.0, 1.0, 0.0, 0.01, 0.0, 0.02])
-    moves = Workspace(half, shape, 300).sample(300, 0)
+    moves = PoseVolume(half, shape, 300).sample(300, 0)
     share = np.divide(moves, half, out=np.zeros_like(moves), where=half > 0)
     assert len(moves) == 300
     assert np.abs(share).max() <= 1.0

@@ -98,7 +98,7 @@ def test_identity_without_model_error(twin, rng):
 def funnel_correlations(posterior, values, zeta):
     """Return, leg by leg, the correlation of ζ with how far from the middle the leg's coordinates are."""
     found = []
-    for leg, index in enumerate(posterior.leg_coordinates()):
+    for leg, index in enumerate(posterior.groups()):
         shifted = values[:, index] - values[:, index].mean(axis=0)
         squares = np.einsum("bi,ij,bj->b", shifted, np.linalg.inv(np.cov(shifted.T)), shifted)
         found.append(np.corrcoef(squares, zeta[:, leg])[0, 1])

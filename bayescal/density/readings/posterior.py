@@ -158,7 +158,7 @@ class SelfCalibrationPosterior:
 
         return np.asarray(least_squares(residual, y, jacobian, method="lm", xtol=1e-12, ftol=1e-12).x)
 
-    def mirror_images(self, y: Array) -> list[tuple[int, Array]]:
+    def jumps(self, y: Array) -> list[tuple[int, Array]]:
         """Return nothing: the sign of each leg is known, and no other mode is expected."""
         del y
         return []
@@ -167,8 +167,12 @@ class SelfCalibrationPosterior:
         """Return no model errors, shape (B, 0)."""
         return np.empty((*y.shape[:-1], 0))
 
-    def leg_coordinates(self) -> list[np.ndarray]:
+    def groups(self) -> list[np.ndarray]:
         """Return nothing: no leg has a model error."""
+        return []
+
+    def curved_ridges(self) -> list[tuple[int, np.ndarray]]:
+        """Return nothing: no coordinate is expected to have one."""
         return []
 
     def funnel(self, y: Array) -> None:

@@ -7,29 +7,20 @@ from typing import Literal
 
 import numpy as np
 
-from bayescal.experiments.audit.changes import (
-    Outcome,
-    Planner,
-    SweepPoint,
-    check_changes,
-    evaluate_change,
-    evaluate_proposal,
-    list_changes,
-    run_sweeps,
-)
+from bayescal.experiments.audit.changes import Outcome, SweepPoint, check_changes, evaluate_changes
 from bayescal.experiments.audit.inputs import AuditInputs
+from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability.directions import Direction, find_directions
 from bayescal.identifiability.frames import FRAME_BLOCKS
-from bayescal.identifiability.information import Information, complement_of, information_of_rows
+from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.requirements import Forecast, Outlook
 from bayescal.identifiability.ridges import Ridge, describe_ridges
 from bayescal.identifiability.selection import Selection, select_parameters
 from bayescal.identifiability.sensitivity import compute_sensitivity
 from bayescal.identifiability.structure import Structure, find_structural_rank
-from bayescal.limits import DEAD, INFORMED, NINETY_FIVE
-from bayescal.numerics.geometry import Array
+from bayescal.identifiability.verdicts import Verdict, judge_parameters
+from bayescal.limits import NINETY_FIVE
 
-type Verdict = Literal["identifiable", "weak", "not"]
 type Harm = Literal["harmless", "noticeable", "harmful", "unknown"]
 
 HARMLESS = 0.1  # of a limit, that the remaining uncertainty along a direction may take
@@ -109,26 +100,8 @@ def analyse(inputs: AuditInputs) -> Analysis:
     return Analysis(structure, information, selection, directions, verdicts)
 
 
-def judge_parameters(information: Information, null_space: Array) -> tuple[Verdict, ...]:
-    """Return the verdict on each parameter.
-
-    ``identifiable``: its tolerance is at least halved. ``not``: most of what is left unknown lies along directions of
-    which nothing is learnt. ``weak``: it lies along directions of which too little is learnt.
-    """
-    values, vectors = information.spectrum(complement_of(null_space))
-    remaining = vectors**2 / (1.0 + values)
-    dead = (null_space**2).sum(axis=1) + remaining[:, values / (1.0 + values) < DEAD].sum(axis=1)
-    verdicts: list[Verdict] = []
-    for contraction, lost in zip(information.contraction, dead, strict=True):
-        if contraction >= INFORMED:
-            verdicts.append("identifiable")
-        else:
-            verdicts.append("not" if lost > 0.5 * (1.0 - contraction) else "weak")
-    return tuple(verdicts)
-
-
-def run_audit(inputs: AuditInputs, planner: Planner | None = None) -> Audit:
-    """Return the audit of a design; a planner's plan stands among the changes."""
+def run_audit(inputs: AuditInputs, run: Run) -> Audit:
+    """Return the audit of a design; a plan of poses chosen I-optimally stands among the changes."""
     check_changes(inputs)
     analysis = analyse(inputs)
     knowledge, plan = inputs.knowledge, inputs.plan
@@ -140,8 +113,5 @@ def run_audit(inputs: AuditInputs, planner: Planner | None = None) -> Audit:
         if inputs.requirements
         else []
     )
-    what_ifs = [evaluate_change(inputs, change, workspace) for change in list_changes(inputs)]
-    if planner is not None:
-        what_ifs += evaluate_proposal(inputs, planner, workspace)
-    sweeps = run_sweeps(inputs, inputs.config.sweep, workspace)
+    what_ifs, sweeps = evaluate_changes(inputs, workspace, run)
     return Audit(inputs, analysis, ridges, workspace, outlooks, what_ifs, sweeps)

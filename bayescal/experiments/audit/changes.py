@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.experiments.audit.inputs import AuditInputs, choose_sensors
-from bayescal.experiments.audit.schema import ActuatorPlanConfig, SweepConfig, WhatIfConfig
+from bayescal.experiments.audit.i_optimal import ProposedPlan, propose_i_optimal
+from bayescal.experiments.audit.inputs import AuditInputs
+from bayescal.experiments.audit.schema import ActuatorPlanConfig, WhatIfConfig
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.shared.design import choose_sensors
 from bayescal.identifiability.design import Plan
 from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.requirements import Forecast, Requirement
@@ -38,25 +41,6 @@ class Outcome:
     information: Information | None
     beyond_range: bool
     required_sd: dict[str, float]
-
-
-@dataclass(frozen=True, eq=False)
-class ProposedPlan:
-    """A plan that somebody else than the design proposes.
-
-    Attributes
-    ----------
-    name : str
-        As it is listed among the changes.
-    plan : Plan
-    """
-
-    name: str
-    plan: Plan
-
-
-type Planner = Callable[[AuditInputs], ProposedPlan]
-"""What chooses poses stands above the audit and is passed in."""
 
 
 def list_changes(inputs: AuditInputs) -> list[WhatIfConfig]:
@@ -130,15 +114,6 @@ def evaluate_change(inputs: AuditInputs, change: WhatIfConfig, forecast: Forecas
     return evaluate_plan(inputs, ProposedPlan(change.name, apply_change(inputs, change)), forecast)
 
 
-def evaluate_proposal(inputs: AuditInputs, planner: Planner, forecast: Forecast | None) -> list[Outcome]:
-    """Return what a planner's plan would tell; nothing where it has none for this design."""
-    try:
-        proposed = planner(inputs)
-    except InputError:
-        return []
-    return [evaluate_plan(inputs, proposed, forecast)]
-
-
 def evaluate_plan(inputs: AuditInputs, proposed: ProposedPlan, forecast: Forecast | None) -> Outcome:
     """Return what another plan would tell; the workspace and its requirements stay."""
     plan, knowledge = proposed.plan, inputs.knowledge
@@ -181,13 +156,35 @@ class SweepPoint:
     outcome: Outcome
 
 
-def run_sweeps(inputs: AuditInputs, config: SweepConfig, forecast: Forecast | None) -> list[SweepPoint]:
-    """Return all points: factors on the sensors' noise and on the displacements, and numbers of poses."""
-    n = inputs.plan.n_poses
+def list_sweeps(inputs: AuditInputs) -> list[tuple[str, float, WhatIfConfig]]:
+    """Return sweep, value and change of all points: factors on noise and on displacements, and numbers of poses."""
+    n, config = inputs.plan.n_poses, inputs.config.sweep
     changes = [("noise", value, WhatIfConfig(name="", noise_factor=value)) for value in config.noise]
     changes += [("poses", float(value), WhatIfConfig(name="", poses_factor=value / n)) for value in config.poses]
     changes += [("workspace", value, WhatIfConfig(name="", workspace_factor=value)) for value in config.workspace]
-    return [SweepPoint(sweep, value, evaluate_change(inputs, change, forecast)) for sweep, value, change in changes]
+    return changes
+
+
+def evaluate_changes(inputs: AuditInputs, forecast: Forecast, run: Run) -> tuple[list[Outcome], list[SweepPoint]]:
+    """Return what changed plans would tell, the last with poses chosen I-optimally, and all points of the sweeps."""
+    changes, points = list_changes(inputs), list_sweeps(inputs)
+    tasks: dict[str, WhatIfConfig | None] = {f"{k} {change.name}": change for k, change in enumerate(changes)}
+    tasks["I-optimal poses"] = None
+    tasks |= {f"{sweep} {k}": change for k, (sweep, _, change) in enumerate(points)}
+    found = list(run.map("other plans", _evaluate, (inputs, forecast), tasks, (Outcome,)).values())
+    what_ifs, swept = found[: len(changes) + 1], found[len(changes) + 1 :]
+    sweeps = [SweepPoint(sweep, value, one) for (sweep, value, _), one in zip(points, swept, strict=True) if one]
+    return [one for one in what_ifs if one is not None], sweeps
+
+
+def _evaluate(shared: tuple[AuditInputs, Forecast], change: WhatIfConfig | None) -> Outcome | None:
+    inputs, forecast = shared
+    if change is not None:
+        return evaluate_change(inputs, change, forecast)
+    try:
+        return evaluate_plan(inputs, propose_i_optimal(inputs), forecast)
+    except InputError:
+        return None  # there are none for this design
 
 
 def contraction_of_symbols(information: Information, symbols: tuple[str, ...]) -> dict[str, tuple[float, float]]:

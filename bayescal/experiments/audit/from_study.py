@@ -16,15 +16,16 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.config.load import load_experiment
-from bayescal.config.schema import StudyConfig, VariantConfig
 from bayescal.density.posterior import Posterior
 from bayescal.errors import InputError
 from bayescal.experiments.audit.schema import AuditConfig
-from bayescal.experiments.study.inputs import StudyInputs, load_inputs
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.shared.measured import MeasuredVariant, Measuring
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.draws import Draws, draw_posterior
 from bayescal.inference.mode import find_modes
+from bayescal.inference.schema import DrawsConfig
 from bayescal.numerics.geometry import Array
 
 DRAWS_WITH_DATA = 100_000
@@ -56,7 +57,7 @@ class Measured:
     draws: Draws | None
 
 
-def read_measured(config: AuditConfig, folder: Path) -> Measured:
+def read_measured(config: AuditConfig, folder: Path) -> MeasuredVariant:
     """Return what a design's study says of its machine.
 
     Raises
@@ -67,45 +68,47 @@ def read_measured(config: AuditConfig, folder: Path) -> Measured:
     """
     assert config.data is not None
     where = folder / config.data.study
-    study = load_experiment(where)
-    if not isinstance(study, StudyConfig):
+    experiment, study = load(where)
+    if not isinstance(experiment, Measuring):
         raise InputError(f"{where}: kind: found {study.kind!r}, expected 'study', since an audit's data are a study's")
-    variant = _find_variant(config, study, where)
-    _check_mechanism(config, folder, study, where)
-    inputs = load_inputs(study, where.parent)
-    posterior = inputs.posterior(variant, config.data.with_model_error)
+    wanted = f"{config.variant.model}/{config.variant.deformation}"
+    found = experiment.measure(study, where, wanted, config.data.with_model_error)
+    free = config.variant.free
+    if free is not None and set(free) != set(found.free):
+        raise InputError(
+            f"variant.free: found {', '.join(free)}, expected none or those of the study's {wanted}: "
+            f"{', '.join(found.free)}"
+        )
+    if config.mechanism is not None and (folder / config.mechanism).resolve() != found.mechanism.resolve():
+        raise InputError(
+            f"mechanism: found {folder / config.mechanism} beside [data], expected none or the study's "
+            f"{found.mechanism}"
+        )
+    return found
+
+
+def draw_measured(config: AuditConfig, found: MeasuredVariant, run: Run) -> Measured:
+    """Return what is known of a measured machine: by its posterior's draws, or its mode where none are wanted."""
     wanted = DRAWS_WITH_DATA if config.posterior.draws is None else config.posterior.draws
     draws = None
     if wanted:
-        draws = draw_posterior(posterior, config.posterior, wanted, np.random.SeedSequence([config.seed, SEED]))
+        draws = run.once("posterior", draw, (found.posterior, config.posterior, wanted, config.seed), (Draws,))
         values, variance = draws.mean, draws.model_error_variance
     else:
-        values, variance = _find_mode(posterior)
-    origin = f"{study.data.origin}: study {study.name}, variant {variant.name}"
-    knowledge = _knowledge(inputs, variant, posterior, values)
-    return Measured(origin, knowledge, _plan(inputs, variant, variance), posterior, draws)
+        values, variance = _find_mode(found.posterior)
+    names = found.posterior.names[: found.posterior.n_geometry]
+    centre = dict(zip(names, values.tolist(), strict=True))
+    knowledge = Knowledge(found.machine, {name: found.priors[name].sd for name in names}, {**found.fixed, **centre})
+    model_error = float(np.sqrt(variance + found.left_variance))
+    information = np.linalg.inv(found.poses.covariance)
+    plan = Plan(found.poses.actuators, (), found.actuator_noise, model_error, pose_information=information)
+    return Measured(found.origin, knowledge, plan, found.posterior, draws)
 
 
-def _find_variant(config: AuditConfig, study: StudyConfig, where: Path) -> VariantConfig:
-    wanted = f"{config.variant.model}/{config.variant.deformation}"
-    by_name = {variant.name: variant for variant in study.variants}
-    if wanted not in by_name:
-        raise InputError(f"{where}: variants: found no {wanted}, expected one of {', '.join(by_name)}")
-    variant, free = by_name[wanted], config.variant.free
-    if free is not None and set(free) != set(variant.free):
-        raise InputError(
-            f"variant.free: found {', '.join(free)}, expected none or those of the study's {wanted}: "
-            f"{', '.join(variant.free)}"
-        )
-    return variant
-
-
-def _check_mechanism(config: AuditConfig, folder: Path, study: StudyConfig, where: Path) -> None:
-    if config.mechanism is None:
-        return
-    found, expected = folder / config.mechanism, where.parent / study.mechanism
-    if found.resolve() != expected.resolve():
-        raise InputError(f"mechanism: found {found} beside [data], expected none or the study's {expected}")
+def draw(task: tuple[Posterior, DrawsConfig, int, int]) -> Draws:
+    """Return draws of a posterior: so many, by a design's effort and seed."""
+    posterior, effort, wanted, seed = task
+    return draw_posterior(posterior, effort, wanted, np.random.SeedSequence([seed, SEED]))
 
 
 def _find_mode(posterior: Posterior) -> tuple[Array, float]:
@@ -113,19 +116,3 @@ def _find_mode(posterior: Posterior) -> tuple[Array, float]:
     natural = posterior.natural(find_modes(posterior)[0].y[None])[0]
     values, tau = natural[: posterior.n_geometry], natural[posterior.n_geometry :]
     return values, float(np.mean(tau**2)) if tau.size else 0.0
-
-
-def _knowledge(inputs: StudyInputs, variant: VariantConfig, posterior: Posterior, values: Array) -> Knowledge:
-    priors, fixed = inputs.priors(variant)
-    names = posterior.names[: posterior.n_geometry]
-    centre = dict(zip(names, values.tolist(), strict=True))
-    return Knowledge(inputs.machine(variant), {name: priors[name].sd for name in names}, {**fixed, **centre})
-
-
-def _plan(inputs: StudyInputs, variant: VariantConfig, model_error_variance: float) -> Plan:
-    poses = inputs.poses(verification=False)
-    left = inputs.matrix_variance(variant, verification=False)
-    variance = model_error_variance + (0.0 if left is None else float(left.mean()))
-    noise = 1e-3 * inputs.config.data.actuator_noise_um
-    information = np.linalg.inv(poses.covariance)
-    return Plan(poses.actuators, (), noise, float(np.sqrt(variance)), pose_information=information)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bayescal.errors import InputError
-from bayescal.experiments.audit.changes import ProposedPlan
 from bayescal.experiments.audit.inputs import AuditInputs
 from bayescal.identifiability.design import Plan
-from bayescal.identifiability.requirement_limits import find_limits
+from bayescal.identifiability.requirements import find_limits
 from bayescal.identifiability.sensitivity import compute_sensitivity
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
 from bayescal.pose_selection import (
     ActuatorBox,
     Selection,
@@ -26,7 +26,21 @@ from bayescal.pose_selection.criteria import IOptimality
 
 SEED = 21
 N_CANDIDATES = 729
-SIX = 6
+
+
+@dataclass(frozen=True, eq=False)
+class ProposedPlan:
+    """A plan that somebody else than the design proposes.
+
+    Attributes
+    ----------
+    name : str
+        As it is listed among the changes.
+    plan : Plan
+    """
+
+    name: str
+    plan: Plan
 
 
 def propose_i_optimal(inputs: AuditInputs) -> ProposedPlan:
@@ -65,7 +79,7 @@ def select_i_optimal(inputs: AuditInputs, n: int | None = None, n_candidates: in
     workspace = compute_sensitivity(knowledge, inputs.workspace_actuators)
     limits = find_limits(inputs.requirements, workspace, knowledge.sd)
     criterion = IOptimality(inputs.plan, workspace=workspace, sd=knowledge.sd, limits=limits)
-    if knowledge.machine.mechanism.n_legs == SIX:
+    if knowledge.machine.mechanism.n_legs == DEGREES_OF_FREEDOM:
         domain = ActuatorBox(knowledge)
         candidates = factorial_candidates(domain, n_candidates)
     else:

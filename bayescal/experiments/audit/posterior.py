@@ -21,17 +21,18 @@ from typing import Any
 import numpy as np
 from scipy.linalg import subspace_angles
 
-from bayescal.config.schema import UniformConfig
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.likelihood import PoseLikelihood
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
+from bayescal.density.schema import UniformConfig
 from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import Audit
-from bayescal.experiments.audit.from_study import SEED
+from bayescal.experiments.audit.from_study import SEED, draw
 from bayescal.experiments.audit.inputs import AuditInputs
+from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability.design import predict_poses
-from bayescal.identifiability.draws import Draws, draw_posterior
+from bayescal.identifiability.draws import Draws
 from bayescal.identifiability.frames import N_FRAME_PARAMETERS
 from bayescal.identifiability.information import Information
 from bayescal.identifiability.sensitivity import compute_sensitivity, root_of
@@ -115,7 +116,7 @@ class PosteriorLevel:
         return 1.0 - float(vector @ self.covariance @ vector)
 
     def summary(self) -> dict[str, Any]:
-        """Return what ``audit.json`` says of this level, in the design's units."""
+        """Return what ``summary.json`` says of this level, in the design's units."""
         inputs, draws = self.inputs, self.draws
         knowledge, values = inputs.knowledge, draws.values
         factors = np.array([inputs.units.factor(unit) for unit in knowledge.units])
@@ -156,11 +157,11 @@ class LeftOut:
         del vector
 
     def summary(self) -> dict[str, Any]:
-        """Return the reason for ``audit.json``."""
+        """Return the reason for ``summary.json``."""
         return {"left_out": self.reason}
 
 
-def audit_posterior(inputs: AuditInputs, audit: Audit) -> PosteriorLevel | LeftOut:
+def audit_posterior(inputs: AuditInputs, audit: Audit, run: Run) -> PosteriorLevel | LeftOut:
     """Return what draws of the posterior say, or why there are none."""
     if inputs.measured is not None:
         origin, draws = inputs.measured.origin, inputs.measured.draws
@@ -173,8 +174,8 @@ def audit_posterior(inputs: AuditInputs, audit: Audit) -> PosteriorLevel | LeftO
         posterior = build_expected_posterior(inputs)
         if isinstance(posterior, LeftOut):
             return posterior
-        seed = np.random.SeedSequence([inputs.config.seed, SEED])
-        origin, draws = EXPECTED, draw_posterior(posterior, inputs.config.posterior, n_draws, seed)
+        task = (posterior, inputs.config.posterior, n_draws, inputs.config.seed)
+        origin, draws = EXPECTED, run.once("posterior", draw, task, (Draws,))
     angle = compare_spaces(audit.analysis.information, draws.values / inputs.knowledge.sd)
     rng = np.random.default_rng([inputs.config.seed, SEED + 1])
     return PosteriorLevel(inputs, origin, draws, angle, judge_draws(inputs, draws, rng))

@@ -1,4 +1,4 @@
-"""An audit as plain values: ``audit.json`` and the tables beside it, in the design's units."""
+"""An audit as plain values: ``summary.json`` and the tables beside it, in the design's units."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NAMED = 4
 
 
 def summarise(audit: Audit) -> dict[str, Any]:
-    """Return what ``audit.json`` holds; lengths and angles in the design's units, which it states."""
+    """Return what ``summary.json`` holds; lengths and angles in the design's units, which it states."""
     inputs, analysis = audit.inputs, audit.analysis
     config, knowledge, structure = inputs.config, inputs.knowledge, analysis.structure
     kinds = [direction.kind for direction in analysis.directions]
@@ -31,6 +31,7 @@ def summarise(audit: Audit) -> dict[str, Any]:
         "title": config.title,
         "machine": knowledge.machine.mechanism.name,
         "model": config.variant.model,
+        "model_title": knowledge.machine.model.title,
         "deformation": config.variant.deformation,
         "seed": config.seed,
         "units": {"length": inputs.units.length, "angle": inputs.units.angle},

@@ -65,7 +65,7 @@ class RidgePlot:
     curves: dict[str, Array]
 
     def summary(self) -> dict[str, Any]:
-        """Return what ``audit.json`` says of the ridge beside its direction."""
+        """Return what ``summary.json`` says of the ridge beside its direction."""
         names = {"x": self.x, "y": self.y, "x_unit": self.x_unit, "y_unit": self.y_unit, "formula": self.formula}
         return {"plot": names, "explanation": self.explanation, "explanation_angle_deg": self.angle}
 

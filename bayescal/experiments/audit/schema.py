@@ -9,66 +9,18 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from bayescal.config.schema import (
+from bayescal.config.sections import ExperimentConfig, InputFile, Positive, Section
+from bayescal.density.schema import FixedConfig, PriorConfig
+from bayescal.experiments.shared.schema import (
+    ActuatorNoiseConfig,
     DeformationConfig,
-    FixedConfig,
-    NotNegative,
-    PointsConfig,
-    Positive,
-    PriorConfig,
-    Section,
-    TargetRingConfig,
+    ModelConfig,
+    RequirementsConfig,
+    SensorConfig,
+    UnitsConfig,
+    WorkspaceConfig,
 )
-
-type Axes = Literal["x", "y", "z", "xy", "xz", "yz", "xyz"]
-type Extent = Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
-type Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
-
-
-class UnitsConfig(Section):
-    """Units of tolerances, requirements and results; the mechanism's file has its own."""
-
-    length: Literal["um", "mm", "m"] = "mm"
-    angle: Literal["arcsec", "mrad", "deg", "rad"] = "deg"
-
-
-class AuditVariantConfig(Section):
-    """A kinematic model with a deformation; without a list, every parameter that has a prior is free."""
-
-    model: str
-    deformation: str = "none"
-    free: Annotated[list[str], Field(min_length=1)] | None = None
-
-
-# --- sensors -----------------------------------------------------------------------------------------------------
-
-
-class PoseSensorConfig(Section):
-    """An instrument that hands out poses, or a part of them."""
-
-    kind: Literal["pose"]
-    position_um: Positive | None = None
-    orientation_arcsec: Positive | None = None
-    axes: Axes = "xyz"
-
-    @model_validator(mode="after")
-    def _check_something(self) -> Self:
-        if self.position_um is None and self.orientation_arcsec is None:
-            raise ValueError("expected position_um or orientation_arcsec, or both")
-        return self
-
-
-class TargetSensorConfig(Section):
-    """An instrument that sees points on the platform, and on the base where its own frame wanders."""
-
-    kind: Literal["targets"]
-    noise_um: Positive
-    platform: Annotated[list[TargetRingConfig], Field(min_length=1)] | PointsConfig
-    base: Annotated[list[TargetRingConfig], Field(min_length=1)] | PointsConfig | None = None
-
-
-type SensorConfig = Annotated[PoseSensorConfig | TargetSensorConfig, Field(discriminator="kind")]
-
+from bayescal.inference.schema import DrawsConfig
 
 # --- plan of measurement -----------------------------------------------------------------------------------------
 
@@ -77,7 +29,7 @@ class FilePlanConfig(Section):
     """Actuator displacements from a CSV table, one row a pose."""
 
     plan: Literal["file"]
-    configurations: str
+    configurations: InputFile
     unit_mm: Positive = 1.0
 
 
@@ -99,13 +51,6 @@ class WorkspacePlanConfig(Section):
 type PlanConfig = Annotated[FilePlanConfig | ActuatorPlanConfig | WorkspacePlanConfig, Field(discriminator="plan")]
 
 
-class AuditNoiseConfig(Section):
-    """What moves a pose besides the geometry, per actuator."""
-
-    actuator_um: NotNegative
-    model_error_um: NotNegative = 0.0
-
-
 class FrameConfig(Section):
     """How well a frame is known: standard deviations along and about its axes."""
 
@@ -121,31 +66,6 @@ class FramesConfig(Section):
 
 
 # --- what is required --------------------------------------------------------------------------------------------
-
-
-class WorkspaceConfig(Section):
-    """Where accuracy counts: half widths about the home pose.
-
-    ``ellipsoid``: all axes together within one; ``box``: every combination; ``axes``: one axis at a time.
-    """
-
-    position_mm: Extent
-    rotation_deg: Extent
-    shape: Literal["ellipsoid", "box", "axes"] = "ellipsoid"
-    poses: Annotated[int, Field(ge=12, le=5000)] = 200
-
-
-class RequirementsConfig(Section):
-    """Largest errors of the calibrated machine's pose anywhere in the workspace."""
-
-    x: Positive | None = None
-    y: Positive | None = None
-    z: Positive | None = None
-    position: Positive | None = None
-    rotation_x: Positive | None = None
-    rotation_y: Positive | None = None
-    rotation_z: Positive | None = None
-    rotation: Positive | None = None
 
 
 # --- what would help ---------------------------------------------------------------------------------------------
@@ -174,38 +94,26 @@ class SweepConfig(Section):
 class AuditDataConfig(Section):
     """A study whose measured poses are audited in place of a plan, with its priors and its posterior."""
 
-    study: str
+    study: InputFile
     with_model_error: bool = True
 
 
-class PosteriorConfig(Section):
-    """Draws of the posterior, all ensembles together: by default many where there are data, otherwise none."""
-
-    draws: Annotated[int, Field(ge=0, le=10_000_000)] | None = None
-    ensembles: Annotated[int, Field(ge=4, le=64)] = 4
-    walkers: Annotated[int, Field(ge=8, le=4096)] = 128
-    burn_in: Annotated[int, Field(ge=0)] = 20
-
-
-class AuditConfig(Section):
+class AuditConfig(ExperimentConfig):
     """An audit."""
 
     kind: Literal["audit"]
-    name: Name
-    title: str
-    seed: Annotated[int, Field(ge=0)]
-    mechanism: str | None = None
-    variant: AuditVariantConfig
+    mechanism: InputFile | None = None
+    variant: ModelConfig
     units: UnitsConfig = UnitsConfig()
     deformation: DeformationConfig = DeformationConfig()
     parameters: dict[str, PriorConfig] = Field(default={})
     frames: FramesConfig = FramesConfig()
-    noise: AuditNoiseConfig | None = None
+    noise: ActuatorNoiseConfig | None = None
     sensors: dict[str, SensorConfig] = Field(default={})
     measured_by: list[str] = Field(default=[])
     poses: PlanConfig | None = None
     data: AuditDataConfig | None = None
-    posterior: PosteriorConfig = PosteriorConfig()
+    posterior: DrawsConfig = DrawsConfig()
     workspace: WorkspaceConfig | None = None
     requirements: RequirementsConfig = RequirementsConfig()
     what_if: list[WhatIfConfig] = Field(default=[])

@@ -76,7 +76,7 @@ def write_results(results: Results, folder: Path, tables_in: str = "", digits: i
     digits : int
         Significant ones of the tables' numbers; zero for all.
     """
-    kinds = {}
+    kinds, empty = {}, {}
     (folder / tables_in).mkdir(exist_ok=True)
     for name, table in results.tables.items():
         if not table.empty:
@@ -84,6 +84,8 @@ def write_results(results: Results, folder: Path, tables_in: str = "", digits: i
             text = f"%.{digits}g" if digits else None
             table.to_csv(folder / path, index=False, float_format=text, lineterminator="\n")
             kinds[path] = {str(column): find_kind(table[column]) for column in table.columns}
+        else:
+            empty[name] = [str(column) for column in table.columns]
     write_json(folder / SUMMARY_FILE, results.summary)
     for name, content in results.files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -91,7 +93,7 @@ def write_results(results: Results, folder: Path, tables_in: str = "", digits: i
             (folder / name).write_text(content, encoding="utf-8")
         else:
             content(folder / name)
-    write_json(folder / PROVENANCE_FILE, {**results.provenance, "tables": kinds})
+    write_json(folder / PROVENANCE_FILE, {**results.provenance, "tables": kinds, "empty_tables": empty})
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
@@ -129,6 +131,8 @@ def read_results(folder: Path) -> Results:
             raise InputError(f"{folder / PROVENANCE_FILE}: tables: found {name!r}, expected names of CSV files")
     summary = read_json(folder / SUMMARY_FILE)
     tables = {Path(name).stem: _read_table(folder / name, columns) for name, columns in kinds.items()}
+    for name, columns in provenance.get("empty_tables", {}).items():
+        tables[name] = pd.DataFrame(columns=columns)
     return Results(summary, tables, {}, provenance, folder)
 
 

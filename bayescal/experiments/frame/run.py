@@ -1,89 +1,192 @@
-"""What all small experiments have in common: what determines their results, and how these are put in place."""
+"""Running an experiment of any kind: read, compute, write, put in place as a whole."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
+import numpy as np
+from rich.console import Console
+from threadpoolctl import threadpool_limits
 
-from bayescal.config.load import dump_config
-from bayescal.config.schema import Section
-from bayescal.experiments.frame.store import PROVENANCE_FILE, Store
-from bayescal.experiments.study.inputs import hash_identity
-from bayescal.files.atomic import read_text
-from bayescal.report.blocks import Page, Section
+from bayescal.config.sections import ExperimentConfig
+from bayescal.errors import InputError
+from bayescal.experiments.frame.identity import describe_provenance, identify
+from bayescal.experiments.frame.load import AnyExperiment, find_kind
+from bayescal.experiments.frame.lock import hold_lock
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.progress import Progress
+from bayescal.experiments.frame.registry import is_file
+from bayescal.experiments.frame.results import SUMMARY_FILE, Results, read_results, write_json, write_results
+from bayescal.experiments.frame.store import Store
+from bayescal.report.blocks import Page, Statement
+from bayescal.report.page import PAGE, write_page
+from bayescal.report.provenance import show_provenance
 
-PAGE = "report.html"
 
+@dataclass(frozen=True, eq=False)
+class Finished:
+    """A finished run.
 
-def identify_experiment(config: Section, folder: Path, names: Iterable[str | None]) -> dict[str, Any]:
-    """Return what determines an experiment's results: its config without the title, and the hashes of its files.
-
-    Parameters
+    Attributes
     ----------
-    config : Section
-    folder : Path
-        Where file names start.
-    names : iterable of str or None
-        The files that the config names.
-    """
-    files = {}
-    for name in sorted({name for name in names if name is not None}):
-        read_text(folder / name, "a file of the experiment")
-        files[name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
-    return {"config": {k: v for k, v in dump_config(config).items() if k != "title"}, "files": files}
-
-
-def publish(
-    store: Store,
-    identity: dict[str, Any],
-    tables: Mapping[str, pd.DataFrame | None],
-    summary: dict[str, Any],
-    page: Page,
-    digits: int = 6,
-    more: Callable[[Path], None] | None = None,
-) -> str:
-    """Write tables, summary, page and provenance, put them in place as a whole and return them in a few lines.
-
-    Parameters
-    ----------
-    store : Store
-        The results directory, checked before the experiment ran.
-    identity : dict
-        See `identify_experiment`.
-    tables : mapping of name to DataFrame
-        Those that are not empty are written as CSV.
-    summary : dict
-        JSON-ready; its headline and verdict are the page's.
+    out : Path
+        The results directory.
+    experiment : Experiment
+    results : Results
+        As they are read back from there.
     page : Page
-    digits : int
-        Significant ones of the tables.
-    more : callable, optional
-        Writes further files into the directory it is given.
     """
-    staged = store.stage()
-    for name, table in tables.items():
-        if table is not None and not table.empty:
-            table.to_csv(staged / f"{name}.csv", index=False, float_format=f"%.{digits}g", lineterminator="\n")
-    said = [{"lead": one.lead, "text": one.text, "level": one.level} for one in page.verdict]
-    _write_json(staged / "summary.json", {**summary, "headline": page.headline, "verdict": said})
-    _write_json(staged / PROVENANCE_FILE, {"config_sha256": hash_identity(identity), **identity})
-    if more is not None:
-        more(staged)
-    write_experiment_page(page, staged)
-    store.publish()
-    return list_lines(page, store.out)
+
+    out: Path
+    experiment: AnyExperiment
+    results: Results
+    page: Page
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What ``summary.json`` holds."""
+        return self.results.summary
+
+    @property
+    def failures(self) -> list[str]:
+        """What forbids to rely on the results, in words."""
+        return self.experiment.list_failures(self.results)
+
+    @property
+    def converged(self) -> bool:
+        """Whether nothing forbids to rely on the results."""
+        return not self.failures
+
+    def show(self, console: Console) -> None:
+        """Print the results on a terminal, and where the page is."""
+        self.experiment.show(self.results, self.page, console)
+        console.print(f"report: {self.out / PAGE}", soft_wrap=True)
 
 
-def list_lines(page: Page, out: Path) -> str:
-    """Return the page's verdict as lines for the terminal, and where the page is."""
-    said = [f"{one.lead}: {one.text}" if one.lead else one.text for one in page.verdict]
-    return "\n".join([page.headline, *said, f"report: {out / PAGE}"])
+def run_experiment(
+    config: ExperimentConfig,
+    folder: Path,
+    out: Path,
+    workers: int = 1,
+    resume: bool = False,
+    quiet: bool = True,
+) -> Finished:
+    """Run an experiment and put its results in ``out``.
+
+    Parameters
+    ----------
+    config : ExperimentConfig
+        From `bayescal.load_experiment`.
+    folder : Path
+        Where the config's file names start.
+    out : Path
+        Results directory; replaced as a whole when everything is done.
+    workers : int
+        Processes side by side; the numbers do not depend on it.
+    resume : bool
+        Take up an interrupted run of the same config.
+    quiet : bool
+        Say nothing of the progress.
+
+    Raises
+    ------
+    InputError
+        For input at fault, results of another config or another run in ``out``, or nothing to resume. Nothing is
+        written then.
+    NumericalError
+        Where a computation fails; the finished tasks are kept for ``resume``.
+    """
+    experiment, store = find_kind(config.kind, folder, folder), Store(out)
+    with threadpool_limits(1):
+        inputs = experiment.read(config, folder)
+        identity = identify(config, folder, _list_files(experiment, config, folder))
+        store.check(identity, resume)
+        with hold_lock(store.lock, out):
+            store.begin(identity, resume)
+            try:
+                results = experiment.compute(inputs, Run(workers, store, Progress(quiet)))
+            except InputError:
+                store.discard()
+                raise
+            provenance = describe_provenance(config, identity)
+            page = _write(experiment, replace(results, provenance=provenance), store.stage())
+            store.publish()
+    return Finished(out, experiment, read_results(out), page)
 
 
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    path.write_text(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+def _list_files(experiment: AnyExperiment, config: ExperimentConfig, folder: Path) -> Iterable[str]:
+    """Return all files that belong to an experiment's identity, the source of its kind among them."""
+    yield from experiment.files(config, folder)
+    if is_file(config.kind):
+        yield config.kind.partition(":")[0]
+
+
+def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1) -> Results:
+    """Return what an experiment finds, without writing anything."""
+    experiment = find_kind(config.kind, folder, folder)
+    with threadpool_limits(1), np.errstate(all="ignore"):
+        return experiment.compute(experiment.read(config, folder), Run(workers))
+
+
+def _write(experiment: AnyExperiment, results: Results, folder: Path) -> Page:
+    """Write results and page into an empty directory; the page is made from what was written."""
+    summary = {**results.summary, "config_sha256": results.provenance["config_sha256"]}
+    write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
+    page = _write_page(experiment, folder)
+    said = {"headline": page.headline, "verdict": [_say(one) for one in page.verdict]}
+    write_json(folder / SUMMARY_FILE, {**summary, **said})
+    return page
+
+
+def _say(statement: Statement) -> dict[str, str]:
+    return {"lead": statement.lead, "text": statement.text, "level": statement.level}
+
+
+def _write_page(experiment: AnyExperiment, folder: Path) -> Page:
+    results = read_results(folder)
+    page = experiment.page(results)
+    write_page(page, folder, (show_provenance(results.provenance),))
+    return page
+
+
+def write_report(folder: Path, kind: str | None = None) -> Path:
+    """Write the page of a results directory anew, from its files alone.
+
+    Parameters
+    ----------
+    folder : Path
+    kind : str, optional
+        ``module:Class`` or ``file.py:Class`` of the experiment, for results of a kind that is not built in: results
+        name no code that is run.
+
+    Raises
+    ------
+    InputError
+        Where a file is missing or not what an experiment of its kind writes; nothing is written then.
+    """
+    experiment = find_results_kind(folder, kind)
+    try:
+        _write_page(experiment, folder)
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, AssertionError) as error:
+        what = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise InputError(f"{folder}: found damaged results ({what}), expected those of a finished run") from error
+    return folder / PAGE
+
+
+def find_results_kind(folder: Path, kind: str | None = None) -> AnyExperiment:
+    """Return the kind of a results directory; see `write_report`."""
+    results = read_results(folder)
+    found = results.provenance.get("kind")
+    if not isinstance(found, str):
+        raise InputError(f"{folder}: found no kind of experiment in its provenance, expected one")
+    if kind is not None:
+        return find_kind(kind, folder, Path())
+    if ":" in found:
+        raise InputError(
+            f"{folder}: found results of kind {found!r}, whose code results do not decide on, "
+            f"expected --kind {found.partition(':')[0]}:... with where it is"
+        )
+    return find_kind(found, folder, None)

@@ -19,17 +19,17 @@ from typing import Any
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.experiments.study.inputs import hash_identity
+from bayescal.experiments.frame.identity import hash_identity
+from bayescal.experiments.frame.results import PROVENANCE_FILE
 from bayescal.files.atomic import read_json, write_atomically
 from bayescal.numerics.geometry import Array
 
 IDENTITY_FILE = "identity.json"
-PROVENANCE_FILE = "provenance.json"
 
 
 @dataclass(frozen=True)
 class Store:
-    """The results directory of a study and the work in progress beside it."""
+    """The results directory of an experiment and the work in progress beside it."""
 
     out: Path
 
@@ -43,6 +43,11 @@ class Store:
         """Directory in which new results are put together."""
         return self._beside(".new.partial")
 
+    @property
+    def lock(self) -> Path:
+        """File that a run holds a lock on while it is under way."""
+        return self._beside(".lock")
+
     def _beside(self, ending: str) -> Path:
         where = self.out.resolve()  # a link or "." has its neighbours where it points to
         return where.with_name(where.name + ending)
@@ -55,9 +60,7 @@ class Store:
             return
         provenance = self.out / PROVENANCE_FILE
         if not self.out.is_dir() or (not provenance.is_file() and any(self.out.iterdir())):
-            raise InputError(
-                f"{self.out}: exists and holds no results of a study, expected a new or a results directory"
-            )
+            raise InputError(f"{self.out}: exists and holds no results, expected a new or a results directory")
         if provenance.is_file():
             found, wanted = read_json(provenance).get("config_sha256"), hash_identity(identity)
             if found != wanted:
@@ -65,6 +68,14 @@ class Store:
                     f"{self.out}: holds results of another config (sha256 {str(found)[:12]}), expected those of "
                     f"this one ({wanted[:12]}); choose another --out or remove it"
                 )
+
+    def check(self, identity: dict[str, Any], resume: bool) -> None:
+        """Refuse what `begin` would refuse, and results of another config, before anything is written."""
+        self.check_results(identity)
+        if resume:
+            self._check_resumed(identity)
+        else:
+            self._check_partial()
 
     def begin(self, identity: dict[str, Any], resume: bool) -> None:
         """Make the partial directory ready: empty, or with the finished tasks of the run to resume.
@@ -74,17 +85,23 @@ class Store:
         InputError
             Where there is nothing to resume, or it differs in what matters; the message names the differences.
         """
+        self.check(identity, resume)
         if resume:
-            if not (self.partial / IDENTITY_FILE).is_file():
-                raise InputError(f"{self.partial}: found no interrupted run, expected one to resume")
-            changes = list_differences(read_json(self.partial / IDENTITY_FILE), identity)
-            if changes:
-                raise InputError(f"{self.partial}: cannot resume, the config differs: {'; '.join(changes)}")
             return
-        self._check_partial()
         shutil.rmtree(self.partial, ignore_errors=True)
         self.partial.mkdir(parents=True)
         write_atomically(self.partial / IDENTITY_FILE, json.dumps(identity, indent=1).encode())
+
+    def _check_resumed(self, identity: dict[str, Any]) -> None:
+        if not (self.partial / IDENTITY_FILE).is_file():
+            raise InputError(f"{self.partial}: found no interrupted run, expected one to resume")
+        changes = list_differences(read_json(self.partial / IDENTITY_FILE), identity)
+        if changes:
+            raise InputError(f"{self.partial}: cannot resume, the config differs: {'; '.join(changes)}")
+
+    def discard(self) -> None:
+        """Remove the work in progress: it is of no use."""
+        shutil.rmtree(self.partial, ignore_errors=True)
 
     def _check_partial(self) -> None:
         """Refuse to empty a directory that no run has made."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.experiments.audit.inputs import AuditInputs
+from bayescal.experiments.shared.design import Design
 from bayescal.identifiability.calibration import simulate_measurements
 from bayescal.identifiability.design import Knowledge
 from bayescal.identifiability.fits import Fitter, Measurements
@@ -49,7 +49,7 @@ class Accuracy:
 
 
 def judge_poses(
-    inputs: AuditInputs,
+    inputs: Design,
     workspace: Sensitivity,
     limits: Array,
     actuators: Array,
@@ -61,7 +61,7 @@ def judge_poses(
 
     Parameters
     ----------
-    inputs : AuditInputs
+    inputs : Design
         Machine, tolerances, sensors and noise.
     workspace : Sensitivity
         Derivatives at the poses where accuracy counts, those of ``inputs.workspace_actuators``.
@@ -138,7 +138,7 @@ def _draw(fitter: Fitter, n: int, rng: np.random.Generator) -> tuple[Array, Meas
     )
 
 
-def _pose_errors(inputs: AuditInputs, truth: Array, estimate: Array) -> Array:
+def _pose_errors(inputs: Design, truth: Array, estimate: Array) -> Array:
     """Return the errors of predicted poses over the workspace, shape (B, W, 6), NaN where one machine has none."""
     machine, actuators = inputs.knowledge.machine, inputs.workspace_actuators
     parts = []

@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.experiments.audit.inputs import AuditInputs, read_inputs
-from bayescal.experiments.audit.schema import ActuatorPlanConfig, AuditConfig
 from bayescal.experiments.pose_selection.schema import (
     ActuatorDomainConfig,
     ContinuousChoiceConfig,
@@ -20,9 +18,21 @@ from bayescal.experiments.pose_selection.schema import (
     TableConfig,
     WorkspaceDomainConfig,
 )
+from bayescal.experiments.shared.design import (
+    Design,
+    build_sensor,
+    find_actuators,
+    plan_sensors,
+    read_machine,
+    read_requirements,
+    read_tolerances,
+    read_workspace,
+)
 from bayescal.files.csv_tables import read_matrix
-from bayescal.identifiability.requirement_limits import find_limits
+from bayescal.identifiability.design import Knowledge
+from bayescal.identifiability.requirements import find_limits
 from bayescal.identifiability.sensitivity import Sensitivity, compute_sensitivity
+from bayescal.identifiability.units import Units
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection import (
     CRITERIA,
@@ -54,8 +64,10 @@ class SelectionInputs:
     Attributes
     ----------
     config : SelectionConfig
-    audit : AuditInputs
-        Machine, tolerances, sensors, workspace and requirements; its plan's poses are only a placeholder.
+    folder : Path
+        Where the config's file names start.
+    design : Design
+        Machine, tolerances, sensors, workspace and requirements; the poses are still to be chosen.
     domain : PoseDomain
         Where poses may be.
     measured : ndarray, shape (M, N), or None
@@ -65,7 +77,8 @@ class SelectionInputs:
     """
 
     config: SelectionConfig
-    audit: AuditInputs
+    folder: Path
+    design: Design
     domain: PoseDomain
     measured: Array | None
     designs: dict[str, Array]
@@ -88,25 +101,25 @@ class SelectionInputs:
     def criterion(self, name: str) -> Criterion:
         """Return a criterion by name."""
         if name == "I":
-            knowledge = self.audit.knowledge
-            return IOptimality(self.audit.plan, workspace=self.workspace, sd=knowledge.sd, limits=self.limits)
+            knowledge = self.design.knowledge
+            return IOptimality(self.design.plan, workspace=self.workspace, sd=knowledge.sd, limits=self.limits)
         if name in BAYESIAN:
-            return {"D": DOptimality, "A": AOptimality}[name](self.audit.plan)
+            return {"D": DOptimality, "A": AOptimality}[name](self.design.plan)
         return CRITERIA[name](form=self.config.jacobian)  # type: ignore[call-arg]  # all but the Bayesian ones
 
     @cached_property
     def workspace(self) -> Sensitivity:
         """Derivatives at the poses that stand for the workspace."""
-        return compute_sensitivity(self.audit.knowledge, self.audit.workspace_actuators)
+        return compute_sensitivity(self.design.knowledge, self.design.workspace_actuators)
 
     @cached_property
     def limits(self) -> Array:
         """What errors of a pose are measured by, shape (6,), mm and rad."""
-        return find_limits(self.audit.requirements, self.workspace, self.audit.knowledge.sd)
+        return find_limits(self.design.requirements, self.workspace, self.design.knowledge.sd)
 
     def indices(self, actuators: Array) -> dict[str, float]:
         """Return the five observability indices of poses at actuator positions (n, N)."""
-        sensitivity = compute_sensitivity(self.audit.knowledge, actuators)
+        sensitivity = compute_sensitivity(self.design.knowledge, actuators)
         rows = identification_rows(sensitivity, self.config.jacobian)
         return {name: float(value) for name, value in compute_observability(rows).items()}
 
@@ -119,10 +132,10 @@ def read_selection(config: SelectionConfig, folder: Path) -> SelectionInputs:
     InputError
         For anything at fault in the config or its files.
     """
-    audit = read_inputs(_as_audit(config), folder)
-    domain = _domain(config, audit)
-    measured = None if config.measured is None else _read_table(config.measured, folder, audit)
-    designs = {design.name: _read_table(design, folder, audit) for design in config.designs}
+    design = read_design(config, folder)
+    domain = _domain(config, design.knowledge)
+    measured = None if config.measured is None else _read_table(config.measured, folder, design)
+    designs = {one.name: _read_table(one, folder, design) for one in config.designs}
     for name, actuators in designs.items():
         placed = domain.at_actuators(actuators)
         if not placed.found.all():
@@ -130,7 +143,7 @@ def read_selection(config: SelectionConfig, folder: Path) -> SelectionInputs:
                 f"designs: {name}: pose {int(np.argmin(placed.found)) + 1}: found none at these displacements, "
                 "expected poses the machine can take"
             )
-    return SelectionInputs(config, audit, domain, measured, designs)
+    return SelectionInputs(config, folder, design, domain, measured, designs)
 
 
 def build_method(choice: SelectionChoice) -> SelectionMethod:
@@ -152,41 +165,33 @@ def is_histogram(choice: SelectionChoice) -> bool:
     return isinstance(choice, RandomChoiceConfig) and choice.n_sets > 1
 
 
-def _as_audit(config: SelectionConfig) -> AuditConfig:
-    """Return the design of an audit of the same machine, with next to no motion as its plan."""
-    return AuditConfig(
-        kind="audit",
-        name=config.name,
-        title=config.title,
-        seed=config.seed,
-        mechanism=config.mechanism,
-        variant=config.variant,
-        units=config.units,
-        deformation=config.deformation,
-        parameters=config.parameters,
-        noise=config.noise,
-        sensors=config.sensors,
-        measured_by=config.measured_by,
-        poses=ActuatorPlanConfig(plan="uniform", count=1, range_mm=1e-9),
-        workspace=config.workspace,
-        requirements=config.requirements,
-    )
+def read_design(config: SelectionConfig, folder: Path) -> Design:
+    """Return the machine, what measures it and what is required, with a plan that has no poses yet."""
+    units = Units(config.units.length, config.units.angle)
+    machine = read_machine(folder / config.mechanism, config.variant, config.deformation, folder)
+    tolerances = read_tolerances(machine, config.parameters, config.variant.free, units, Path(config.name))
+    knowledge, workspace = Knowledge(machine, *tolerances), read_workspace(config.workspace)
+    sensors = {name: build_sensor(name, sensor) for name, sensor in config.sensors.items()}
+    start = machine.mechanism.initial_actuator_positions[None]
+    plan = plan_sensors(start[:0], sensors, config.measured_by, config.noise)
+    at = find_actuators(knowledge, workspace, config.seed, start)
+    return Design(knowledge, plan, workspace, at, read_requirements(config.requirements, units))
 
 
-def _domain(config: SelectionConfig, audit: AuditInputs) -> PoseDomain:
+def _domain(config: SelectionConfig, knowledge: Knowledge) -> PoseDomain:
     section = config.domain
     half = None
     if section.position_mm is not None and section.rotation_deg is not None:
         half = np.concatenate([section.position_mm, np.radians(section.rotation_deg)])
     if isinstance(section, WorkspaceDomainConfig):
         assert half is not None
-        return WorkspaceBox(audit.knowledge, half)
+        return WorkspaceBox(knowledge, half)
     assert isinstance(section, ActuatorDomainConfig)
-    return ActuatorBox(audit.knowledge, half)
+    return ActuatorBox(knowledge, half)
 
 
-def _read_table(table: TableConfig, folder: Path, audit: AuditInputs) -> Array:
-    mechanism = audit.knowledge.machine.mechanism
+def _read_table(table: TableConfig, folder: Path, design: Design) -> Array:
+    mechanism = design.knowledge.machine.mechanism
     moves = table.unit_mm * read_matrix(folder / table.configurations, mechanism.n_legs)
     result: Array = mechanism.initial_actuator_positions + moves
     return result

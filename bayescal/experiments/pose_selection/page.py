@@ -8,6 +8,7 @@ from functools import partial
 
 import pandas as pd
 
+from bayescal.experiments.frame.results import Results
 from bayescal.experiments.pose_selection.compare import tabulate_pairs
 from bayescal.experiments.pose_selection.figures import (
     Quantity,
@@ -17,7 +18,7 @@ from bayescal.experiments.pose_selection.figures import (
     draw_ratios,
     draw_traces,
 )
-from bayescal.experiments.pose_selection.inputs import SelectionInputs
+from bayescal.experiments.pose_selection.schema import SelectionConfig
 from bayescal.experiments.pose_selection.tasks import DESIGN
 from bayescal.experiments.pose_selection.verdict import PRINTED, Tables, state_headline, state_verdict
 from bayescal.pose_selection import CRITERIA, METHODS
@@ -29,9 +30,9 @@ INDICES = ("O1", "O2", "O3", "O4", "O5")
 SMALL = 1e-2
 
 
-def build_page(inputs: SelectionInputs, tables: Tables) -> Page:
-    """Return the page of an experiment's tables."""
-    config = inputs.config
+def build_page(config: SelectionConfig, results: Results) -> Page:
+    """Return the page of an experiment's results."""
+    tables = Tables.of(config, results)
     sections = [
         *_published_section(tables),
         *_trace_section(tables),
@@ -39,7 +40,7 @@ def build_page(inputs: SelectionInputs, tables: Tables) -> Page:
         *_error_sections(tables),
         *_design_section(tables),
         _chosen_section(tables),
-        _method_section(inputs, tables),
+        _method_section(results.summary["n_parameters"], tables),
     ]
     return Page(
         KIND,
@@ -49,12 +50,11 @@ def build_page(inputs: SelectionInputs, tables: Tables) -> Page:
         state_headline(tables),
         tuple(state_verdict(tables)),
         tuple(sections),
-        (("Machine", inputs.audit.knowledge.machine.mechanism.name), ("Candidates", _describe_candidates(inputs))),
+        (("Machine", results.summary["machine"]), ("Candidates", _describe_candidates(config, results))),
     )
 
 
-def _describe_candidates(inputs: SelectionInputs) -> str:
-    config = inputs.config
+def _describe_candidates(config: SelectionConfig, results: Results) -> str:
     section = config.candidates
     how = {
         "random": "at random",
@@ -66,7 +66,8 @@ def _describe_candidates(inputs: SelectionInputs) -> str:
         halves = " × ".join(f"±{x:g}" for x in config.domain.position_mm)
         where += f", {halves} mm, {' × '.join(f'±{x:g}' for x in config.domain.rotation_deg)} deg"
     again = "; other ones in each repeat" if section.redraw else ""
-    beside = "" if inputs.measured is None else f"; beside {len(inputs.measured)} poses measured already"
+    measured = results.summary["n_measured"]
+    beside = "" if measured is None else f"; beside {measured} poses measured already"
     return f"{section.count} {how[section.spread]} of {where}{again}{beside}"
 
 
@@ -89,9 +90,8 @@ def _plain(value: float) -> str:
 
 def _published_section(tables: Tables) -> list[Section]:
     table = tables.published
-    if table is None:
+    if table.empty or tables.config.published is None:
         return []
-    assert tables.config.published is not None
     columns = [
         Column("Method", kind="text"),
         Column("Index", kind="text"),
@@ -293,7 +293,7 @@ def _chosen_section(tables: Tables) -> Section:
         Column("best"),
         Column("mean ± sd"),
         Column("repeats"),
-        Column("time", "s, mean"),
+        Column("time", "s, mean", kind="seconds"),
     ]
     seconds = tables.timings.groupby(["label", "criterion", "n_poses"])["seconds"].mean()
     rows = [
@@ -317,8 +317,8 @@ def _chosen_section(tables: Tables) -> Section:
     return make_section("What was chosen", (), (table,), (), (note,))
 
 
-def _method_section(inputs: SelectionInputs, tables: Tables) -> Section:
-    used = dict.fromkeys(c for choice in inputs.config.selections for c in choice.criteria)
+def _method_section(n_parameters: int, tables: Tables) -> Section:
+    used = dict.fromkeys(c for choice in tables.config.selections for c in choice.criteria)
     criteria = [[name, CRITERIA[name].title, CRITERIA[name].source] for name in used]
     methods = [
         [METHODS[name].title, METHODS[name].source]
@@ -329,9 +329,9 @@ def _method_section(inputs: SelectionInputs, tables: Tables) -> Section:
         "pose": "the measured pose, in mm and rad (rotation vector)",
         "angles": "the measured pose, in mm and rad (angles of R = R_z R_y R_x)",
         "closure": "the closure, J_2",
-    }[inputs.config.jacobian]
+    }[tables.config.jacobian]
     text: tuple[str, ...] = (
-        f"Indices O1 to O5 are those of the derivatives of {of}, by {len(inputs.audit.knowledge.sd)} parameters. "
+        f"Indices O1 to O5 are those of the derivatives of {of}, by {n_parameters} parameters. "
         "Repeats of the same number use the same candidates, start and machines for all ways to choose.",
     )
     if {"exchange", "continuous"} <= set(tables.selections["method"]):

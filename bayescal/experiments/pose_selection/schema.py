@@ -9,12 +9,13 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from bayescal.config.schema import DeformationConfig, FixedConfig, Positive, PriorConfig, Section
-from bayescal.experiments.audit.schema import (
-    AuditNoiseConfig,
-    AuditVariantConfig,
+from bayescal.config.sections import ExperimentConfig, InputFile, Name, Positive, Section
+from bayescal.density.schema import FixedConfig, PriorConfig
+from bayescal.experiments.shared.schema import (
+    ActuatorNoiseConfig,
+    DeformationConfig,
     Extent,
-    Name,
+    ModelConfig,
     RequirementsConfig,
     SensorConfig,
     UnitsConfig,
@@ -68,7 +69,7 @@ class CandidatesConfig(Section):
 class TableConfig(Section):
     """Actuator displacements from a CSV table, one row a pose."""
 
-    configurations: str
+    configurations: InputFile
     unit_mm: Positive = 1.0
 
 
@@ -151,26 +152,23 @@ class PublishedConfig(Section):
     """What the source printed: a table of label, criterion, n_poses and value; and of random sets mean and maximum."""
 
     source: str
-    table: str | None = None
+    table: InputFile | None = None
     random_mean: Positive | None = None
     random_max: Positive | None = None
     iterations: dict[str, Count] = Field(default={})
 
 
-class SelectionConfig(Section):
+class SelectionConfig(ExperimentConfig):
     """An experiment on pose selection."""
 
     kind: Literal["pose_selection"]
-    name: Name
-    title: str
     origin: str
-    seed: Annotated[int, Field(ge=0)]
-    mechanism: str
-    variant: AuditVariantConfig
+    mechanism: InputFile
+    variant: ModelConfig
     units: UnitsConfig = UnitsConfig()
     deformation: DeformationConfig = DeformationConfig()
     parameters: dict[str, PriorConfig]
-    noise: AuditNoiseConfig
+    noise: ActuatorNoiseConfig
     sensors: dict[str, SensorConfig]
     measured_by: Annotated[list[str], Field(min_length=1)]
     workspace: WorkspaceConfig | None = None

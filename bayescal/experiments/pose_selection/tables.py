@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
-from bayescal.experiments.pose_selection.inputs import SelectionInputs, is_histogram
-from bayescal.experiments.pose_selection.tasks import DESIGN, Outcome, Task
+from bayescal.experiments.pose_selection.inputs import SelectionInputs
+from bayescal.experiments.pose_selection.tasks import DESIGN, JudgedPoses, Task
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.identifiability.pose_volume import AXES
 
@@ -21,7 +21,7 @@ PARTS = ("position_um", "rotation_arcsec", "share_of_limits")
 NEAR = 0.95  # of the box: a pose beyond counts as at its boundary
 
 
-def tabulate_selections(outcomes: list[Outcome]) -> pd.DataFrame:
+def tabulate_selections(outcomes: list[JudgedPoses]) -> pd.DataFrame:
     """Return one row per selection; what took time stands apart, in `tabulate_timings`."""
     rows = []
     for outcome in outcomes:
@@ -42,15 +42,15 @@ def tabulate_selections(outcomes: list[Outcome]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def tabulate_timings(outcomes: list[Outcome]) -> pd.DataFrame:
+def tabulate_timings(outcomes: list[JudgedPoses]) -> pd.DataFrame:
     """Return the seconds of each selection."""
     rows = [_key(o.task) | {"seconds": o.seconds} for o in outcomes if o.selection is not None]
     return pd.DataFrame(rows)
 
 
-def tabulate_poses(inputs: SelectionInputs, outcomes: list[Outcome]) -> pd.DataFrame:
+def tabulate_poses(inputs: SelectionInputs, outcomes: list[JudgedPoses]) -> pd.DataFrame:
     """Return one row per chosen pose: displacements from home, and of the actuators from their initial positions."""
-    start = inputs.audit.knowledge.machine.mechanism.initial_actuator_positions
+    start = inputs.design.knowledge.machine.mechanism.initial_actuator_positions
     columns = [f"{axis.replace(' ', '_')}_{'mm' if k < 3 else 'deg'}" for k, axis in enumerate(AXES)]
     legs = [f"drho_{k}_mm" for k in range(1, len(start) + 1)]
     parts = []
@@ -64,17 +64,17 @@ def tabulate_poses(inputs: SelectionInputs, outcomes: list[Outcome]) -> pd.DataF
     return pd.concat(parts, ignore_index=True)
 
 
-def tabulate_traces(outcomes: list[Outcome]) -> pd.DataFrame:
+def tabulate_traces(outcomes: list[JudgedPoses]) -> pd.DataFrame:
     """Return the criterion after each iteration."""
-    return _tabulate_values([o for o in outcomes if not _is_histogram(o.task)], "iteration")
+    return _tabulate_values([o for o in outcomes if not o.task.is_histogram], "iteration")
 
 
-def tabulate_random_sets(outcomes: list[Outcome]) -> pd.DataFrame:
+def tabulate_random_sets(outcomes: list[JudgedPoses]) -> pd.DataFrame:
     """Return what each of many random sets is worth."""
-    return _tabulate_values([o for o in outcomes if _is_histogram(o.task)], "set")
+    return _tabulate_values([o for o in outcomes if o.task.is_histogram], "set")
 
 
-def tabulate_errors(outcomes: list[Outcome]) -> pd.DataFrame:
+def tabulate_errors(outcomes: list[JudgedPoses]) -> pd.DataFrame:
     """Return predicted and simulated pose errors over the workspace of each set of poses.
 
     ``simulated`` is the root mean square over machines, to be set beside ``predicted``, with its standard error.
@@ -161,12 +161,12 @@ def compare_published(inputs: SelectionInputs, folder: Path, summary: pd.DataFra
     return merged
 
 
-def format_plans(inputs: SelectionInputs, outcomes: list[Outcome]) -> dict[str, str]:
+def format_plans(inputs: SelectionInputs, outcomes: list[JudgedPoses]) -> dict[str, str]:
     """Return CSV texts of the best set of each label, criterion and number: actuator displacements in mm.
 
     Names of files to texts; an audit's plan of kind ``file`` reads them.
     """
-    best: dict[tuple[str, str, int], Outcome] = {}
+    best: dict[tuple[str, str, int], JudgedPoses] = {}
     for outcome in outcomes:
         task, chosen = outcome.task, outcome.selection
         if chosen is None or task.criterion == DESIGN:
@@ -175,7 +175,7 @@ def format_plans(inputs: SelectionInputs, outcomes: list[Outcome]) -> dict[str, 
         before = best.get(key)
         if before is None or before.selection is None or chosen.value > before.selection.value:
             best[key] = outcome
-    start = inputs.audit.knowledge.machine.mechanism.initial_actuator_positions
+    start = inputs.design.knowledge.machine.mechanism.initial_actuator_positions
     columns = [f"drho_{k}_mm" for k in range(1, len(start) + 1)]
     texts = {}
     for (label, criterion, n), outcome in best.items():
@@ -189,11 +189,7 @@ def _key(task: Task) -> dict[str, str | int]:
     return {"label": task.label, "criterion": task.criterion, "n_poses": task.n_poses, "repeat": task.repeat + 1}
 
 
-def _is_histogram(task: Task) -> bool:
-    return task.choice is not None and is_histogram(task.choice)
-
-
-def _tabulate_values(outcomes: list[Outcome], what: str) -> pd.DataFrame:
+def _tabulate_values(outcomes: list[JudgedPoses], what: str) -> pd.DataFrame:
     parts = []
     for outcome in outcomes:
         if outcome.selection is None:

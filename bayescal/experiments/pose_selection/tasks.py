@@ -5,13 +5,11 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-import joblib
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.pose_selection.accuracy import Accuracy, judge_poses
-from bayescal.experiments.pose_selection.inputs import SelectionInputs, build_method, label_of
-from bayescal.experiments.pose_selection.schema import SelectionChoice
+from bayescal.experiments.pose_selection.inputs import SelectionInputs, build_method, is_histogram, label_of
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection import Selection, SelectionProblem, select
 
@@ -21,17 +19,22 @@ DESIGN = "given"
 
 @dataclass(frozen=True)
 class Task:
-    """One selection to make; ``criterion`` is `DESIGN` for a set of poses that somebody else has chosen."""
+    """One selection to make; ``criterion`` is `DESIGN` for a set of poses that somebody else has chosen.
+
+    ``choice`` counts the config's selections, None for such a set; ``is_histogram`` says whether it judges many random
+    sets to see how they spread.
+    """
 
     label: str
     criterion: str
     n_poses: int
     repeat: int
-    choice: SelectionChoice | None
+    choice: int | None
+    is_histogram: bool = False
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class JudgedPoses:
     """A set of poses and what it is worth.
 
     Attributes
@@ -65,8 +68,8 @@ def list_tasks(inputs: SelectionInputs) -> list[Task]:
     A design is repeated as often as a selection where calibrations are simulated, each time with other machines.
     """
     tasks = [
-        Task(label_of(choice), criterion, n, repeat, choice)
-        for choice in inputs.config.selections
+        Task(label_of(choice), criterion, n, repeat, place, is_histogram(choice))
+        for place, choice in enumerate(inputs.config.selections)
         for criterion in choice.criteria
         for n in choice.n_poses
         for repeat in range(choice.repeats)
@@ -85,38 +88,35 @@ def check_problems(inputs: SelectionInputs) -> None:
                 SelectionProblem(candidates, inputs.criterion(criterion), n, inputs.measured)
 
 
-def run_tasks(inputs: SelectionInputs, workers: int = 1) -> list[Outcome]:
+def run_tasks(inputs: SelectionInputs, run: Run) -> list[JudgedPoses]:
     """Return the outcomes of all tasks, in their order."""
     check_problems(inputs)  # faults of the config show here, once, and not in the middle of a worker
-    tasks = list_tasks(inputs)
-    if workers == 1:
-        return [run_one(inputs, task) for task in tasks]
-    order = sorted(range(len(tasks)), key=lambda k: -tasks[k].n_poses)  # the long ones first
-    found = joblib.Parallel(n_jobs=workers)(joblib.delayed(run_one)(inputs, tasks[k]) for k in order)
-    return [outcome for _, outcome in sorted(zip(order, found, strict=True), key=lambda pair: pair[0])]
+    tasks = {f"{k} {task.label} {task.criterion} {task.n_poses}": task for k, task in enumerate(list_tasks(inputs))}
+    longest = dict(sorted(tasks.items(), key=lambda pair: -pair[1].n_poses))
+    found = run.map("selections", run_one, inputs, longest, (JudgedPoses,))
+    return [found[name] for name in tasks]
 
 
-def run_one(inputs: SelectionInputs, task: Task) -> Outcome:
+def run_one(inputs: SelectionInputs, task: Task) -> JudgedPoses:
     """Return the outcome of a task: sets of the same repeat start alike, machines of the same repeat are the same."""
-    with threadpool_limits(1), np.errstate(all="ignore"):
-        began = time.perf_counter()
-        selection = None
-        if task.choice is None:
-            actuators = inputs.designs[task.label]
-            moves = inputs.domain.at_actuators(actuators).moves
-        else:
-            problem = SelectionProblem(
-                inputs.candidates(task.repeat), inputs.criterion(task.criterion), task.n_poses, inputs.measured
-            )
-            rng = np.random.default_rng([inputs.config.seed, SETS, task.n_poses, task.repeat])
-            selection = select(problem, build_method(task.choice), rng)
-            actuators, moves = selection.actuators, selection.placed.moves
-        seconds = time.perf_counter() - began
-        whole = actuators if inputs.measured is None else np.concatenate([inputs.measured, actuators])
-        accuracy = None
-        if (wanted := inputs.config.calibrations) is not None:
-            rng = np.random.default_rng([inputs.config.seed, MACHINES, task.repeat])
-            accuracy = judge_poses(
-                inputs.audit, inputs.workspace, inputs.limits, whole, wanted.machines, rng, wanted.known
-            )
-        return Outcome(task, selection, actuators, moves, inputs.indices(whole), accuracy, seconds)
+    began = time.perf_counter()
+    selection = None
+    if task.choice is None:
+        actuators = inputs.designs[task.label]
+        moves = inputs.domain.at_actuators(actuators).moves
+    else:
+        problem = SelectionProblem(
+            inputs.candidates(task.repeat), inputs.criterion(task.criterion), task.n_poses, inputs.measured
+        )
+        rng = np.random.default_rng([inputs.config.seed, SETS, task.n_poses, task.repeat])
+        selection = select(problem, build_method(inputs.config.selections[task.choice]), rng)
+        actuators, moves = selection.actuators, selection.placed.moves
+    seconds = time.perf_counter() - began
+    whole = actuators if inputs.measured is None else np.concatenate([inputs.measured, actuators])
+    accuracy = None
+    if (wanted := inputs.config.calibrations) is not None:
+        rng = np.random.default_rng([inputs.config.seed, MACHINES, task.repeat])
+        accuracy = judge_poses(
+            inputs.design, inputs.workspace, inputs.limits, whole, wanted.machines, rng, wanted.known
+        )
+    return JudgedPoses(task, selection, actuators, moves, inputs.indices(whole), accuracy, seconds)

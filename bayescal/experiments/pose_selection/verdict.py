@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import pandas as pd
 
+from bayescal.experiments.frame.results import Results
 from bayescal.experiments.pose_selection.compare import Ratio, count_wins, pair_errors, rank_ways
 from bayescal.experiments.pose_selection.schema import PublishedConfig, SelectionConfig
 from bayescal.experiments.pose_selection.tables import NEAR
@@ -22,17 +24,23 @@ PRINTED = 5e-4  # of a value: half of a unit of the fourth digit is less
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """All tables of an experiment; ``errors`` has the column ``name``, and is empty without calibrations."""
+    """An experiment's config and tables; ``errors`` has the column ``name``; those that say nothing are empty."""
 
     config: SelectionConfig
     selections: pd.DataFrame
     summary: pd.DataFrame
-    published: pd.DataFrame | None
+    published: pd.DataFrame
     random_sets: pd.DataFrame
     traces: pd.DataFrame
     errors: pd.DataFrame
     error_summary: pd.DataFrame
     timings: pd.DataFrame
+
+    @classmethod
+    def of(cls, config: SelectionConfig, results: Results) -> Self:
+        """Return the tables of an experiment's results."""
+        names = ("selection_summary", "published", "random_sets", "traces", "errors", "error_summary", "timings")
+        return cls(config, results.table("selections"), *(results.table(name) for name in names))
 
     @property
     def metric(self) -> str:
@@ -57,7 +65,7 @@ class Tables:
 def state_verdict(tables: Tables) -> list[Statement]:
     """Return what was found, the published first."""
     statements: list[Statement] = []
-    if tables.published is not None:
+    if not tables.published.empty:
         statements += _judge_published(tables.published)
     statements += _judge_methods(tables)
     statements += _judge_boundary(tables)
@@ -76,7 +84,7 @@ def state_headline(tables: Tables) -> str:
     """Return the main result in one sentence."""
     if not tables.errors.empty:
         return _recommend(tables)
-    if tables.published is not None:
+    if not tables.published.empty:
         reached = int((tables.published["ratio"] > 1.0 - PRINTED).sum())
         return f"{reached} of {len(tables.published)} published indices are reached or exceeded."
     best = tables.summary.sort_values("best").iloc[-1]

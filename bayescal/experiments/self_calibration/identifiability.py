@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.density.readings.poses import SensorSet, find_poses
-from bayescal.experiments.audit.audit import Verdict, judge_parameters
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.reading_machine import tolerance_of
 from bayescal.identifiability.directions import Direction, find_directions
@@ -21,6 +20,7 @@ from bayescal.identifiability.ridges import ARCSECONDS, MICROMETRES, describe_mo
 from bayescal.identifiability.selection import Selection, select_parameters
 from bayescal.identifiability.structure import EPSILON, TWIN_SHIFT, TWINS, Structure, find_structure
 from bayescal.identifiability.units import Units
+from bayescal.identifiability.verdicts import Verdict, judge_parameters
 from bayescal.numerics.geometry import Array
 
 UNITS = Units("mm", "deg")

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import difflib
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from bayescal.config.load import dump_config
 from bayescal.density.priors import NormalPrior
 from bayescal.density.readings.calibrate import FreeParameters
 from bayescal.density.readings.likelihood import ReadingLikelihood
@@ -27,10 +24,10 @@ from bayescal.experiments.shared.reading_machine import (
     draw_poses,
     free_parameters,
     poses_about_home,
-    read_sliding_platform,
     tolerance_of,
     workspace_volume,
 )
+from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
 from bayescal.machines.readings.schema import PlanarPosesConfig
 from bayescal.numerics.geometry import Array
@@ -100,8 +97,6 @@ class ReadingInputs:
     truth : Truth or None
         Of simulated readings.
     variants : dict of name to Variant
-    files : dict of str to str
-        Hashes of what was read.
     """
 
     config: SelfCalibrationConfig
@@ -109,7 +104,6 @@ class ReadingInputs:
     table: ReadingTable
     truth: Truth | None
     variants: dict[str, Variant]
-    files: dict[str, str]
 
     def measured(self, sensors: SensorSet, verification: bool) -> Array:
         """Return the readings of some sensors for one use, shape (P, K)."""
@@ -136,12 +130,6 @@ class ReadingInputs:
         """Poses over the workspace, shape (W, q)."""
         return draw_poses(self.model, self.config.workspace, np.random.default_rng([self.config.seed, 1]))
 
-    def identity(self) -> dict[str, Any]:
-        """Return what determines the results: the config without its titles, and the hashes of its files."""
-        config = {key: value for key, value in dump_config(self.config).items() if key != "title"}
-        config["variants"] = [{k: v for k, v in one.items() if k != "title"} for one in config["variants"]]
-        return {"config": config, "files": self.files}
-
 
 def read_inputs(config: SelfCalibrationConfig, folder: Path) -> ReadingInputs:
     """Return the inputs of a self-calibration; InputError names the file, the variant, the pose, the column."""
@@ -149,13 +137,12 @@ def read_inputs(config: SelfCalibrationConfig, folder: Path) -> ReadingInputs:
     build_sensors(model, config.sensors)  # all of them, used or not
     wanted = {int(k) for one in config.variants for k in build_sensors(model, config.sensors, one.sensors).chosen}
     table = read_readings(folder / config.data.readings, model, wanted)
-    truth, named = None, [config.machine, config.data.readings]
+    truth = None
     if config.data.true_parameters is not None and config.data.true_poses is not None:
-        named += [config.data.true_parameters, config.data.true_poses]
-        truth = read_truth(folder / named[2], folder / named[3], model, table.poses)
-    files = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in named}
+        true = (folder / config.data.true_parameters, folder / config.data.true_poses)
+        truth = read_truth(*true, model, table.poses)
     variants = {one.name: _build_variant(config, one, model, table, folder) for one in config.variants}
-    inputs = ReadingInputs(config, model, table, truth, variants, files)
+    inputs = ReadingInputs(config, model, table, truth, variants)
     _ = inputs.workspace
     return inputs
 
@@ -182,7 +169,7 @@ def _build_variant(
         raise InputError(f"variant {section.name!r}: {error}") from error
     where = folder / config.data.readings
     starts = list_starts(model, config.workspace)
-    pose = locate_readings(sensors, plain, table.values[:, sensors.chosen], starts, table.poses, where)
+    pose = find_reading_poses(sensors, plain, table.values[:, sensors.chosen], starts, table.poses, where)
     model.check_poses(pose, lambda k: f"{where}: pose {table.poses[k]!r}")
     _check_workspace(config.workspace, unfound.internal, plain, pose, [f"{where}: pose {n!r}" for n in table.poses])
     return Variant(section, sensors, free, common, pose)
@@ -249,7 +236,7 @@ def list_starts(model: SlidingPlatform, workspace: PlanarPosesConfig) -> Array:
     return poses_about_home(model, half * np.array([(0, 0, 0), *product((-1, 0, 1), repeat=3)], dtype=np.float64))
 
 
-def locate_readings(
+def find_reading_poses(
     sensors: SensorSet, free: FreeParameters, measured: Array, starts: Array, names: Sequence[str], where: Path
 ) -> Array:
     """Return the poses (P, q) at which the machine as expected explains readings (P, K) best, from any start (S, q).

@@ -6,8 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from bayescal.config.schema import EvidenceConfig, SamplerConfig, Section
-from bayescal.experiments.audit.schema import Name
+from bayescal.config.sections import ExperimentConfig, InputFile, Name, Section
+from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.machines.readings.schema import Count, PlanarPosesConfig, ReadingSensorConfig, ReadingTolerancesConfig
 
 type Names = list[str]
@@ -17,9 +17,9 @@ type Sensors = Annotated[dict[str, ReadingSensorConfig], Field(min_length=1)]
 class ReadingDataConfig(Section):
     """CSV files: readings; of simulated ones also the truth, parameters and poses, to compare with."""
 
-    readings: str
-    true_parameters: str | None = None
-    true_poses: str | None = None
+    readings: InputFile
+    true_parameters: InputFile | None = None
+    true_poses: InputFile | None = None
 
     @model_validator(mode="after")
     def _check_truth(self) -> Self:
@@ -48,15 +48,12 @@ class ReadingVariantConfig(Section):
         return not self.fixed and not self.common
 
 
-class SelfCalibrationConfig(Section):
+class SelfCalibrationConfig(ExperimentConfig):
     """One machine calibrated from the readings of its own sensors; the workspace holds what poses may be."""
 
     kind: Literal["self_calibration"]
-    name: Name
-    title: str
     origin: str
-    seed: Annotated[int, Field(ge=0)]
-    machine: str
+    machine: InputFile
     data: ReadingDataConfig
     sensors: Sensors
     tolerances: ReadingTolerancesConfig
@@ -74,15 +71,12 @@ class SelfCalibrationConfig(Section):
         return self
 
 
-class ReadingSimulationConfig(Section):
+class ReadingSimulationConfig(ExperimentConfig):
     """Readings of a machine drawn within its tolerances; legs of a ``common`` symbol deviate alike."""
 
     kind: Literal["reading_simulation"]
-    name: Name
-    title: str
     origin: str
-    seed: Annotated[int, Field(ge=0)]
-    machine: str
+    machine: InputFile
     sensors: Sensors
     tolerances: ReadingTolerancesConfig
     poses: PlanarPosesConfig

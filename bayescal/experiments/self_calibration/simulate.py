@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.experiments.self_calibration.reading_table import PARAMETER_COLUMNS, POSE_COLUMNS, USES, name_column
 from bayescal.experiments.self_calibration.schema import ReadingSimulationConfig
-from bayescal.experiments.shared.reading_machine import (
-    build_sensors,
-    draw_poses,
-    free_parameters,
-    read_sliding_platform,
-)
+from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters
+from bayescal.experiments.shared.simulated_data import Simulated, tabulate_truth
 from bayescal.files.csv_tables import format_table
 from bayescal.machines.readings import SlidingPlatform
 from bayescal.numerics.geometry import Array
@@ -23,12 +17,11 @@ LENGTH_DECIMALS, ANGLE_DECIMALS = 6, 9
 TRUE_DECIMALS = 12
 
 
-def simulate_readings(config: ReadingSimulationConfig, folder: Path, rng: np.random.Generator) -> dict[str, str]:
-    """Return the texts of ``readings.csv``, ``true_parameters.csv`` and ``true_poses.csv`` by file name.
+def simulate_readings(config: ReadingSimulationConfig, model: SlidingPlatform, rng: np.random.Generator) -> Simulated:
+    """Return ``readings.csv``, ``true_parameters.csv`` and ``true_poses.csv`` of a machine.
 
     Everything that the sensors see, but for what defines the frames, deviates by its tolerance.
     """
-    model = read_sliding_platform(folder / config.machine)
     sensors = build_sensors(model, config.sensors)
     free = free_parameters(model, sensors.names, config.tolerances)
     theta = free.draw(rng, 1)[0]
@@ -55,7 +48,10 @@ def simulate_readings(config: ReadingSimulationConfig, folder: Path, rng: np.ran
     ]
     columns = ("pose", "use", *(name_column(channel) for channel in channels))
     comments = [config.origin, "Readings of carriages in mm, of angles in rad; columns end with their unit."]
-    return {"readings.csv": format_table(comments, columns, rows), **_format_truth(config, model, theta, names, pose)}
+    files = {"readings.csv": format_table(comments, columns, rows), **_format_truth(config, model, theta, names, pose)}
+    layout = model.layout
+    truth = tabulate_truth(layout.names, layout.units, layout.nominal, theta)
+    return Simulated(files, truth, config.origin, section.n_poses, config.verification_poses)
 
 
 def _format_truth(

@@ -14,14 +14,13 @@ from bayescal.experiments.self_calibration.fit import Fit
 from bayescal.experiments.self_calibration.identifiability import Identifiability
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
 from bayescal.experiments.self_calibration.tool import ToolAccuracy, ToolPrediction, true_machine
-from bayescal.experiments.study.inputs import hash_identity
 from bayescal.numerics.geometry import Array
 
 MICROMETRES = 1e3
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class VariantFindings:
     """All that was found for one variant; a prediction only with verification poses, an audit where all is free."""
 
     fit: Fit
@@ -31,7 +30,7 @@ class Outcome:
     audit: Identifiability | None
 
 
-def tabulate(inputs: ReadingInputs, outcomes: Mapping[str, Outcome]) -> dict[str, pd.DataFrame]:
+def tabulate(inputs: ReadingInputs, outcomes: Mapping[str, VariantFindings]) -> dict[str, pd.DataFrame]:
     """Return all tables by the names of their files."""
     every = [(inputs.variants[name], outcome) for name, outcome in outcomes.items()]
     audited = [(variant, outcome.audit) for variant, outcome in every if outcome.audit is not None]
@@ -61,7 +60,7 @@ def tabulate(inputs: ReadingInputs, outcomes: Mapping[str, Outcome]) -> dict[str
     return {name: table for name, table in tables.items() if not table.empty or name == "ridges"}
 
 
-def _describe_variant(inputs: ReadingInputs, variant: Variant, outcome: Outcome) -> dict[str, Any]:
+def _describe_variant(inputs: ReadingInputs, variant: Variant, outcome: VariantFindings) -> dict[str, Any]:
     fit, accuracy, prediction = outcome.fit, outcome.accuracy, outcome.prediction
     problems = fit.list_problems()
     row: dict[str, Any] = {
@@ -104,7 +103,7 @@ def _misfit(variant: Variant, fit: Fit) -> float:
     return float(np.sqrt(fit.square.sum() / freedom)) if freedom > 0 else float("nan")
 
 
-def _list_parameters(inputs: ReadingInputs, variant: Variant, outcome: Outcome) -> pd.DataFrame:
+def _list_parameters(inputs: ReadingInputs, variant: Variant, outcome: VariantFindings) -> pd.DataFrame:
     fit, layout = outcome.fit, inputs.model.layout
     first = [layout.names.index(variant.common.get(name, (name,))[0]) for name in fit.names]
     mean, sd = fit.natural.mean(axis=0), fit.natural.std(axis=0)
@@ -152,7 +151,7 @@ def _list_verdicts(variant: Variant, audit: Identifiability) -> pd.DataFrame:
     )
 
 
-def _list_predictions(inputs: ReadingInputs, variant: Variant, outcome: Outcome) -> pd.DataFrame:
+def _list_predictions(inputs: ReadingInputs, variant: Variant, outcome: VariantFindings) -> pd.DataFrame:
     found, held = outcome.prediction, inputs.table.verification
     if found is None:
         return pd.DataFrame()
@@ -165,7 +164,7 @@ def _list_predictions(inputs: ReadingInputs, variant: Variant, outcome: Outcome)
     return pd.DataFrame(table)
 
 
-def _list_residuals(inputs: ReadingInputs, variant: Variant, outcome: Outcome) -> pd.DataFrame:
+def _list_residuals(inputs: ReadingInputs, variant: Variant, outcome: VariantFindings) -> pd.DataFrame:
     """Return the rms of each calibration pose's residuals, in units of the noise, by its degrees of freedom."""
     names = [name for name, held in zip(inputs.table.poses, inputs.table.verification, strict=True) if not held]
     rms = np.sqrt(outcome.fit.square / max(1, variant.sensors.redundancy))
@@ -173,7 +172,7 @@ def _list_residuals(inputs: ReadingInputs, variant: Variant, outcome: Outcome) -
 
 
 def summarise(
-    inputs: ReadingInputs, outcomes: Mapping[str, Outcome], tables: Mapping[str, pd.DataFrame]
+    inputs: ReadingInputs, outcomes: Mapping[str, VariantFindings], tables: Mapping[str, pd.DataFrame]
 ) -> dict[str, Any]:
     """Return the results as JSON-ready numbers."""
     config, variants = inputs.config, tables["variants"]
@@ -184,7 +183,6 @@ def summarise(
         "title": config.title,
         "data_origin": config.origin,
         "seed": config.seed,
-        "config_sha256": hash_identity(inputs.identity()),
         "machine": inputs.model.name,
         "n_poses": {"calibration": int((~held).sum()), "verification": int(held.sum())},
         "truth_known": inputs.truth is not None,

@@ -9,19 +9,13 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import qmc
 
-from bayescal.config.load import load_mechanism, look_up
 from bayescal.density.readings.poses import SensorSet
 from bayescal.errors import InputError
 from bayescal.experiments.sensor_placement.schema import PlacementConfig, PlacementMachineConfig, PlacementSensorConfig
-from bayescal.experiments.shared.reading_machine import (
-    build_sensors,
-    poses_about_home,
-    read_sliding_platform,
-    tolerance_of,
-)
-from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
-from bayescal.machines.kinematics import build_machine, check_home_pose
-from bayescal.machines.models import MODELS
+from bayescal.experiments.shared.reading_machine import build_sensors, poses_about_home, tolerance_of
+from bayescal.machines.deformations import NominalDeformation
+from bayescal.machines.kinematics import check_home_pose
+from bayescal.machines.read import build_named_machine, load_mechanism, read_sliding_platform
 from bayescal.machines.readings import ReadingModel, SlidingPlatform, SpatialMachine
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
 
@@ -164,12 +158,10 @@ def build_model(config: PlacementMachineConfig, folder: Path) -> SlidingPlatform
     if config.model is None:
         return read_sliding_platform(path)
     mechanism = load_mechanism(path)
-    model = look_up(MODELS, config.model, "machine.model", path)
-    deformation = look_up(DEFORMATIONS, config.deformation, "machine.deformation", path)
-    if deformation.uses_matrix:
+    zero = NominalDeformation(0.0, lambda: np.zeros((mechanism.n_legs,) * 2))
+    machine = build_named_machine(mechanism, config.model, config.deformation, zero, "machine", path)
+    if machine.deformation.uses_matrix:
         raise InputError(f"{path}: machine.deformation: found 'matrix', expected 'linear' or 'none'")
-    nominal = deformation.from_nominal(NominalDeformation(0.0, lambda: np.zeros((mechanism.n_legs,) * 2)))
-    machine = build_machine(model, mechanism, nominal)
     check_home_pose(machine)
     return SpatialMachine(machine, np.array(ORIGIN if config.tool_mm is None else config.tool_mm))
 

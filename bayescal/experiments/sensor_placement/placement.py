@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
-import joblib
 import numpy as np
 
 from bayescal.density.readings.poses import SensorSet
@@ -228,11 +227,6 @@ def _count_missing(placement: Placement, chosen: np.ndarray) -> int:
     return n_unknowns - placement.n_poses * max(redundancy, 0)
 
 
-def evaluate_sets(placement: Placement, sets: np.ndarray, workers: int = 1) -> list[Accuracy]:
-    """Return the accuracy of sets of sensors (S, K), bool; the number of workers changes nothing."""
-    if workers == 1 or len(sets) < 2 * workers:
-        return [evaluate_set(placement, chosen) for chosen in sets]
-    parts = np.array_split(sets, 4 * workers)
-    parallel = joblib.Parallel(n_jobs=workers, inner_max_num_threads=1)
-    found = parallel(joblib.delayed(evaluate_sets)(placement, part) for part in parts)
-    return [accuracy for part in found for accuracy in part]
+def evaluate_sets(placement: Placement, sets: np.ndarray) -> list[Accuracy]:
+    """Return the accuracy of sets of sensors (S, K), bool."""
+    return [evaluate_set(placement, chosen) for chosen in sets]

@@ -6,8 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from bayescal.config.schema import Positive, Section, Vector
-from bayescal.experiments.audit.schema import Extent, Name
+from bayescal.config.sections import ExperimentConfig, InputFile, Positive, Section, Vector
+from bayescal.experiments.shared.schema import Extent
 from bayescal.machines.readings.schema import ReadingSensorConfig, ReadingTolerancesConfig
 
 type Sensors = Annotated[dict[str, PlacementSensorConfig], Field(min_length=1)]
@@ -47,7 +47,7 @@ class PlacementPosesConfig(Section):
 class PlacementMachineConfig(Section):
     """A machine's file: of a planar platform on sliding legs, or of a mechanism seen through a kinematic model."""
 
-    file: str
+    file: InputFile
     model: str | None = None
     deformation: str = "none"
     tool_mm: Vector | None = None
@@ -59,7 +59,7 @@ class PlacementMachineConfig(Section):
         return self
 
 
-class PlacementConfig(Section):
+class PlacementConfig(ExperimentConfig):
     """Which sensors to buy: every set of those listed, calibrated with the same poses.
 
     ``frames``: what a machine's frames mean. ``aligned``: table and tool are set up once after the calibration, and
@@ -68,9 +68,6 @@ class PlacementConfig(Section):
     """
 
     kind: Literal["sensor_placement"]
-    name: Name
-    title: str
-    seed: Annotated[int, Field(ge=0)]
     machine: PlacementMachineConfig
     tolerances: ReadingTolerancesConfig
     poses: PlacementPosesConfig

@@ -3,58 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 
 import numpy as np
 
 from bayescal.density.readings.calibrate import FreeParameters
 from bayescal.density.readings.poses import SensorSet
 from bayescal.errors import InputError
-from bayescal.experiments.shared.load_readings import load_sliding_platform
 from bayescal.machines.readings import ReadingModel, SlidingPlatform
 from bayescal.machines.readings.schema import (
     PlanarPosesConfig,
     ReadingSensorConfig,
     ReadingTolerancesConfig,
-    SlidingPlatformConfig,
 )
 from bayescal.machines.readings.sliding_platform import matrix_of_angle
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
-MICROMETRE = 1e-3
-ARCSECOND = float(np.pi / 180 / 3600)
 ZEROS = ("phi0", "psi0", "tilt_a0", "tilt_b0")
-
-
-def read_sliding_platform(path: Path) -> SlidingPlatform:
-    """Return the machine of a TOML file; InputError names the file."""
-    try:
-        return build_sliding_platform(load_sliding_platform(path))
-    except InputError as error:
-        raise InputError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from error
-
-
-def build_sliding_platform(config: SlidingPlatformConfig) -> SlidingPlatform:
-    """Return the machine of a config, its platform's frame moved to B_1 with the ξ axis through B_2."""
-    points = np.array([leg.platform_point_mm for leg in config.legs])
-    if len(points) < 2 or np.allclose(points[0], points[1]):
-        raise InputError(f"machine {config.name!r}: found B_1 and B_2 in one place, expected them apart")
-    along = points[1] - points[0]
-    turned = float(np.arctan2(along[1], along[0]))
-    own = matrix_of_angle(np.array(-turned))
-    tool = own @ (np.array(config.tool.point_mm) - points[0])
-    angle = float(np.radians(config.home.angle_deg)) + turned
-    origin = np.array(config.home.tool_mm) - matrix_of_angle(np.array(angle)) @ tool
-    return SlidingPlatform(
-        name=config.name,
-        guide_points=np.array([leg.guide_point_mm for leg in config.legs]),
-        guide_angles=np.radians([leg.guide_angle_deg for leg in config.legs]),
-        leg_lengths=np.array([leg.length_mm for leg in config.legs]),
-        platform_points=(points - points[0]) @ own.T,
-        tool_point=tool,
-        home=np.array([*origin, angle]),
-        forward=np.array([leg.points == "along" for leg in config.legs]),
-    )
 
 
 def build_sensors(

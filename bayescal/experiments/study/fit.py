@@ -8,11 +8,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from bayescal.config.schema import StudyConfig
 from bayescal.density.likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import Prediction, predict
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.schema import StudyConfig
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.exploration import Exploration, count_walkers, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance

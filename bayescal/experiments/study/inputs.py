@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from bayescal.config.load import dump_config, load_mechanism, look_up
-from bayescal.config.schema import FixedConfig, NormalConfig, StudyConfig, VariantConfig
+from bayescal.config.load import look_up
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry import ring_deformation as pads
 from bayescal.data.photogrammetry.poses import PoseExtraction, extract_poses
@@ -22,16 +16,19 @@ from bayescal.data.photogrammetry.survey import Survey, read_survey
 from bayescal.density.likelihood import PoseLikelihood
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
-from bayescal.errors import InputError, PoseInputError
+from bayescal.density.schema import FixedConfig, NormalConfig
+from bayescal.errors import InputError, PoseInputError, name_faults
+from bayescal.experiments.shared.per_leg import spread_over_legs
 from bayescal.experiments.study.published import read_published
+from bayescal.experiments.study.schema import StudyConfig, VariantConfig
 from bayescal.files.csv_tables import read_matrix
-from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
-from bayescal.machines.kinematics import Machine, build_machine, check_home_pose
+from bayescal.machines.deformations import NominalDeformation
+from bayescal.machines.kinematics import Machine, check_home_pose
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.models import MODELS
+from bayescal.machines.read import build_named_machine, load_mechanism
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import MICROMETRE
 
-MICROMETRE = 1e-3
 LENGTHS = "mm"
 
 
@@ -119,12 +116,10 @@ class StudyInputs:
 
     def machine(self, variant: VariantConfig) -> Machine:
         """Return the mechanism seen through a variant."""
-        where = self.folder
-        found = look_up(MODELS, variant.model, "variants.model", where)
-        kind = look_up(DEFORMATIONS, variant.deformation, "variants.deformation", where)
-        deformation = kind.from_nominal(NominalDeformation(self.config.deformation.kappa, lambda: self.matrix))
-        with naming(where / self.config.mechanism):
-            return build_machine(found, self.mechanism, deformation)
+        nominal = NominalDeformation(self.config.deformation.kappa, lambda: self.matrix)
+        names = variant.model, variant.deformation
+        with name_faults(self.folder):
+            return build_named_machine(self.mechanism, *names, nominal, "variants", self.folder)
 
     @property
     def matrix_from_targets(self) -> bool:
@@ -193,59 +188,17 @@ class StudyInputs:
                 continue
             block = blocks[symbol]
             if isinstance(config, FixedConfig):
-                offsets = per_leg(config.offset, len(block.nominal), symbol)
+                offsets = spread_over_legs(config.offset, len(block.nominal), symbol)
                 fixed |= {n: v + o for n, v, o in zip(block.names, block.nominal, offsets, strict=True)}
             elif symbol in variant.free:
                 widths = config.sd if isinstance(config, NormalConfig) else config.half_width
                 if tolerance is not None and block.unit == LENGTHS and isinstance(config, NormalConfig):
                     widths = tolerance
-                spread = per_leg(widths, len(block.nominal), symbol)
+                spread = spread_over_legs(widths, len(block.nominal), symbol)
                 normal = isinstance(config, NormalConfig)
                 for name, value, width in zip(block.names, block.nominal, spread, strict=True):
                     priors[name] = NormalPrior(value, width) if normal else UniformPrior(value - width, value + width)
         return priors, fixed
-
-    # --- identity ------------------------------------------------------------------------------------------------
-
-    def identity(self) -> dict[str, Any]:
-        """Return what determines the results: config without its title, and the hashes of all input files."""
-        config = dump_config(self.config)
-        for cosmetic in ("title",):
-            config.pop(cosmetic)
-        names = {
-            self.config.mechanism,
-            self.config.data.targets,
-            self.config.data.actuators,
-            self.config.data.reference,
-        }
-        names |= {v.published for v in self.config.variants if v.published}
-        if not self.matrix_from_targets:
-            names.add(self.config.deformation.matrix)
-        files = {name: hashlib.sha256((self.folder / name).read_bytes()).hexdigest() for name in sorted(names)}
-        return {"config": config, "files": files}
-
-
-def hash_identity(identity: dict[str, Any]) -> str:
-    """Return the SHA-256 of an identity in canonical JSON."""
-    return hashlib.sha256(json.dumps(identity, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
-
-
-def per_leg(value: float | list[float], n: int, symbol: str) -> list[float]:
-    """Return one value per leg; InputError for a list of another length."""
-    values = value if isinstance(value, list) else [value] * n
-    if len(values) != n:
-        expected = "1" if n == 1 else f"1 or {n}, one per leg"
-        raise InputError(f"parameters.{symbol}: found {len(values)} values, expected {expected}")
-    return values
-
-
-@contextmanager
-def naming(what: Path | str) -> Iterator[None]:
-    """Put the name of a file or a variant before what is wrong with it."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{what}: {error}") from error
 
 
 def _measure_ring(inputs: StudyInputs) -> None:
@@ -267,16 +220,16 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
     mechanism = load_mechanism(folder / config.mechanism)
     data = config.data
     survey = read_survey(folder / data.targets, folder / data.actuators, folder / data.reference, mechanism.n_legs)
-    with naming(folder / data.targets):
+    with name_faults(folder / data.targets):
         extraction = extract_poses(survey, data.target_noise_um * MICROMETRE, data.pose_method)
     inputs = StudyInputs(config, folder, mechanism, survey, extraction)
-    with naming(folder / data.targets):
+    with name_faults(folder / data.targets):
         _measure_ring(inputs)
     for variant in config.variants:
         machine = inputs.machine(variant)
-        with naming(folder / config.mechanism):
+        with name_faults(folder / config.mechanism):
             check_home_pose(machine)
-        with naming(f"variant {variant.name!r}"):
+        with name_faults(f"variant {variant.name!r}"):
             inputs.posterior(variant, with_model_error=True).check_machine()
         if variant.published is not None:
             read_published(folder / variant.published, mechanism.n_legs)

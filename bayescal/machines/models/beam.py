@@ -51,7 +51,7 @@ class Beam(KinematicModel):
     """P-U-S legs whose joints are flexures that bend as beams."""
 
     name: ClassVar[str] = "beam"
-    title: ClassVar[str] = "beam theory-based"
+    title: ClassVar[str] = "beam"
 
     def blocks(self, mechanism: Mechanism) -> tuple[ParameterBlock, ...]:
         """Return the parameters of the 6-PUS, then l_b and β of each leg."""

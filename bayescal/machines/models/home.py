@@ -18,8 +18,14 @@ from bayescal.machines.models.base import newton_step
 from bayescal.machines.models.legs import LegVectors, compute_leg_vectors, cross_first_axis, scatter
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.parameters import ParameterLayout
-from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix, skew_matrix
-from bayescal.numerics.scratch import Workspace
+from bayescal.numerics.geometry import (
+    DEGREES_OF_FREEDOM,
+    Array,
+    matrix_from_rotation_vector,
+    rotation_vector_from_matrix,
+    skew_matrix,
+)
+from bayescal.numerics.scratch import Scratch
 
 MAX_STEPS = 30
 STEP_TOLERANCE = 1e-11
@@ -27,7 +33,6 @@ CLOSED = 2e-14  # largest closure at a home pose by the machine's size: 1e-11 mm
 INNER_STEPS = 3  # each gains what the machine is like the nominal one, two digits or one
 LARGEST_STEP = 100.0  # mm, rad
 SMALLEST_VERSINE = 2.0**-53  # for which angle and sine are not yet zero
-SIX = 6
 SKEW = skew_matrix(np.eye(3)).reshape(3, 9).T  # w to the entries of its skew matrix
 
 
@@ -199,7 +204,7 @@ def home_solver(layout: ParameterLayout) -> HomeSolver:
         gain = np.linalg.pinv(spread)
     except np.linalg.LinAlgError as error:
         raise NumericalError("home pose: singular pose Jacobian") from error
-    projection = None if n_legs == SIX else spread @ gain
+    projection = None if n_legs == DEGREES_OF_FREEDOM else spread @ gain
     return HomeSolver(layout, position, rotation, gain, projection, gain @ here.parameters)
 
 
@@ -276,13 +281,13 @@ class BatchTurns:
             skew[k, :, m] += 0.5 * rotation[:, n]
             skew[k, :, n] -= 0.5 * rotation[:, m]
         self._skew = skew.reshape(3, -1, 9)
-        self._workspace = Workspace()
+        self._scratch = Scratch()
 
     def evaluate(self, home_rotation: Array) -> Array:
         """Return φ, shape (3, P, B), for home rotations (3, 3, B); keeps ``stretch``, |φ| / sin|φ|, shape (P, B)."""
         shape, entries = (len(self._half_trace), home_rotation.shape[-1]), home_rotation.reshape(9, -1)
-        versine, sine = (self._workspace.take(name, *shape) for name in ("versine", "sine"))
-        angle, stretch = (self._workspace.take(name, *shape) for name in ("angle", "stretch"))
+        versine, sine = (self._scratch.take(name, *shape) for name in ("versine", "sine"))
+        angle, stretch = (self._scratch.take(name, *shape) for name in ("angle", "stretch"))
         np.matmul(self._half_trace, entries, out=versine)
         versine += 1.5
         np.maximum(versine, SMALLEST_VERSINE, out=versine)
@@ -291,7 +296,7 @@ class BatchTurns:
         sine *= versine
         np.divide(angle, np.sqrt(sine, out=sine), out=stretch)
         self._versine, self._angle, self.stretch = versine, angle, stretch
-        self._turn = np.matmul(self._skew, entries, out=self._workspace.take("turn", 3, *shape))
+        self._turn = np.matmul(self._skew, entries, out=self._scratch.take("turn", 3, *shape))
         self._turn *= stretch
         return self._turn
 
@@ -300,7 +305,7 @@ class BatchTurns:
 
         It is ω - φ x ω / 2 + (1 - |φ| / 2 cot(|φ| / 2)) / |φ|² φ x (φ x ω).
         """
-        take, shape = self._workspace.take, self._turn.shape
+        take, shape = self._scratch.take, self._turn.shape
         result, across, factor = take("turned back", *shape), take("across", *shape), take("factor", *shape[1:])
         cross_first_axis(self._turn, rotation_vector, out=across)
         cross_first_axis(self._turn, across, out=result)

@@ -23,14 +23,14 @@ from bayescal.machines.models.legs import cross, cross_first_axis, dot, scatter
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian
-from bayescal.numerics.scratch import Workspace
+from bayescal.numerics.scratch import Scratch
 
 
 class Jacobian(KinematicModel):
     """Kinematics linear in pose and actuators."""
 
     name: ClassVar[str] = "jacobian"
-    title: ClassVar[str] = "Jacobian-based"
+    title: ClassVar[str] = "Jacobian"
 
     def blocks(self, mechanism: Mechanism) -> tuple[ParameterBlock, ...]:
         """Return the parameters of the 6-PUS."""
@@ -108,11 +108,11 @@ class JacobianClosure(BoundClosure):
         self._design = np.stack(parts, axis=-1).transpose(1, 0, 2).copy()
         self._turn_design = -0.5 * rotation.reshape(-1, 9)
         self._homes, self._turns = home_solver(layout), BatchTurns(rotation)
-        self._workspace = Workspace()
+        self._scratch = Scratch()
 
     def evaluate(self, theta: Array) -> Array:
         """Return f, shape (N, P, B)."""
-        home, take, index = self._homes.solve(theta), self._workspace.take, self._layout.index
+        home, take, index = self._homes.solve(theta), self._scratch.take, self._layout.index
         parameters = np.ascontiguousarray(theta.T)
         n_legs, n_poses, n_batch = len(self._design), len(self._turn_design), len(theta)
         size = np.einsum("kib,kib->ib", home.direction, home.vector)
@@ -135,8 +135,8 @@ class JacobianClosure(BoundClosure):
 
     def along(self, pose_error: Array) -> Array:
         """Return the pose derivative times e, shape (N, P, B)."""
-        moved = self._workspace.take("moved", *pose_error.shape)
+        moved = self._scratch.take("moved", *pose_error.shape)
         np.negative(pose_error[:3], out=moved[:3])
         np.negative(self._turns.turn_back(pose_error[3:]), out=moved[3:])
-        change = self._workspace.take("change", self._row.shape[1], *pose_error.shape[1:])
+        change = self._scratch.take("change", self._row.shape[1], *pose_error.shape[1:])
         return np.einsum("kib,kpb->ipb", self._row, moved, out=change)

@@ -16,7 +16,7 @@ from bayescal.machines.models.base import BoundClosure, Closure, KinematicModel,
 from bayescal.machines.models.legs import compute_leg_vectors, scatter
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.scratch import Workspace
+from bayescal.numerics.scratch import Scratch
 
 
 def list_point_blocks(mechanism: Mechanism) -> tuple[ParameterBlock, ...]:
@@ -82,7 +82,7 @@ class LegDistanceClosure(BoundClosure):
         self._design[..., 0] -= position.T[:, None]
         groups = (("a_x", "a_y", "a_z"), ("b_x", "b_y", "b_z", *symbols))
         self._base, self._linear = (np.stack([layout.index[symbol] for symbol in group]) for group in groups)
-        self._workspace = Workspace()
+        self._scratch = Scratch()
 
     def _features(self, theta: Array) -> Array:
         """Return the features of each leg, shape (F, N, B)."""
@@ -104,11 +104,11 @@ class LegDistanceClosure(BoundClosure):
 
     def _take(self, name: str, *leading: int) -> Array:
         """Return a scratch array (..., N, P, B)."""
-        return self._workspace.take(name, *leading, *self._length.shape)
+        return self._scratch.take(name, *leading, *self._length.shape)
 
     def _measure(self, theta: Array) -> Array:
         """Find leg vectors, moments and lengths; return the lever arms, shape (3, N, P, B), scratch."""
-        features, take = self._features(theta), self._workspace.take
+        features, take = self._features(theta), self._scratch.take
         _, n_legs, n_poses, n_arm = self._arm_design.shape
         shape = (n_legs, n_poses, len(theta))
         self._slope, self._length = take("slope", 6, *shape), take("length", *shape)

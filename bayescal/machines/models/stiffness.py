@@ -38,9 +38,8 @@ from bayescal.machines.models.legs import LegVectors, cross, dot
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.models.stiffness_batch import FixedStiffnessClosure, StiffnessClosure
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
-from bayescal.numerics.geometry import Array
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 
-SIX = 6
 METRE = 1e-3  # m per mm: in the report's sum of squares moments count in N m
 
 
@@ -134,9 +133,10 @@ class Stiffness(KinematicModel):
             raise InputError(
                 f"mechanism {mechanism.name!r}: found no [stiffness], expected it for the {cls.name} model"
             )
-        if mechanism.n_legs != SIX:
+        if mechanism.n_legs != DEGREES_OF_FREEDOM:
             raise InputError(
-                f"mechanism {mechanism.name!r}: found {mechanism.n_legs} legs, expected {SIX} for the {cls.name} model"
+                f"mechanism {mechanism.name!r}: found {mechanism.n_legs} legs, expected {DEGREES_OF_FREEDOM} "
+                f"for the {cls.name} model"
             )
         return cls(mechanism)
 
@@ -200,7 +200,7 @@ class FixedStiffness(Stiffness):
     """The report's own: K of every leg stays as it is at the home pose (eq. 28)."""
 
     name: ClassVar[str] = "stiffness_fixed"
-    title: ClassVar[str] = "stiffness, directions of the home pose"
+    title: ClassVar[str] = "stiffness (fixed)"
     state: ClassVar[type[LegState]] = HomeLegs
 
     def bind(self, layout: ParameterLayout, position: Array, rotation: Array, basis: DeformationBasis) -> BoundClosure:

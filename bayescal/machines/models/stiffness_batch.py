@@ -50,7 +50,7 @@ class EquilibriumClosure(SixPusClosure):
         chain = compute_chain_stiffness(*values.values()).times(scale)
         home = self._homes.solve(theta)
         phi = self._turns.evaluate(home.rotation)
-        balance = self._workspace.take("balance", 6, *phi.shape[1:])
+        balance = self._scratch.take("balance", 6, *phi.shape[1:])
         self._axial = self._balance_loads(balance, arm, chain, length, home, phi)
         if self._external is not None:
             balance += self._external * scale
@@ -75,7 +75,7 @@ class EquilibriumClosure(SixPusClosure):
         """Return the pose derivative of the axial loads times e, shape (N, P, B)."""
         load = np.einsum("kipb,kpb->ipb", self._slope, pose_error, out=self._take("scale"))
         load *= self._axial
-        wrench = self._workspace.take("wrench", *pose_error.shape)
+        wrench = self._scratch.take("wrench", *pose_error.shape)
         np.einsum("kipb,ipb->kpb", self._slope, load, out=wrench)
         return self._elongate(wrench, "work")
 

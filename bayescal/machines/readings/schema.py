@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from bayescal.config.schema import Number, Positive, Section
+from bayescal.config.sections import Number, Positive, Section
 
 type Count = Annotated[int, Field(ge=1, le=100_000)]
 type Turn = Annotated[float, Field(ge=-360.0, le=360.0, allow_inf_nan=False)]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bayescal.reproductions.rr8096.claim import Claim, Claims, judge, untestable
-from bayescal.reproductions.rr8096.evidence import DEFORMATION_ORDER, POINTS, REFERENCE, TITLES, Subject
+from bayescal.reproductions.rr8096.claim import Claim, ClaimRows, judge, untestable
+from bayescal.reproductions.rr8096.evidence import DEFORMATION_ORDER, POINTS, REFERENCE, TITLES, ClaimEvidence
 from bayescal.reproductions.rr8096.geometry import MICRO
 from bayescal.reproductions.rr8096.identification import SAME, join, rms
 
@@ -16,30 +16,30 @@ PERFECT = " The twin's joints are perfect: this says that poses cannot tell, not
 TWIN = " The twin was simulated with the matrix deformation."
 
 
-def _position(subject: Subject, name: str, use: str = "calibration") -> float:
+def _position(evidence: ClaimEvidence, name: str, use: str = "calibration") -> float:
     """Return the mean position error of a variant, µm."""
-    return MICRO * float(subject.variants[name][use]["position_error_mm"]["mean"])
+    return MICRO * float(evidence.variants[name][use]["position_error_mm"]["mean"])
 
 
-def _orientation(subject: Subject, name: str, which: str = "mean", use: str = "calibration") -> float:
+def _orientation(evidence: ClaimEvidence, name: str, which: str = "mean", use: str = "calibration") -> float:
     """Return an orientation error of a variant, deg."""
-    return float(subject.variants[name][use]["orientation_error_deg"][which])
+    return float(evidence.variants[name][use]["orientation_error_deg"][which])
 
 
-def _uses(subject: Subject, name: str) -> list[str]:
-    return [use for use in ("calibration", "verification") if subject.variants[name][use] is not None]
+def _uses(evidence: ClaimEvidence, name: str) -> list[str]:
+    return [use for use in ("calibration", "verification") if evidence.variants[name][use] is not None]
 
 
 def _list(values: dict[str, str]) -> str:
     return ", ".join(f"{name} {value}" for name, value in values.items())
 
 
-def jacobian_accuracy(subject: Subject) -> Claims:
+def jacobian_accuracy(evidence: ClaimEvidence) -> ClaimRows:
     """Sections 7.1.5 and 7.4: the Jacobian-based model is as accurate as the 6-PUS."""
-    shared = subject.deformations(REFERENCE, "jacobian")
+    shared = evidence.deformations(REFERENCE, "jacobian")
     if not shared:
         return
-    pairs = {d: [_position(subject, f"{m}/{d}") for m in ("jacobian", REFERENCE)] for d in shared}
+    pairs = {d: [_position(evidence, f"{m}/{d}") for m in ("jacobian", REFERENCE)] for d in shared}
     ratios = {d: a / b for d, (a, b) in pairs.items()}
     worst = max(ratios.values())
     yield Claim(
@@ -57,20 +57,20 @@ def jacobian_accuracy(subject: Subject) -> Claims:
     )
 
 
-def flexures_spherical(subject: Subject) -> Claims:
+def flexures_spherical(evidence: ClaimEvidence) -> ClaimRows:
     """Sections 7.4 and 8: flexures as perfect spherical joints."""
     for model in ("beam", "stiffness"):
-        shared = subject.deformations(REFERENCE, model)
+        shared = evidence.deformations(REFERENCE, model)
         if not shared:
             continue
-        pairs = {d: (subject.variants[f"{model}/{d}"], subject.variants[f"{REFERENCE}/{d}"]) for d in shared}
-        evidence = {d: a["log_evidence"] - b["log_evidence"] for d, (a, b) in pairs.items()}
+        pairs = {d: (evidence.variants[f"{model}/{d}"], evidence.variants[f"{REFERENCE}/{d}"]) for d in shared}
+        gains = {d: a["log_evidence"] - b["log_evidence"] for d, (a, b) in pairs.items()}
         zero = [
             abs(a["without_model_error"]["log_evidence"] - b["without_model_error"]["log_evidence"])
             for a, b in pairs.values()
         ]
-        ratios = {d: _position(subject, f"{model}/{d}") / _position(subject, f"{REFERENCE}/{d}") for d in shared}
-        largest = max(abs(x) for x in evidence.values())
+        ratios = {d: _position(evidence, f"{model}/{d}") / _position(evidence, f"{REFERENCE}/{d}") for d in shared}
+        largest = max(abs(x) for x in gains.values())
         close = all(abs(r - 1.0) < SAME for r in ratios.values())
         yield Claim(
             claim=f"flexures_{model}",
@@ -78,22 +78,22 @@ def flexures_spherical(subject: Subject) -> Claims:
             statement=f"Flexures can be taken for spherical joints: the {TITLES[model]} model does no better than the "
             "6-PUS.",
             expected="the same accuracy",
-            found=f"log-evidence over the 6-PUS {_list({d: f'{x:+.2f}' for d, x in evidence.items()})}; "
+            found=f"log-evidence over the 6-PUS {_list({d: f'{x:+.2f}' for d, x in gains.items()})}; "
             f"position errors as {_list({d: f'{r:.3f}' for d, r in ratios.items()})} to 1",
             value=largest,
             unit="nats",
             verdict=judge(close and largest < EVIDENCE),
             why=f"{POSTERIOR}; models differ where evidence does by {EVIDENCE:g} nats or errors by a tenth. Without "
-            f"model error evidence differs by up to {max(zero):.1f}.{PERFECT if subject.simulated else ''}",
+            f"model error evidence differs by up to {max(zero):.1f}.{PERFECT if evidence.simulated else ''}",
         )
 
 
-def same_none_linear(subject: Subject) -> Claims:
+def same_none_linear(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.2: no deformation or the linear one."""
     for model, title in TITLES.items():
-        if not {"none", "linear"} <= set(subject.deformations(model)):
+        if not {"none", "linear"} <= set(evidence.deformations(model)):
             continue
-        none, linear = (_position(subject, f"{model}/{d}") for d in ("none", "linear"))
+        none, linear = (_position(evidence, f"{model}/{d}") for d in ("none", "linear"))
         yield Claim(
             claim=f"same_none_linear_{model}",
             section="7.2",
@@ -107,16 +107,16 @@ def same_none_linear(subject: Subject) -> Claims:
         )
 
 
-def matrix_gain(subject: Subject) -> Claims:
+def matrix_gain(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.3: the matrix helps orientation, not position."""
-    if not {"linear", "matrix"} <= set(subject.deformations(REFERENCE)):
+    if not {"linear", "matrix"} <= set(evidence.deformations(REFERENCE)):
         return
     pair = [f"{REFERENCE}/{d}" for d in ("linear", "matrix")]
-    uses = _uses(subject, pair[0])
-    position = {use: [_position(subject, name, use) for name in pair] for use in uses}
-    orientation = {use: [_orientation(subject, name, use=use) for name in pair] for use in uses}
+    uses = _uses(evidence, pair[0])
+    position = {use: [_position(evidence, name, use) for name in pair] for use in uses}
+    orientation = {use: [_orientation(evidence, name, use=use) for name in pair] for use in uses}
     gain = position["calibration"][0] / position["calibration"][1]
-    why = f"{POSTERIOR}, 6-PUS.{TWIN if subject.simulated else ''}"
+    why = f"{POSTERIOR}, 6-PUS.{TWIN if evidence.simulated else ''}"
     yield Claim(
         claim="matrix_position",
         section="7.3",
@@ -126,7 +126,7 @@ def matrix_gain(subject: Subject) -> Claims:
         value=gain,
         unit="1",
         verdict=judge(gain < 1.0 + SAME),
-        why=why + (" The real platform must have deformed in more ways than K." if subject.simulated else ""),
+        why=why + (" The real platform must have deformed in more ways than K." if evidence.simulated else ""),
     )
     gain = orientation["calibration"][0] / orientation["calibration"][1]
     yield Claim(
@@ -142,11 +142,11 @@ def matrix_gain(subject: Subject) -> Claims:
     )
 
 
-def deformation_choice(subject: Subject) -> Claims:
+def deformation_choice(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.4: accuracy cannot choose the deformation."""
-    if not {"linear", "matrix"} <= set(subject.deformations(REFERENCE)):
+    if not {"linear", "matrix"} <= set(evidence.deformations(REFERENCE)):
         return
-    linear, matrix = (float(subject.variants[f"{REFERENCE}/{d}"]["log_evidence"]) for d in ("linear", "matrix"))
+    linear, matrix = (float(evidence.variants[f"{REFERENCE}/{d}"]["log_evidence"]) for d in ("linear", "matrix"))
     yield Claim(
         claim="deformation_choice",
         section="7.4",
@@ -156,17 +156,17 @@ def deformation_choice(subject: Subject) -> Claims:
         value=matrix - linear,
         unit="nats",
         verdict=judge(abs(matrix - linear) < EVIDENCE),
-        why=f"6-PUS, model error free; {EVIDENCE:g} nats would be a preference.{TWIN if subject.simulated else ''}",
+        why=f"6-PUS, model error free; {EVIDENCE:g} nats would be a preference.{TWIN if evidence.simulated else ''}",
     )
 
 
-def orientation_reached(subject: Subject) -> Claims:
+def orientation_reached(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.3: the linear model reaches the desired orientation accuracy."""
-    models = [m for m in TITLES if "linear" in subject.deformations(m)]
+    models = [m for m in TITLES if "linear" in evidence.deformations(m)]
     if not models:
         return
     largest = {
-        TITLES[m]: max(_orientation(subject, f"{m}/linear", "max", use) for use in _uses(subject, f"{m}/linear"))
+        TITLES[m]: max(_orientation(evidence, f"{m}/linear", "max", use) for use in _uses(evidence, f"{m}/linear"))
         for m in models
     }
     worst = max(largest.values())
@@ -183,18 +183,20 @@ def orientation_reached(subject: Subject) -> Claims:
     )
 
 
-def matrix_nearest(subject: Subject) -> Claims:
+def matrix_nearest(evidence: ClaimEvidence) -> ClaimRows:
     """Sections 7.4 and 8: the matrix brings the parameters nearest to nominal."""
-    models = [m for m in TITLES if len(subject.deformations(m)) == 3]
+    models = [m for m in TITLES if len(evidence.deformations(m)) == 3]
     if not models:
         return
     distance = {
-        m: {d: float(subject.variants[f"{m}/{d}"]["distance_from_nominal"]["rms_mm"]) for d in subject.deformations(m)}
+        m: {
+            d: float(evidence.variants[f"{m}/{d}"]["distance_from_nominal"]["rms_mm"]) for d in evidence.deformations(m)
+        }
         for m in models
     }
     worst = max(d["matrix"] / min(d["none"], d["linear"]) for d in distance.values())
     shown = {TITLES[m]: " / ".join(f"{x:.2f}" for x in d.values()) for m, d in distance.items()}
-    tables = [subject.published.get(f"{REFERENCE}/{d}", {}) for d in DEFORMATION_ORDER]
+    tables = [evidence.published.get(f"{REFERENCE}/{d}", {}) for d in DEFORMATION_ORDER]
     printed = ""
     if all(set(LENGTHS) <= set(table) for table in tables):
         printed = "; tables 5 to 7 (a) " + " / ".join(f"{rms(join(table, LENGTHS)):.2f}" for table in tables)
@@ -207,11 +209,11 @@ def matrix_nearest(subject: Subject) -> Claims:
         value=worst,
         unit="1",
         verdict=judge(worst < 1.0),
-        why=f"Posterior means of all lengths; the largest ratio counts.{TWIN if subject.simulated else ''}",
+        why=f"Posterior means of all lengths; the largest ratio counts.{TWIN if evidence.simulated else ''}",
     )
 
 
-def hardware(subject: Subject) -> Claims:
+def hardware(evidence: ClaimEvidence) -> ClaimRows:
     """List what only the telescope itself could tell."""
     yield untestable(
         "deformation_from_stress",
@@ -220,9 +222,9 @@ def hardware(subject: Subject) -> Claims:
         "deformation follows the forces of the flexures",
         "Poses and targets show that it deforms with the actuators, not why; no force and no stiffness was measured.",
     )
-    if not subject.simulated:
+    if not evidence.simulated:
         return
-    origin = f"Origin of the data: {subject.origin}."
+    origin = f"Origin of the data: {evidence.origin}."
     yield untestable(
         "accuracy_of_the_telescope",
         "7.4, 8",

@@ -42,7 +42,7 @@ class Claim:
     why: str
 
 
-type Claims = Iterator[Claim]
+type ClaimRows = Iterator[Claim]
 
 
 def judge(holds: object) -> str:

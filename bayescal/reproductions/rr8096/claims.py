@@ -1,22 +1,28 @@
 """What RR-8096 claims in its sections 2 to 8, tested on the study's own machine, poses and posteriors.
 
-A claim is a function of a `Subject` that yields none, one or several rows; a new one is added to its module's tuple. A
-study whose mechanism or variants say nothing of a claim leaves it out; one of struts, which the report has not, all.
+A claim is a function of a `ClaimEvidence` that yields none, one or several rows; a new one is added to its module's
+tuple. A study whose mechanism or variants say nothing of a claim leaves it out; one of struts, which the report has
+not, all.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
+from types import MappingProxyType
+from typing import Any
 
 import pandas as pd
 
+from bayescal.density.least_squares import LeastSquaresFit
 from bayescal.errors import NumericalError
+from bayescal.experiments.study.claims import Claims
+from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.reproductions.rr8096 import accuracy, geometry, identifiability, identification, tables
-from bayescal.reproductions.rr8096.claim import FAILS, HOLDS, UNTESTABLE, Claim, Claims, untestable
-from bayescal.reproductions.rr8096.evidence import Subject
+from bayescal.reproductions.rr8096.claim import FAILS, HOLDS, UNTESTABLE, Claim, ClaimRows, untestable
+from bayescal.reproductions.rr8096.evidence import ClaimEvidence
 
-CLAIMS: tuple[Callable[[Subject], Claims], ...] = (
+CLAIMS: tuple[Callable[[ClaimEvidence], ClaimRows], ...] = (
     *geometry.CLAIMS,
     *identifiability.CLAIMS,
     *identification.CLAIMS,
@@ -24,17 +30,17 @@ CLAIMS: tuple[Callable[[Subject], Claims], ...] = (
     *tables.CLAIMS,
 )
 
-__all__ = ["CLAIMS", "FAILS", "HOLDS", "UNTESTABLE", "Claim", "Subject", "judge_claims", "tabulate_claims"]
+__all__ = ["CLAIMS", "FAILS", "HOLDS", "UNTESTABLE", "Claim", "ClaimEvidence", "judge_claims", "tabulate_claims"]
 
 
-def judge_claims(subject: Subject) -> list[Claim]:
+def judge_claims(evidence: ClaimEvidence) -> list[Claim]:
     """Return all claims that the study allows, in the order of the report's sections, own findings last."""
-    if subject.mechanism.drive == "strut":
+    if evidence.mechanism.drive == "strut":
         return []
     found: list[Claim] = []
     for function in CLAIMS:
         try:
-            found += function(subject)
+            found += function(evidence)
         except (NumericalError, ArithmeticError, ValueError) as error:  # one claim is not worth a whole run
             what = (function.__doc__ or "").splitlines()[0]
             found.append(untestable(function.__name__, "", what, "", f"the computation failed: {error}"))
@@ -47,6 +53,42 @@ def _section_order(section: str) -> tuple[bool, list[int]]:
     return not known, [int(number) for number in numbers] if known else []
 
 
-def tabulate_claims(subject: Subject) -> pd.DataFrame:
+class Rr8096(Claims):
+    """RR-8096 on the active space telescope: its claims, and where its figures and symbols stand."""
+
+    source = "RR-8096"
+    citation = "Equations and sections are those of the INRIA research report RR-8096 (Gayral and Daney, 2012)."
+    figures = MappingProxyType(
+        {
+            "errors_all": "figures 15 to 17",
+            "errors_none": "figure 15",
+            "errors_linear": "figure 16",
+            "errors_matrix": "figure 17",
+            "hardpoints": "figure 18",
+            "deflections": "figure 7",
+            "flexure": "figure 9, circle: eq. 13",
+        }
+    )
+    notation = MappingProxyType(
+        {
+            "a": "section 2.2",
+            "b": "section 2.2",
+            "u": "eq. 5",
+            "l": "eqs. 5, 7, 30",
+            "rho": "eqs. 5, 7",
+            "rho0": "eq. 9",
+            "kappa": "eq. 1",
+            "K": "eqs. 2 to 4",
+        }
+    )
+
+    def tabulate(
+        self, inputs: StudyInputs, summary: Mapping[str, Any], fits: Mapping[str, LeastSquaresFit]
+    ) -> pd.DataFrame:
+        """Return a row for each claim that the study allows."""
+        return tabulate_claims(ClaimEvidence.from_study(inputs, summary, fits))
+
+
+def tabulate_claims(evidence: ClaimEvidence) -> pd.DataFrame:
     """Return one row per claim."""
-    return pd.DataFrame([asdict(claim) for claim in judge_claims(subject)])
+    return pd.DataFrame([asdict(claim) for claim in judge_claims(evidence)])

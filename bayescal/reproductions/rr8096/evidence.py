@@ -30,7 +30,7 @@ NEVER_MEASURED = "never measured"  # what the origin of a simulated survey says
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class ClaimEvidence:
     """A study as claims see it.
 
     Attributes
@@ -66,7 +66,7 @@ class Subject:
 
     @classmethod
     def from_study(cls, inputs: StudyInputs, summary: Mapping[str, Any], fits: Mapping[str, LeastSquaresFit]) -> Self:
-        """Return the subject of a study whose posteriors are summarised and whose least squares is done."""
+        """Return the evidence of a study whose posteriors are summarised and whose least squares is done."""
         config = inputs.config
         return cls(
             mechanism=inputs.mechanism,

@@ -14,8 +14,8 @@ from bayescal.machines.models.beam import compute_shift
 from bayescal.machines.models.home import solve_home
 from bayescal.machines.models.legs import LegVectors, compute_leg_vectors
 from bayescal.numerics.geometry import Array
-from bayescal.reproductions.rr8096.claim import Claim, Claims, judge
-from bayescal.reproductions.rr8096.evidence import REFERENCE, Subject
+from bayescal.reproductions.rr8096.claim import Claim, ClaimRows, judge
+from bayescal.reproductions.rr8096.evidence import REFERENCE, ClaimEvidence
 
 MICRO = 1e3  # µm per mm
 MOTOR_ACCURACY = 1e-3  # mm
@@ -29,10 +29,10 @@ def legs_at(machine: Machine, poses: MeasuredPoses, theta: Array) -> LegVectors:
     return compute_leg_vectors(machine.layout, theta, poses.position, poses.rotation, machine.basis(poses.actuators))
 
 
-def bending_angles(subject: Subject, poses: MeasuredPoses) -> tuple[Array, Array]:
+def bending_angles(evidence: ClaimEvidence, poses: MeasuredPoses) -> tuple[Array, Array]:
     """Return by how much the flexures at base and platform are bent, shapes (P, N), radians."""
-    machine = subject.best_machine()
-    theta = subject.identified(machine)
+    machine = evidence.best_machine()
+    theta = evidence.identified(machine)
     home, axis = solve_home(machine.layout, theta), legs_at(machine, poses, theta).axis
     carried = np.einsum("pkj,ij->pik", poses.rotation @ home.rotation.T, home.legs.axis)
     return _angle(axis, home.legs.axis), _angle(axis, carried)
@@ -43,13 +43,13 @@ def _angle(first: Array, second: Array) -> Array:
     return 2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(first - second, axis=-1), 1.0))
 
 
-def motor_accuracy(subject: Subject) -> Claims:
+def motor_accuracy(evidence: ClaimEvidence) -> ClaimRows:
     """Section 2.3: what ±1 µm of the motors does to the pose."""
-    machine = subject.machine(REFERENCE)
-    n_legs = subject.mechanism.n_legs
+    machine = evidence.machine(REFERENCE)
+    n_legs = evidence.mechanism.n_legs
     if machine is None or n_legs > MAX_CORNERS_LEGS:
         return
-    theta, actuators = machine.layout.nominal, subject.poses.actuators
+    theta, actuators = machine.layout.nominal, evidence.poses.actuators
     pose = solve_forward_kinematics(machine, theta, actuators)
     here = machine.linearise(theta, pose.position, pose.rotation, actuators)
     corners = MOTOR_ACCURACY * np.array(list(itertools.product((-1.0, 1.0), repeat=n_legs))).T
@@ -81,11 +81,11 @@ def motor_accuracy(subject: Subject) -> Claims:
     )
 
 
-def flexure_bending(subject: Subject) -> Claims:
+def flexure_bending(evidence: ClaimEvidence) -> ClaimRows:
     """Section 4.3: flexures bend by no more than one degree."""
-    if subject.mechanism.flexures is None:
+    if evidence.mechanism.flexures is None:
         return
-    base, platform = (float(np.degrees(a.max())) for a in bending_angles(subject, subject.all_poses))
+    base, platform = (float(np.degrees(a.max())) for a in bending_angles(evidence, evidence.all_poses))
     largest = max(base, platform)
     yield Claim(
         claim="flexure_bending",
@@ -101,9 +101,9 @@ def flexure_bending(subject: Subject) -> Claims:
     )
 
 
-def circle(subject: Subject) -> Claims:
+def circle(evidence: ClaimEvidence) -> ClaimRows:
     """Section 4.3, eq. (13) and figure 9: a circle stands in for the bent beam."""
-    flexures = subject.mechanism.flexures
+    flexures = evidence.mechanism.flexures
     if flexures is None:
         return
     length = float(flexures.lengths.max())
@@ -122,16 +122,16 @@ def circle(subject: Subject) -> Claims:
     )
 
 
-def fixed_directions(subject: Subject) -> Claims:
+def fixed_directions(evidence: ClaimEvidence) -> ClaimRows:
     """Section 5.2: the stiffness matrices of the home pose serve everywhere."""
-    turning, fixed = subject.machine("stiffness"), subject.machine("stiffness_fixed")
+    turning, fixed = evidence.machine("stiffness"), evidence.machine("stiffness_fixed")
     if turning is None or fixed is None:
         return
-    theta, actuators = turning.layout.nominal, subject.all_poses.actuators
+    theta, actuators = turning.layout.nominal, evidence.all_poses.actuators
     pose = solve_forward_kinematics(turning, theta, actuators)
     other = solve_inverse_kinematics(fixed, theta, pose.position, pose.rotation)
     difference = MICRO * float(np.abs(other.actuators - actuators).max())
-    noise = MICRO * subject.target_noise
+    noise = MICRO * evidence.target_noise
     yield Claim(
         claim="fixed_directions",
         section="5.2",
@@ -147,9 +147,9 @@ def fixed_directions(subject: Subject) -> Claims:
     )
 
 
-def leg_tilt(subject: Subject) -> Claims:
+def leg_tilt(evidence: ClaimEvidence) -> ClaimRows:
     """Section 6.3.1: legs lean by no more than 0.6 degrees."""
-    tilt = float(np.degrees(bending_angles(subject, subject.poses)[0].max()))
+    tilt = float(np.degrees(bending_angles(evidence, evidence.poses)[0].max()))
     yield Claim(
         claim="leg_tilt",
         section="6.3.1",
@@ -164,13 +164,13 @@ def leg_tilt(subject: Subject) -> Claims:
     )
 
 
-def constant_lambda(subject: Subject) -> Claims:
+def constant_lambda(evidence: ClaimEvidence) -> ClaimRows:
     """Section 6.3.1, eq. (36): z_i · z_0 does not vary."""
-    machine = subject.best_machine()
-    axis = legs_at(machine, subject.poses, subject.identified(machine)).axis
+    machine = evidence.best_machine()
+    axis = legs_at(machine, evidence.poses, evidence.identified(machine)).axis
     base = MICRO * float(np.ptp(axis[..., 2], axis=0).max())
-    platform = MICRO * float(np.ptp(np.einsum("pik,pk->pi", axis, subject.poses.rotation[..., 2]), axis=0).max())
-    noise, largest = MICRO * subject.target_noise, max(base, platform)
+    platform = MICRO * float(np.ptp(np.einsum("pik,pk->pi", axis, evidence.poses.rotation[..., 2]), axis=0).max())
+    noise, largest = MICRO * evidence.target_noise, max(base, platform)
     yield Claim(
         claim="constant_lambda",
         section="6.3.1",
@@ -185,11 +185,11 @@ def constant_lambda(subject: Subject) -> Claims:
     )
 
 
-def least_configurations(subject: Subject) -> Claims:
+def least_configurations(evidence: ClaimEvidence) -> ClaimRows:
     """Section 6.3.3: twelve poses are needed."""
-    if subject.machine("stiffness") is None:
+    if evidence.machine("stiffness") is None:
         return
-    unknown = PARAMETERS_PER_LEG * subject.mechanism.n_legs + STIFFNESS_PARAMETERS
+    unknown = PARAMETERS_PER_LEG * evidence.mechanism.n_legs + STIFFNESS_PARAMETERS
     enough, surplus = math.ceil(unknown / 6), unknown // 6 + 1
     yield Claim(
         claim="least_configurations",
@@ -204,9 +204,9 @@ def least_configurations(subject: Subject) -> Claims:
     )
 
 
-def derivative_factor(subject: Subject) -> Claims:
+def derivative_factor(evidence: ClaimEvidence) -> ClaimRows:
     """Section 6.3.1, eqs. (34) and (37): the factor 1/2."""
-    machine, poses = subject.machine(REFERENCE), subject.poses
+    machine, poses = evidence.machine(REFERENCE), evidence.poses
     if machine is None:
         return
     layout, theta, step = machine.layout, machine.layout.nominal, 1e-3
@@ -230,15 +230,15 @@ def derivative_factor(subject: Subject) -> Claims:
     )
 
 
-def jacobian_sign(subject: Subject) -> Claims:
+def jacobian_sign(evidence: ClaimEvidence) -> ClaimRows:
     """Section 6.1.2, eq. (31): the sign before J_0⁻¹."""
-    exact, linear = subject.machine(REFERENCE), subject.machine("jacobian")
+    exact, linear = evidence.machine(REFERENCE), evidence.machine("jacobian")
     if exact is None or linear is None:
         return
-    theta, actuators = exact.layout.nominal, subject.poses.actuators
+    theta, actuators = exact.layout.nominal, evidence.poses.actuators
     pose = solve_forward_kinematics(exact, theta, actuators)
     minus = linear.linearise(theta, pose.position, pose.rotation, actuators).residual
-    plus = 2.0 * (actuators - subject.mechanism.initial_actuator_positions) - minus
+    plus = 2.0 * (actuators - evidence.mechanism.initial_actuator_positions) - minus
     small, large = (float(np.sqrt(np.mean(r**2))) for r in (minus, plus))
     yield Claim(
         claim="jacobian_sign",
@@ -253,13 +253,13 @@ def jacobian_sign(subject: Subject) -> Claims:
     )
 
 
-def parasitic_shift(subject: Subject) -> Claims:
+def parasitic_shift(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.1.3: how far the flexures' centres of motion shift."""
-    flexures = subject.mechanism.flexures
+    flexures = evidence.mechanism.flexures
     if flexures is None:
         return
     lengths, beta = flexures.lengths, flexures.beta
-    angles = bending_angles(subject, subject.all_poses)
+    angles = bending_angles(evidence, evidence.all_poses)
     base, platform = (MICRO * (compute_shift(np.cos(a), lengths, beta) - lengths / 2) for a in angles)
     both = float(np.abs(base + platform).max())
     for place, shift in (("base", base), ("platform", platform)):
@@ -274,20 +274,20 @@ def parasitic_shift(subject: Subject) -> Claims:
             unit="µm",
             verdict=judge(largest < 0.3),
             why=f"Eqs. (16) and (17) at all measured poses with the assumed l_b = {lengths.max():g} mm; either way a "
-            f"tenth of the noise of {MICRO * subject.target_noise:g} µm.",
+            f"tenth of the noise of {MICRO * evidence.target_noise:g} µm.",
         )
 
 
-def linearisation(subject: Subject) -> Claims:
+def linearisation(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.1.5: the workspace is small enough for one Jacobian."""
-    exact, linear = subject.machine(REFERENCE), subject.machine("jacobian")
+    exact, linear = evidence.machine(REFERENCE), evidence.machine("jacobian")
     if exact is None or linear is None:
         return
-    theta, actuators = exact.layout.nominal, subject.all_poses.actuators
+    theta, actuators = exact.layout.nominal, evidence.all_poses.actuators
     pose = solve_forward_kinematics(exact, theta, actuators)
     residual = MICRO * linear.linearise(theta, pose.position, pose.rotation, actuators).residual
     largest, rms = float(np.abs(residual).max()), float(np.sqrt(np.mean(residual**2)))
-    noise = MICRO * subject.target_noise
+    noise = MICRO * evidence.target_noise
     yield Claim(
         claim="linearisation",
         section="7.1.5",
@@ -301,14 +301,14 @@ def linearisation(subject: Subject) -> Claims:
     )
 
 
-def deflection_direction(subject: Subject) -> Claims:
+def deflection_direction(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.2: R (κ Δρ z) is κ Δρ z."""
-    machine = subject.machine(REFERENCE, "linear")
+    machine = evidence.machine(REFERENCE, "linear")
     if machine is None:
         return
-    kappa = machine.layout.take(subject.identified(machine), "kappa")
-    travel = subject.poses.actuators - subject.mechanism.initial_actuator_positions
-    off = np.linalg.norm(subject.poses.rotation[..., 2] - np.array([0.0, 0.0, 1.0]), axis=-1)
+    kappa = machine.layout.take(evidence.identified(machine), "kappa")
+    travel = evidence.poses.actuators - evidence.mechanism.initial_actuator_positions
+    off = np.linalg.norm(evidence.poses.rotation[..., 2] - np.array([0.0, 0.0, 1.0]), axis=-1)
     error = MICRO * float(np.abs(kappa * travel * off[:, None]).max())
     yield Claim(
         claim="deflection_direction",

@@ -7,8 +7,8 @@ import numpy as np
 from bayescal.density.least_squares import identify
 from bayescal.machines.kinematics import Machine
 from bayescal.numerics.geometry import Array
-from bayescal.reproductions.rr8096.claim import Claim, Claims, judge
-from bayescal.reproductions.rr8096.evidence import POINTS, REFERENCE, Subject
+from bayescal.reproductions.rr8096.claim import Claim, ClaimRows, judge
+from bayescal.reproductions.rr8096.evidence import POINTS, REFERENCE, ClaimEvidence
 from bayescal.reproductions.rr8096.geometry import MICRO
 from bayescal.reproductions.rr8096.information import IDENTIFIED, compute_contraction
 
@@ -25,12 +25,12 @@ def _percent(share: float) -> str:
     return f"{100 * share:.1f} %"
 
 
-def one_of_lengths(subject: Subject) -> Claims:
+def one_of_lengths(evidence: ClaimEvidence) -> ClaimRows:
     """Section 6.3.1, eq. (36): one of a_z, b_z and l."""
-    machine = subject.best_machine()
+    machine = evidence.best_machine()
     free = WITH_KAPPA if "kappa" in machine.layout.index else WITH_DIRECTION
-    together = compute_contraction(subject, machine, (*free, "a_z", "b_z"), LENGTHS)
-    alone = compute_contraction(subject, machine, LENGTHS, LENGTHS)
+    together = compute_contraction(evidence, machine, (*free, "a_z", "b_z"), LENGTHS)
+    alone = compute_contraction(evidence, machine, LENGTHS, LENGTHS)
     first, second = float(together[:, 0].min()), float(together[:, 1].max())
     yield Claim(
         claim="one_of_lengths",
@@ -46,14 +46,14 @@ def one_of_lengths(subject: Subject) -> Claims:
     )
 
 
-def null_direction(subject: Subject) -> Claims:
+def null_direction(evidence: ClaimEvidence) -> ClaimRows:
     """Section 6.3.1: moving along what cannot be identified changes no leg length."""
-    machine, noise = subject.best_machine(), MICRO * subject.target_noise
+    machine, noise = evidence.best_machine(), MICRO * evidence.target_noise
     layout = machine.layout
     free = WITH_KAPPA if "kappa" in layout.index else WITH_DIRECTION
-    slope = subject.likelihood(machine).leg_error_jacobian(subject.identified(machine))[1]
+    slope = evidence.likelihood(machine).leg_error_jacobian(evidence.identified(machine))[1]
     alone, followed = 0.0, 0.0
-    for leg in range(subject.mechanism.n_legs):
+    for leg in range(evidence.mechanism.n_legs):
         columns = slope[:, leg, [layout.index[s][leg] for s in LENGTHS]]
         others = slope[:, leg, [layout.index[s][leg] for s in free if s != "l"]]
         for direction in np.linalg.svd(columns, full_matrices=False)[2][1:]:
@@ -74,12 +74,12 @@ def null_direction(subject: Subject) -> Claims:
     )
 
 
-def parameters_per_leg(subject: Subject) -> Claims:
+def parameters_per_leg(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.1.1: six parameters per leg."""
-    machine = subject.machine(REFERENCE)
+    machine = evidence.machine(REFERENCE)
     if machine is None:
         return
-    fit, n_legs = identify(machine, subject.poses, EVERYTHING), subject.mechanism.n_legs
+    fit, n_legs = identify(machine, evidence.poses, EVERYTHING), evidence.mechanism.n_legs
     yield Claim(
         claim="parameters_per_leg",
         section="7.1.1",
@@ -95,16 +95,16 @@ def parameters_per_leg(subject: Subject) -> Claims:
     )
 
 
-def one_of_directions(subject: Subject) -> Claims:
+def one_of_directions(evidence: ClaimEvidence) -> ClaimRows:
     """Sections 7.1.1 and 7.1.2: one component of u."""
     for model, section, what in (
         (REFERENCE, "7.1.1", "6-PUS without deformation, all else free; with model error the second narrows less."),
         ("jacobian", "7.1.2", "Jacobian-based model without deformation, all else free; it knows u by z · u alone."),
     ):
-        machine = subject.machine(model)
+        machine = evidence.machine(model)
         if machine is None:
             continue
-        found = compute_contraction(subject, machine, (*WITH_DIRECTION, "u_y"), ("u_x", "u_y"))
+        found = compute_contraction(evidence, machine, (*WITH_DIRECTION, "u_y"), ("u_x", "u_y"))
         yield _one_of_two(
             f"one_of_directions_{model}",
             section,
@@ -114,13 +114,13 @@ def one_of_directions(subject: Subject) -> Claims:
         )
 
 
-def kappa_and_direction(subject: Subject) -> Claims:
+def kappa_and_direction(evidence: ClaimEvidence) -> ClaimRows:
     """Sections 7.2 and 7.3: κ and u_x."""
     for deformation, section, what in (("linear", "7.2", "κ"), ("matrix", "7.3", "the diagonal of K")):
-        machine = subject.machine(REFERENCE, deformation)
+        machine = evidence.machine(REFERENCE, deformation)
         if machine is None:
             continue
-        found = compute_contraction(subject, machine, (*WITH_KAPPA, "u_x"), ("u_x", "kappa"))
+        found = compute_contraction(evidence, machine, (*WITH_KAPPA, "u_x"), ("u_x", "kappa"))
         yield _one_of_two(
             f"kappa_and_direction_{deformation}",
             section,
@@ -146,12 +146,12 @@ def _one_of_two(claim: str, section: str, statement: str, contraction: Array, wh
     )
 
 
-def initial_positions(subject: Subject) -> Claims:
+def initial_positions(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.1.2: singular values with and without ρ^0."""
-    machine = subject.machine("jacobian")
+    machine = evidence.machine("jacobian")
     if machine is None:
         return
-    free, held = (_singular_values(subject, machine, s) for s in ((*WITH_DIRECTION, "rho0"), WITH_DIRECTION))
+    free, held = (_singular_values(evidence, machine, s) for s in ((*WITH_DIRECTION, "rho0"), WITH_DIRECTION))
     rounding = float(len(free) * np.finfo(float).eps * free[0])
     null = int(np.sum(free < rounding))
     how = (
@@ -167,7 +167,7 @@ def initial_positions(subject: Subject) -> Claims:
         f"{free[-null - 1]:.1e}",
         value=float(null),
         unit="1",
-        verdict=judge(null == subject.mechanism.n_legs),
+        verdict=judge(null == evidence.mechanism.n_legs),
         why=f"{how}. A joint moved along its leg, with ρ^0 and l, leaves the model as it is.",
     )
     smallest = float(held[-1])
@@ -180,35 +180,35 @@ def initial_positions(subject: Subject) -> Claims:
         value=smallest,
         unit="1",
         verdict=judge(round(np.log10(smallest)) == -4),
-        why=f"{how}, to the order of ten. In metres it would be {_singular_values_in_metres(subject, machine):.0e}.",
+        why=f"{how}, to the order of ten. In metres it would be {_singular_values_in_metres(evidence, machine):.0e}.",
     )
 
 
-def _closure_jacobian(subject: Subject, machine: Machine, symbols: tuple[str, ...]) -> tuple[Array, np.ndarray]:
-    poses, index = subject.poses, np.concatenate([machine.layout.index[s] for s in symbols])
-    here = machine.linearise(subject.identified(machine), poses.position, poses.rotation, poses.actuators)
+def _closure_jacobian(evidence: ClaimEvidence, machine: Machine, symbols: tuple[str, ...]) -> tuple[Array, np.ndarray]:
+    poses, index = evidence.poses, np.concatenate([machine.layout.index[s] for s in symbols])
+    here = machine.linearise(evidence.identified(machine), poses.position, poses.rotation, poses.actuators)
     return here.parameters[..., index].reshape(-1, len(index)), index
 
 
-def _singular_values(subject: Subject, machine: Machine, symbols: tuple[str, ...]) -> Array:
+def _singular_values(evidence: ClaimEvidence, machine: Machine, symbols: tuple[str, ...]) -> Array:
     """Return the singular values of JᵀJ as it is formed, rounding and all, largest first."""
-    jacobian, _ = _closure_jacobian(subject, machine, symbols)
+    jacobian, _ = _closure_jacobian(evidence, machine, symbols)
     return np.linalg.svd(jacobian.T @ jacobian, compute_uv=False)
 
 
-def _singular_values_in_metres(subject: Subject, machine: Machine) -> float:
+def _singular_values_in_metres(evidence: ClaimEvidence, machine: Machine) -> float:
     """Return the smallest singular value with residuals and lengths in metres: the columns of u shrink."""
-    jacobian, index = _closure_jacobian(subject, machine, WITH_DIRECTION)
+    jacobian, index = _closure_jacobian(evidence, machine, WITH_DIRECTION)
     jacobian = jacobian * np.where(np.array(machine.layout.units)[index] == "mm", 1.0, 1e-3)
     return float(np.linalg.svd(jacobian.T @ jacobian, compute_uv=False)[-1])
 
 
-def beam_parameters(subject: Subject) -> Claims:
+def beam_parameters(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.1.3: β and l_b."""
-    machine = subject.machine("beam")
+    machine = evidence.machine("beam")
     if machine is None:
         return
-    largest = float(compute_contraction(subject, machine, (*WITH_DIRECTION, "beta", "l_b"), ("beta", "l_b")).max())
+    largest = float(compute_contraction(evidence, machine, (*WITH_DIRECTION, "beta", "l_b"), ("beta", "l_b")).max())
     yield Claim(
         claim="beam_parameters",
         section="7.1.3",
@@ -222,12 +222,12 @@ def beam_parameters(subject: Subject) -> Claims:
     )
 
 
-def stiffness_parameters(subject: Subject) -> Claims:
+def stiffness_parameters(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.1.4: stiffness."""
-    machine = subject.machine("stiffness")
+    machine = evidence.machine("stiffness")
     if machine is None:
         return
-    largest = float(compute_contraction(subject, machine, (*WITH_DIRECTION, *STIFFNESSES), STIFFNESSES).max())
+    largest = float(compute_contraction(evidence, machine, (*WITH_DIRECTION, *STIFFNESSES), STIFFNESSES).max())
     yield Claim(
         claim="stiffness_parameters",
         section="7.1.4",

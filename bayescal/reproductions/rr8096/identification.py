@@ -9,8 +9,8 @@ import numpy as np
 from bayescal.density.least_squares import identify
 from bayescal.machines.kinematics import Machine, compute_home_legs
 from bayescal.numerics.geometry import Array
-from bayescal.reproductions.rr8096.claim import Claim, Claims, judge
-from bayescal.reproductions.rr8096.evidence import DEFORMATION_ORDER, POINTS, REFERENCE, TITLES, Subject
+from bayescal.reproductions.rr8096.claim import Claim, ClaimRows, judge
+from bayescal.reproductions.rr8096.evidence import DEFORMATION_ORDER, POINTS, REFERENCE, TITLES, ClaimEvidence
 from bayescal.reproductions.rr8096.geometry import MICRO
 from bayescal.reproductions.rr8096.information import tolerance_of
 
@@ -34,20 +34,20 @@ def join(offsets: Mapping[str, Array], symbols: Sequence[str]) -> Array:
     return np.concatenate([offsets[symbol] for symbol in symbols])
 
 
-def insensitive_to_start(subject: Subject) -> Claims:
+def insensitive_to_start(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7: the start does not matter."""
     worst = 0.0
     rng = np.random.default_rng(SEED)
-    names = [f"{REFERENCE}/{d}" for d in DEFORMATION_ORDER if subject.repeats(f"{REFERENCE}/{d}")]
+    names = [f"{REFERENCE}/{d}" for d in DEFORMATION_ORDER if evidence.repeats(f"{REFERENCE}/{d}")]
     for name in names:
-        machine, fit = subject.machine(*name.split("/")), subject.fits[name]
+        machine, fit = evidence.machine(*name.split("/")), evidence.fits[name]
         assert machine is not None
         layout, sd = machine.layout, tolerance_of(machine)
-        free = np.concatenate([layout.index[symbol] for symbol in subject.free[name]])
+        free = np.concatenate([layout.index[symbol] for symbol in evidence.free[name]])
         for _ in range(N_STARTS):
             start = layout.nominal.copy()
             start[free] += sd[free] * rng.standard_normal(len(free))
-            other = identify(machine, subject.poses, subject.free[name], start)
+            other = identify(machine, evidence.poses, evidence.free[name], start)
             worst = max(worst, float(np.abs((other.theta - fit.theta)[free] / sd[free]).max()))
     if names:
         yield Claim(
@@ -64,12 +64,12 @@ def insensitive_to_start(subject: Subject) -> Claims:
         )
 
 
-def choice_of_direction(subject: Subject) -> Claims:
+def choice_of_direction(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.1.1: u_x or u_y."""
-    machine = subject.machine(REFERENCE)
+    machine = evidence.machine(REFERENCE)
     if machine is None:
         return
-    x, y = (_residual_with(subject, machine, axis) for axis in (0, 1))
+    x, y = (_residual_with(evidence, machine, axis) for axis in (0, 1))
     change = abs(rms(y) / rms(x) - 1.0)
     yield Claim(
         claim="choice_of_direction",
@@ -85,24 +85,24 @@ def choice_of_direction(subject: Subject) -> Claims:
     )
 
 
-def _residual_with(subject: Subject, machine: Machine, axis: int) -> Array:
+def _residual_with(evidence: ClaimEvidence, machine: Machine, axis: int) -> Array:
     """Return the residual of each leg, mm, with u_x (0) or u_y (1) free; starts on both sides of the leg's slope."""
     legs, symbol = compute_home_legs(machine), ("u_x", "u_y")[axis]
     found = []
     for side in (-START, START):
         start = machine.layout.nominal.copy()
         start[machine.layout.index[symbol]] = legs[:, axis] / legs[:, 2] + side
-        found.append(identify(machine, subject.poses, (*POINTS, "l", symbol), start).residual_rms)
+        found.append(identify(machine, evidence.poses, (*POINTS, "l", symbol), start).residual_rms)
     return np.asarray(np.min(found, axis=0))
 
 
-def initial_positions_accuracy(subject: Subject) -> Claims:
+def initial_positions_accuracy(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.1.2: identifying ρ^0 as well."""
-    machine = subject.machine("jacobian")
+    machine = evidence.machine("jacobian")
     if machine is None:
         return
     free = (*POINTS, "l", "u_x")
-    held, more = (identify(machine, subject.poses, symbols).residual_rms for symbols in (free, (*free, "rho0")))
+    held, more = (identify(machine, evidence.poses, symbols).residual_rms for symbols in (free, (*free, "rho0")))
     change = abs(rms(more) / rms(held) - 1.0)
     yield Claim(
         claim="initial_positions_accuracy",
@@ -117,21 +117,21 @@ def initial_positions_accuracy(subject: Subject) -> Claims:
     )
 
 
-def directions_far(subject: Subject) -> Claims:
+def directions_far(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.1.5: u_x far from nominal."""
     name = f"{REFERENCE}/none"
-    if not subject.repeats(name):
+    if not evidence.repeats(name):
         return
-    machine = subject.machine(REFERENCE)
+    machine = evidence.machine(REFERENCE)
     assert machine is not None
-    found = subject.offsets(name)["u_x"]
+    found = evidence.offsets(name)["u_x"]
     tolerance = float(tolerance_of(machine)[machine.layout.index["u_x"][0]])
     largest = float(np.abs(found).max())
     yield Claim(
         claim="directions_far",
         section="7.1.5",
         statement="Without deformation u_x is identified far from nominal, beyond what manufacturing allows.",
-        expected=_published(subject, name, "u_x", "0.15 at most"),
+        expected=_published(evidence, name, "u_x", "0.15 at most"),
         found=f"{largest:.2f} at most, {np.degrees(np.arcsin(min(largest, 1.0))):.0f} deg",
         value=largest,
         unit="1",
@@ -140,21 +140,21 @@ def directions_far(subject: Subject) -> Claims:
     )
 
 
-def _published(subject: Subject, name: str, symbol: str, otherwise: str) -> str:
-    values = subject.published.get(name, {}).get(symbol)
+def _published(evidence: ClaimEvidence, name: str, symbol: str, otherwise: str) -> str:
+    values = evidence.published.get(name, {}).get(symbol)
     return otherwise if values is None else f"{np.abs(values).max():.2f} at most (published)"
 
 
-def same_parameters(subject: Subject) -> Claims:
+def same_parameters(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.2: tables 5 and 6 agree but for u_x."""
     pair = [f"{REFERENCE}/{d}" for d in ("none", "linear")]
-    if not subject.repeats(*pair):
+    if not evidence.repeats(*pair):
         return
-    none, linear = (join(subject.offsets(name), OTHERS) for name in pair)
+    none, linear = (join(evidence.offsets(name), OTHERS) for name in pair)
     share = rms(none - linear) / rms(none)
     expected = "nearly the same"
-    if all(set(OTHERS) <= set(subject.published.get(name, {})) for name in pair):
-        five, six = (join(subject.published[name], OTHERS) for name in pair)
+    if all(set(OTHERS) <= set(evidence.published.get(name, {})) for name in pair):
+        five, six = (join(evidence.published[name], OTHERS) for name in pair)
         expected = f"{rms(five - six):.3f} mm rms apart (published)"
     yield Claim(
         claim="same_parameters",
@@ -169,15 +169,15 @@ def same_parameters(subject: Subject) -> Claims:
     )
 
 
-def home_joint(subject: Subject) -> Claims:
+def home_joint(evidence: ClaimEvidence) -> ClaimRows:
     """Own: a_x of tables 5 and 6 differs by -ρ^0 u_x."""
-    rho0 = subject.mechanism.initial_actuator_positions
+    rho0 = evidence.mechanism.initial_actuator_positions
     for model in TITLES:
         pair = [f"{model}/{d}" for d in ("none", "linear")]
-        tables = [subject.published.get(name, {}) for name in pair]
-        if not subject.repeats(*pair) or not all("a_x" in t for t in tables) or "u_x" not in tables[0]:
+        tables = [evidence.published.get(name, {}) for name in pair]
+        if not evidence.repeats(*pair) or not all("a_x" in t for t in tables) or "u_x" not in tables[0]:
             continue
-        none, linear = (subject.offsets(name) for name in pair)
+        none, linear = (evidence.offsets(name) for name in pair)
         published = tables[0]["a_x"] - tables[1]["a_x"]
         implied = _regress(published, -tables[0]["u_x"])
         ours = _regress(none["a_x"] - linear["a_x"], -none["u_x"])
@@ -202,12 +202,12 @@ def _regress(values: Array, on: Array) -> float:
     return float(values @ on / (on @ on))
 
 
-def direction_takes_kappa(subject: Subject) -> Claims:
+def direction_takes_kappa(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.2, eq. (40): u_x stands for κ."""
     pair = [f"{REFERENCE}/{d}" for d in ("none", "linear")]
-    if not subject.repeats(*pair):
+    if not evidence.repeats(*pair):
         return
-    machine, linear = subject.machine(REFERENCE), subject.machine(REFERENCE, "linear")
+    machine, linear = evidence.machine(REFERENCE), evidence.machine(REFERENCE, "linear")
     assert machine is not None
     assert linear is not None
     legs = compute_home_legs(machine)
@@ -219,9 +219,9 @@ def direction_takes_kappa(subject: Subject) -> Claims:
         kappa = nominal + offset
         return rms(kappa), rms(1.0 - np.sqrt(1.0 - u_x**2) - slope * u_x - kappa)
 
-    size, apart = compare(subject.offsets(pair[0])["u_x"], subject.offsets(pair[1])["kappa"])
+    size, apart = compare(evidence.offsets(pair[0])["u_x"], evidence.offsets(pair[1])["kappa"])
     printed = ""
-    tables = [subject.published.get(name, {}) for name in pair]
+    tables = [evidence.published.get(name, {}) for name in pair]
     if "u_x" in tables[0] and "kappa" in tables[1]:
         printed = f"; published {1e3 * compare(tables[0]['u_x'], tables[1]['kappa'])[1]:.1f}e-3"
     yield Claim(
@@ -237,12 +237,12 @@ def direction_takes_kappa(subject: Subject) -> Claims:
     )
 
 
-def orientation_without_equilibrium(subject: Subject) -> Claims:
+def orientation_without_equilibrium(evidence: ClaimEvidence) -> ClaimRows:
     """Section 7.1.5: orientation is better without static equilibrium."""
     pair = [f"{model}/none" for model in (REFERENCE, "stiffness")]
-    if not subject.repeats(*pair):
+    if not evidence.repeats(*pair):
         return
-    errors = [_pose_errors(subject, name) for name in pair]
+    errors = [_pose_errors(evidence, name) for name in pair]
     (p_pus, o_pus), (p_stiff, o_stiff) = errors
     ratio = o_stiff / o_pus
     yield Claim(
@@ -261,11 +261,11 @@ def orientation_without_equilibrium(subject: Subject) -> Claims:
     )
 
 
-def _pose_errors(subject: Subject, name: str) -> tuple[float, float]:
+def _pose_errors(evidence: ClaimEvidence, name: str) -> tuple[float, float]:
     """Return the mean position (mm) and orientation error (deg) that least squares leaves at the calibration poses."""
-    machine = subject.machine(*name.split("/"))
+    machine = evidence.machine(*name.split("/"))
     assert machine is not None
-    error = subject.likelihood(machine).pose_errors(subject.fits[name].theta[None])[0]
+    error = evidence.likelihood(machine).pose_errors(evidence.fits[name].theta[None])[0]
     position, turn = (np.linalg.norm(part, axis=1).mean() for part in (error[:, :3], error[:, 3:]))
     return float(position), float(np.degrees(turn))
 

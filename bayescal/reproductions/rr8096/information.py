@@ -8,7 +8,7 @@ import numpy as np
 
 from bayescal.machines.kinematics import Machine
 from bayescal.numerics.geometry import Array
-from bayescal.reproductions.rr8096.evidence import Subject
+from bayescal.reproductions.rr8096.evidence import ClaimEvidence
 
 IDENTIFIED = 0.5
 """A direction counts as identified where the poses at least halve its tolerance."""
@@ -28,12 +28,12 @@ def tolerance_of(machine: Machine) -> Array:
     return sd
 
 
-def compute_contraction(subject: Subject, machine: Machine, free: Sequence[str], chosen: Sequence[str]) -> Array:
+def compute_contraction(evidence: ClaimEvidence, machine: Machine, free: Sequence[str], chosen: Sequence[str]) -> Array:
     """Return by how much the calibration poses narrow some parameters of a leg, all free ones unknown.
 
     Parameters
     ----------
-    subject : Subject
+    evidence : ClaimEvidence
     machine : Machine
         Linearised at its identified parameters, with the poses' noise and no model error.
     free : sequence of str
@@ -48,8 +48,8 @@ def compute_contraction(subject: Subject, machine: Machine, free: Sequence[str],
         whole machine one row. Zero says nothing was learnt, one everything.
     """
     layout, sd = machine.layout, tolerance_of(machine)
-    likelihood = subject.likelihood(machine)
-    slope = likelihood.leg_error_jacobian(subject.identified(machine))[1]
+    likelihood = evidence.likelihood(machine)
+    slope = likelihood.leg_error_jacobian(evidence.identified(machine))[1]
     index = np.concatenate([layout.index[symbol] for symbol in free])
     slope = slope[..., index] * sd[index]
     precision = np.linalg.inv(likelihood.leg_covariance(np.zeros(likelihood.n_legs)))

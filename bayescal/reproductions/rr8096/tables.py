@@ -6,28 +6,28 @@ import numpy as np
 
 from bayescal.density.least_squares import minimise
 from bayescal.numerics.geometry import Array
-from bayescal.reproductions.rr8096.claim import UNTESTABLE, Claim, Claims, judge
-from bayescal.reproductions.rr8096.evidence import FREE, POINTS, REFERENCE, Subject
+from bayescal.reproductions.rr8096.claim import UNTESTABLE, Claim, ClaimRows, judge
+from bayescal.reproductions.rr8096.evidence import FREE, POINTS, REFERENCE, ClaimEvidence
 from bayescal.reproductions.rr8096.identification import SAME, TABLES, join, rms
 
 ROUGH = 1e-6  # tolerance of the least squares: two digits of a correlation
 FOLLOWS = 0.5  # correlation from which on a pattern counts as found
 
 
-def stiffness_objective(subject: Subject) -> Claims:
+def stiffness_objective(evidence: ClaimEvidence) -> ClaimRows:
     """Own: tables (d) differ from tables (a) because their objective weighs newtons and newton metres alike."""
     for deformation, table in TABLES.items():
         ours, reference = f"stiffness/{deformation}", f"{REFERENCE}/{deformation}"
-        known = [set(POINTS) <= set(subject.published.get(name, {})) for name in (ours, reference)]
-        if not all(known) or not subject.repeats(ours, reference):
+        known = [set(POINTS) <= set(evidence.published.get(name, {})) for name in (ours, reference)]
+        if not all(known) or not evidence.repeats(ours, reference):
             continue
-        published = join(subject.published[ours], POINTS)
-        moved = published - join(subject.published[reference], POINTS)
-        base = join(subject.offsets(reference), POINTS)
+        published = join(evidence.published[ours], POINTS)
+        moved = published - join(evidence.published[reference], POINTS)
+        base = join(evidence.offsets(reference), POINTS)
         found = {
-            "leg": _solve(subject, "stiffness", deformation, own_objective=False),
-            "wrench": join(subject.offsets(ours), POINTS),
-            "fixed": _solve(subject, "stiffness_fixed", deformation, own_objective=True),
+            "leg": _solve(evidence, "stiffness", deformation, own_objective=False),
+            "wrench": join(evidence.offsets(ours), POINTS),
+            "fixed": _solve(evidence, "stiffness_fixed", deformation, own_objective=True),
         }
         shifts = {name: rms(values - base) for name, values in found.items()}
         apart = {name: rms(values - published) for name, values in found.items()}
@@ -53,28 +53,28 @@ def stiffness_objective(subject: Subject) -> Claims:
         )
 
 
-def _solve(subject: Subject, model: str, deformation: str, own_objective: bool) -> Array:
+def _solve(evidence: ClaimEvidence, model: str, deformation: str, own_objective: bool) -> Array:
     """Return a and b by least squares from the 6-PUS's solution, in the model's own objective or in leg lengths."""
-    machine, reference = subject.machine(model, deformation), subject.fits[f"{REFERENCE}/{deformation}"]
-    exact = subject.machine(REFERENCE, deformation)
+    machine, reference = evidence.machine(model, deformation), evidence.fits[f"{REFERENCE}/{deformation}"]
+    exact = evidence.machine(REFERENCE, deformation)
     assert machine is not None
     assert exact is not None
-    layout, symbols = machine.layout, subject.free[f"{REFERENCE}/{deformation}"]
+    layout, symbols = machine.layout, evidence.free[f"{REFERENCE}/{deformation}"]
     free, start = np.concatenate([layout.index[s] for s in symbols]), layout.nominal.copy()
     for symbol in symbols:
         start[layout.index[symbol]] = exact.layout.take(reference.theta, symbol)
     weight = machine.model.objective(machine.mechanism) if own_objective else np.eye(machine.mechanism.n_legs)
-    offset = minimise(machine, subject.poses, free, start, weight, ROUGH).theta - layout.nominal
+    offset = minimise(machine, evidence.poses, free, start, weight, ROUGH).theta - layout.nominal
     return np.concatenate([layout.take(offset, symbol) for symbol in POINTS])
 
 
-def beam_kappa(subject: Subject) -> Claims:
+def beam_kappa(evidence: ClaimEvidence) -> ClaimRows:
     """Own: κ of table 7 (c)."""
     pair = [f"{model}/matrix" for model in (REFERENCE, "beam")]
-    tables = [subject.published.get(name, {}) for name in pair]
-    if not subject.repeats(*pair) or not all(FREE["matrix"] <= set(table) for table in tables):
+    tables = [evidence.published.get(name, {}) for name in pair]
+    if not evidence.repeats(*pair) or not all(FREE["matrix"] <= set(table) for table in tables):
         return
-    (a, c), (ours, beam) = (t["kappa"] for t in tables), (subject.offsets(name)["kappa"] for name in pair)
+    (a, c), (ours, beam) = (t["kappa"] for t in tables), (evidence.offsets(name)["kappa"] for name in pair)
     printed, found = float(a @ c / (a @ a)), float(ours @ beam / (ours @ ours))
     lengths = (*POINTS, "l")
     yield Claim(
@@ -88,7 +88,7 @@ def beam_kappa(subject: Subject) -> Claims:
         verdict=judge(abs(found - 1.0) < 0.1 and 0.05 < printed < 0.2),
         why="Regression of (c) on (a). Its lengths are off as well: "
         f"{rms(join(tables[1], lengths) - join(tables[0], lengths)):.2f} mm rms from table 7(a) as published, "
-        f"{rms(join(subject.offsets(pair[1]), lengths) - join(subject.offsets(pair[0]), lengths)):.3f} mm by least "
+        f"{rms(join(evidence.offsets(pair[1]), lengths) - join(evidence.offsets(pair[0]), lengths)):.3f} mm by least "
         "squares.",
     )
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import asdict
 from itertools import pairwise
 
-import joblib
 import numpy as np
 import pandas as pd
 
 from bayescal.density.readings.calibrability import compute_calibrability
+from bayescal.density.readings.calibrate import Calibrations
 from bayescal.density.readings.tool import locate_tool
+from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.reading_machine import ZEROS
 from bayescal.numerics.geometry import Array
 from bayescal.reproductions.sika2008.predict import predict_covariance, predict_tool
@@ -36,11 +37,11 @@ FIRST = 0  # which calibration is shown alone
 type Found = dict[tuple[str, str], Simulated]
 
 
-def run_documented(setting: Setting, workers: int) -> dict[str, pd.DataFrame]:
+def run_documented(setting: Setting, run: Run) -> dict[str, pd.DataFrame]:
     """Return the tables of the documented machine."""
     plans, rng = setting.plans, setting.rng(CALIBRATIONS)
     measured = measure(plans, setting.pose, setting.targets, setting.config.calibrations, rng)
-    found = simulate_all(setting, plans, measured, workers)
+    found = simulate_all(setting, plans, measured, run)
     spread = {plan.name: state_spread(found[plan.name, BAYESIAN], setting.targets) for plan in plans.plans}
     return {
         "calibrability": list_calibrabilities(plans, setting.pose),
@@ -53,15 +54,25 @@ def run_documented(setting: Setting, workers: int) -> dict[str, pd.DataFrame]:
     }
 
 
-def simulate_all(setting: Setting, plans: Plans, measured: Measured, workers: int) -> Found:
+def simulate_all(setting: Setting, plans: Plans, measured: Measured, run: Run) -> Found:
     """Return the calibrations by set and procedure."""
-    tasks = [(plan, procedure) for plan in plans.plans for procedure in PROCEDURES]
-    parallel = joblib.Parallel(n_jobs=workers, inner_max_num_threads=None if workers == 1 else 1)
-    results = parallel(
-        joblib.delayed(simulate)(plans, plan, procedure, measured, setting.pose, setting.targets)
-        for plan, procedure in tasks
-    )
-    return {(plan.name, procedure): one for (plan, procedure), one in zip(tasks, results, strict=True)}
+    by_name = {plan.name: plan for plan in plans.plans}
+    tasks = {f"{name} {procedure}": (name, procedure) for name in by_name for procedure in PROCEDURES}
+    shared = (plans, measured, setting.pose, setting.targets)
+    found = run.map("documented machine", _simulate_one, shared, tasks, (Calibrations,))
+    return {
+        (name, procedure): Simulated(by_name[name], procedure, *parts)
+        for (name, procedure), parts in zip(tasks.values(), found.values(), strict=True)
+    }
+
+
+def _simulate_one(
+    shared: tuple[Plans, Measured, Array, Array], task: tuple[str, str]
+) -> tuple[Calibrations, Array, Array, Array]:
+    plans, measured, pose, targets = shared
+    plan = next(one for one in plans.plans if one.name == task[0])
+    one = simulate(plans, plan, task[1], measured, pose, targets)
+    return one.found, one.error, one.tool, one.noisy_tool
 
 
 def list_calibrabilities(plans: Plans, pose: Array) -> pd.DataFrame:

@@ -5,14 +5,15 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 
-import joblib
 import numpy as np
 import pandas as pd
 
 from bayescal.density.readings.calibrability import compute_calibrability
 from bayescal.density.readings.calibrate import FreeParameters
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.shared.reading_machine import ZEROS, build_sliding_platform, draw_poses
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.shared.reading_machine import ZEROS, draw_poses
+from bayescal.machines.read import build_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
 from bayescal.machines.readings.schema import PlanarPosesConfig, SlidingPlatformConfig
 from bayescal.numerics.geometry import Array
@@ -62,7 +63,7 @@ class Candidate:
     angle_tolerance: float
 
 
-def run_machines(setting: Setting, config: PlausibleMachinesConfig, workers: int) -> tuple[pd.DataFrame, int]:
+def run_machines(setting: Setting, config: PlausibleMachinesConfig, run: Run) -> tuple[pd.DataFrame, int]:
     """Return a row for each machine and set, and how many machines were drawn in all.
 
     Raises
@@ -81,9 +82,9 @@ def run_machines(setting: Setting, config: PlausibleMachinesConfig, workers: int
         one = draw_candidate(setting, config, setting.rng(MACHINES, n_drawn))
         candidates += [] if one is None else [one]
         n_drawn += 1
-    parallel = joblib.Parallel(n_jobs=workers, inner_max_num_threads=None if workers == 1 else 1)
-    rows = parallel(joblib.delayed(judge_candidate)(one) for one in candidates)
-    table = pd.DataFrame([{"machine": k + 1} | row for k, found in enumerate(rows) for row in found])
+    tasks = {f"{k + 1}": one for k, one in enumerate(candidates)}
+    judged = run.map("plausible machines", _judge, None, tasks)
+    table = pd.DataFrame([{"machine": k + 1} | row for k, found in enumerate(judged.values()) for row in found])
     return table, n_drawn
 
 
@@ -120,6 +121,10 @@ def lay_out(geometry: dict[str, float], n_legs: int) -> SlidingPlatformConfig:
         )
     content = {"kind": "sliding_platform", "name": "drawn", "legs": legs, "tool": {"point_mm": [0.0, 0.0]}}
     return SlidingPlatformConfig.model_validate(content | {"home": {"tool_mm": [0.0, 0.0], "angle_deg": 0.0}})
+
+
+def _judge(_: None, one: Candidate) -> list[dict[str, object]]:
+    return judge_candidate(one)
 
 
 def judge_candidate(one: Candidate) -> list[dict[str, object]]:

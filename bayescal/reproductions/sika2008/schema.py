@@ -9,8 +9,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from bayescal.config.schema import Number, Positive, Section
-from bayescal.experiments.audit.schema import Name
+from bayescal.config.sections import ExperimentConfig, InputFile, Number, Positive, Section
 from bayescal.machines.readings.schema import (
     Count,
     PlanarPosesConfig,
@@ -77,18 +76,15 @@ class PublishedSetsConfig(Section):
     """What was printed: of each set its number of parameters and C, from set to set the factors of improvement."""
 
     source: str
-    calibrability: str
-    improvements: str
+    calibrability: InputFile
+    improvements: InputFile
 
 
-class SelfCalibrationsConfig(Section):
+class SelfCalibrationsConfig(ExperimentConfig):
     """Simulated self-calibrations with different sets of sensors, as in Šika et al. (2008)."""
 
     kind: Literal["self_calibrations"]
-    name: Name
-    title: str
-    seed: Annotated[int, Field(ge=0)]
-    machine: str
+    machine: InputFile
     calibrations: Repeats = 200
     sensors: dict[str, ReadingSensorConfig]
     tolerances: ReadingTolerancesConfig

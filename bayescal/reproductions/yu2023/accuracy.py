@@ -10,11 +10,13 @@ import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results
 from bayescal.files.csv_tables import read_table
 from bayescal.numerics.geometry import Array
+from bayescal.reproductions.yu2023.describe import PERCENTILES, describe, list_records
 from bayescal.reproductions.yu2023.evaluate import PoseErrors
 from bayescal.reproductions.yu2023.least_squares import Calibrations, Weighting
-from bayescal.reproductions.yu2023.outcome import PERCENTILES, Outcome, describe, list_records
 from bayescal.reproductions.yu2023.schema import AccuracyStudyConfig, PoseNoiseConfig
 from bayescal.reproductions.yu2023.setting import ERROR_SYMBOLS, CommandedPoses, Setting, noise_scale, select_all
 
@@ -41,25 +43,23 @@ def spread_selections(selected: list[CommandedPoses], repeats: int) -> Commanded
     return CommandedPoses(coordinates, np.stack([poses.actuators for poses in selected])[turn])
 
 
-def run_accuracy(setting: Setting, study: AccuracyStudyConfig, workers: int) -> Outcome:
+def run_accuracy(setting: Setting, study: AccuracyStudyConfig, run: Run) -> Results:
     """Return the distribution of table 8's figures, of the parameters and of what weights gain."""
     seeds = np.random.SeedSequence(setting.config.seed).spawn(study.selections + 1)
     rng = np.random.default_rng(seeds[-1])
     truth = np.tile(setting.read_machine(study.parameter_errors), (study.repeats, 1))
-    selected = select_all(setting, [(INDEX, study.poses)] * study.selections, seeds[:-1], workers)
+    selected = select_all(setting, [(INDEX, study.poses)] * study.selections, seeds[:-1], run, "selections")
     sets = {
         "optimal": spread_selections(selected, study.repeats),
         "random": setting.draw_random(study.poses, study.repeats, rng),
     }
     noise = noise_scale(study.noise) * rng.standard_normal((study.repeats, study.poses, 6))
     weightings = list_weightings(study.noise, setting.config.parameter_error_mm)
-    found: dict[tuple[str, str], Calibrations] = {}
-    errors: dict[tuple[str, str], PoseErrors] = {}
-    for method, poses in sets.items():
-        measured = setting.stand(truth, poses) + noise
-        for name, weighting in weightings.items():
-            found[method, name] = setting.calibrate(poses, measured, weighting)
-            errors[method, name] = setting.evaluate(truth, found[method, name].theta)
+    tasks = {f"{method} {name}": (method, name) for method in METHODS for name in weightings}
+    shared = (setting, study, truth, sets, noise)
+    calibrated = run.map("calibrations", _calibrate, shared, tasks, (Calibrations, PoseErrors))
+    found = {tasks[name]: one for name, (one, _) in calibrated.items()}
+    errors = {tasks[name]: one for name, (_, one) in calibrated.items()}
     repeats = _list_repeats(truth, found, errors)
     published = _read_figures(setting, study.published)
     table = _describe_figures(repeats, published)
@@ -74,7 +74,17 @@ def run_accuracy(setting: Setting, study: AccuracyStudyConfig, workers: int) -> 
         "verification": _list_verification(errors),
     }
     values = [poses.value for poses in selected]
-    return Outcome(tables, _summarise(tables, values) | _judge_published(repeats, published))
+    return Results(_summarise(tables, values) | _judge_published(repeats, published), tables)
+
+
+def _calibrate(
+    shared: tuple[Setting, AccuracyStudyConfig, Array, dict[str, CommandedPoses], Array], task: tuple[str, str]
+) -> tuple[Calibrations, PoseErrors]:
+    """Return all repeats' calibrations with one set of poses and one weighting, and their errors."""
+    (setting, study, truth, sets, noise), (method, name) = shared, task
+    weighting = list_weightings(study.noise, setting.config.parameter_error_mm)[name]
+    found = setting.calibrate(sets[method], setting.reach_poses(truth, sets[method]) + noise, weighting)
+    return found, setting.evaluate(truth, found.theta)
 
 
 def _list_repeats(

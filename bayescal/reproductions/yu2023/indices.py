@@ -15,10 +15,12 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results
 from bayescal.files.csv_tables import read_table
 from bayescal.numerics.geometry import Array
+from bayescal.reproductions.yu2023.describe import describe, list_records
 from bayescal.reproductions.yu2023.least_squares import Weighting
-from bayescal.reproductions.yu2023.outcome import Outcome, describe, list_records
 from bayescal.reproductions.yu2023.schema import ConditionConfig, IndexStudyConfig
 from bayescal.reproductions.yu2023.setting import CommandedPoses, Setting, noise_scale, select_all
 
@@ -27,10 +29,11 @@ UNIT = "deg"
 PLAIN = Weighting(np.ones(6))
 LEVEL = 0.95
 type Published = dict[tuple[str, str], float]
+type Selected = dict[tuple[str, str], list[CommandedPoses]]
 type Seeds = Sequence[np.random.SeedSequence]
 
 
-def run_indices(setting: Setting, study: IndexStudyConfig, workers: int) -> Outcome:
+def run_indices(setting: Setting, study: IndexStudyConfig, run: Run) -> Results:
     """Return table 4 as the paper makes it, with the distribution over noise and selections."""
     pairs, n_draws = len(study.conditions) * len(study.indices), len(study.conditions) + 1
     counts = [study.selections, *[1] * len(study.workspace_scales)]
@@ -40,7 +43,8 @@ def run_indices(setting: Setting, study: IndexStudyConfig, workers: int) -> Outc
     scales, parts = [1.0, *study.workspace_scales], []
     for k, scale in enumerate(scales):
         scaled = setting if scale == 1.0 else setting.scale_workspace(scale)
-        parts.append(_run(scaled, study, seeds[:n_draws], seeds[starts[k] : starts[k + 1]], workers))
+        what = f"workspace {scale:g}"
+        parts.append(_run(scaled, study, seeds[:n_draws], seeds[starts[k] : starts[k + 1]], run, what))
     tables = parts[0]
     tables["table4"] = _tabulate(tables, published)
     tables["best"] = _find_best(tables["noise_draws"], study.conditions)
@@ -49,11 +53,11 @@ def run_indices(setting: Setting, study: IndexStudyConfig, workers: int) -> Outc
     summary = _summarise(tables, study.indices[0])
     chances = [_share_everywhere(part["noise_draws"], study.indices[0]) for part in parts]
     summary["workspaces"] = _compare_workspaces(tables["workspaces"], chances)
-    return Outcome(tables, summary)
+    return Results(summary, tables)
 
 
 def _run(
-    setting: Setting, study: IndexStudyConfig, draw_seeds: Seeds, selection_seeds: Seeds, workers: int
+    setting: Setting, study: IndexStudyConfig, draw_seeds: Seeds, selection_seeds: Seeds, run: Run, what: str
 ) -> dict[str, pd.DataFrame]:
     """Return the calibrations over noise draws, as many selections as there are seeds for, and over parameter sets.
 
@@ -61,29 +65,44 @@ def _run(
     """
     n_selections = len(selection_seeds) // (len(study.conditions) * len(study.indices))
     choices = [(i, c.poses) for c in study.conditions for i in study.indices for _ in range(n_selections)]
-    selected = iter(select_all(setting, choices, selection_seeds, workers))
-    machines = setting.draw_machines(study.parameter_sets, np.random.default_rng(draw_seeds[0]))
+    selected = iter(select_all(setting, choices, selection_seeds, run, f"{what}, selections"))
+    poses: Selected = {
+        (c.name, i): [next(selected) for _ in range(n_selections)] for c in study.conditions for i in study.indices
+    }
+    shared = (setting, study, draw_seeds[0], poses)
+    tasks = {f"{c.name}": (c, seed) for c, seed in zip(study.conditions, draw_seeds[1:], strict=True)}
+    found = list(run.map(f"{what}, calibrations", _calibrate_condition, shared, tasks).values())
+    names = ("parameter_sets", "noise_draws", "selections")
+    return {name: pd.concat([one[name] for one in found], ignore_index=True) for name in names}
+
+
+def _calibrate_condition(
+    shared: tuple[Setting, IndexStudyConfig, np.random.SeedSequence, Selected],
+    task: tuple[ConditionConfig, np.random.SeedSequence],
+) -> dict[str, pd.DataFrame]:
+    """Return the calibrations under one condition, those over parameter sets with the first selections only."""
+    (setting, study, machine_seed, selected), (condition, seed) = shared, task
+    machines = setting.draw_machines(study.parameter_sets, np.random.default_rng(machine_seed))
+    rng = np.random.default_rng(seed)
+    own = setting.draw_machines(study.noise_draws, rng)
+    noise = noise_scale(condition) * rng.standard_normal((study.noise_draws, condition.poses, 6))
     sets, draws, values = [], [], []
-    for condition, seed in zip(study.conditions, draw_seeds[1:], strict=True):
-        rng = np.random.default_rng(seed)
-        own = setting.draw_machines(study.noise_draws, rng)
-        noise = noise_scale(condition) * rng.standard_normal((study.noise_draws, condition.poses, 6))
-        for index in study.indices:
-            for k in range(n_selections):
-                poses = next(selected)
-                label: dict[str, object] = {"condition": condition.name, "index": index, "selection": k + 1}
-                values.append(label | {"value": poses.value})
-                draws.append(_calibrate(setting, label, poses, own, noise))
-                if k == 0:
-                    sets.append(_calibrate(setting, label, poses, machines, noise[:1]))
-    return {"parameter_sets": pd.concat(sets), "noise_draws": pd.concat(draws), "selections": pd.DataFrame(values)}
+    for index in study.indices:
+        for k, poses in enumerate(selected[condition.name, index]):
+            label: dict[str, object] = {"condition": condition.name, "index": index, "selection": k + 1}
+            values.append(label | {"value": poses.value})
+            draws.append(_calibrate(setting, label, poses, own, noise))
+            if k == 0:
+                sets.append(_calibrate(setting, label, poses, machines, noise[:1]))
+    frames = {"parameter_sets": pd.concat(sets), "noise_draws": pd.concat(draws), "selections": pd.DataFrame(values)}
+    return {name: frame.reset_index(drop=True) for name, frame in frames.items()}
 
 
 def _calibrate(
     setting: Setting, label: dict[str, object], poses: CommandedPoses, truth: Array, noise: Array
 ) -> pd.DataFrame:
     """Return the integrated errors of machines (B, D), one row each; NaN where a calibration did not converge."""
-    found = setting.calibrate(poses, setting.stand(truth, poses) + noise, PLAIN)
+    found = setting.calibrate(poses, setting.reach_poses(truth, poses) + noise, PLAIN)
     error = setting.evaluate(truth, np.where(found.converged[:, None], found.theta, np.nan))
     columns = {"draw": np.arange(1, len(truth) + 1)} | {unit: error.integrated(unit) for unit in UNITS}
     return pd.DataFrame(label | columns | {"iterations": found.n_iterations})

@@ -5,43 +5,60 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results
 from bayescal.numerics.geometry import Array
 from bayescal.reproductions.yu2023.accuracy import INDEX, METHODS, list_weightings, spread_selections
-from bayescal.reproductions.yu2023.outcome import Outcome, describe
+from bayescal.reproductions.yu2023.describe import describe
 from bayescal.reproductions.yu2023.schema import NumberStudyConfig
-from bayescal.reproductions.yu2023.setting import Setting, noise_scale, select_all
+from bayescal.reproductions.yu2023.setting import CommandedPoses, Setting, noise_scale, select_all
 
 UNIT = "deg"
 
 
-def run_numbers(setting: Setting, study: NumberStudyConfig, workers: int) -> Outcome:
+def run_numbers(setting: Setting, study: NumberStudyConfig, run: Run) -> Results:
     """Return mean and spread of dX_z (mm and deg) for each number of poses, with and without weights."""
     count = len(study.poses)
     seeds = np.random.SeedSequence(setting.config.seed).spawn(count * (study.selections + 1))
     choices = [(INDEX, n) for n in study.poses for _ in range(study.selections)]
-    selected = select_all(setting, choices, seeds[count:], workers)
+    selected = select_all(setting, choices, seeds[count:], run, "selections")
     truth = np.tile(setting.read_machine(study.parameter_errors), (study.repeats, 1))
-    weightings = list_weightings(study.noise, setting.config.parameter_error_mm)
+    tasks = {
+        f"{n}": (n, seeds[k], selected[k * study.selections : (k + 1) * study.selections])
+        for k, n in enumerate(study.poses)
+    }
+    found = run.map("calibrations", _calibrate_number, (setting, study, truth), tasks)
     rows: list[dict[str, object]] = []
     fewest: dict[tuple[str, str], Array] = {}
-    for k, n in enumerate(study.poses):
-        rng = np.random.default_rng(seeds[k])
-        noise = noise_scale(study.noise) * rng.standard_normal((study.repeats, n, 6))
-        ours = selected[k * study.selections : (k + 1) * study.selections]
-        sets = (spread_selections(ours, study.repeats), setting.draw_random(n, study.repeats, rng))
-        for method, poses in zip(METHODS, sets, strict=True):
-            measured = setting.stand(truth, poses) + noise
-            for name in ("unweighted", "weighted"):
-                found = setting.calibrate(poses, measured, weightings[name])
-                kept = found.converged
-                values = setting.evaluate(truth[kept], found.theta[kept]).integrated(UNIT)
-                row: dict[str, object] = {"poses": method, "weighting": name, "n_poses": n}
-                row["failed"] = int((~kept).sum())
-                few = fewest.setdefault((method, name), values)
-                row["share_no_better"] = float(np.mean(values[:, None] >= few))  # of pairs with the fewest poses
-                rows.append(row | describe(values))
+    for n, calibrated in zip(study.poses, found.values(), strict=True):
+        for (method, name), (values, failed) in calibrated.items():
+            row: dict[str, object] = {"poses": method, "weighting": name, "n_poses": n, "failed": failed}
+            few = fewest.setdefault((method, name), values)
+            row["share_no_better"] = float(np.mean(values[:, None] >= few))  # of pairs with the fewest poses
+            rows.append(row | describe(values))
     table = pd.DataFrame(rows)
-    return Outcome({"figure10": table}, _summarise(table))
+    return Results(_summarise(table), {"figure10": table})
+
+
+def _calibrate_number(
+    shared: tuple[Setting, NumberStudyConfig, Array],
+    task: tuple[int, np.random.SeedSequence, list[CommandedPoses]],
+) -> dict[tuple[str, str], tuple[Array, int]]:
+    """Return dX_z of every calibration that converged and how many did not, by poses and weights."""
+    (setting, study, truth), (n, seed, selected) = shared, task
+    weightings = list_weightings(study.noise, setting.config.parameter_error_mm)
+    rng = np.random.default_rng(seed)
+    noise = noise_scale(study.noise) * rng.standard_normal((study.repeats, n, 6))
+    sets = (spread_selections(selected, study.repeats), setting.draw_random(n, study.repeats, rng))
+    calibrated = {}
+    for method, poses in zip(METHODS, sets, strict=True):
+        measured = setting.reach_poses(truth, poses) + noise
+        for name in ("unweighted", "weighted"):
+            found = setting.calibrate(poses, measured, weightings[name])
+            kept = found.converged
+            values = setting.evaluate(truth[kept], found.theta[kept]).integrated(UNIT)
+            calibrated[method, name] = values, int((~kept).sum())
+    return calibrated
 
 
 def _summarise(table: pd.DataFrame) -> dict[str, object]:

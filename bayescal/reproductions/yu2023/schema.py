@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from bayescal.config.schema import Positive, Section
-from bayescal.experiments.audit.schema import Extent, Name
+from bayescal.config.sections import ExperimentConfig, InputFile, Name, Positive, Section
+from bayescal.experiments.shared.schema import Extent
 
 type Count = Annotated[int, Field(ge=1, le=100_000)]
 type Repeats = Annotated[int, Field(ge=2, le=100_000)]
@@ -53,7 +53,7 @@ class IndexStudyConfig(Section):
     noise_draws: Repeats = 200
     selections: Annotated[int, Field(ge=2, le=1000)] = 4
     workspace_scales: list[Positive] = Field(default_factory=list)
-    published: str | None = None
+    published: InputFile | None = None
 
 
 class AccuracyStudyConfig(Section):
@@ -64,9 +64,9 @@ class AccuracyStudyConfig(Section):
     noise: PoseNoiseConfig
     repeats: Repeats = 200
     selections: Annotated[int, Field(ge=1, le=1000)] = 4
-    parameter_errors: str
-    published: str | None = None
-    published_parameters: str | None = None
+    parameter_errors: InputFile
+    published: InputFile | None = None
+    published_parameters: InputFile | None = None
 
 
 class NumberStudyConfig(Section):
@@ -77,20 +77,17 @@ class NumberStudyConfig(Section):
     noise: PoseNoiseConfig
     repeats: Repeats = 200
     selections: Annotated[int, Field(ge=1, le=1000)] = 4
-    parameter_errors: str
+    parameter_errors: InputFile
 
 
 type StudyOfConfig = Annotated[IndexStudyConfig | AccuracyStudyConfig | NumberStudyConfig, Field(discriminator="of")]
 
 
-class HexapodCalibrationsConfig(Section):
+class HexapodCalibrationsConfig(ExperimentConfig):
     """Many simulated calibrations of a hexapod, as in Yu, Wu and Wang (2023)."""
 
     kind: Literal["hexapod_calibrations"]
-    name: Name
-    title: str
-    seed: Annotated[int, Field(ge=0)]
-    mechanism: str
+    mechanism: InputFile
     workspace: BoxConfig
     selection: TabuConfig = TabuConfig()
     parameter_error_mm: Positive = 0.5

@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-import joblib
 import numpy as np
 
-from bayescal.config.load import load_mechanism
 from bayescal.errors import InputError
+from bayescal.experiments.frame.parallel import Run
 from bayescal.files.csv_tables import read_table
 from bayescal.identifiability.design import Knowledge
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import Machine, build_machine, check_home_pose
 from bayescal.machines.models.six_ups import SixUps
+from bayescal.machines.read import load_mechanism
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection import CRITERIA, Candidates, SelectionProblem, WorkspaceBox, even_candidates, select
 from bayescal.pose_selection.methods import TabuDetmax
@@ -117,7 +117,7 @@ class Setting:
             theta[layout.index[symbol]] += values[:, k]
         return theta
 
-    def stand(self, truth: Array, poses: CommandedPoses) -> Array:
+    def reach_poses(self, truth: Array, poses: CommandedPoses) -> Array:
         """Return where machines (B, D) stand, shape (B, P, 6), when the poses are commanded.
 
         Raises
@@ -161,17 +161,16 @@ def noise_scale(noise: PoseNoiseConfig) -> Array:
 
 
 def select_all(
-    setting: Setting, choices: Sequence[tuple[str, int]], seeds: Sequence[np.random.SeedSequence], workers: int
+    setting: Setting, choices: Sequence[tuple[str, int]], seeds: Sequence[np.random.SeedSequence], run: Run, what: str
 ) -> list[CommandedPoses]:
-    """Return the poses of choices (index, n), each with its own seed; the number of workers changes nothing."""
+    """Return the poses of choices (index, n), each with its own seed; ``what`` names the stage."""
     for index, n in dict.fromkeys(choices):
         setting.problem(index, n)
-    if workers == 1 or len(choices) < 2:
-        return [_select(setting, *choice, seed) for choice, seed in zip(choices, seeds, strict=True)]
-    parallel = joblib.Parallel(n_jobs=workers, inner_max_num_threads=1)
     pairs = zip(choices, seeds, strict=True)
-    return list(parallel(joblib.delayed(_select)(setting, *choice, seed) for choice, seed in pairs))
+    tasks = {f"{k} {index} {n}": (index, n, seed) for k, ((index, n), seed) in enumerate(pairs)}
+    return list(run.map(what, _select, setting, tasks, (CommandedPoses,)).values())
 
 
-def _select(setting: Setting, index: str, n: int, seed: np.random.SeedSequence) -> CommandedPoses:
+def _select(setting: Setting, task: tuple[str, int, np.random.SeedSequence]) -> CommandedPoses:
+    index, n, seed = task
     return setting.select(index, n, np.random.default_rng(seed))

@@ -15,9 +15,9 @@ from bayescal.experiments.shared.reading_machine import (
     draw_poses,
     free_parameters,
     poses_about_home,
-    read_sliding_platform,
     workspace_volume,
 )
+from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings.schema import PlanarPosesConfig, ReadingSensorConfig
 
 

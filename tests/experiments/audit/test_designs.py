@@ -7,11 +7,11 @@ import json
 import audit_problems as problems
 import numpy as np
 import pytest
+from bayescal.experiments.audit.run import compute_audit
 
 from bayescal.experiments.audit.audit import analyse
 from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit
-from bayescal.experiments.audit.run import compute_audit
 
 NULLS = {"six_pus": 6, "beam": 6, "jacobian": {"none": 24, "linear": 30, "matrix": 30}}
 HEXAPODS = {"camera_hexapod": (42, 42), "m2_hexapod": (42, 42), "camera_hexapod_frames": (54, 42)}

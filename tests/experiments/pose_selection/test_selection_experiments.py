@@ -11,6 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import studies
+from bayescal.experiments.pose_selection.run import run_pose_selection
+from bayescal.identifiability.requirements import find_limits
 
 from bayescal.config import load_experiment
 from bayescal.errors import InputError
@@ -22,10 +24,8 @@ from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.results import summarise
 from bayescal.experiments.pose_selection.accuracy import judge_poses
 from bayescal.experiments.pose_selection.inputs import read_selection
-from bayescal.experiments.pose_selection.run import run_pose_selection
 from bayescal.experiments.pose_selection.tables import tabulate_random_sets
 from bayescal.experiments.pose_selection.tasks import run_tasks
-from bayescal.identifiability.requirement_limits import find_limits
 from bayescal.identifiability.sensitivity import compute_sensitivity
 
 FOLDER = studies.EXPERIMENTS / "pose_selection"

@@ -7,9 +7,9 @@ import json
 import pandas as pd
 import pytest
 import studies
+from bayescal.experiments.pose_selection.run import identify_selection
 
 from bayescal.config import load_experiment
-from bayescal.experiments.pose_selection.run import identify_selection
 from bayescal.experiments.study.inputs import hash_identity
 
 FOLDER = studies.EXPERIMENTS / "pose_selection"

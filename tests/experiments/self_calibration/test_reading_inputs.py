@@ -170,7 +170,8 @@ def test_poses_where_legs_cross(call, tmp_path, monkeypatch):
     import shutil
 
     shutil.copytree(EXPERIMENT, "star")
-    from bayescal.experiments.shared.reading_machine import poses_about_home, read_sliding_platform
+    from bayescal.experiments.shared.reading_machine import poses_about_home
+    from bayescal.machines.read import read_sliding_platform
 
     model = read_sliding_platform(Path("star/machine.toml"))
     turned = poses_about_home(model, np.array([[0.0, 0.0, np.radians(120.0)]]))

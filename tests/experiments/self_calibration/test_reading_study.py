@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from bayescal.experiments.self_calibration.run import compute_outcome, run_self_calibration
 from reading_machines import EXPERIMENT
 from reading_studies import copy_shipped, describe_variant, load_small, write_small
 
@@ -22,7 +23,6 @@ from bayescal.experiments.self_calibration.blunders import check_readings
 from bayescal.experiments.self_calibration.fit import fit_variant
 from bayescal.experiments.self_calibration.identifiability import audit_variant, compute_rows
 from bayescal.experiments.self_calibration.page.verdict import explains, list_rows, write_names
-from bayescal.experiments.self_calibration.run import compute_outcome, run_self_calibration
 from bayescal.experiments.self_calibration.tables import rank_models, tabulate
 from bayescal.experiments.self_calibration.tool import assess_tool, predict_tool
 from bayescal.experiments.study.inputs import hash_identity

@@ -14,11 +14,11 @@ import pytest
 import studies
 
 from bayescal.config import load_experiment, load_simulation
-from bayescal.config.schema import StudyConfig
 from bayescal.data.photogrammetry.poses import PoseExtraction, extract_poses
 from bayescal.data.photogrammetry.survey import Survey
 from bayescal.data.simulation import Twin, build_twin, simulate_survey
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.schema import StudyConfig
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import count_walkers, explore
 from bayescal.machines.kinematics import solve_forward_kinematics

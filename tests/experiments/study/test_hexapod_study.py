@@ -10,10 +10,10 @@ import hexapods
 import pandas as pd
 import pytest
 import studies
+from bayescal.experiments.study.run import run_study
 
 from bayescal.config import load_experiment
 from bayescal.errors import InputError
-from bayescal.experiments.study.run import run_study
 
 
 @pytest.fixture(scope="module", params=hexapods.LIMITS)

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 import studies
+from bayescal.experiments.study.run import run_study
 
 from bayescal.config import load_experiment
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.study import run as run_module
-from bayescal.experiments.study.run import run_study
 
 
 @pytest.fixture

@@ -15,13 +15,13 @@ import pandas as pd
 import pytest
 import studies
 import xarray as xr
+from bayescal.experiments.study.run import StudyResult, run_study
 
 from bayescal.config import load_experiment
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.study import run as run_module
 from bayescal.experiments.study.fit import list_tasks, run_task
 from bayescal.experiments.study.inputs import hash_identity
-from bayescal.experiments.study.run import StudyResult, run_study
 
 VARIANTS = {"six_pus/none": 7, "six_pus/matrix": 13}
 NUMBERS = (

@@ -21,7 +21,7 @@ from bayescal.reproductions.rr8096.claims import (
     FAILS,
     HOLDS,
     UNTESTABLE,
-    Subject,
+    ClaimEvidence,
     accuracy,
     geometry,
     identifiability,
@@ -39,7 +39,7 @@ COLUMNS = ["claim", "section", "statement", "expected", "found", "value", "unit"
 
 def build_subject(
     scale: float = 1.0, noise: float = 1.0, deformation: str = "matrix", theta=None, mechanism=None, **changes: object
-) -> Subject:
+) -> ClaimEvidence:
     """Return the telescope at the poses of table 3, drawn together by a scale, with its noise times a factor."""
     mechanism = mechanism or machines.build_telescope()
     truth = machines.build_machine(deformation, mechanism)
@@ -64,53 +64,53 @@ def build_subject(
         "variants": {},
         "published": {},
     }
-    return Subject(**(fields | changes))
+    return ClaimEvidence(**(fields | changes))
 
 
-def with_fits(subject: Subject, *names: str) -> Subject:
-    """Return the subject with least squares of some variants, the report's parameters free."""
+def with_fits(evidence: ClaimEvidence, *names: str) -> ClaimEvidence:
+    """Return the evidence with least squares of some variants, the report's parameters free."""
     fits, free = {}, {}
     for name in names:
         free[name] = tuple(sorted(FREE[name.split("/")[1]]))
-        fits[name] = identify(subject.machine(*name.split("/")), subject.poses, free[name])
-    return replace(subject, fits=fits, free=free)
+        fits[name] = identify(evidence.machine(*name.split("/")), evidence.poses, free[name])
+    return replace(evidence, fits=fits, free=free)
 
 
-def with_offsets(subject: Subject, offsets: dict[str, dict[str, object]]) -> Subject:
-    """Return the subject as if least squares had found these offsets."""
+def with_offsets(evidence: ClaimEvidence, offsets: dict[str, dict[str, object]]) -> ClaimEvidence:
+    """Return the evidence as if least squares had found these offsets."""
     fits, free = {}, {}
     for name, values in offsets.items():
-        layout = subject.machine(*name.split("/")).layout
+        layout = evidence.machine(*name.split("/")).layout
         theta, free[name] = layout.nominal.copy(), tuple(sorted(FREE[name.split("/")[1]]))
         for symbol, value in values.items():
             theta[layout.index[symbol]] += value
         fits[name] = LeastSquaresFit(theta, np.full(6, 1e-3), 1.0, 36, True)
-    return replace(subject, fits=fits, free=free)
+    return replace(evidence, fits=fits, free=free)
 
 
-def run(function, subject: Subject) -> dict[str, claims.Claim]:
-    return {claim.claim: claim for claim in function(subject)}
+def run(function, evidence: ClaimEvidence) -> dict[str, claims.Claim]:
+    return {claim.claim: claim for claim in function(evidence)}
 
 
-def verdict_of(function, subject: Subject) -> str:
+def verdict_of(function, evidence: ClaimEvidence) -> str:
     """Return the verdict of a function with one claim."""
-    (claim,) = function(subject)
+    (claim,) = function(evidence)
     return claim.verdict
 
 
 @pytest.fixture(scope="module")
-def telescope() -> Subject:
+def telescope() -> ClaimEvidence:
     return build_subject()
 
 
 @pytest.fixture(scope="module")
-def small() -> Subject:
+def small() -> ClaimEvidence:
     """Return the telescope with a tenth of the motor range."""
     return build_subject(scale=0.1)
 
 
 @pytest.fixture(scope="module")
-def sharp() -> Subject:
+def sharp() -> ClaimEvidence:
     """Return the telescope with five times the motor range and a ten-thousandth of the noise."""
     return build_subject(scale=5.0, noise=1e-4)
 
@@ -248,8 +248,8 @@ def test_what_noise_hides_is_seen_without(telescope, sharp, function, names):
 
 
 def test_jacobian_never_tells_the_second_direction(telescope, sharp):
-    for subject in (telescope, sharp):
-        found = run(identifiability.one_of_directions, subject)["one_of_directions_jacobian"]
+    for evidence in (telescope, sharp):
+        found = run(identifiability.one_of_directions, evidence)["one_of_directions_jacobian"]
         assert found.verdict == HOLDS
         assert found.value < 0.05  # what the tolerance of a says of u by a joint that is known
 
@@ -290,10 +290,10 @@ def test_tolerances_have_the_units_of_their_parameters(telescope):
 
 
 def test_insensitive_to_start(telescope):
-    subject = with_fits(telescope, "six_pus/linear")
-    assert verdict_of(identification.insensitive_to_start, subject) == HOLDS
-    fit = subject.fits["six_pus/linear"]
-    elsewhere = replace(subject, fits={"six_pus/linear": replace(fit, theta=fit.theta + 0.1)})
+    evidence = with_fits(telescope, "six_pus/linear")
+    assert verdict_of(identification.insensitive_to_start, evidence) == HOLDS
+    fit = evidence.fits["six_pus/linear"]
+    elsewhere = replace(evidence, fits={"six_pus/linear": replace(fit, theta=fit.theta + 0.1)})
     assert verdict_of(identification.insensitive_to_start, elsewhere) == FAILS
 
 
@@ -319,20 +319,20 @@ def test_initial_positions_accuracy(telescope, sharp, monkeypatch):
 
 @pytest.mark.parametrize(("u_x", "verdict"), [(0.15, HOLDS), (0.02, FAILS)])
 def test_directions_far(telescope, u_x, verdict):
-    subject = with_offsets(telescope, {"six_pus/none": {"u_x": u_x}})
-    assert verdict_of(identification.directions_far, subject) == verdict
+    evidence = with_offsets(telescope, {"six_pus/none": {"u_x": u_x}})
+    assert verdict_of(identification.directions_far, evidence) == verdict
 
 
 @pytest.mark.parametrize(("moved", "verdict"), [(0.05, HOLDS), (0.5, FAILS)])
 def test_same_parameters(telescope, moved, verdict):
-    subject = with_offsets(telescope, {"six_pus/none": {"b_x": 2.0}, "six_pus/linear": {"b_x": 2.0 + moved}})
-    assert verdict_of(identification.same_parameters, subject) == verdict
+    evidence = with_offsets(telescope, {"six_pus/none": {"b_x": 2.0}, "six_pus/linear": {"b_x": 2.0 + moved}})
+    assert verdict_of(identification.same_parameters, evidence) == verdict
 
 
 def test_direction_takes_kappa(telescope):
     """By least squares on the twin, and not where u_x does not answer to κ."""
-    subject = with_fits(telescope, "six_pus/none", "six_pus/linear")
-    (claim,) = identification.direction_takes_kappa(subject)
+    evidence = with_fits(telescope, "six_pus/none", "six_pus/linear")
+    (claim,) = identification.direction_takes_kappa(evidence)
     assert (claim.verdict, claim.value < 0.06) == (HOLDS, True)
     untouched = with_offsets(telescope, {"six_pus/none": {"u_x": 0.0}, "six_pus/linear": {"kappa": 0.01}})
     assert verdict_of(identification.direction_takes_kappa, untouched) == FAILS
@@ -354,22 +354,22 @@ def test_orientation_without_equilibrium(telescope, stiff, verdict):
     truth = dict(machines.TABLE_7A)
     del truth["kappa"]
     tilted = truth | {"l": np.array(truth["l"]) + stiff * np.array([0.1, -0.1, 0.1, -0.1, 0.1, -0.1])}
-    subject = with_offsets(telescope, {"six_pus/none": truth, "stiffness/none": tilted})
-    assert verdict_of(identification.orientation_without_equilibrium, subject) == verdict
+    evidence = with_offsets(telescope, {"six_pus/none": truth, "stiffness/none": tilted})
+    assert verdict_of(identification.orientation_without_equilibrium, evidence) == verdict
 
 
-def published_move(subject: Subject, share: float, model: str = "stiffness") -> dict[str, dict[str, np.ndarray]]:
+def published_move(evidence: ClaimEvidence, share: float, model: str = "stiffness") -> dict[str, dict[str, np.ndarray]]:
     """Return tables in which a and b move from (a) to (d) by a share of what least squares finds."""
     names = ("six_pus/none", f"{model}/none")
-    base, own = (subject.offsets(name) for name in names)
+    base, own = (evidence.offsets(name) for name in names)
     return {names[0]: base, names[1]: {s: base[s] + share * (own[s] - base[s]) for s in base}}
 
 
 def test_stiffness_objective(telescope):
-    subject = with_fits(telescope, "six_pus/none", "stiffness/none")
+    evidence = with_fits(telescope, "six_pus/none", "stiffness/none")
     for share, verdict in ((1.0, HOLDS), (-1.0, FAILS), (50.0, UNTESTABLE)):
-        published = published_move(subject, share)
-        (claim,) = tables.stiffness_objective(replace(subject, published=published))
+        published = published_move(evidence, share)
+        (claim,) = tables.stiffness_objective(replace(evidence, published=published))
         assert claim.verdict == verdict
         assert claim.value == pytest.approx(math.copysign(1.0, share))
         assert claim.claim == "stiffness_objective_table5"
@@ -378,15 +378,15 @@ def test_stiffness_objective(telescope):
 @pytest.mark.parametrize(("printed", "verdict"), [(0.1, HOLDS), (1.0, FAILS)])
 def test_beam_kappa(telescope, printed, verdict):
     kappa = np.array(machines.TABLE_7A["kappa"])
-    subject = with_offsets(telescope, {f"{model}/matrix": machines.TABLE_7A for model in ("six_pus", "beam")})
+    evidence = with_offsets(telescope, {f"{model}/matrix": machines.TABLE_7A for model in ("six_pus", "beam")})
     published = {"six_pus/matrix": machines.TABLE_7A, "beam/matrix": machines.TABLE_7A | {"kappa": printed * kappa}}
     arrays = {name: {s: np.array(v) for s, v in table.items()} for name, table in published.items()}
-    assert verdict_of(tables.beam_kappa, replace(subject, published=arrays)) == verdict
+    assert verdict_of(tables.beam_kappa, replace(evidence, published=arrays)) == verdict
 
 
 def test_claims_on_tables_need_the_reports_parameters(telescope):
-    subject = with_offsets(telescope, {"six_pus/none": {"u_x": 0.15}})
-    more = replace(subject, free={"six_pus/none": (*subject.free["six_pus/none"], "u_y")})
+    evidence = with_offsets(telescope, {"six_pus/none": {"u_x": 0.15}})
+    more = replace(evidence, free={"six_pus/none": (*evidence.free["six_pus/none"], "u_y")})
     assert not list(identification.directions_far(more))
 
 
@@ -408,8 +408,8 @@ def summarise(position: float, orientation: float, evidence: float, distance: fl
     }
 
 
-def with_summary(subject: Subject, **changes: dict[str, object]) -> Subject:
-    """Return the subject with all twelve variants alike but for changes by ``model_deformation``."""
+def with_summary(evidence: ClaimEvidence, **changes: dict[str, object]) -> ClaimEvidence:
+    """Return the evidence with all twelve variants alike but for changes by ``model_deformation``."""
     usual = {
         "none": {"position": 14.0, "orientation": 0.009, "evidence": 1200.0, "distance": 2.1},
         "linear": {"position": 14.0, "orientation": 0.009, "evidence": 1200.0, "distance": 2.0},
@@ -420,7 +420,7 @@ def with_summary(subject: Subject, **changes: dict[str, object]) -> Subject:
         for model in ("six_pus", "jacobian", "beam", "stiffness")
         for d, values in usual.items()
     }
-    return replace(subject, variants=variants)
+    return replace(evidence, variants=variants)
 
 
 POSTERIOR_CLAIMS = [
@@ -465,9 +465,9 @@ def test_hardware_is_not_testable_on_a_twin(telescope):
 
 
 def test_every_claim_has_its_columns_and_order(telescope):
-    subject = with_summary(with_fits(telescope, "six_pus/none", "six_pus/linear", "six_pus/matrix"))
-    published = {name: subject.offsets(name) for name in subject.fits}
-    table = tabulate_claims(replace(subject, published=published))
+    evidence = with_summary(with_fits(telescope, "six_pus/none", "six_pus/linear", "six_pus/matrix"))
+    published = {name: evidence.offsets(name) for name in evidence.fits}
+    table = tabulate_claims(replace(evidence, published=published))
     assert list(table.columns) == COLUMNS
     assert table["claim"].is_unique
     assert set(table["verdict"]) == {HOLDS, FAILS, UNTESTABLE}
@@ -485,7 +485,7 @@ def test_every_claim_has_its_columns_and_order(telescope):
 
 
 def test_failed_computation_costs_its_claim_alone(telescope, monkeypatch):
-    def fail(subject):
+    def fail(evidence):
         """Section 4: as if."""
         raise NumericalError("no pose")
         yield
@@ -518,16 +518,16 @@ def test_machine_of_eight_legs(monkeypatch):
 def test_study_gives_its_subject(tmp_path):
     inputs = studies.load_study(studies.write_tiny_study(tmp_path))
     fits = identify_variants(inputs)
-    subject = Subject.from_study(inputs, {"variants": {}}, fits)
-    assert subject.simulated
-    assert subject.poses.n_poses == studies.N_CALIBRATION
-    assert subject.all_poses.n_poses == studies.N_CALIBRATION + studies.N_VERIFICATION
-    assert subject.target_noise == 3e-3
-    assert subject.actuator_noise == 1e-3
-    np.testing.assert_array_equal(subject.published["six_pus/matrix"]["l"], [0.37, -0.45, 1.02, 0.25, 0.43, 0.58])
+    evidence = ClaimEvidence.from_study(inputs, {"variants": {}}, fits)
+    assert evidence.simulated
+    assert evidence.poses.n_poses == studies.N_CALIBRATION
+    assert evidence.all_poses.n_poses == studies.N_CALIBRATION + studies.N_VERIFICATION
+    assert evidence.target_noise == 3e-3
+    assert evidence.actuator_noise == 1e-3
+    np.testing.assert_array_equal(evidence.published["six_pus/matrix"]["l"], [0.37, -0.45, 1.02, 0.25, 0.43, 0.58])
     np.testing.assert_allclose(
-        subject.offsets("six_pus/matrix")["l"], subject.published["six_pus/matrix"]["l"], atol=0.1
+        evidence.offsets("six_pus/matrix")["l"], evidence.published["six_pus/matrix"]["l"], atol=0.1
     )
-    assert not subject.repeats("six_pus/matrix")
-    assert subject.best_machine().deformation.name == "matrix"
-    assert tabulate_claims(subject)["claim"].is_unique
+    assert not evidence.repeats("six_pus/matrix")
+    assert evidence.best_machine().deformation.name == "matrix"
+    assert tabulate_claims(evidence)["claim"].is_unique

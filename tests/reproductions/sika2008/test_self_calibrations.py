@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from bayescal.reproductions.sika2008.run import identify, run_self_calibrations
 from sliding_platforms import STAR, copy_tiny, make_content
 
 from bayescal.config import load_experiment
@@ -18,7 +19,6 @@ from bayescal.reproductions.sika2008.documented import QUANTILE, list_calibrabil
 from bayescal.reproductions.sika2008.machines import GEOMETRY, draw_candidate, lay_out
 from bayescal.reproductions.sika2008.predict import predict_covariance, predict_tool
 from bayescal.reproductions.sika2008.published import band_of, read_published
-from bayescal.reproductions.sika2008.run import identify, run_self_calibrations
 from bayescal.reproductions.sika2008.setting import read_setting
 from bayescal.reproductions.sika2008.simulate import BAYESIAN, PAPER, PROCEDURES, measure, simulate, state_spread
 from bayescal.reproductions.sika2008.statistics import cover, ratio_of, rms_of

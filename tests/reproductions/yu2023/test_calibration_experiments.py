@@ -7,11 +7,11 @@ import re
 
 import pandas as pd
 import pytest
+from bayescal.reproductions.yu2023.run import run_hexapod_calibrations
 from hexapod_settings import SHIPPED, copy_tiny
 
 from bayescal.config import load_experiment
 from bayescal.errors import InputError
-from bayescal.reproductions.yu2023.run import run_hexapod_calibrations
 
 TABLES = {
     "table4": {"table4", "best", "noise_draws", "workspaces"},

@@ -8,12 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 import studies
+from bayescal.reproductions.yu2023.run import identify
 from hexapod_settings import HEXAPOD, SHIPPED, load_setting
 
 from bayescal.config import load_experiment
 from bayescal.experiments.study.inputs import hash_identity
 from bayescal.reproductions.yu2023 import accuracy
-from bayescal.reproductions.yu2023.run import identify
 from bayescal.reproductions.yu2023.setting import CommandedPoses
 
 RESULTS = studies.EXPERIMENTS.parent / "results"

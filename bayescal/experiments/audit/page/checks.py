@@ -1,4 +1,4 @@
-"""What ``audit.json`` must hold for the report to lean on it."""
+"""What the summary of an audit must hold for its page to lean on it."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ KINDS = ("structural", "practical", "informed")
 EFFECTS = ("harmless", "noticeable", "harmful", "unknown")
 
 SUMMARY_KEYS: dict[str, Kinds] = {
-    **dict.fromkeys(("name", "title", "machine", "model", "deformation", "config_sha256"), str),
-    **dict.fromkeys(("seed", "n_parameters", "structural_rank", "n_structural", "n_practical", "n_informed"), int),
+    **dict.fromkeys(("name", "title", "machine", "model", "deformation"), str),
+    **dict.fromkeys(("n_parameters", "structural_rank", "n_structural", "n_practical", "n_informed"), int),
     **dict.fromkeys(("units", "plan", "parameters", "requirements"), dict),
     **dict.fromkeys(("directions", "recommended_free", "could_also_be_freed", "selection", "what_if"), list),
     "structural_rank_is_clear": bool,

@@ -1,4 +1,4 @@
-"""Which figures the report of an audit has, what each shows, and which must be left out for want of data."""
+"""Which figures the page of an audit has, what each shows, and which must be left out for want of data."""
 
 from __future__ import annotations
 
@@ -14,27 +14,15 @@ from bayescal.experiments.audit.page.figures.spectrum import draw_spectrum
 from bayescal.experiments.audit.page.figures.sweeps import SWEEPS, draw_sweeps
 from bayescal.experiments.audit.page.results import AuditResults, Ridge
 from bayescal.experiments.audit.page.tables import name_change
+from bayescal.report.blocks import Figure
 from bayescal.report.numbers import join_words
-from bayescal.report.page import Illustration
 from bayescal.report.symbols import split_name
 
 PANELS = 12  # of ridges in the first figure
 
 
-def list_illustrations(results: AuditResults) -> list[Illustration]:
-    """Return the report's figures in their order."""
-    return [
-        _show_contraction(results),
-        _show_spectrum(results),
-        _show_requirements(results),
-        _show_changes(results),
-        _show_sweeps(results),
-        _show_profiles(results),
-        *_show_ridges(results),
-    ]
-
-
-def _show_contraction(results: AuditResults) -> Illustration:
+def show_contraction(results: AuditResults) -> Figure:
+    """Return the contraction of every parameter as a map."""
     frame = results.parameters
     legs = sorted(set(frame["leg"]) - {0}) + ([0] if (frame["leg"] == 0).any() else [])
     values = frame.pivot(index="symbol", columns="leg", values="contraction").loc[results.symbols, legs]
@@ -47,10 +35,11 @@ def _show_contraction(results: AuditResults) -> Illustration:
     draw = partial(
         draw_contraction, values.to_numpy(dtype=float), results.symbols, legs, free.eq(True).to_numpy(dtype=bool)
     )
-    return Illustration("contraction", caption, draw)
+    return Figure("contraction", caption, draw)
 
 
-def _show_spectrum(results: AuditResults) -> Illustration:
+def show_spectrum(results: AuditResults) -> Figure:
+    """Return the spectra that decide."""
     caption = (
         "Left: singular values of the noise-free identification Jacobian over a wide workspace, per tolerance; what "
         "lies at the level of rounding is a combination that no measurement of this kind sees, and the gap decides the "
@@ -58,21 +47,23 @@ def _show_spectrum(results: AuditResults) -> Illustration:
         "noise alone would leave; below the upper line the tolerance is not halved, below the lower one hardly "
         "anything is learnt."
     )
-    return Illustration("spectrum", caption, partial(draw_spectrum, results.tables["spectrum"]))
+    return Figure("spectrum", caption, partial(draw_spectrum, results.tables["spectrum"]))
 
 
-def _show_requirements(results: AuditResults) -> Illustration:
+def show_requirements(results: AuditResults) -> Figure:
+    """Return the predicted errors against their limits."""
     caption = (
         "Largest standard deviation of the predicted pose anywhere in the workspace, in per cent of each requirement's "
         "limit, logarithmic. The tick is the part of the geometry; the rest up to the dot are actuators and model "
         "error."
     )
     if not results.requirements:
-        return Illustration("requirements", caption, None, "the design states no requirement")
-    return Illustration("requirements", caption, partial(draw_requirements, results.requirements))
+        return Figure("requirements", caption, None, "the design states no requirement")
+    return Figure("requirements", caption, partial(draw_requirements, results.requirements))
 
 
-def _show_changes(results: AuditResults) -> Illustration:
+def show_changes(results: AuditResults) -> Figure:
+    """Return what other plans would tell of each weak combination."""
     ridges = [ridge for ridge in results.ridges if ridge.kind == "practical"]
     order = {symbol: k for k, symbol in enumerate(results.symbols)}
     ridges.sort(key=lambda ridge: (order[split_name(ridge.pivot)[0]], split_name(ridge.pivot)[1]))
@@ -88,10 +79,10 @@ def _show_changes(results: AuditResults) -> Illustration:
     )
     if not ridges or not results.changes:
         reason = "no combination is weak" if not ridges else "no change of the plan was looked at"
-        return Illustration("changes", caption, None, reason)
+        return Figure("changes", caption, None, reason)
     first = "as it is" if results.is_measured else "as planned"
     labels = [first, *(name_change(change) for change in results.changes)]
-    return Illustration("changes", caption, partial(draw_changes, rows, labels, names))
+    return Figure("changes", caption, partial(draw_changes, rows, labels, names))
 
 
 def _gather(results: AuditResults, ridges: list[Ridge]) -> tuple[list[str], np.ndarray]:
@@ -106,7 +97,8 @@ def _gather(results: AuditResults, ridges: list[Ridge]) -> tuple[list[str], np.n
     return list(table.columns), table.to_numpy(dtype=float)
 
 
-def _show_sweeps(results: AuditResults) -> Illustration:
+def show_sweeps(results: AuditResults) -> Figure:
+    """Return how everything goes with noise, number of poses and displacements."""
     sweeps = results.tables.get("sweeps")
     caption = (
         "What is left of the tolerances on the leg that is known least, a line per symbol, with all parameters unknown "
@@ -115,42 +107,52 @@ def _show_sweeps(results: AuditResults) -> Illustration:
         "for another kind of measurement."
     )
     if sweeps is None or not set(sweeps["sweep"]) & set(SWEEPS):
-        return Illustration("sweeps", caption, None, "nothing was swept")
+        return Figure("sweeps", caption, None, "nothing was swept")
     plan = {"noise": 1.0, "poses": float(results.n_poses), "workspace": 1.0}
-    return Illustration("sweeps", caption, partial(draw_sweeps, sweeps, results.tables.get("sweep_requirements"), plan))
+    return Figure("sweeps", caption, partial(draw_sweeps, sweeps, results.tables.get("sweep_requirements"), plan))
 
 
-def _show_profiles(results: AuditResults) -> Illustration:
+def show_profiles(results: AuditResults) -> Figure:
+    """Return the profile likelihoods."""
     profiles = results.tables.get("profiles")
     caption = (
         "Profile likelihoods: a parameter is held at a value, all others are fitted again, and the deviance tells what "
         "that costs. Where the full line stays below the dotted one, the measurements alone do not bound the parameter."
     )
     if profiles is None:
-        return Illustration("profiles", caption, None, "the design asks for no profile likelihoods")
+        return Figure("profiles", caption, None, "the design asks for no profile likelihoods")
     centres = {str(name): float(value) for name, value in results.parameters["nominal"].items()}
     best = profiles.loc[profiles.groupby("parameter", sort=False)["deviance_total"].idxmin()]
     centres |= dict(zip(best["parameter"], best["value"], strict=True))
-    return Illustration("profiles", caption, partial(draw_profiles, profiles, centres))
+    return Figure("profiles", caption, partial(draw_profiles, profiles, centres))
 
 
-def _show_ridges(results: AuditResults) -> list[Illustration]:
-    """Return the first ridge of each kind, then all others."""
+def show_ridges(results: AuditResults) -> Figure:
+    """Return the first ridge of each kind."""
+    first, _ = _split_by_kind(results)
+    draws, curves = _find_plots(results)
+    left_out = results.summary.get("posterior_left_out")
+    caption = _describe_plots({*draws["source"], *curves["source"]}, left_out)
+    if not first:
+        reason = left_out if isinstance(left_out, str) else "no draws of the posterior were made"
+        return Figure("ridges", caption, None, reason)
+    return Figure("ridges", caption, partial(draw_ridge_plots, first, draws, curves))
+
+
+def show_other_ridges(results: AuditResults) -> Figure | None:
+    """Return all other ridges; None where there are none."""
+    _, others = _split_by_kind(results)
+    if not others:
+        return None
+    draw = partial(draw_ridge_plots, others, *_find_plots(results))
+    return Figure("ridges_others", "The same for the other ridges.", draw)
+
+
+def _find_plots(results: AuditResults) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return draws and curves, without rows where there are none."""
     empty = pd.DataFrame(columns=["direction", "source", "x", "y"])
     draws, curves = (results.tables.get(name, empty) for name in ("ridge_draws", "ridge_curves"))
-    there = {*draws["direction"], *curves["direction"]}
-    plotted = [ridge for ridge in results.ridges if ridge.plot and ridge.number in there]
-    caption = _describe_plots({*draws["source"], *curves["source"]}, results.summary.get("posterior_left_out"))
-    first, others = _split_by_kind(results, plotted)
-    if not plotted:
-        left_out = results.summary.get("posterior_left_out")
-        reason = left_out if isinstance(left_out, str) else "no draws of the posterior were made"
-        return [Illustration("ridges", caption, None, reason), Illustration("ridges_others", caption, None, reason)]
-    figures = [Illustration("ridges", caption, partial(draw_ridge_plots, first, draws, curves))]
-    if others:
-        draw = partial(draw_ridge_plots, others, draws, curves)
-        return [*figures, Illustration("ridges_others", "The same for the other ridges.", draw)]
-    return [*figures, Illustration("ridges_others", caption, None, "all are shown above")]
+    return draws, curves
 
 
 def _describe_plots(sources: set[str], left_out: object) -> str:
@@ -173,8 +175,10 @@ def _describe_plots(sources: set[str], left_out: object) -> str:
     return f"{caption} Draws of the posterior are left out{reason}."
 
 
-def _split_by_kind(results: AuditResults, plotted: list[Ridge]) -> tuple[list[Ridge], list[Ridge]]:
-    numbers = {ridge.number for ridge in plotted}
-    leading = [next((r for r in group.ridges if r.number in numbers), None) for group in results.groups]
+def _split_by_kind(results: AuditResults) -> tuple[list[Ridge], list[Ridge]]:
+    """Return the ridges that have a plot: the first of each kind, and all others."""
+    there = {number for table in _find_plots(results) for number in table["direction"]}
+    plotted = [ridge for ridge in results.ridges if ridge.plot and ridge.number in there]
+    leading = [next((ridge for ridge in group.ridges if ridge in plotted), None) for group in results.groups]
     first = [ridge for ridge in leading if ridge is not None][:PANELS]
     return first, [ridge for ridge in plotted if ridge not in first]

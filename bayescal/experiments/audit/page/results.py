@@ -1,4 +1,4 @@
-"""Reading an audit's directory, checked as far as the report leans on it."""
+"""An audit's results as its page needs them, checked as far as it leans on them."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from pandas.errors import EmptyDataError
 
 from bayescal.errors import InputError
 from bayescal.experiments.audit.page.checks import REQUIREMENT_KEYS, check_summary
-from bayescal.files.atomic import read_json
-from bayescal.report.reading import read_table
+from bayescal.experiments.frame.results import SUMMARY_FILE, Results
 from bayescal.report.symbols import split_name
 
-AUDIT_FILE = "audit.json"
+TABLES = "tables"  # where they stand in the results directory
 TABLE_COLUMNS = {
     "spectrum": ("number", "wide_workspace", "planned", "rounding", "counts"),
     "sweeps": ("sweep", "value", "beyond_actuator_range", "symbol", "contraction_least", "contraction_most"),
@@ -137,13 +135,30 @@ class AuditResults:
     Attributes
     ----------
     summary : dict
-        ``audit.json``.
     tables : dict of str to DataFrame
         Those of `TABLE_COLUMNS` that are there and not empty.
     """
 
     summary: dict[str, Any]
     tables: dict[str, pd.DataFrame]
+
+    @classmethod
+    def of(cls, results: Results) -> AuditResults:
+        """Return the view of an audit's results, checked.
+
+        Raises
+        ------
+        InputError
+            Naming the file where something is missing or not what an audit writes. Tables other than the spectrum may
+            be missing.
+        """
+        folder = results.folder or Path()
+        check_summary(results.summary, folder / SUMMARY_FILE)
+        tables = {name: results.table(name) for name in TABLE_COLUMNS}
+        there = {name: table for name, table in tables.items() if name in REQUIRED or not table.empty}
+        for name, table in there.items():
+            _check_table(table, folder / TABLES / f"{name}.csv")
+        return cls(results.summary, there)
 
     @cached_property
     def parameters(self) -> pd.DataFrame:
@@ -239,28 +254,13 @@ def _text(value: Any) -> str:
     return value if isinstance(value, str) else ""
 
 
-def read_audit(folder: Path) -> AuditResults:
-    """Read and check an audit's directory.
-
-    Raises
-    ------
-    InputError
-        Naming the file where one is missing or not what an audit writes. Tables other than the spectrum may be missing.
-    """
-    path = folder / AUDIT_FILE
-    summary = read_json(path)
-    check_summary(summary, path)
-    paths = {name: folder / "tables" / f"{name}.csv" for name in TABLE_COLUMNS}
-    there = {name: place for name, place in paths.items() if name in REQUIRED or place.is_file()}
-    tables = {name: _read_table(place) for name, place in there.items()}
-    return AuditResults(summary, {name: table for name, table in tables.items() if len(table)})
-
-
-def _read_table(path: Path) -> pd.DataFrame:
+def _check_table(table: pd.DataFrame, path: Path) -> None:
     columns = TABLE_COLUMNS[path.stem]
-    try:
-        return read_table(path, columns, TEXT_COLUMNS, "an audit's table")
-    except InputError as error:
-        if isinstance(error.__cause__, EmptyDataError) and path.stem not in REQUIRED:
-            return pd.DataFrame(columns=list(columns))
-        raise
+    if table.empty:
+        raise InputError(f"{path}: found no rows, expected an audit's table")
+    missing = [column for column in columns if column not in table.columns]
+    if missing:
+        raise InputError(f"{path}: found no column {missing[0]!r}, expected {', '.join(columns)}")
+    for column in (c for c in columns if c not in TEXT_COLUMNS):
+        if not (pd.api.types.is_numeric_dtype(table[column]) or pd.api.types.is_bool_dtype(table[column])):
+            raise InputError(f"{path}: column {column!r}: found text, expected numbers")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from bayescal.experiments.audit.page.results import AuditResults, Ridge, RidgeGroup
 from bayescal.experiments.audit.page.tables import EFFECT_LEVELS
@@ -17,7 +16,7 @@ from bayescal.experiments.audit.page.wording import (
     name_requirement,
     say_most,
 )
-from bayescal.report.blocks import Cell, Level
+from bayescal.report.blocks import Card, Cell, Level
 from bayescal.report.symbols import split_name
 
 KIND_WORDS = {"structural": "never seen", "practical": "weak"}
@@ -30,40 +29,12 @@ EFFECT_WORDS = {
 EFFECT_ORDER = ("harmful", "noticeable", "unknown", "harmless")
 
 
-@dataclass(frozen=True)
-class RidgeBlock:
-    """Ridges of one kind as text.
-
-    Attributes
-    ----------
-    symbol : str
-        Of the parameter that they are named after.
-    where : str
-        Which legs.
-    marks : tuple of Cell
-        Kind and effect.
-    sentence : str
-        Of the first.
-    facts : tuple of str
-        What is computed of all of them.
-    others : tuple of str
-        Sentences of the others.
-    """
-
-    symbol: str
-    where: str
-    marks: tuple[Cell, ...]
-    sentence: str
-    facts: tuple[str, ...]
-    others: tuple[str, ...]
-
-
-def build_ridges(results: AuditResults) -> tuple[RidgeBlock, ...]:
+def build_ridges(results: AuditResults) -> tuple[Card, ...]:
     """Return all groups of ridges, never seen ones first."""
     return tuple(_build(results, group) for group in results.groups)
 
 
-def _build(results: AuditResults, group: RidgeGroup) -> RidgeBlock:
+def _build(results: AuditResults, group: RidgeGroup) -> Card:
     ridges = group.ridges
     legs = sorted(leg for leg in (split_name(r.pivot)[1] for r in ridges) if leg)
     where = f"leg{'s' if len(legs) > 1 else ''} {', '.join(map(str, legs))}" if legs else "machine"
@@ -71,9 +42,9 @@ def _build(results: AuditResults, group: RidgeGroup) -> RidgeBlock:
     level: Level = "bad" if group.kind == "structural" else "warning"
     marks = (Cell(KIND_WORDS[group.kind], level), Cell(EFFECT_WORDS[worst], EFFECT_LEVELS[worst]))
     facts = [*_describe_contraction(group), *_describe_effect(results, ridges), *_describe_help(results, group)]
-    return RidgeBlock(
-        group.symbol, where, marks, ridges[0].sentence, tuple(facts), tuple(ridge.sentence for ridge in ridges[1:])
-    )
+    others = tuple(ridge.sentence for ridge in ridges[1:])
+    title = f"{len(others)} more of this kind"
+    return Card(group.symbol, where, marks, ridges[0].sentence, tuple(facts), title, others)
 
 
 def _describe_contraction(group: RidgeGroup) -> list[str]:

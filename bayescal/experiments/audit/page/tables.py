@@ -30,7 +30,7 @@ from bayescal.experiments.audit.page.wording import (
 )
 from bayescal.limits import INFORMED
 from bayescal.report.blocks import Cell, Column, Level, Statement, Table, make_table
-from bayescal.report.numbers import NOTHING, format_fixed
+from bayescal.report.numbers import NOTHING, format_fixed, format_plain
 from bayescal.report.symbols import split_name
 
 LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad"}
@@ -183,7 +183,7 @@ def tabulate_selection(results: AuditResults) -> Table | None:
     notes = [
         Statement(
             "The symbol that the measurements tell most of, given what is already chosen, is looked at next; it is "
-            f"taken where all chosen parameters stay at or above a contraction of {INFORMED:g}."
+            f"taken where all chosen parameters stay at or above a contraction of {format_plain(INFORMED)}."
         )
     ]
     if extra:
@@ -228,7 +228,7 @@ def tabulate_requirements(results: AuditResults) -> Table | None:
         rows.append(
             [
                 name_requirement(r.name),
-                f"{r.limit:g}",
+                format_plain(r.limit),
                 name_unit(r.unit),
                 format_sd(r.prior_sd),
                 format_sd(r.predicted_sd),
@@ -244,8 +244,8 @@ def tabulate_requirements(results: AuditResults) -> Table | None:
         )
     note = (
         "Standard deviation: the largest anywhere in the workspace; probability: that no pose of the workspace exceeds "
-        f"the limit; kept: with a probability of {KEPT:g} or more. Rest fixed: only what is to be freed is calibrated, "
-        "the others are taken for nominal although they are off by their tolerances."
+        f"the limit; kept: with a probability of {format_plain(KEPT)} or more. Rest fixed: only what is to be freed is "
+        "calibrated, the others are taken for nominal although they are off by their tolerances."
     )
     return make_table("Requirements on the pose before and after the calibration.", columns, rows, [Statement(note)])
 

@@ -20,7 +20,7 @@ from bayescal.experiments.audit.page.wording import (
 )
 from bayescal.limits import DEAD
 from bayescal.report.blocks import Level, Statement
-from bayescal.report.numbers import format_fixed, join_words
+from bayescal.report.numbers import format_count, format_fixed, join_words
 
 KEPT = 0.95  # probability from which on a requirement counts as kept
 UNLIKELY = 0.5
@@ -67,7 +67,7 @@ def list_failures(results: AuditResults) -> list[Statement]:
     failures = []
     if not results.summary["structural_rank_is_clear"]:
         gap = results.summary.get("structural_gap")
-        found = f"a gap of {gap:.1f}" if gap is not None else "no gap"
+        found = f"a gap of {format_fixed(gap, 1)}" if gap is not None else "no gap"
         failures.append(
             f"The structural rank, {results.summary['structural_rank']}, is not clear: the spectrum has {found} there, "
             "and rounding may hide a combination or feign one (see the spectrum)."
@@ -174,9 +174,9 @@ def _state_fixing(results: AuditResults) -> list[Statement]:
         return [Statement(text.replace(" to ", " of the limit to ", 1), "good", "What fixing costs")]
     level: Level = "bad" if worst.reduced_probability < KEPT <= worst.probability else "warning"
     text = (
-        f"Taking the rest for nominal makes the pose up to {factor:.1f} times as uncertain ({name}: from {shares} of "
-        f"the limit, probability to keep it {format_probability(worst.reduced_probability)}). What the poses do not "
-        "tell apart still moves them: calibrate with everything free within its tolerance instead."
+        f"Taking the rest for nominal makes the pose up to {format_fixed(factor, 1)} times as uncertain ({name}: from "
+        f"{shares} of the limit, probability to keep it {format_probability(worst.reduced_probability)}). What the "
+        "poses do not tell apart still moves them: calibrate with everything free within its tolerance instead."
     )
     return [Statement(text, level, "What fixing costs")]
 
@@ -382,7 +382,7 @@ def _state_posterior(results: AuditResults) -> list[Statement]:
         return []
     angle = posterior.get("principal_angle_deg")
     level: Level = "plain"
-    text = f"{posterior['n_draws']:,} draws, {posterior['origin'].rstrip('.')}"
+    text = f"{format_count(posterior['n_draws'])} draws, {posterior['origin'].rstrip('.')}"
     if angle is not None:
         level = "good" if angle <= AGREED_DEG else "warning"
         text += f": the space of its ridges lies within {format_fixed(angle, 1)}° of that from the information"

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 
-from markupsafe import Markup, escape
-
-from bayescal.report.numbers import NOTHING, count_decimals, format_fixed, format_significant, join_words
-from bayescal.report.page import bind_units, set_symbol
+from bayescal.report.numbers import (
+    NOTHING,
+    count_decimals,
+    format_count,
+    format_fixed,
+    format_plain,
+    format_significant,
+    join_words,
+)
 from bayescal.report.symbols import split_name
 
 SURE = 0.9995
-OTHER_SYMBOL = re.compile(r"(?<![\w&#;.])([A-Za-zα-ω])_([a-z])(?!\w)")  # such as u_z, which is no parameter
 SMALLEST_SAID = 1e-3  # µm and arcsec
 DIRECTIONS = {"x": "x", "y": "y", "z": "z", "position": "position (length)", "rotation": "rotation (angle)"}
 UNITS = {"1": "", "N mm2": "N mm²", "um": "µm", "rad": "rad"}
@@ -40,7 +43,7 @@ def format_contraction(value: float) -> str:
         return "1" if value == 1.0 else ">0.99"
     if value < 0.005:
         return "0" if value <= 0.0 else "<0.01"
-    return f"{value:.2f}"
+    return format_fixed(value, 2)
 
 
 def format_share(fraction: float) -> str:
@@ -50,7 +53,7 @@ def format_share(fraction: float) -> str:
         return NOTHING
     if percent < 0.1:
         return "<0.1 %"
-    return f"{percent:,.0f} %" if percent >= 99.5 else f"{percent:.2g} %"
+    return f"{format_count(percent) if percent >= 99.5 else format_plain(percent, 2)} %"
 
 
 def format_probability(value: float) -> str:
@@ -60,7 +63,7 @@ def format_probability(value: float) -> str:
         return NOTHING
     if value >= SURE:
         return ">99.9 %"
-    return "<0.1 %" if value <= 1.0 - SURE else f"{percent:.1f} %" if not 5 < percent < 95 else f"{percent:.0f} %"
+    return "<0.1 %" if value <= 1.0 - SURE else f"{format_fixed(percent, 0 if 5 < percent < 95 else 1)} %"
 
 
 def say(text: str) -> str:
@@ -114,25 +117,6 @@ def format_change(position: float, rotation: float, units: Mapping[str, str]) ->
 def count(number: int, noun: str) -> str:
     """Return ``1 pose`` or ``3 poses``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
-def make_prose(symbols: Sequence[str]) -> Callable[[str], Markup]:
-    """Return what sets running text: escaped, parameters such as ``a_z[3]`` as the field writes them."""
-    alternatives = "|".join(re.escape(str(escape(s))) for s in sorted(symbols, key=len, reverse=True))
-    pattern = re.compile(rf"(?<![\w&#;.])({alternatives})(?:\[(\d+)\])?(?![\w\[])")
-
-    def replace(found: re.Match[str]) -> str:
-        symbol = str(set_symbol(found[1]))
-        if not found[2]:
-            return symbol
-        within = symbol.endswith("</sub>")
-        return f"{symbol.removesuffix('</sub>')},{found[2]}</sub>" if within else f"{symbol}<sub>{found[2]}</sub>"
-
-    def prose(text: str) -> Markup:
-        named = pattern.sub(replace, str(escape(bind_units(text))))
-        return Markup(OTHER_SYMBOL.sub(r"<i>\1</i><sub>\2</sub>", named))
-
-    return prose
 
 
 def format_fixed_span(low: float, high: float) -> str:

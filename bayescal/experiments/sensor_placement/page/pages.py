@@ -11,7 +11,15 @@ from bayescal.experiments.sensor_placement.page import figures
 from bayescal.experiments.sensor_placement.page.figures import write_sensors
 from bayescal.experiments.sensor_placement.page.tables import list_sensors, tabulate_front, tabulate_kinds
 from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Section, Statement, make_section, make_table
-from bayescal.report.numbers import NOTHING, format_estimate, format_percent, format_significant, join_words
+from bayescal.report.numbers import (
+    NOTHING,
+    format_count,
+    format_estimate,
+    format_fixed,
+    format_percent,
+    format_significant,
+    join_words,
+)
 
 KIND = "Sensor placement"
 ORIGIN = "Predicted to first order about the machine as designed, and simulated; nothing is measured."
@@ -297,7 +305,6 @@ def _kinds_section(tables: dict[str, pd.DataFrame]) -> Section:
 
 
 def _method_section(summary: dict[str, Any], tables: dict[str, pd.DataFrame]) -> Section:
-    timing = tables["timing"].iloc[0]
     text = [
         FRAMES[summary["frames"]],
         f"Each set was judged to first order about the machine as designed: the poses eliminated from the whitened "
@@ -307,12 +314,13 @@ def _method_section(summary: dict[str, Any], tables: dict[str, pd.DataFrame]) ->
         "only where the sensor is there.",
         "“Left to tolerances” is the share of the error's variance from combinations of parameters of which the "
         "readings tell less than the tolerances did; above 80 % a set counts as no good.",
-        f"{int(timing['n_sets']):,} sets took {timing['seconds']:.1f} s with {int(timing['workers'])} "
-        f"{'worker' if timing['workers'] == 1 else 'workers'}.",
     ]
     if any("tilt" in name for name in summary["sensors"]):
         text.append(
             "The axes of inclinometers are taken as mounted, only their zeros as unknown; joints have no play, and "
             "nothing drifts between poses."
         )
-    return make_section("How it was computed", tuple(text))
+    timing = tables["timing"].iloc[0]
+    columns = [Column("Sets judged"), Column("Time", "s", kind="seconds")]
+    rows = [[format_count(int(timing["n_sets"])), format_fixed(float(timing["seconds"]), 1)]]
+    return make_section("How it was computed", text, (make_table("Effort, all processes together.", columns, rows),))

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.experiments.study.page.results import SETTINGS, Results
+from bayescal.experiments.study.page.results import SETTINGS, StudyResults
 from bayescal.experiments.study.page.variants import (
     NOT_DISTINGUISHABLE,
     find_leaders,
@@ -20,27 +20,27 @@ from bayescal.experiments.study.page.variants import (
 )
 from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
 from bayescal.report.blocks import Statement
-from bayescal.report.numbers import format_fixed, format_percent, format_span, join_words
+from bayescal.report.numbers import format_fixed, format_percent, format_plain, format_span, join_words
 
 INTERVAL = 0.90
 FEW = 3  # variants to name one by one
 
 
-def list_failures(results: Results) -> list[Statement]:
+def list_failures(results: StudyResults) -> list[Statement]:
     """Return everything that speaks against relying on the numbers, posterior by posterior."""
     failures = []
     for variant, setting, fit in results.fits():
-        where = f"{label_variant(variant)}, {SETTINGS[setting]}"
+        where = f"{label_variant(results, variant)}, {SETTINGS[setting]}"
         problems = [str(problem) for problem in fit["problems"]]
         if not problems and not fit["log_evidence_agrees"]:
-            problems = [f"the two log-evidences differ by {measure_gap(fit):.2f} nat, limit {AGREEMENT}"]
+            problems = [f"the two log-evidences differ by {format_fixed(measure_gap(fit), 2)} nat, limit {AGREEMENT}"]
         if not problems and not fit["converged"]:
             problems = ["not converged"]
         failures += [Statement(f"{where}: {problem}", "bad") for problem in problems]
     return failures
 
 
-def title_failures(results: Results) -> str:
+def title_failures(results: StudyResults) -> str:
     """Return how far the failures reach: to the ranking, or only to posteriors without model error."""
     if all(_passed(fit) for _, setting, fit in results.fits() if setting == "free"):
         return (
@@ -65,7 +65,7 @@ def name_or_count(words: list[str], total: int) -> str:
     return join_words(words) if len(words) <= FEW else f"{len(words)} of {total} variants (tables below)"
 
 
-def state_convergence(results: Results) -> Statement:
+def state_convergence(results: StudyResults) -> Statement:
     """Say whether all posteriors passed their checks, and by what margin."""
     fits = list(results.fits())
     failed = sum(1 for _, _, fit in fits if not _passed(fit))
@@ -77,9 +77,9 @@ def state_convergence(results: Results) -> Statement:
     rhat = max(fit["rhat_max"] for _, _, fit in fits)
     bulk = min(fit["ess_bulk_min"] for _, _, fit in fits)
     text = (
-        f"All {len(fits)} posteriors converged: R-hat at most {rhat:.4f} (limit {RHAT_LIMIT}), bulk ESS at least "
-        f"{bulk:.0f} (limit {ESS_BULK_LIMIT:.0f}). Both evidence estimators agree to {gap:.3f} nat or better (limit "
-        f"{AGREEMENT})."
+        f"All {len(fits)} posteriors converged: R-hat at most {format_fixed(rhat, 4)} (limit {RHAT_LIMIT}), bulk ESS "
+        f"at least {format_fixed(bulk, 0)} (limit {format_fixed(ESS_BULK_LIMIT, 0)}). Both evidence estimators agree "
+        f"to {format_fixed(gap, 3)} nat or better (limit {AGREEMENT})."
     )
     return Statement(text, "good", "Checks")
 
@@ -87,7 +87,7 @@ def state_convergence(results: Results) -> Statement:
 # --- stability -------------------------------------------------------------------------------------------------------
 
 
-def state_stability(results: Results) -> list[Statement]:
+def state_stability(results: StudyResults) -> list[Statement]:
     """Say whether the same variants lead under every tolerance of the lengths."""
     wide = results.sensitivity_grid
     if len(results.ranking) == 1 or len(wide) == 1:
@@ -100,10 +100,10 @@ def state_stability(results: Results) -> list[Statement]:
     return statements
 
 
-def _compare_tolerances(results: Results, wide: pd.DataFrame) -> Statement:
+def _compare_tolerances(results: StudyResults, wide: pd.DataFrame) -> Statement:
     leaders = find_leaders(results)
-    names = name_variants(leaders)
-    span = f"tolerances of the lengths from {wide.index[0]:g} to {wide.index[-1]:g} mm"
+    names = name_variants(results, leaders)
+    span = f"tolerances of the lengths from {format_plain(wide.index[0])} to {format_plain(wide.index[-1])} mm"
     rivals = wide.drop(columns=leaders)
     if rivals.empty:
         largest = format_fixed(float((wide.max(axis=1) - wide.min(axis=1)).max()), 1)
@@ -111,15 +111,16 @@ def _compare_tolerances(results: Results, wide: pd.DataFrame) -> Statement:
     lead = wide[leaders].min(axis=1) - rivals.max(axis=1)
     lost = lead[lead < -NOT_DISTINGUISHABLE].index
     if len(lost):
-        where = [f"{label_variant(str(rivals.loc[t].idxmax()))} at {t:g} mm" for t in lost]
-        text = f"The ranking is not stable over {span}: not {name_variants(leaders, 'or')} comes first but "
+        where = [f"{label_variant(results, str(rivals.loc[t].idxmax()))} at {format_plain(t)} mm" for t in lost]
+        text = f"The ranking is not stable over {span}: not {name_variants(results, leaders, 'or')} comes first but "
         return Statement(f"{text}{join_words(where)}.", "bad", "Stability")
     stay = "stays" if len(leaders) == 1 else "stay"
     if lead.min() > NOT_DISTINGUISHABLE:
-        least = f"never by less than {format_fixed(lead.min(), 1)} nat (at {lead.idxmin():g} mm)"
+        where_least = float(lead.index[int(lead.argmin())])
+        least = f"never by less than {format_fixed(lead.min(), 1)} nat (at {format_plain(where_least)} mm)"
         text = f"{names} {stay} first, {least}"
     else:
-        text = f"no other variant gets ahead of {names} by more than {NOT_DISTINGUISHABLE:g} nat"
+        text = f"no other variant gets ahead of {names} by more than {format_plain(NOT_DISTINGUISHABLE)} nat"
     if len(leaders) > 1:
         within = (wide[leaders].max(axis=1) - wide[leaders].min(axis=1)).max()
         text += f", with {format_fixed(float(within), 1)} nat or less between them"
@@ -127,7 +128,7 @@ def _compare_tolerances(results: Results, wide: pd.DataFrame) -> Statement:
     return Statement(text, "good", "Stability")
 
 
-def list_reversals(results: Results, values: Mapping[str, float], limit: float) -> list[tuple[str, str]]:
+def list_reversals(results: StudyResults, values: Mapping[str, float], limit: float) -> list[tuple[str, str]]:
     """Return pairs (passes, passed): told apart by the evidence, and by more than a limit the other way by a score."""
     ranking = results.ranking
     pairs = [(ranking[j], ranking[i]) for j in range(len(ranking)) for i in range(j)]
@@ -136,26 +137,28 @@ def list_reversals(results: Results, values: Mapping[str, float], limit: float) 
     ]
 
 
-def _describe_reversals(results: Results, wide: pd.DataFrame) -> str:
+def _describe_reversals(results: StudyResults, wide: pd.DataFrame) -> str:
     """Name who passes whom at which tolerance, beyond what is not told apart anyway."""
     passes: dict[str, list[str]] = {}
-    for tolerance, row in wide.iterrows():
+    for tolerance, (_, row) in zip(wide.index, wide.iterrows(), strict=True):
         values = {str(name): float(value) for name, value in row.items()}
         passed: dict[str, int] = {}
         for low, _ in list_reversals(results, values, NOT_DISTINGUISHABLE):
             passed[low] = passed.get(low, 0) + 1
         for low, n in passed.items():
-            passes.setdefault(low, []).append(f"{n} {'variant' if n == 1 else 'variants'} at {tolerance:g} mm")
+            passes.setdefault(low, []).append(
+                f"{n} {'variant' if n == 1 else 'variants'} at {format_plain(tolerance)} mm"
+            )
     if not passes:
         return "the whole order stays"
-    words = [f"{label_variant(name)} passes {join_words(where)}" for name, where in passes.items()]
+    words = [f"{label_variant(results, name)} passes {join_words(where)}" for name, where in passes.items()]
     return f"further down the order changes ({name_or_count(words, len(wide.columns))})"
 
 
 # --- model error -----------------------------------------------------------------------------------------------------
 
 
-def state_model_error(results: Results) -> list[Statement]:
+def state_model_error(results: StudyResults) -> list[Statement]:
     """Say which variants the data want a model error for, and who leads without it."""
     gain = {name: measure_gain(results, name) for name in results.ranking}
     leaders = find_leaders(results)
@@ -164,34 +167,36 @@ def state_model_error(results: Results) -> list[Statement]:
     need, their = ("needs", "its") if one else ("need", "their")
     if all(gain[name] < 0 for name in leaders):
         text = (
-            f"{name_variants(leaders)} {need} no model error τ: setting it to zero raises {their} log-evidence by "
-            f"{worth} nat"
+            f"{name_variants(results, leaders)} {need} no model error τ: setting it to zero raises {their} "
+            f"log-evidence by {worth} nat"
         )
     elif all(gain[name] >= 0 for name in leaders):
         fall = f"without it {their} log-evidence falls by {worth} nat"
-        text = f"{name_variants(leaders)} {need} the model error τ: {fall}"
+        text = f"{name_variants(results, leaders)} {need} the model error τ: {fall}"
     else:
-        wanting = name_variants([name for name in leaders if gain[name] >= 0])
-        text = f"Of {name_variants(leaders)} only {wanting} would do worse without the model error τ"
-    text += _describe_needing({name: gain[name] for name in gain if name not in leaders})
+        wanting = name_variants(results, [name for name in leaders if gain[name] >= 0])
+        text = f"Of {name_variants(results, leaders)} only {wanting} would do worse without the model error τ"
+    text += _describe_needing(results, {name: gain[name] for name in gain if name not in leaders})
     return [_compare_without(results, leaders, text)]
 
 
-def _describe_needing(gain: Mapping[str, float]) -> str:
+def _describe_needing(results: StudyResults, gain: Mapping[str, float]) -> str:
     """Say how far the other variants fall without model error."""
     needing = [name for name in gain if gain[name] > 0]
     if not needing:
         return ""
     least = format_fixed(min(gain[name] for name in needing), 1)
     if len(needing) == 1:
-        return f"; {label_variant(needing[0])} falls by {least} nat"
+        return f"; {label_variant(results, needing[0])} falls by {least} nat"
     which = (
-        "the other variants" if len(needing) == len(gain) else name_or_count([*map(label_variant, needing)], len(gain))
+        "the other variants"
+        if len(needing) == len(gain)
+        else name_or_count([label_variant(results, name) for name in needing], len(gain))
     )
     return f"; without it {which} fall by {least} nat or more"
 
 
-def _compare_without(results: Results, leaders: list[str], text: str) -> Statement:
+def _compare_without(results: StudyResults, leaders: list[str], text: str) -> Statement:
     """Add who leads with the model error set to zero; a warning where it is another variant."""
     if len(results.ranking) == 1:
         return Statement(f"{text}.", lead="Model error")
@@ -205,13 +210,14 @@ def _compare_without(results: Results, leaders: list[str], text: str) -> Stateme
         spread = format_fixed(measure_spread(results, without, "zero"), 1)
         text = f"{text}. With τ = 0 everywhere the same {len(leaders)} lead{lead}, within {spread} nat."
         return Statement(text, lead="Model error")
-    text = f"{text}. With τ = 0 everywhere, {name_variants(without)} {'leads' if len(without) == 1 else 'lead'}{lead}"
+    verb = "leads" if len(without) == 1 else "lead"
+    text = f"{text}. With τ = 0 everywhere, {name_variants(results, without)} {verb}{lead}"
     if not set(without) & set(leaders):
         return Statement(f"{text}: not the variant that leads with model error.", "warning", "Model error")
     return Statement(f"{text}.", lead="Model error")
 
 
-def measure_gain(results: Results, name: str) -> float:
+def measure_gain(results: StudyResults, name: str) -> float:
     """Return what the model error adds to a variant's log-evidence, nats."""
     return read_evidence(results, name) - read_evidence(results, name, "zero")
 
@@ -219,7 +225,7 @@ def measure_gain(results: Results, name: str) -> float:
 # --- coverage --------------------------------------------------------------------------------------------------------
 
 
-def state_coverage(results: Results) -> list[Statement]:
+def state_coverage(results: StudyResults) -> list[Statement]:
     """Say how often the 90 % predictive intervals hold the measurements, in both settings."""
     statements = []
     n_poses = results.summary["n_poses"]["calibration"]
@@ -231,14 +237,14 @@ def state_coverage(results: Results) -> list[Statement]:
             f"{words[0].upper()}{words[1:]}, the 90 % predictive intervals hold {span} of the calibration measurements"
         )
         if narrow:
-            shares = [f"{label_variant(name)} ({_cover_both(results, name, setting)})" for name in narrow]
+            shares = [f"{label_variant(results, name)} ({_cover_both(results, name, setting)})" for name in narrow]
             text += ": too narrow, so the posteriors claim more than the data bear out, for "
             text += name_or_count(shares, len(coverage))
         statements.append(Statement(f"{text}.", "warning" if narrow else "plain", "Coverage"))
     return statements
 
 
-def _cover_both(results: Results, variant: str, setting: str) -> str:
+def _cover_both(results: StudyResults, variant: str, setting: str) -> str:
     fit = results.fit(variant, setting)
     text = format_percent(fit["calibration"]["interval_90_coverage"])
     if fit.get("verification"):

@@ -1,22 +1,26 @@
-"""What the publication states, and whether this study bears it out."""
+"""What a publication states, and whether this study bears it out."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import pandas as pd
 
-from bayescal.experiments.study.page.results import VERDICTS, Results
-from bayescal.report.blocks import Cell, Column, Level, Statement, Table, make_table
+from bayescal.experiments.study.page.results import VERDICTS, StudyResults
+from bayescal.report.blocks import Cell, Column, Counts, Level, Section, Statement, Table, make_table
 from bayescal.report.numbers import NOTHING, format_significant, join_words
 
 LEVELS: dict[str, Level] = dict(zip(VERDICTS, ("good", "bad", "plain"), strict=True))
 PLURAL = {"holds": "hold", "does not hold": "do not hold", "not testable": "are not testable"}
 OWN = "own"  # section of findings that the publication does not state
-TEXTS = ("section", "statement", "expected", "found", "unit", "why")
+EXPLANATION = (
+    "A claim opens to say how it was tested and what its verdict depends on. “Not testable” stands where these data "
+    "cannot decide."
+)
 
 
-def list_counts(results: Results) -> list[tuple[str, tuple[Cell, ...]]]:
+def list_counts(results: StudyResults) -> list[tuple[str, tuple[Cell, ...]]]:
     """Return how many claims have each verdict, as marks: those of the publication, and findings of the project."""
     if results.claims is None:
         return []
@@ -34,7 +38,7 @@ def _count(claims: pd.DataFrame) -> list[Cell]:
     ]
 
 
-def state_claims(results: Results) -> list[Statement]:
+def state_claims(results: StudyResults) -> list[Statement]:
     """Say in one sentence how the publication's claims fared."""
     if results.claims is None:
         return []
@@ -46,19 +50,28 @@ def state_claims(results: Results) -> list[Statement]:
     return [Statement(f"Of {words} of the publication, {counts}.", lead="Publication")]
 
 
-def tabulate_claims(results: Results) -> list[Table]:
-    """Return a table of claims for every section of the publication, in their order; other findings come last."""
-    if results.claims is None:
-        return []
+def show_claims(results: StudyResults) -> Section | None:
+    """Return the section of the claims, counted and one by one; None where the study tests none."""
+    if results.claims is None or results.publication is None:
+        return None
+    counts = (Counts(title, marks) for title, marks in list_counts(results))
+    return Section(
+        f"Claims of {results.publication.source}",
+        (*counts, EXPLANATION, tabulate_claims(results.claims)),
+        anchor="claims",
+        short="Claims",
+    )
+
+
+def tabulate_claims(claims: pd.DataFrame) -> Table:
+    """Return the claims by the publication's sections in their order; other findings come last."""
     columns = [Column(title, kind="text") for title in ("Verdict", "Claim", "Expected", "Found")]
-    frame = results.claims.fillna(dict.fromkeys(TEXTS, ""))
-    sections = sorted(dict.fromkeys(frame["section"]), key=_order)
-    return [
-        make_table(
-            _title(section), columns, [_row(claim) for _, claim in frame[frame["section"] == section].iterrows()]
-        )
-        for section in sections
-    ]
+    rows: list[list[str | Cell]] = []
+    headings = {}
+    for section in sorted(dict.fromkeys(claims["section"]), key=_order):
+        headings[len(rows)] = _title(section)
+        rows += [_row(claim) for _, claim in claims[claims["section"] == section].iterrows()]
+    return replace(make_table("", columns, rows, style="claims"), headings=headings)
 
 
 def _order(section: str) -> tuple[bool, list[int], str]:

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.study.page.results import Results
+from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.page.variants import (
-    describe_deformation,
     find_variants,
     label_model,
     label_variant,
@@ -21,17 +20,11 @@ from bayescal.experiments.study.page.variants import (
 from bayescal.report.blocks import Column, Statement, Table, make_table
 from bayescal.report.numbers import NOTHING, PER_MILLE, format_significant, format_span
 from bayescal.report.symbols import scale_of, write_symbol
+from bayescal.report.variant_names import describe_deformation
 
 LENGTH = "mm"
 ODD = 0.25  # of the other models' values, below which a published row looks misprinted
 MISPRINT = 10.0
-REMARK = (
-    "Published values differ from the posteriors by construction: they come from least squares with all poses "
-    "weighted alike, without tolerances and without model error, on the data of the publication. The posteriors "
-    "weigh every pose by its covariance, use the tolerances as priors and leave room for a model error. These data: "
-    "{origin}. A published value outside an interval contradicts nothing, unless the data were made from that very "
-    "table."
-)
 
 
 @dataclass(frozen=True)
@@ -53,14 +46,14 @@ class Published:
     n_known: int
 
 
-def has_published(results: Results, variant: str | None = None) -> bool:
+def has_published(results: StudyResults, variant: str | None = None) -> bool:
     """Whether any value was published, for one variant or at all."""
     rows = results.least_squares
     rows = rows if variant is None else rows[rows["variant"] == variant]
     return bool(rows["published_offset"].notna().any())
 
 
-def compare_published(results: Results, variant: str) -> Published:
+def compare_published(results: StudyResults, variant: str) -> Published:
     """Compare one variant's least squares and posterior (model error free) with the published values."""
     rows = results.least_squares[results.least_squares["variant"] == variant]
     lengths = rows[(rows["unit"] == LENGTH) & rows["difference"].notna()]["difference"]
@@ -81,18 +74,16 @@ def measure_rms(values: pd.Series) -> float:
     return float(np.sqrt(np.mean(np.square(known)))) if len(known) else float("nan")
 
 
-def name_table(results: Results, variant: str) -> str:
+def name_table(results: StudyResults, variant: str) -> str:
     """Return which published table belongs to a variant, ``table 5(a)``; empty where the config names none."""
-    config = results.provenance.get("config")
-    entries = config.get("variants") if isinstance(config, dict) else None
-    for entry in entries if isinstance(entries, list) else []:
-        if isinstance(entry, dict) and f"{entry.get('model')}/{entry.get('deformation')}" == variant:
+    for entry in results.config.get("variants", []):
+        if f"{entry.get('model')}/{entry.get('deformation')}" == variant:
             name = re.split(r"[/\\]", str(entry.get("published") or ""))[-1].removesuffix(".csv")
             return re.sub(r"^table_?(\d+)_?([a-z])$", r"table \1(\2)", name)
     return ""
 
 
-def tabulate_published(results: Results) -> Table | None:
+def tabulate_published(results: StudyResults) -> Table | None:
     """Return the rms difference between least squares and the published tables: a row per model."""
     if not has_published(results):
         return None
@@ -109,7 +100,7 @@ def tabulate_published(results: Results) -> Table | None:
             keys.append((deformation, symbols, scale))
     cells: list[list[str]] = []
     for model in list_models(results):
-        row = [label_model(model)]
+        row = [label_model(results, model)]
         for deformation, symbols, scale in keys:
             names = find_variants(results, model, deformation)
             chosen = frame[frame["variant"].isin(names) & frame["parameter"].isin(symbols)]
@@ -119,7 +110,7 @@ def tabulate_published(results: Results) -> Table | None:
     return make_table(caption, columns, cells, list_remarks(results))
 
 
-def _title_group(results: Results, names: list[str], deformation: str) -> str:
+def _title_group(results: StudyResults, names: list[str], deformation: str) -> str:
     """Return ``Table 5, without deformation`` where all tables of a deformation bear one number."""
     words = describe_deformation(deformation).removeprefix("with the ")
     numbers = {name_table(results, name).partition("(")[0] for name in names}
@@ -135,7 +126,7 @@ def _list_columns(rows: pd.DataFrame) -> list[tuple[str, list[str]]]:
     return found + [(str(unit), [str(s)]) for s, unit in zip(others["parameter"], others["unit"], strict=True)]
 
 
-def list_remarks(results: Results) -> list[Statement]:
+def list_remarks(results: StudyResults) -> list[Statement]:
     """Return published rows that are far smaller than those of all other models, as misprints would be."""
     frame = results.least_squares[results.least_squares["published_offset"].notna()]
     grouped = frame.groupby(["variant", "parameter"])["published_offset"]
@@ -150,14 +141,15 @@ def list_remarks(results: Results) -> list[Statement]:
     return remarks
 
 
-def _remark(results: Results, name: str, symbol: str, shares: list[float], rows: pd.DataFrame) -> Statement:
+def _remark(results: StudyResults, name: str, symbol: str, shares: list[float], rows: pd.DataFrame) -> Statement:
     factor, unit = scale_of(symbol, str(rows["unit"].iloc[0]))
     unit = f"·{unit}" if factor == PER_MILLE else f" {unit}"
     printed = factor * measure_rms(rows["difference"])
     times_ten = factor * measure_rms(rows["offset"] - MISPRINT * rows["published_offset"])
+    table = name_table(results, name) or "the published table"
     text = (
-        f"The {write_symbol(symbol)} of {name_table(results, name) or 'the published table'}, {label_variant(name)}, "
-        f"is printed at {format_span(shares, 2)} of the other models' size (rms)"
+        f"The {write_symbol(symbol)} of {table}, {label_variant(results, name)}, is printed at "
+        f"{format_span(shares, 2)} of the other models' size (rms)"
     )
     if times_ten < 0.5 * printed:
         text += (

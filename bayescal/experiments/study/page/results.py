@@ -1,4 +1,4 @@
-"""Reading a results directory, checked as far as the report leans on it."""
+"""What a study found, checked as far as its page leans on it."""
 
 from __future__ import annotations
 
@@ -8,38 +8,41 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import h5py  # type: ignore[import-untyped]  # ships no types
 import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
-from bayescal.files.atomic import read_json
-from bayescal.report.reading import NUMBER, Kinds, check_keys, read_table
+from bayescal.experiments.frame.results import SUMMARY_FILE, Results
+from bayescal.experiments.study.page.publication import Publication, read_publication
+from bayescal.report.reading import NUMBER, Kinds, check_keys
 from bayescal.report.symbols import split_name
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
 
 SETTINGS = {"free": "with model error", "zero": "without model error (τ = 0)"}
+SHORT_SETTINGS = {"free": "free", "zero": "τ = 0"}
+USES = ("calibration", "verification")
 TEXT_COLUMNS = (
     *("variant", "model_error", "pose", "use", "parameter", "unit", "quantity"),
     *("claim", "section", "statement", "expected", "found", "verdict", "why"),
 )
 VERDICTS = ("holds", "does not hold", "not testable")
+BASE, STRUT = "base", "strut"
 
 SUMMARY_KEYS: dict[str, Kinds] = {
     "experiment": str,
     "title": str,
     "data_origin": str,
-    "seed": int,
-    "config_sha256": str,
     "n_poses": dict,
     "pose_extraction": dict,
     "variants": dict,
     "ranking": list,
 }
+OPTIONAL_KEYS: dict[str, Kinds] = {"models": dict, "drive": str}
 FIT_KEYS: dict[str, Kinds] = {
     **dict.fromkeys(("n_parameters", "log_evidence", "log_evidence_se", "elpd_loo", "elpd_loo_se"), NUMBER),
     **dict.fromkeys(("elpd_loo_n_bad_k", "elpd_loo_pareto_k_max", "rhat_max", "ess_bulk_min", "ess_tail_min"), NUMBER),
@@ -102,17 +105,17 @@ TABLE_COLUMNS = {
     "claims": ("claim", "section", "statement", "expected", "found", "value", "unit", "verdict", "why"),
 }
 REQUIRED = ("predictions", "sensitivity", "least_squares")
-OPTIONAL = (("ring", "deformation"), ("claims",), ("flexure",))  # each group is there as a whole or not at all
+TOGETHER = ("ring", "deformation")  # both are there, or neither
 
 
 @dataclass(frozen=True, eq=False)
-class Results:
-    """What a study left, as the report needs it.
+class StudyResults:
+    """What a study left, as its page needs it.
 
     Attributes
     ----------
-    summary, provenance : dict
-        The JSON files.
+    summary, config : dict
+        As JSON has them.
     predictions, sensitivity, least_squares : DataFrame
         Tables of the study.
     ring, deformation : DataFrame or None
@@ -121,12 +124,14 @@ class Results:
         Statements of the publication, each with a verdict; None where the study tests none.
     flexure : DataFrame or None
         Displacement of a flexure joint; None where no model has flexures.
+    publication : Publication or None
+        What the study repeats; None for anybody's machine.
     draws : dict
         For each variant whose posterior file is there, the draws (S,) of each parameter, model error free.
     """
 
     summary: dict[str, Any]
-    provenance: dict[str, Any]
+    config: dict[str, Any]
     predictions: pd.DataFrame
     sensitivity: pd.DataFrame
     least_squares: pd.DataFrame
@@ -134,7 +139,29 @@ class Results:
     deformation: pd.DataFrame | None = None
     claims: pd.DataFrame | None = None
     flexure: pd.DataFrame | None = None
+    publication: Publication | None = None
     draws: dict[str, dict[str, Array]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, results: Results) -> Self:
+        """Return what the page needs of results.
+
+        Raises
+        ------
+        InputError
+            Naming the file where something is missing or not what a study writes. The posteriors' files may be
+            missing.
+        """
+        folder = results.folder or Path()
+        summary, path = results.summary, folder / SUMMARY_FILE
+        _check_summary(summary, path)
+        tables = _take_tables(results, folder / "tables")
+        _check_tables(tables, summary["ranking"], folder / "tables")
+        publication = read_publication(summary, path)
+        if "claims" in tables and publication is None:
+            raise InputError(f"{path}: publication: found nothing, expected the one whose claims are tested")
+        draws = {} if results.folder is None else _read_posteriors(results.folder / "posterior", summary["ranking"])
+        return cls(summary, results.config, **tables, publication=publication, draws=draws)
 
     @property
     def ranking(self) -> list[str]:
@@ -145,6 +172,11 @@ class Results:
     def best(self) -> dict[str, Any]:
         """The best variant's fit, model error free."""
         return self.fit(self.ranking[0], "free")
+
+    @property
+    def has_struts(self) -> bool:
+        """Whether the actuators change the lengths of struts; else they move the base points."""
+        return bool(self.summary.get("drive", BASE) == STRUT)
 
     @property
     def n_verification(self) -> int:
@@ -185,31 +217,33 @@ class Results:
         return sorted({*self.parameters["leg"], *self.least_squares["leg"]} - {0})
 
 
-def read_results(folder: Path) -> Results:
-    """Read and check a results directory.
+def _take_tables(results: Results, folder: Path) -> dict[str, pd.DataFrame]:
+    """Return the tables that are there, by name; each has its columns, and those that are no texts hold numbers."""
+    tables = {name: results.table(name) for name in TABLE_COLUMNS}
+    there = {name: table for name, table in tables.items() if not table.empty}
+    needed = (*REQUIRED, *(TOGETHER if set(TOGETHER) & set(there) else ()))
+    for name in needed:
+        if name not in there:
+            raise InputError(f"{folder / name}.csv: found no rows, expected a study's table")
+    for name, table in there.items():
+        for column in TABLE_COLUMNS[name]:
+            if column not in table.columns:
+                wanted = ", ".join(TABLE_COLUMNS[name])
+                raise InputError(f"{folder / name}.csv: found no column {column!r}, expected {wanted}")
+            if column not in TEXT_COLUMNS and not pd.api.types.is_numeric_dtype(table[column]):  # flags are numeric too
+                raise InputError(f"{folder / name}.csv: column {column!r}: found text, expected numbers")
+    return there
 
-    Raises
-    ------
-    InputError
-        Naming the file where one is missing or not what a study writes. The posteriors' files may be missing.
-    """
-    summary = read_json(folder / "summary.json")
-    _check_summary(summary, folder / "summary.json")
-    provenance = read_json(folder / "provenance.json")
-    tables = {name: _read_table(folder / "tables" / f"{name}.csv") for name in REQUIRED}
-    for name, table in tables.items():
-        missing = [v for v in summary["ranking"] if v not in set(table["variant"])]
+
+def _check_tables(tables: Mapping[str, pd.DataFrame], variants: list[str], folder: Path) -> None:
+    for name in REQUIRED:
+        missing = [variant for variant in variants if variant not in set(tables[name]["variant"])]
         if missing:
-            raise InputError(f"{folder / 'tables' / name}.csv: found no row of {missing[0]!r}, expected all variants")
-    _check_settings(tables["predictions"], summary["ranking"], folder / "tables" / "predictions.csv")
-    _check_grid(tables["sensitivity"], folder / "tables" / "sensitivity.csv")
-    optional = {name: _read_table(folder / "tables" / f"{name}.csv") for name in _find_optional(folder)}
-    optional = {name: table for name, table in optional.items() if len(table)}
-    if "claims" in optional:
-        _check_claims(optional["claims"], folder / "tables" / "claims.csv")
-    posteriors = {v: folder / "posterior" / f"{v.replace('/', '-')}.nc" for v in summary["ranking"]}
-    draws = {variant: _read_draws(path) for variant, path in posteriors.items() if path.is_file()}
-    return Results(summary, provenance, **tables, **optional, draws=draws)
+            raise InputError(f"{folder / name}.csv: found no row of {missing[0]!r}, expected all variants")
+    _check_settings(tables["predictions"], variants, folder / "predictions.csv")
+    _check_grid(tables["sensitivity"], folder / "sensitivity.csv")
+    if "claims" in tables:
+        _check_claims(tables["claims"], folder / "claims.csv")
 
 
 def _check_settings(predictions: pd.DataFrame, variants: list[str], path: Path) -> None:
@@ -234,41 +268,21 @@ def _check_claims(claims: pd.DataFrame, path: Path) -> None:
             )
 
 
-def _find_optional(folder: Path) -> list[str]:
-    groups = [names for names in OPTIONAL if any((folder / "tables" / f"{name}.csv").is_file() for name in names)]
-    return [name for names in groups for name in names]
-
-
-def _read_table(path: Path) -> pd.DataFrame:
-    return read_table(path, TABLE_COLUMNS[path.stem], TEXT_COLUMNS, "a study's table")
-
-
-def _read_draws(path: Path) -> dict[str, Array]:
-    """Return the draws of each parameter with chains joined, from the posterior group of an ArviZ file."""
-    draws: dict[str, Array] = {}
-    try:
-        with h5py.File(path, "r") as file:
-            for symbol, values in file["posterior"].items():
-                if values.ndim < 2:
-                    continue  # coordinates
-                flat = np.asarray(values, dtype=np.float64).reshape(values.shape[0] * values.shape[1], -1)
-                single = values.ndim == 2
-                draws |= {symbol if single else f"{symbol}[{k + 1}]": flat[:, k] for k in range(flat.shape[1])}
-    except (OSError, KeyError) as error:
-        raise InputError(f"{path}: cannot be read as a posterior ({error})") from error
-    return draws
-
-
 def _check_summary(summary: dict[str, Any], path: Path) -> None:
     check_keys(summary, SUMMARY_KEYS, path, "")
-    check_keys(summary["n_poses"], dict.fromkeys(("calibration", "verification"), NUMBER), path, "n_poses.")
+    check_keys(summary["n_poses"], dict.fromkeys(USES, NUMBER), path, "n_poses.")
     extraction: dict[str, Kinds] = {"method": str, "rejected_targets": list}
     check_keys(summary["pose_extraction"], extraction, path, "pose_extraction.")
+    check_keys(summary, {key: kind for key, kind in OPTIONAL_KEYS.items() if key in summary}, path, "")
+    models = summary.get("models", {})
+    check_keys(models, dict.fromkeys(models, str), path, "models.")
+    if summary.get("drive", BASE) not in (BASE, STRUT):
+        raise InputError(f"{path}: drive: found {summary['drive']!r}, expected {BASE} or {STRUT}")
     if not summary["variants"] or sorted(summary["ranking"]) != sorted(summary["variants"]):
         raise InputError(
             f"{path}: ranking: found {summary['ranking']}, expected each of {list(summary['variants'])} once"
         )
-    uses = [use for use in ("calibration", "verification") if summary["n_poses"][use]]
+    uses = [use for use in USES if summary["n_poses"][use]]
     for name, fit in summary["variants"].items():
         check_keys(summary["variants"], {name: dict}, path, "variants.")
         _check_fit(fit, uses, path, f"variants.{name}.")
@@ -288,6 +302,28 @@ def _check_fit(fit: dict[str, Any], uses: list[str], path: Path, where: str) -> 
         check_keys(fit[use], ERROR_KEYS, path, f"{where}{use}.")
         for key in ("position_error_mm", "orientation_error_deg"):
             check_keys(fit[use][key], dict.fromkeys(("mean", "max"), NUMBER), path, f"{where}{use}.{key}.")
+
+
+def _read_posteriors(folder: Path, variants: list[str]) -> dict[str, dict[str, Array]]:
+    """Return the draws of each variant whose file is there."""
+    paths = {variant: folder / f"{variant.replace('/', '-')}.nc" for variant in variants}
+    return {variant: _read_draws(path) for variant, path in paths.items() if path.is_file()}
+
+
+def _read_draws(path: Path) -> dict[str, Array]:
+    """Return the draws of each parameter with chains joined, from the posterior group of an ArviZ file."""
+    draws: dict[str, Array] = {}
+    try:
+        with h5py.File(path, "r") as file:
+            for symbol, values in file["posterior"].items():
+                if values.ndim < 2:
+                    continue  # coordinates
+                flat = np.asarray(values, dtype=np.float64).reshape(values.shape[0] * values.shape[1], -1)
+                single = values.ndim == 2
+                draws |= {symbol if single else f"{symbol}[{k + 1}]": flat[:, k] for k in range(flat.shape[1])}
+    except (OSError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read as a posterior ({error})") from error
+    return draws
 
 
 def get_number(content: Mapping[str, Any], key: str) -> float:

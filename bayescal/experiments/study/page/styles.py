@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
 
 from matplotlib.lines import Line2D
 
-from bayescal.experiments.study.page.variants import label_model, label_variant, split_variant
+from bayescal.experiments.study.page.results import StudyResults
+from bayescal.experiments.study.page.variants import (
+    label_model,
+    label_variant,
+    list_deformations,
+    list_models,
+    split_variant,
+)
 from bayescal.report.style import INK, MARKERS, OTHER_COLOURS
 from bayescal.report.symbols import quote
 
@@ -31,22 +38,20 @@ class VariantStyle:
 type Styles = Mapping[str, VariantStyle]
 
 
-def assign_styles(variants: Sequence[str]) -> dict[str, VariantStyle]:
-    """Return the style of each variant ``model/deformation``: of all of a study, that it be the same in all figures."""
-    models = dict.fromkeys(split_variant(name)[0] for name in variants)
-    deformations = dict.fromkeys(split_variant(name)[1] for name in variants)
-    marker = dict(zip(models, cycle(MARKERS), strict=False))
+def assign_styles(results: StudyResults) -> dict[str, VariantStyle]:
+    """Return the style of each variant of a study, the same in all figures."""
+    marker = dict(zip(list_models(results), cycle(MARKERS), strict=False))
     others = cycle(OTHER_COLOURS)
-    colour = {name: DEFORMATION_COLOURS.get(name) or next(others) for name in deformations}
+    colour = {name: DEFORMATION_COLOURS.get(name) or next(others) for name in list_deformations(results)}
     return {
         name: VariantStyle(
             colour[deformation],
             marker[model],
-            quote(label_variant(name)),
-            quote(label_model(model)),
+            quote(label_variant(results, name)),
+            quote(label_model(results, model)),
             quote(deformation),
         )
-        for name, (model, deformation) in ((name, split_variant(name)) for name in variants)
+        for name, (model, deformation) in ((name, split_variant(name)) for name in results.summary["variants"])
     }
 
 

@@ -6,12 +6,13 @@ import math
 from collections.abc import Sequence
 from itertools import combinations
 
-from bayescal.experiments.study.page.results import Results
+from bayescal.experiments.study.page.results import StudyResults
+from bayescal.report.blocks import Column
 from bayescal.report.numbers import join_words
+from bayescal.report.variant_names import describe_deformation
 
-MODEL_LABELS = {"six_pus": "6-PUS", "six_ups": "6-UPS", "jacobian": "Jacobian", "stiffness_fixed": "stiffness (fixed)"}
-STRUT_MODELS = {"six_ups"}  # of machines whose actuators change the lengths of struts
 NOT_DISTINGUISHABLE = 1.0  # nats
+VARIANT = Column("Variant", kind="name")
 
 
 def split_variant(name: str) -> tuple[str, str]:
@@ -20,47 +21,37 @@ def split_variant(name: str) -> tuple[str, str]:
     return model, deformation
 
 
-def label_model(model: str) -> str:
-    """Return a kinematic model's name as the report writes it."""
-    return MODEL_LABELS.get(model, model)
+def label_model(results: StudyResults, model: str) -> str:
+    """Return a kinematic model's title; its name where the study gives none."""
+    return str(results.summary.get("models", {}).get(model, model))
 
 
-def label_variant(name: str) -> str:
-    """Return a variant's name as the report writes it: ``six_pus/matrix`` is 6-PUS/matrix."""
+def label_variant(results: StudyResults, name: str) -> str:
+    """Return a variant's name with its model's title: ``six_pus/matrix`` is 6-PUS/matrix."""
     model, deformation = split_variant(name)
-    return f"{label_model(model)}/{deformation}" if model else deformation
+    return f"{label_model(results, model)}/{deformation}" if model else deformation
 
 
-def describe_deformation(deformation: str) -> str:
-    """Return a deformation after the name of a model: ``with the matrix deformation``."""
-    return "without deformation" if deformation == "none" else f"with the {deformation} deformation"
-
-
-def name_variants(names: Sequence[str], between: str = "and") -> str:
+def name_variants(results: StudyResults, names: Sequence[str], between: str = "and") -> str:
     """Return variants as words; those of one deformation as its models."""
     models, deformations = zip(*map(split_variant, names), strict=True)
     if len(set(deformations)) == 1 and len(names) > 1 and all(models):
-        words = [label_model(model) for model in models]
+        words = [label_model(results, model) for model in models]
         return f"{join_words(words, between)} {describe_deformation(deformations[0])}"
-    return join_words([label_variant(name) for name in names], between)
+    return join_words([label_variant(results, name) for name in names], between)
 
 
-def list_models(results: Results) -> list[str]:
+def list_models(results: StudyResults) -> list[str]:
     """Return the kinematic models in the order of the study."""
     return list(dict.fromkeys(split_variant(name)[0] for name in results.summary["variants"]))
 
 
-def is_on_struts(results: Results) -> bool:
-    """Whether the machine stands on struts, unlike the telescope of RR-8096."""
-    return set(list_models(results)) <= STRUT_MODELS
-
-
-def list_deformations(results: Results) -> list[str]:
+def list_deformations(results: StudyResults) -> list[str]:
     """Return the deformations in the order of the study."""
     return list(dict.fromkeys(split_variant(name)[1] for name in results.summary["variants"]))
 
 
-def find_variants(results: Results, model: str | None = None, deformation: str | None = None) -> list[str]:
+def find_variants(results: StudyResults, model: str | None = None, deformation: str | None = None) -> list[str]:
     """Return the variants of a model, of a deformation or of both, in the order of the study."""
     return [
         name
@@ -69,19 +60,19 @@ def find_variants(results: Results, model: str | None = None, deformation: str |
     ]
 
 
-def read_evidence(results: Results, name: str, setting: str = "free") -> float:
+def read_evidence(results: StudyResults, name: str, setting: str = "free") -> float:
     """Return a variant's log-evidence, nats."""
     return float(results.fit(name, setting)["log_evidence"])
 
 
-def is_told_apart(results: Results, one: str, other: str, setting: str = "free") -> bool:
+def is_told_apart(results: StudyResults, one: str, other: str, setting: str = "free") -> bool:
     """Whether two log-evidences differ by more than 1 nat and by more than twice the error of the estimates."""
     error = math.hypot(*(results.fit(name, setting)["log_evidence_se"] for name in (one, other)))
     gap = abs(read_evidence(results, one, setting) - read_evidence(results, other, setting))
     return gap > max(NOT_DISTINGUISHABLE, 2 * error)
 
 
-def group_variants(results: Results, names: Sequence[str], setting: str = "free") -> list[list[str]]:
+def group_variants(results: StudyResults, names: Sequence[str], setting: str = "free") -> list[list[str]]:
     """Return variants in groups by evidence, the best group first; a group is not told apart from its own best.
 
     Within a group the variants stand in the order of the study.
@@ -96,23 +87,23 @@ def group_variants(results: Results, names: Sequence[str], setting: str = "free"
     return [sorted(group, key=order.index) for group in groups]
 
 
-def find_leaders(results: Results, setting: str = "free") -> list[str]:
+def find_leaders(results: StudyResults, setting: str = "free") -> list[str]:
     """Return the variants that are not told apart from the best one, in the order of the study."""
     return group_variants(results, results.ranking, setting)[0]
 
 
-def choose_model(results: Results) -> str:
+def choose_model(results: StudyResults) -> str:
     """Return the model to show where one must do: the study's first among the leaders."""
     return split_variant(find_leaders(results)[0])[0]
 
 
-def measure_spread(results: Results, names: Sequence[str], setting: str = "free") -> float:
+def measure_spread(results: StudyResults, names: Sequence[str], setting: str = "free") -> float:
     """Return the largest difference of log-evidence among variants, nats."""
     values = [read_evidence(results, name, setting) for name in names]
     return max(values) - min(values)
 
 
-def split_pairs(results: Results) -> tuple[list[float], list[float]]:
+def split_pairs(results: StudyResults) -> tuple[list[float], list[float]]:
     """Return the differences of log-evidence of all pairs: those told apart, and those not."""
     apart: list[float] = []
     tied: list[float] = []

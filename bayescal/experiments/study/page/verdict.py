@@ -7,10 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from bayescal.experiments.study.page import checks, claims
-from bayescal.experiments.study.page.results import Results, get_number
+from bayescal.experiments.study.page.results import StudyResults, get_number
 from bayescal.experiments.study.page.variants import (
     NOT_DISTINGUISHABLE,
-    describe_deformation,
     find_leaders,
     find_variants,
     group_variants,
@@ -31,43 +30,47 @@ from bayescal.report.numbers import (
     MILLIDEGREES,
     format_fixed,
     format_odds,
+    format_plain,
     format_significant,
     format_span,
     join_words,
 )
+from bayescal.report.variant_names import describe_deformation
 
 STRONG = 5.0  # nats
 SMALL_ELPD = 4.0  # nats of elpd below which a difference says little
 BEYOND_BELIEF = 15.0  # nats from which odds rest on the assumptions, no longer on the data
 
 
-def state_headline(results: Results) -> str:
+def state_headline(results: StudyResults) -> str:
     """Return which variant wins and by how much, or which share the first place."""
     best = results.ranking[0]
     if len(results.ranking) == 1:
         evidence = format_fixed(results.best["log_evidence"], 1)
-        return f"{label_variant(best)} is the only variant, log-evidence {evidence} nat."
+        return f"{label_variant(results, best)} is the only variant, log-evidence {evidence} nat."
     leaders = find_leaders(results)
     others = [name for name in results.ranking if name not in leaders]
     if len(leaders) > 1:
         between = format_fixed(measure_spread(results, leaders), 2)
         if not others:
-            return f"{name_variants(leaders)} cannot be told apart: {between} nat of log-evidence between them."
+            return (
+                f"{name_variants(results, leaders)} cannot be told apart: {between} nat of log-evidence between them."
+            )
         behind = measure_spread(results, (best, others[0]))
         words = "explain the measurements best and cannot" if behind > STRONG else "cannot"
         return (
-            f"{name_variants(leaders)} {words} be told apart: {between} nat of log-evidence between them; "
-            f"{label_variant(others[0])} follows {format_fixed(behind, 1)} nat behind."
+            f"{name_variants(results, leaders)} {words} be told apart: {between} nat of log-evidence between them; "
+            f"{label_variant(results, others[0])} follows {format_fixed(behind, 1)} nat behind."
         )
     lead = measure_spread(results, results.ranking[:2])
     word = "explains the measurements best" if lead > STRONG else "is preferred, not decisively"
     return (
-        f"{label_variant(best)} {word}, by {format_fixed(lead, 1)} nat over {label_variant(results.ranking[1])} "
-        f"(odds of about {format_odds(lead)})."
+        f"{label_variant(results, best)} {word}, by {format_fixed(lead, 1)} nat over "
+        f"{label_variant(results, results.ranking[1])} (odds of about {format_odds(lead)})."
     )
 
 
-def state_verdict(results: Results) -> list[Statement]:
+def state_verdict(results: StudyResults) -> list[Statement]:
     """Return the sentences below the headline."""
     return [
         *_state_deformations(results),
@@ -84,7 +87,7 @@ def state_verdict(results: Results) -> list[Statement]:
     ]
 
 
-def _state_deformations(results: Results) -> list[Statement]:
+def _state_deformations(results: StudyResults) -> list[Statement]:
     """Say what the best variant's deformation is worth against the others, model by model."""
     best = split_variant(results.ranking[0])[1]
     parts = {}
@@ -93,7 +96,7 @@ def _state_deformations(results: Results) -> list[Statement]:
         for model in list_models(results):
             pair = find_variants(results, model, best) + find_variants(results, model, other)
             if len(pair) == 2:
-                gaps[label_model(model)] = read_evidence(results, pair[0]) - read_evidence(results, pair[1])
+                gaps[label_model(results, model)] = read_evidence(results, pair[0]) - read_evidence(results, pair[1])
         if gaps:
             parts[other] = (max(gaps.values()), f"of {other} by {_describe_gaps(gaps)}")
     if not parts or len(results.ranking) < 3:
@@ -119,7 +122,7 @@ def _describe_gaps(gaps: Mapping[str, float]) -> str:
     return join_words(words)
 
 
-def _state_models(results: Results) -> list[Statement]:
+def _state_models(results: StudyResults) -> list[Statement]:
     """Say which models the evidence tells apart, deformation by deformation, the best first."""
     parts = []
     for deformation in dict.fromkeys(split_variant(name)[1] for name in results.ranking):
@@ -133,21 +136,21 @@ def _state_models(results: Results) -> list[Statement]:
     return [Statement(f"{text[0].upper()}{text[1:]}.", lead="Model")]
 
 
-def _describe_groups(results: Results, groups: Sequence[Sequence[str]]) -> str:
+def _describe_groups(results: StudyResults, groups: Sequence[Sequence[str]]) -> str:
     first, *rest = groups
-    lead = join_words([label_model(split_variant(name)[0]) for name in first])
+    lead = join_words([label_model(results, split_variant(name)[0]) for name in first])
     spread = format_fixed(measure_spread(results, first), 1)
     words = [f"{lead} are not told apart ({spread} nat)" if len(first) > 1 else f"{lead} leads"]
     reference = read_evidence(results, first[0])
     for group in rest:
-        models = join_words([label_model(split_variant(name)[0]) for name in group])
+        models = join_words([label_model(results, split_variant(name)[0]) for name in group])
         below = format_span([reference - read_evidence(results, name) for name in group])
-        of = f" {label_model(split_variant(first[0])[0])}" if len(first) > 1 else ""
+        of = f" {label_model(results, split_variant(first[0])[0])}" if len(first) > 1 else ""
         words.append(f"{models} {below} nat below{of}")
     return ", ".join(words)
 
 
-def _state_pairs(results: Results) -> list[Statement]:
+def _state_pairs(results: StudyResults) -> list[Statement]:
     apart, tied = split_pairs(results)
     if not apart or not tied or len(results.ranking) < 3:
         return []
@@ -158,7 +161,7 @@ def _state_pairs(results: Results) -> list[Statement]:
     return [Statement(text, lead="Pairs")]
 
 
-def _state_accuracy(results: Results) -> Statement:
+def _state_accuracy(results: StudyResults) -> Statement:
     use = "verification" if results.n_verification else "calibration"
     leaders = find_leaders(results)
     texts = {}
@@ -169,7 +172,7 @@ def _state_accuracy(results: Results) -> Statement:
             texts[key, which] = " to ".join(words)
     held = "held back from the fit" if results.n_verification else "used in the fit; none were held back"
     return Statement(
-        f"{name_variants(leaders)}: {texts['position_error_mm', 'mean']} µm mean and "
+        f"{name_variants(results, leaders)}: {texts['position_error_mm', 'mean']} µm mean and "
         f"{texts['position_error_mm', 'max']} µm largest position error, {texts['orientation_error_deg', 'mean']} mdeg "
         f"mean and {texts['orientation_error_deg', 'max']} mdeg largest orientation error on the "
         f"{results.summary['n_poses'][use]} {use} poses ({held}).",
@@ -177,7 +180,7 @@ def _state_accuracy(results: Results) -> Statement:
     )
 
 
-def _state_odds(results: Results) -> list[Statement]:
+def _state_odds(results: StudyResults) -> list[Statement]:
     others = [name for name in results.ranking if name not in find_leaders(results)]
     if not others or not measure_spread(results, (results.ranking[0], others[0])) > BEYOND_BELIEF:
         return []
@@ -191,7 +194,7 @@ def _state_odds(results: Results) -> list[Statement]:
 # --- predictive density ----------------------------------------------------------------------------------------------
 
 
-def _state_prediction(results: Results) -> list[Statement]:
+def _state_prediction(results: StudyResults) -> list[Statement]:
     """Say whether cross-validation and the poses held back name the same variants as the evidence."""
     if len(results.ranking) == 1:
         return []
@@ -201,7 +204,7 @@ def _state_prediction(results: Results) -> list[Statement]:
         held = "The poses held back for verification (elpd)"
         statements.append(_compare_order(results, held, "agree", read_verification_elpd))
     bad = {name: int(results.fit(name, "free")["elpd_loo_n_bad_k"]) for name in results.ranking}
-    doubtful = [f"{label_variant(name)} ({n} {'pose' if n == 1 else 'poses'})" for name, n in bad.items() if n]
+    doubtful = [f"{label_variant(results, name)} ({n} {'pose' if n == 1 else 'poses'})" for name, n in bad.items() if n]
     if doubtful:
         named = checks.name_or_count(doubtful, len(bad))
         text = f"elpd LOO is approximate where Pareto k exceeds {PARETO_K_LIMIT}: {named}."
@@ -214,7 +217,7 @@ def read_verification_elpd(fit: dict[str, Any]) -> float:
     return get_number(fit.get("verification") or {}, "elpd")
 
 
-def _compare_order(results: Results, name: str, verb: str, score: Callable[[dict[str, Any]], float]) -> Statement:
+def _compare_order(results: StudyResults, name: str, verb: str, score: Callable[[dict[str, Any]], float]) -> Statement:
     values = {variant: score(results.fit(variant, "free")) for variant in results.ranking}
     order = sorted(values, key=lambda variant: -values[variant] if values[variant] == values[variant] else math.inf)
     leaders = find_leaders(results)
@@ -222,14 +225,16 @@ def _compare_order(results: Results, name: str, verb: str, score: Callable[[dict
     first = order[0]
     if not others or first not in leaders:
         rival = order[1] if first in leaders else max(leaders, key=values.__getitem__)
-        lead = f"{label_variant(first)} first, {format_fixed(values[first] - values[rival], 1)} nat ahead of "
-        return _judge_order(name, verb, values[first] - values[rival], first in leaders, lead + label_variant(rival))
+        lead = f"{label_variant(results, first)} first, {format_fixed(values[first] - values[rival], 1)} nat ahead of "
+        return _judge_order(
+            name, verb, values[first] - values[rival], first in leaders, lead + label_variant(results, rival)
+        )
     gap = min(values[variant] for variant in leaders) - values[others[0]]
-    among = f"{label_variant(first)} first, "
+    among = f"{label_variant(results, first)} first, "
     if len(leaders) > 1:
         spread = format_fixed(max(values.values()) - min(values[variant] for variant in leaders), 1)
         among = f"the same {len(leaders)} lead with {spread} nat between them, "
-    lead = f"{among}{format_fixed(gap, 1)} nat ahead of {label_variant(others[0])}"
+    lead = f"{among}{format_fixed(gap, 1)} nat ahead of {label_variant(results, others[0])}"
     if gap > SMALL_ELPD:
         lead += _describe_rest(results, values)
     return _judge_order(name, verb, gap, True, lead)
@@ -245,12 +250,12 @@ def _judge_order(name: str, verb: str, gap: float, agrees: bool, lead: str) -> S
     return Statement(f"{name} {verb}: {lead}.", "good", "Prediction")
 
 
-def _describe_rest(results: Results, values: Mapping[str, float]) -> str:
+def _describe_rest(results: StudyResults, values: Mapping[str, float]) -> str:
     """Say whether the order further down contradicts the evidence by more than a little."""
     if len(values) < 3:
         return ""
     reversed_pairs = checks.list_reversals(results, values, SMALL_ELPD)
     if not reversed_pairs:
-        return f"; no pair that the evidence tells apart is reversed by more than {SMALL_ELPD:g} nat"
+        return f"; no pair that the evidence tells apart is reversed by more than {format_plain(SMALL_ELPD)} nat"
     n = len(reversed_pairs)
     return f"; further down {n} {'pair comes' if n == 1 else 'pairs come'} in the other order"

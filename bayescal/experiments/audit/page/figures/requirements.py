@@ -12,6 +12,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from bayescal.experiments.audit.page.results import Requirement
 from bayescal.experiments.audit.page.wording import format_share, name_requirement
 from bayescal.limits import NINETY_FIVE
+from bayescal.report.numbers import format_plain
 from bayescal.report.style import GREY, INK, PALE, RED
 from bayescal.report.symbols import quote
 
@@ -49,7 +50,7 @@ def draw_requirements(requirements: Sequence[Requirement]) -> Figure:
         100.0 / NINETY_FIVE, color=RED, linewidth=1.0, linestyle="--", label="95 % within the limit, at one pose"
     )
     axes.axvline(100.0, color=RED, linewidth=1.2, label="the limit")
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g} %"))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{format_plain(value, separator=',')} %"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_yticks(rows, [quote(name_requirement(r.name)) for r in requirements])
     axes.set_ylim(len(requirements) - 0.5, -0.6)

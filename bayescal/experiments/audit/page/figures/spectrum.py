@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayescal.limits import DEAD, INFORMED
+from bayescal.report.numbers import format_plain
 from bayescal.report.style import GREY, INK, RED
 
 BLUE = "#0072B2"
@@ -81,7 +82,7 @@ def _draw_plan(axes: Axes, spectrum: pd.DataFrame) -> None:
             )
     for value, contraction in ((high, INFORMED), (low, DEAD)):
         axes.axhline(value, color=GREY, linestyle="--", linewidth=1.0)
-        axes.text(1, value * 1.12, f"contraction {contraction:g}", fontsize=8, color="#555555")
+        axes.text(1, value * 1.12, f"contraction {format_plain(contraction)}", fontsize=8, color="#555555")
     axes.set_ylabel("Tolerance / what the noise leaves")
     axes.set_title("The planned measurements")
     axes.legend(loc="best")

@@ -13,6 +13,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from bayescal.experiments.audit.page.wording import name_requirement
 from bayescal.limits import DEAD, INFORMED
+from bayescal.report.numbers import format_plain
 from bayescal.report.style import GREY, RED
 from bayescal.report.symbols import quote, set_mathematics
 
@@ -103,7 +104,7 @@ def _draw_required(axes: Axes, rows: pd.DataFrame) -> None:
 def _set_percent(axes: Axes) -> None:
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(base=10.0, subs=(1.0, 2.0, 5.0), numticks=9))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g} %"))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{format_plain(value)} %"))
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
@@ -114,5 +115,5 @@ def _label_values(axes: Axes, values: list[float]) -> None:
     for value in values:
         if not kept or np.log(value / kept[-1]) >= room * 0.999:
             kept.append(value)
-    axes.set_xticks(kept, [f"{value:g}" for value in kept])
+    axes.set_xticks(kept, [format_plain(value) for value in kept])
     axes.minorticks_off()

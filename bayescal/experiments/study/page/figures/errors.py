@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter
 from bayescal.experiments.study.page.figures.overview import QUANTITIES
 from bayescal.experiments.study.page.results import SETTINGS
 from bayescal.experiments.study.page.styles import Styles
-from bayescal.report.numbers import MICROMETRES, format_significant
+from bayescal.report.numbers import MICROMETRES, format_plain, format_significant
 from bayescal.report.style import GREY, INK, RED
 
 SHADES = {"calibration": 0.85, "verification": 0.35}
@@ -96,7 +96,7 @@ def draw_bounds(predictions: pd.DataFrame, variants: Sequence[str], styles: Styl
     low, high = max(0.002, 0.7 * frame["ratio"].min()), 1.25 * max(1.0, frame["ratio"].max())
     grid[0].set_xscale("log")  # shared
     grid[0].set_xlim(low, high)
-    grid[0].xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    grid[0].xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
     grid[0].set_yticks(range(len(variants)), [styles[name].label for name in variants])
     grid[0].set_ylim(len(variants) - 0.5, -0.5)
     return figure

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from bayescal.experiments.study.page.styles import DEFORMATION_COLOURS
-from bayescal.report.numbers import format_significant
+from bayescal.report.numbers import format_plain, format_significant
 from bayescal.report.style import INK
 
 ORANGE, BLUE, _ = DEFORMATION_COLOURS.values()
@@ -47,7 +47,7 @@ def draw_flexure(rows: pd.DataFrame) -> Figure:
     )
     left.set_xlabel("Shortening Δx (µm)")
     left.set_ylabel("Deflection Δy (µm)")
-    left.set_title(f"Path of the end, up to {rows['bending_deg'].max():g} deg")
+    left.set_title(f"Path of the end, up to {format_plain(rows['bending_deg'].max())} deg")
     left.set_xlim(left=0)
     left.set_ylim(bottom=0)
     left.legend(loc="lower right")
@@ -55,7 +55,7 @@ def draw_flexure(rows: pd.DataFrame) -> Figure:
     for column, colour, label in (("pivot_error_nm", ORANGE, "ideal pivot"), ("circle_error_nm", BLUE, "circle")):
         _draw_error(right, rows["bending_deg"], rows[column].abs(), colour, label)
     right.set_yscale("log")
-    right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
     right.set_xlim(left=0)
     right.set_xlabel("Bending δ (deg)")
     right.set_ylabel("Distance from the beam along x (nm)")

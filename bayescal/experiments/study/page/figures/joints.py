@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bayescal.experiments.study.page.styles import Styles, VariantStyle
-from bayescal.report.numbers import format_significant
+from bayescal.report.numbers import format_plain, format_significant
 from bayescal.report.style import GREY, INK, PALE
 
 HARDPOINTS = (("a_x", "a_y", "a"), ("b_x", "b_y", "b"))
-DEFORMATION_MARKERS = {"none": "o", "linear": "x", "matrix": "^"}  # as in the report's figure
+DEFORMATION_MARKERS = {"none": "o", "linear": "x", "matrix": "^"}
 OTHER_MARKERS = ("s", "D", "v", "P")
 SMALL_COLUMNS = 3
 ONE_DIRECTION = math.radians(8.0)  # between points whose names would overlap
@@ -100,7 +100,7 @@ def draw_joints(joints: pd.DataFrame, models: Mapping[str, Sequence[str]], style
     for k, (point, where) in enumerate((("a", "base"), ("b", "platform"))):
         axes = figure.add_subplot(grid[0, 3 * k : 3 * k + 3])
         _draw_plan(axes, rows[rows["point"] == point], names, styles, marks, factor, True)
-        axes.set_title(f"{first}: points {point} of the {where}, moves magnified {factor:g} times")
+        axes.set_title(f"{first}: points {point} of the {where}, moves magnified {format_plain(factor)} times")
         axes.set_xlabel("x (mm)")
         axes.set_ylabel("y (mm)")
         of_point = measure_moves(rows[rows["point"] == point])

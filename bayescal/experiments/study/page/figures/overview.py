@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter
 
 from bayescal.experiments.study.page.results import SETTINGS
 from bayescal.experiments.study.page.styles import Styles
-from bayescal.report.numbers import MICROMETRES, MILLIDEGREES, format_fixed, format_significant
+from bayescal.report.numbers import MICROMETRES, MILLIDEGREES, format_fixed, format_plain, format_significant
 from bayescal.report.style import INK, PALE
 
 QUANTITIES = (
@@ -73,7 +73,7 @@ def _draw_evidence(axes: Axes, names: Sequence[str], behind: Mapping[tuple[str, 
     axes.plot(zero, range(len(names)), "D", markersize=4, color="white", markeredgecolor=INK, markeredgewidth=0.8)
     axes.set_xscale("symlog", linthresh=1.0, linscale=0.5)
     axes.set_xlim(0, 12 * max(1.0, *free, *zero))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
     for k, (one, other) in enumerate(zip(free, zero, strict=True)):
         text = format_fixed(-one, 1)
         axes.annotate(text, (max(one, other), k), (6, 0), textcoords="offset points", va="center", fontsize=8)

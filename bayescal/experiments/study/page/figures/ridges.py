@@ -9,6 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from bayescal.report.numbers import format_fixed
 from bayescal.report.style import INK
 from bayescal.report.symbols import scale_of, set_mathematics
 
@@ -58,7 +59,7 @@ def _draw_matrix(axes: Axes, draws: pd.DataFrame) -> None:
     for i, j in np.ndindex(*matrix.shape):
         if i != j and len(symbols) <= FEW:
             colour = "white" if abs(matrix[i, j]) > 0.6 else INK
-            text = f"{matrix[i, j]:.2f}".replace("-", "−")
+            text = format_fixed(float(matrix[i, j]), 2)
             axes.text(j, i, text, ha="center", va="center", fontsize=8, color=colour)
     axes.spines[:].set_visible(False)
     axes.set_title("Correlation")

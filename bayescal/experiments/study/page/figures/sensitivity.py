@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from bayescal.experiments.study.page.styles import Styles, list_keys
+from bayescal.report.numbers import MINUS, format_plain
 
 SPREAD = 0.08  # of the axis between the first and the last model at one tolerance
 
@@ -30,7 +31,7 @@ def draw_sensitivity(wide: pd.DataFrame, styles: Styles) -> Figure:
     _draw_lines(right, wide.sub(wide.max(axis=1), axis=0), styles)
     right.set_yscale("symlog", linthresh=1.0, linscale=0.6)
     right.set_ylim(min(-1.0, 1.6 * float(right.dataLim.y0)), 0.5)
-    right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}".replace("-", "−")))
+    right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value).replace("-", MINUS)))
     right.set_ylabel("below the best there (nat, logarithmic)")
     right.set_title("What separates the variants")
     figure.legend(handles=list_keys(styles, 1.2), loc="outside upper left", ncols=8, borderaxespad=0.2)
@@ -54,7 +55,7 @@ def _draw_lines(axes: Axes, wide: pd.DataFrame, styles: Styles) -> None:
         )
     axes.set_xscale("log")
     axes.set_xticks(list(wide.index))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.minorticks_off()
     axes.set_xlabel("Tolerance of the lengths, prior sd (mm)")

@@ -1,0 +1,58 @@
+"""Audits as a kind of experiment."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from rich.console import Console
+
+from bayescal.experiments.audit.compute import compute_audit
+from bayescal.experiments.audit.inputs import AuditDesign, read_design
+from bayescal.experiments.audit.page.build import build_page
+from bayescal.experiments.audit.schema import AuditConfig
+from bayescal.experiments.audit.terminal import show_audit
+from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results
+from bayescal.report.blocks import Page
+
+
+class Audit(Experiment[AuditConfig, AuditDesign]):
+    """What a machine's measurements can and cannot determine."""
+
+    schema = AuditConfig
+    tables_in = "tables"
+    digits = 0
+
+    def files(self, config: AuditConfig, folder: Path) -> list[str]:
+        """Return the design's files; those of a study whose data are audited, too."""
+        names = super().files(config, folder)
+        if config.data is not None:
+            experiment, study = load(folder / config.data.study)
+            beside = Path(config.data.study).parent
+            names += [os.path.normpath(beside / name) for name in experiment.files(study, folder / beside)]
+        return names
+
+    def read(self, config: AuditConfig, folder: Path) -> AuditDesign:
+        """Return the design, read and checked."""
+        return read_design(config, folder)
+
+    def compute(self, inputs: AuditDesign, run: Run) -> Results:
+        """Return everything the audit says."""
+        return compute_audit(inputs, run)
+
+    def page(self, results: Results) -> Page:
+        """Return the audit's page."""
+        return build_page(results)
+
+    def show(self, results: Results, page: Page, console: Console) -> None:
+        """Print the verdict, what is known of each symbol, and the requirements."""
+        del page
+        show_audit(results, console)
+
+    def list_failures(self, results: Results) -> list[str]:
+        """Return why a posterior did not converge."""
+        posterior = results.summary.get("posterior")
+        return [] if posterior is None or posterior["converged"] else ["the posterior did not converge"]

@@ -1,0 +1,165 @@
+"""The page of an audit, from its results alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from bayescal.experiments.audit.page import illustrations, tables
+from bayescal.experiments.audit.page.method import describe_method, tabulate_audit
+from bayescal.experiments.audit.page.profile_table import tabulate_profiles
+from bayescal.experiments.audit.page.results import AuditResults
+from bayescal.experiments.audit.page.ridges import build_ridges
+from bayescal.experiments.audit.page.verdict import list_failures, state_headline, state_verdict
+from bayescal.experiments.frame.results import Results
+from bayescal.report.blocks import Absent, Block, Definitions, Fold, Page, Section, Statement, Table
+from bayescal.report.numbers import format_plain, join_words
+from bayescal.report.variant_names import describe_deformation
+
+KIND = "Identifiability audit"
+FAILURES = "Do not rely on these numbers yet. What speaks against them:"
+RIDGES = (
+    "Each sentence is computed with the machine itself: parameters can move together this far and the measured poses "
+    "stay as said. What is never seen no plan reveals, only another kind of measurement; what is weak a better plan "
+    "may."
+)
+NO_RIDGES = "There are none: every combination of the parameters is determined."
+
+
+def build_page(results: Results) -> Page:
+    """Return what the page of an audit says.
+
+    Parameters
+    ----------
+    results : Results
+        Without the tables of profiles, draws or sweeps these parts are left out.
+
+    Raises
+    ------
+    InputError
+        Where the results are not what an audit writes.
+    """
+    audit = AuditResults.of(results)
+    return Page(
+        kind=KIND,
+        name=audit.summary["name"],
+        title=audit.summary["title"],
+        origin=_find_origin(audit) if audit.is_measured else "",
+        headline=state_headline(audit),
+        verdict=tuple(state_verdict(audit)),
+        sections=_build_sections(audit),
+        facts=(("Machine", _describe_machine(audit)), ("Plan", _describe_plan(audit))),
+        failures=tuple(list_failures(audit)),
+        failures_title=FAILURES,
+        symbols=tuple(audit.symbols),
+    )
+
+
+def _find_origin(audit: AuditResults) -> str:
+    """Return where the data come from that the posterior's draws rest on; nothing without draws."""
+    posterior = audit.summary.get("posterior")
+    return posterior["origin"] if posterior is not None else ""
+
+
+def _describe_machine(audit: AuditResults) -> str:
+    summary = audit.summary
+    model = summary.get("model_title", summary["model"])
+    return f"{summary['machine']}, {model} {describe_deformation(summary['deformation'])}"
+
+
+def _describe_plan(audit: AuditResults) -> str:
+    plan = audit.summary["plan"]
+    moved, most, noise, model_error = (
+        format_plain(plan[key], 3)
+        for key in ("largest_displacement_mm", "actuator_range_mm", "actuator_noise_um", "model_error_um")
+    )
+    sensors = join_words([str(name).replace("_", " ") for name in plan["sensors"]])
+    seen = f", seen by {sensors}" if sensors else ""
+    beside = f", model error {model_error} µm" if plan["model_error_um"] else ""
+    kind = "calibration" if audit.is_measured else "planned"
+    return (
+        f"{audit.n_poses} {kind} poses{seen}; displacements up to {moved} mm of {most} mm; "
+        f"noise: actuators {noise} µm{beside}"
+    )
+
+
+# --- sections --------------------------------------------------------------------------------------------------------
+
+
+def _build_sections(audit: AuditResults) -> tuple[Section, ...]:
+    ridges = build_ridges(audit)
+    sweeps = illustrations.show_sweeps(audit)
+    return (
+        Section("Parameters: what will be known", _show_parameters(audit), "parameters", "Parameters"),
+        Section("Ridges: what cannot be told apart", (RIDGES if ridges else NO_RIDGES, *ridges), "ridges", "Ridges"),
+        Section("What to free and what to fix", _show_selection(audit), "selection", "What to fix"),
+        Section("Requirements", _show_requirements(audit), "requirements"),
+        Section("What would help", _show_changes(audit), "changes"),
+        Section("Noise, number of poses, displacements", (sweeps,), "sweeps", "Sweeps"),
+        Section("Profile likelihoods", _show_profiles(audit), "profiles", "Profiles"),
+        Section("Ridges as draws show them", _show_draws(audit), "draws", "Ridge plots"),
+        Section("Simulated calibrations", _show_simulated(audit), "simulated"),
+        Section("How it was computed", (Definitions(describe_method(audit)), tabulate_audit(audit)), "method"),
+    )
+
+
+def _show_parameters(audit: AuditResults) -> tuple[Block, ...]:
+    each = Fold("Every parameter with the reason of its verdict", (_set_small(tables.tabulate_parameters(audit)),))
+    return (
+        _set_small(tables.tabulate_symbols(audit)),
+        illustrations.show_contraction(audit),
+        each,
+        illustrations.show_spectrum(audit),
+    )
+
+
+def _set_small(table: Table) -> Table:
+    return replace(table, style="wide parameters")
+
+
+def _show_selection(audit: AuditResults) -> tuple[Block, ...]:
+    return (tables.tabulate_selection(audit) or Absent("No selection was made."),)
+
+
+def _show_requirements(audit: AuditResults) -> tuple[Block, ...]:
+    table = tables.tabulate_requirements(audit)
+    return (*_if_any(table), illustrations.show_requirements(audit))
+
+
+def _show_changes(audit: AuditResults) -> tuple[Block, ...]:
+    table, best = tables.tabulate_changes(audit), tables.tabulate_ridge_help(audit)
+    blocks: list[Block] = [illustrations.show_changes(audit)]
+    if table is not None:
+        blocks.insert(0, replace(table, style="wide"))
+    if best is not None:
+        blocks.append(Fold("For each weak combination the best change", (best,)))
+    return tuple(blocks)
+
+
+def _show_profiles(audit: AuditResults) -> tuple[Block, ...]:
+    return (illustrations.show_profiles(audit), *_if_any(tabulate_profiles(audit)))
+
+
+def _show_draws(audit: AuditResults) -> tuple[Block, ...]:
+    blocks: list[Block] = [illustrations.show_ridges(audit), *_list_formulas(audit)]
+    others, drawn = illustrations.show_other_ridges(audit), tables.tabulate_posterior(audit)
+    if others is not None:
+        blocks.append(Fold("The other ridges", (others,)))
+    if drawn is not None:
+        blocks += [drawn, Statement(f"Draws: {_find_origin(audit)}.")]
+    return tuple(blocks)
+
+
+def _list_formulas(audit: AuditResults) -> list[Statement]:
+    """Return what explains the curve of the first ridge of each kind."""
+    first = (next((ridge for ridge in group.ridges if ridge.plot), None) for group in audit.groups)
+    found = [(ridge.plot, ridge.explanation or ridge.plot["formula"]) for ridge in first if ridge is not None]
+    return [Statement(f"{plot['y']} against {plot['x']}: {text}") for plot, text in found if text]
+
+
+def _show_simulated(audit: AuditResults) -> tuple[Block, ...]:
+    left_out = Absent("Left out: the design asks for no simulated calibrations.")
+    return tuple(tables.tabulate_simulated(audit)) or (left_out,)
+
+
+def _if_any(table: Table | None) -> tuple[Table, ...]:
+    return () if table is None else (table,)

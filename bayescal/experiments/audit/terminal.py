@@ -1,0 +1,93 @@
+"""What an audit says on the terminal: its verdict, what is known of each symbol, and the requirements."""
+
+from __future__ import annotations
+
+import re
+
+from rich.console import Console, RenderableType
+from rich.table import Table
+
+from bayescal.experiments.audit.page.results import AuditResults
+from bayescal.experiments.audit.page.tables import name_verdict
+from bayescal.experiments.audit.page.verdict import list_failures, state_headline, state_verdict
+from bayescal.experiments.audit.page.wording import (
+    format_contraction,
+    format_probability,
+    format_range,
+    format_sd,
+    format_share,
+    name_requirement,
+    name_unit,
+)
+from bayescal.experiments.frame.results import Results
+from bayescal.report.numbers import format_plain
+from bayescal.report.symbols import write_symbol
+
+MARKS = {"good": "+", "plain": " ", "warning": "!", "bad": "x"}
+MOST_WIDTH, FILE_WIDTH = 120, 100
+
+
+def show_audit(results: Results, console: Console) -> None:
+    """Print the verdict of an audit, what is known of each symbol, and the requirements."""
+    audit = AuditResults.of(results)
+    width = min(MOST_WIDTH, console.width) if console.is_terminal else FILE_WIDTH
+    for one in _list_lines(audit):
+        console.print(one, width=width, markup=False, highlight=False)
+
+
+def _list_lines(audit: AuditResults) -> list[RenderableType]:
+    lines: list[RenderableType] = [audit.summary["title"]]
+    lines += [f"DO NOT RELY ON THIS: {failure.text}" for failure in list_failures(audit)]
+    lines.append(state_headline(audit))
+    for statement in state_verdict(audit):
+        grid = Table.grid(padding=(0, 1))
+        grid.add_row(MARKS[statement.level], f"{statement.lead}: {_write_symbols(statement.text, audit.symbols)}")
+        lines.append(grid)
+    lines.append(_tabulate_symbols(audit))
+    if audit.requirements:
+        lines.append(_tabulate_requirements(audit))
+    return lines
+
+
+def _write_symbols(text: str, symbols: list[str]) -> str:
+    """Return text with Greek letters as such."""
+    written = {symbol: write_symbol(symbol) for symbol in symbols}
+    return re.sub(r"(?<![\w.])[A-Za-z]\w*", lambda found: written.get(found[0], found[0]), text)
+
+
+def _tabulate_symbols(audit: AuditResults) -> Table:
+    table = Table()
+    for heading in ("symbol", "unit", "tolerance", "remains", "contraction", "verdict", "to do"):
+        table.add_column(heading, justify="left" if heading in ("symbol", "unit", "verdict", "to do") else "right")
+    for symbol, group in audit.parameters.groupby("symbol", sort=False):
+        counts = group["verdict"].value_counts()
+        several = len(counts) > 1
+        verdicts = [f"{n} {name_verdict(str(v))}" if several else name_verdict(str(v)) for v, n in counts.items()]
+        free = group["recommended"]
+        table.add_row(
+            write_symbol(str(symbol)),
+            name_unit(str(group["unit"].iloc[0])),
+            format_range(list(group["prior_sd"]), format_sd),
+            format_range(list(group["posterior_sd"]), format_sd),
+            format_range(list(group["contraction"]), format_contraction),
+            ", ".join(verdicts),
+            "free" if free.all() else "partly" if free.any() else "fix",
+        )
+    return table
+
+
+def _tabulate_requirements(audit: AuditResults) -> Table:
+    table = Table()
+    for heading in ("requirement", "limit", "predicted sd", "of limit", "probability", "before"):
+        table.add_column(heading, justify="left" if heading == "requirement" else "right")
+    for r in audit.requirements:
+        unit = name_unit(r.unit)
+        table.add_row(
+            name_requirement(r.name),
+            f"{format_plain(r.limit)} {unit}",
+            f"{format_sd(r.predicted_sd)} {unit}",
+            format_share(r.predicted_sd / r.limit),
+            format_probability(r.probability),
+            format_probability(r.prior_probability),
+        )
+    return table

@@ -1,0 +1,112 @@
+"""What a kind of experiment is: a schema, and how its inputs become results and results a page.
+
+Everything else is done once for all kinds by the frame: identity, resuming, workers, progress, interrupts, tables,
+summary, provenance, and putting results in place as a whole.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
+from typing import ClassVar
+
+import pandas as pd
+from pydantic import ValidationError
+from rich.console import Console
+
+from bayescal.config.files import find_files
+from bayescal.config.sections import ExperimentConfig
+from bayescal.errors import InputError
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results
+from bayescal.report.blocks import Page
+
+
+class Experiment[C: ExperimentConfig, I](ABC):
+    """A kind of experiment.
+
+    Attributes
+    ----------
+    schema : type
+        Of its config; ``kind``, ``name``, ``title`` and ``seed`` are those of every experiment.
+    tables_in : str
+        Folder of its tables within the results directory; the directory itself by default.
+    digits : int
+        Significant ones of its tables; zero for all.
+    """
+
+    schema: ClassVar[type[ExperimentConfig]]
+    tables_in: ClassVar[str] = ""
+    digits: ClassVar[int] = 9
+
+    def files(self, config: C, folder: Path) -> list[str]:
+        """Return the input files that belong to the experiment's identity, relative to the config's folder.
+
+        By default all that stand in its config as `bayescal.config.sections.InputFile`.
+        """
+        del folder
+        return find_files(config)
+
+    def config_of(self, results: Results) -> C:
+        """Return the config that results were made with; titles within its sections are left out."""
+        content = {**results.config, "title": str(results.provenance.get("title", ""))}
+        try:
+            config: C = self.schema.model_validate(content)  # type: ignore[assignment]  # the kind's own schema
+        except ValidationError as error:
+            raise InputError(
+                f"{results.folder}: found a config in its provenance that is none, expected one"
+            ) from error
+        return config
+
+    @abstractmethod
+    def read(self, config: C, folder: Path) -> I:
+        """Return what the experiment computes with; InputError for every fault of the config or its files."""
+
+    @abstractmethod
+    def compute(self, inputs: I, run: Run) -> Results:
+        """Return the results; long work is handed to ``run`` in tasks, which keeps each as it ends.
+
+        Numbers depend on the inputs alone, not on workers, nor on what was done before an interruption.
+        """
+
+    @abstractmethod
+    def page(self, results: Results) -> Page:
+        """Return the page, from results as they are read back from their directory."""
+
+    def show(self, results: Results, page: Page, console: Console) -> None:
+        """Print the results on the terminal: the page's verdict."""
+        del results
+        console.print(page.headline, soft_wrap=True)
+        for one in page.verdict:
+            console.print(f"{one.lead}: {one.text}" if one.lead else one.text, soft_wrap=True)
+
+    def list_failures(self, results: Results) -> list[str]:
+        """Return what forbids to rely on the results, in words; the command line then ends with exit code 3."""
+        del results
+        return []
+
+    def compare(self, results: Mapping[str, Results]) -> pd.DataFrame:
+        """Return several results directories of this kind side by side, a row each: the summaries' own values.
+
+        Raises
+        ------
+        InputError
+            Where they cannot be compared.
+        """
+        rows: list[dict[str, object]] = []
+        for name, one in results.items():
+            plain = {key: value for key, value in one.summary.items() if isinstance(value, bool | int | float | str)}
+            rows.append({"results": name, **plain})
+        return pd.DataFrame(rows)
+
+    def check_comparable(self, data: Mapping[str, Mapping[str, object]]) -> None:
+        """Raise InputError where results are not of the same data: what is given of each must be the same."""
+        names = list(data)
+        for name in names[1:]:
+            for key, value in data[name].items():
+                other = data[names[0]].get(key)
+                if value != other:
+                    raise InputError(
+                        f"{name}: {key} differs from {names[0]} ({value} and {other}), expected the same data"
+                    )

@@ -1,0 +1,68 @@
+"""What determines results: the config without its titles, and the content of every input file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import sys
+from collections.abc import Iterable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from bayescal.config.load import dump_config
+from bayescal.config.sections import ExperimentConfig
+from bayescal.files.atomic import read_text
+
+PACKAGES = ("bayescal", "numpy", "scipy", "emcee", "arviz", "arviz-stats", "pandas", "matplotlib", "h5netcdf", "xarray")
+COSMETIC = "title"
+
+
+def identify(config: ExperimentConfig, folder: Path, names: Iterable[str]) -> dict[str, Any]:
+    """Return what determines an experiment's results.
+
+    Parameters
+    ----------
+    config : ExperimentConfig
+    folder : Path
+        Where file names start.
+    names : iterable of str
+        The input files.
+
+    Raises
+    ------
+    InputError
+        Where a file is not there.
+    """
+    files = {}
+    for name in sorted(set(names)):
+        read_text(folder / name, "a file of the experiment")
+        files[name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
+    return {"config": _without_titles(dump_config(config)), "files": files}
+
+
+def _without_titles(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_titles(one) for key, one in value.items() if key != COSMETIC}
+    return [_without_titles(one) for one in value] if isinstance(value, list) else value
+
+
+def hash_identity(identity: dict[str, Any]) -> str:
+    """Return the SHA-256 of an identity in canonical JSON."""
+    return hashlib.sha256(json.dumps(identity, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def describe_provenance(config: ExperimentConfig, identity: dict[str, Any]) -> dict[str, Any]:
+    """Return where results come from: what determines them, and what computed them."""
+    return {
+        "kind": config.kind,
+        "name": config.name,
+        "config_sha256": hash_identity(identity),
+        **identity,
+        "title": config.title,
+        "seed": config.seed,
+        "python": platform.python_version(),
+        "platform": sys.platform,
+        "versions": {name: version(name) for name in PACKAGES},
+    }

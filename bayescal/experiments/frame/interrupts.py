@@ -1,0 +1,59 @@
+"""What an interrupt does: one line, no process left behind, exit code 130."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+INTERRUPTED = 130
+SHOW_CURSOR = "\x1b[?25h\n"  # a progress bar hides it
+
+
+@contextmanager
+def end_on_interrupt(message: str) -> Iterator[None]:
+    """Let an interrupt or a SIGTERM end the process at once, with a message, and its workers with it.
+
+    A KeyboardInterrupt would be printed with its traceback by emcee, or lost in a callback from C. Nothing needs to be
+    unwound: every file is written whole or not at all. A process that was started to ignore interrupts, in the
+    background of a script, goes on ignoring them; where another program has its own handler, or outside the main
+    thread, nothing is changed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(*_: object) -> None:
+        for worker in multiprocessing.active_children():
+            worker.kill()
+        cursor = SHOW_CURSOR if sys.stderr.isatty() else ""
+        os.write(2, f"{cursor}{message}\n".encode())
+        os._exit(INTERRUPTED)
+
+    defaults = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    before = {number: signal.getsignal(number) for number in defaults}
+    for number, default in defaults.items():
+        if before[number] == default:
+            signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def shield_children() -> Iterator[None]:
+    """Let processes that are started now never see an interrupt from the terminal: it is their parent's to handle."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,51 @@
+"""From a TOML file to a kind of experiment and its checked config."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from bayescal.config.load import check_section, read_extended
+from bayescal.config.sections import ExperimentConfig
+from bayescal.errors import InputError
+from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.registry import find_class, list_references
+
+type AnyExperiment = Experiment[Any, Any]
+
+
+def find_kind(kind: str, where: Path, folder: Path | None) -> AnyExperiment:
+    """Return a kind of experiment by its name; see `registry.find_class`."""
+    base: type[AnyExperiment] = Experiment  # type: ignore[type-abstract]  # only subclasses of it are found
+    return find_class("KINDS", kind, base, "kind", where, folder)()
+
+
+def load(path: Path) -> tuple[AnyExperiment, ExperimentConfig]:
+    """Return an experiment's kind and its checked config; its ``kind`` says which schema holds.
+
+    Raises
+    ------
+    InputError
+        For anything at fault, with file, line, field, found and expected.
+    """
+    content, text = read_extended(path)
+    kind = content.get("kind")
+    if not isinstance(kind, str):
+        names = ", ".join(sorted(list_references("KINDS")))
+        raise InputError(f"{path}: kind: found {kind!r}, expected one of {names}")
+    experiment = find_kind(kind, path, path.parent)
+    return experiment, check_section(experiment.schema, content, path, text)
+
+
+def load_experiment(path: Path) -> Any:
+    """Return the checked config of an experiment of any kind."""
+    return load(path)[1]
+
+
+def load_kind(path: Path, kind: str) -> Any:
+    """Return the checked config of an experiment that must be of a kind."""
+    experiment, config = load(path)
+    if config.kind != kind:
+        raise InputError(f"{path}: kind: found {config.kind!r}, expected {kind!r}")
+    del experiment
+    return config

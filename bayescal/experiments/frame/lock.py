@@ -1,0 +1,64 @@
+"""One run at a time on a results directory: a lock that dies with its process."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from bayescal.errors import InputError
+
+fcntl: Any
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks; two runs on one directory are then the user's to avoid
+    fcntl = None
+
+
+@contextmanager
+def hold_lock(path: Path, out: Path) -> Iterator[None]:
+    """Hold the lock file of a results directory; the system lets go of it when the process ends, however it ends.
+
+    Raises
+    ------
+    InputError
+        Where another run holds it; the message names that run's process.
+    """
+    if fcntl is None:
+        yield
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor = _acquire(path, out)
+    try:
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, str(os.getpid()).encode())
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+def _acquire(path: Path, out: Path) -> int:
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            holder = os.read(descriptor, 32).decode(errors="replace").strip() or "unknown"
+            os.close(descriptor)
+            raise InputError(
+                f"{out}: another run (process {holder}) is under way there, expected none; wait for it or choose "
+                "another --out"
+            ) from error
+        if _is_still_there(path, descriptor):
+            return descriptor
+        os.close(descriptor)  # its last holder removed the file in between: take the new one
+
+
+def _is_still_there(path: Path, descriptor: int) -> bool:
+    try:
+        return os.path.samestat(path.stat(), os.fstat(descriptor))
+    except FileNotFoundError:
+        return False

@@ -1,0 +1,139 @@
+"""Records of finished tasks: dataclasses, tables and arrays as named arrays, without pickle.
+
+A value becomes a tree of JSON beside numpy arrays. Only dataclasses that the reader names itself are made again, so
+that a file decides nothing of what is run.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+import pandas as pd
+
+from bayescal.numerics.geometry import Array
+
+TREE = "tree"
+TAG = "#"
+
+type Record = dict[str, Array]
+
+
+def encode(value: Any) -> Record:
+    """Return a value as named arrays.
+
+    Parameters
+    ----------
+    value : object
+        Made of None, numbers, texts, numpy arrays, tables with a plain index, dictionaries with texts as keys, lists,
+        tuples and dataclasses.
+
+    Raises
+    ------
+    TypeError
+        For anything else.
+    """
+    arrays: Record = {}
+    tree = _encode(value, arrays)
+    return {TREE: np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8), **arrays}
+
+
+def _encode(value: Any, arrays: Record) -> Any:
+    if value is None or isinstance(value, bool | str) or type(value) in (int, float):
+        return value
+    if isinstance(value, np.ndarray | np.generic):
+        if value.dtype == object:
+            raise TypeError("found an array of objects, expected numbers or texts")
+        name = f"a{len(arrays)}"
+        arrays[name] = _make_contiguous(np.asarray(value))
+        return {TAG: "array" if isinstance(value, np.ndarray) else "scalar", "at": name}
+    if isinstance(value, pd.DataFrame):
+        columns = {str(name): _encode_column(value[name], arrays) for name in value.columns}
+        return {TAG: "table", "columns": columns, "length": len(value)}
+    if is_dataclass(value) and not isinstance(value, type):
+        inner = {field.name: _encode(getattr(value, field.name), arrays) for field in fields(value)}
+        return {TAG: "dataclass", "name": _name(type(value)), "fields": inner}
+    if isinstance(value, dict):
+        return {TAG: "dict", "items": [[_encode(k, arrays), _encode(v, arrays)] for k, v in value.items()]}
+    if isinstance(value, list | tuple):
+        return {TAG: type(value).__name__, "items": [_encode(one, arrays) for one in value]}
+    raise TypeError(f"found a {type(value).__name__}, expected numbers, texts, arrays, tables or dataclasses")
+
+
+def _name(kind: type) -> str:
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def _make_contiguous(array: Array) -> Array:
+    """Return an array that keeps its order of axes in a file: BLAS sums another order in other last digits."""
+    flags = array.flags
+    return array if flags.c_contiguous or flags.f_contiguous else np.ascontiguousarray(array)
+
+
+def _encode_column(column: pd.Series, arrays: Record) -> Any:
+    if isinstance(column.dtype, np.dtype) and column.dtype != object:
+        return _encode(column.to_numpy(), arrays)
+    return [None if pd.isna(one) else _encode(one, arrays) for one in column]
+
+
+def decode(record: Mapping[str, Array], classes: Iterable[type] = ()) -> Any:
+    """Return the value of a record.
+
+    Parameters
+    ----------
+    record : mapping of str to ndarray
+        From `encode`.
+    classes : iterable of type
+        Dataclasses that may occur; those of their fields are found by themselves.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError
+        Where it is no record, or holds another dataclass.
+    """
+    known = {_name(one): one for one in find_dataclasses(classes)}
+    return _decode(json.loads(bytes(record[TREE].astype(np.uint8))), record, known)
+
+
+def _decode(tree: Any, record: Mapping[str, Array], known: Mapping[str, type]) -> Any:
+    if not isinstance(tree, dict):
+        return tree
+    match tree[TAG]:
+        case "array":
+            return record[tree["at"]]
+        case "scalar":
+            return record[tree["at"]][()]
+        case "table":
+            columns = {name: _decode_column(one, record, known) for name, one in tree["columns"].items()}
+            return pd.DataFrame(columns, index=pd.RangeIndex(tree["length"]))
+        case "dataclass":
+            inner = {name: _decode(one, record, known) for name, one in tree["fields"].items()}
+            return known[tree["name"]](**inner)
+        case "dict":
+            return {_decode(key, record, known): _decode(one, record, known) for key, one in tree["items"]}
+        case "list":
+            return [_decode(one, record, known) for one in tree["items"]]
+        case "tuple":
+            return tuple(_decode(one, record, known) for one in tree["items"])
+    raise ValueError(f"found {tree[TAG]!r} in a record")
+
+
+def _decode_column(tree: Any, record: Mapping[str, Array], known: Mapping[str, type]) -> Any:
+    return [_decode(one, record, known) for one in tree] if isinstance(tree, list) else _decode(tree, record, known)
+
+
+def find_dataclasses(classes: Iterable[Any]) -> set[type]:
+    """Return the dataclasses among types, in their arguments and in their fields."""
+    found: set[type] = set()
+    waiting = list(classes)
+    while waiting:
+        one = waiting.pop()
+        one = getattr(one, "__value__", one)  # of a type alias
+        waiting += get_args(one)
+        if isinstance(one, type) and is_dataclass(one) and one not in found:
+            found.add(one)
+            waiting += get_type_hints(one).values()
+    return found

@@ -1,0 +1,59 @@
+"""What audits take from a kind of experiment that has measured a machine, without knowing that kind."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.posterior import Posterior
+from bayescal.density.priors import Prior
+from bayescal.machines.kinematics import Machine
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredVariant:
+    """A machine that has been measured, seen through one variant.
+
+    Attributes
+    ----------
+    origin : str
+        Of the data, in words.
+    mechanism : Path
+        Its file.
+    free : tuple of str
+        Symbols of the free parameters.
+    machine : Machine
+    priors : mapping of parameter to Prior
+    fixed : mapping of parameter to float
+        Values of fixed ones that are not nominal.
+    posterior : Posterior
+    poses : MeasuredPoses
+        The calibration poses.
+    actuator_noise : float
+        Standard deviation, mm.
+    left_variance : float
+        What the measured part of a deformation leaves, mean over legs and poses, mm².
+    """
+
+    origin: str
+    mechanism: Path
+    free: tuple[str, ...]
+    machine: Machine
+    priors: Mapping[str, Prior]
+    fixed: Mapping[str, float]
+    posterior: Posterior
+    poses: MeasuredPoses
+    actuator_noise: float
+    left_variance: float
+
+
+class Measuring(ABC):
+    """A kind of experiment whose measurements an audit may take in place of a plan."""
+
+    @abstractmethod
+    def measure(self, config: Any, path: Path, variant: str, with_model_error: bool) -> MeasuredVariant:
+        """Return a variant of the experiment in a file by its name; InputError where there is none."""

@@ -1,0 +1,1 @@
+"""Simulated photogrammetry of a machine whose truth is known."""

@@ -1,0 +1,107 @@
+"""Computing a study: its posteriors in tasks, then everything that is said of them."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from bayescal.density.least_squares import LeastSquaresFit
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results, Writer
+from bayescal.experiments.study.claims import Claims
+from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task
+from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.summary import build_tree, compute_loo, rank_variants, summarise_fit
+from bayescal.experiments.study.tables import (
+    identify_variants,
+    tabulate_deformation,
+    tabulate_flexure,
+    tabulate_least_squares,
+    tabulate_parameters,
+    tabulate_predictions,
+    tabulate_ranking,
+    tabulate_ring,
+    tabulate_sensitivity,
+)
+
+
+def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Results:
+    """Return what a study found.
+
+    Parameters
+    ----------
+    inputs : StudyInputs
+    claims : Claims or None
+        Of a publication, to be tested on the study.
+    run : Run
+    """
+    fits = compute_posteriors(inputs, run)
+    posteriors = {task: arrays for task, arrays in fits.items() if task.tolerance is None}
+    identified = run.once("least squares", identify_variants, inputs, (LeastSquaresFit,))
+    summary, files = _summarise(inputs, posteriors)
+    tables = {
+        "ranking": tabulate_ranking(summary),
+        "parameters": tabulate_parameters(summary),
+        "predictions": tabulate_predictions(inputs, posteriors),
+        "sensitivity": tabulate_sensitivity(inputs, fits),
+        "least_squares": tabulate_least_squares(inputs, identified),
+        "flexure": tabulate_flexure(inputs.mechanism),
+        "ring": tabulate_ring(inputs),
+        "deformation": tabulate_deformation(inputs),
+    }
+    if claims is not None:
+        tables["claims"] = run.once("claims", _judge, (claims, inputs, summary, identified))
+        summary["publication"] = claims.describe()
+    return Results(summary, tables, files)
+
+
+def compute_posteriors(inputs: StudyInputs, run: Run) -> dict[Task, Arrays]:
+    """Return the arrays of all tasks."""
+    tasks = {task.key: task for task in list_tasks(inputs)}
+    found = run.map("sampling", run_task, inputs, tasks)
+    return {tasks[key]: arrays for key, arrays in found.items()}
+
+
+def _judge(task: tuple[Claims, StudyInputs, dict[str, Any], dict[str, LeastSquaresFit]]) -> Any:
+    claims, inputs, summary, identified = task
+    return claims.tabulate(inputs, summary, identified)
+
+
+def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dict[str, Any], dict[str, Writer]]:
+    """Return the summary, and what writes the posteriors' draws."""
+    variants: dict[str, dict[str, Any]] = {}
+    files: dict[str, Writer] = {}
+    for task, arrays in posteriors.items():
+        tree = build_tree(inputs, task.variant, task.with_model_error, arrays)
+        fit = summarise_fit(inputs, task.variant, task.with_model_error, arrays, compute_loo(tree))
+        if task.with_model_error:
+            variants[task.variant] = fit
+            files[f"posterior/{task.variant.replace('/', '-')}.nc"] = partial(_write_tree, tree)
+        else:
+            variants[task.variant]["without_model_error"] = fit
+    config, held = inputs.config, inputs.survey.verification
+    models = {variant.model: inputs.machine(variant).model.title for variant in config.variants}
+    summary = {
+        "experiment": config.name,
+        "title": config.title,
+        "data_origin": config.data.origin,
+        "seed": config.seed,
+        "models": models,
+        "drive": inputs.mechanism.drive,
+        "n_poses": {"calibration": int((~held).sum()), "verification": int(held.sum())},
+        "pose_extraction": {
+            "method": config.data.pose_method,
+            "chi2_per_dof": inputs.extraction.chi2_per_dof,
+            "rejected_targets": ["/".join(target) for target in inputs.extraction.rejected],
+        },
+        "variants": variants,
+        "ranking": rank_variants(variants),
+    }
+    return summary, files
+
+
+def _write_tree(tree: xr.DataTree, path: Path) -> None:
+    tree.to_netcdf(path, engine="h5netcdf")

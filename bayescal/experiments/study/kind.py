@@ -1,0 +1,127 @@
+"""Studies as a kind of experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+
+from bayescal.errors import InputError
+from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.registry import find_class
+from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.measured import MeasuredVariant, Measuring
+from bayescal.experiments.study.claims import Claims
+from bayescal.experiments.study.compute import compute_study
+from bayescal.experiments.study.inputs import StudyInputs, load_inputs
+from bayescal.experiments.study.page.build import build_page
+from bayescal.experiments.study.schema import StudyConfig
+from bayescal.experiments.study.terminal import show_ranking
+from bayescal.numerics.units import MICROMETRE
+from bayescal.report.blocks import Page
+
+DATA_KEYS = ("targets", "actuators", "reference", "target_noise_um", "actuator_noise_um", "pose_method")
+"""What makes two data sets the same: contents of the files and what is assumed of the noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class StudyTask:
+    """A study's inputs, and the claims of a publication on it."""
+
+    inputs: StudyInputs
+    claims: Claims | None
+
+
+class Study(Experiment[StudyConfig, StudyTask], Measuring):
+    """A machine calibrated from measured poses: variants ranked by evidence and by prediction."""
+
+    schema = StudyConfig
+    tables_in = "tables"
+
+    def read(self, config: StudyConfig, folder: Path) -> StudyTask:
+        """Return everything the study computes with."""
+        claims = None
+        if config.claims is not None:
+            kind: type[Claims] = Claims  # type: ignore[type-abstract]  # only subclasses of it are found
+            claims = find_class("CLAIMS", config.claims, kind, "claims", folder, folder)()
+        return StudyTask(load_inputs(config, folder), claims)
+
+    def compute(self, inputs: StudyTask, run: Run) -> Results:
+        """Return posteriors, evidence and predictions of all variants."""
+        return compute_study(inputs.inputs, inputs.claims, run)
+
+    def page(self, results: Results) -> Page:
+        """Return the page."""
+        return build_page(results)
+
+    def show(self, results: Results, page: Page, console: Console) -> None:
+        """Print the ranking."""
+        del page
+        show_ranking(results.summary, console)
+
+    def list_failures(self, results: Results) -> list[str]:
+        """Return whether a posterior, with or without model error, did not converge."""
+        variants = results.summary["variants"].values()
+        fine = all(v["converged"] and v["without_model_error"]["converged"] for v in variants)
+        return [] if fine else ["not everything converged"]
+
+    def measure(self, config: StudyConfig, path: Path, variant: str, with_model_error: bool) -> MeasuredVariant:
+        """Return a variant of the study in a file by its name."""
+        by_name = {one.name: one for one in config.variants}
+        if variant not in by_name:
+            raise InputError(f"{path}: variants: found no {variant}, expected one of {', '.join(by_name)}")
+        chosen, inputs = by_name[variant], load_inputs(config, path.parent)
+        left = inputs.matrix_variance(chosen, verification=False)
+        priors, fixed = inputs.priors(chosen)
+        return MeasuredVariant(
+            origin=f"{config.data.origin}: study {config.name}, variant {variant}",
+            mechanism=path.parent / config.mechanism,
+            free=tuple(chosen.free),
+            machine=inputs.machine(chosen),
+            priors=priors,
+            fixed=fixed,
+            posterior=inputs.posterior(chosen, with_model_error),
+            poses=inputs.poses(verification=False),
+            actuator_noise=config.data.actuator_noise_um * MICROMETRE,
+            left_variance=0.0 if left is None else float(left.mean()),
+        )
+
+    def compare(self, results: Mapping[str, Results]) -> pd.DataFrame:
+        """Return the variants of several studies of the same data, the largest log-evidence first."""
+        rows, data = [], {}
+        for name, one in results.items():
+            try:
+                data[name] = _identify_data(one.provenance)
+                rows += [_describe_variant(name, variant, fit) for variant, fit in one.summary["variants"].items()]
+            except (KeyError, TypeError, AttributeError) as error:
+                raise InputError(f"{name}: is no study's results directory, {error} is missing") from error
+        self.check_comparable(data)
+        table = pd.DataFrame(rows).sort_values("log_evidence", ascending=False, ignore_index=True)
+        table.insert(4, "difference", table["log_evidence"] - table["log_evidence"].max())
+        return table
+
+
+def _identify_data(provenance: Mapping[str, Any]) -> dict[str, object]:
+    config, files = provenance["config"], provenance["files"]
+    data = {key: config["data"][key] for key in DATA_KEYS}
+    return {key: files.get(value, value) if isinstance(value, str) else value for key, value in data.items()}
+
+
+def _describe_variant(results: str, name: str, fit: Mapping[str, Any]) -> dict[str, object]:
+    held = fit["verification"] or {}
+    return {
+        "results": results,
+        "variant": name,
+        "n_parameters": fit["n_parameters"],
+        "log_evidence": float(fit["log_evidence"]),
+        "se": float(fit["log_evidence_se"]),
+        "elpd_loo": float(fit["elpd_loo"]),
+        "elpd_verification": float(held.get("elpd", np.nan)),
+        "converged": "yes" if fit["converged"] else "NO",
+    }

@@ -1,0 +1,111 @@
+"""Tables of the evidence: its two estimators, other tolerances, and the convergence of the posteriors."""
+
+from __future__ import annotations
+
+from bayescal.experiments.study.page.checks import measure_gap
+from bayescal.experiments.study.page.results import SHORT_SETTINGS, StudyResults
+from bayescal.experiments.study.page.variants import VARIANT, label_variant
+from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
+from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
+from bayescal.report.numbers import count_decimals, format_count, format_estimate, format_fixed, format_plain
+
+
+def format_evidence(value: float, se: float) -> str:
+    """Return a log-evidence with its standard error, two to three decimals."""
+    return format_estimate(value, se, min(3, max(2, count_decimals(se, 1))))
+
+
+def tabulate_evidence(results: StudyResults) -> Table:
+    """Return both estimators of the log-evidence side by side."""
+    columns = [
+        VARIANT,
+        Column("Model error", kind="text"),
+        Column("importance", "nat", "Log-evidence by"),
+        Column("bridge", "nat", "Log-evidence by"),
+        Column("Difference", f"nat, limit {AGREEMENT}"),
+        Column("draws", "", "Importance sampling"),
+        Column("efficiency", "%", "Importance sampling"),
+        Column("Pareto k", f"limit {PARETO_K_LIMIT}", "Importance sampling"),
+        Column("Reported", kind="text"),
+    ]
+    rows = []
+    for name, setting, fit in results.fits():
+        methods, errors, quality = fit["log_evidence_methods"], fit["log_evidence_method_se"], fit["importance"]
+        rows.append(
+            [
+                label_variant(results, name),
+                SHORT_SETTINGS[setting],
+                format_evidence(methods["importance"], errors["importance"]),
+                format_evidence(methods["bridge"], errors["bridge"]),
+                Cell(format_fixed(measure_gap(fit), 3), "plain" if fit["log_evidence_agrees"] else "bad"),
+                format_count(quality["n_draws"]),
+                format_fixed(100 * quality["efficiency"], 0),
+                _limited(quality["pareto_k"], quality["pareto_k"] <= PARETO_K_LIMIT, 2),
+                fit["log_evidence_primary"],
+            ]
+        )
+    return make_table("The log-evidence of every posterior by two independent estimators.", columns, rows)
+
+
+def _limited(value: float, fine: bool, decimals: int) -> Cell:
+    return Cell(format_fixed(value, decimals), "plain" if fine else "bad")
+
+
+def tabulate_sensitivity(results: StudyResults) -> Table:
+    """Return the log-evidence and rank of every variant at every tolerance."""
+    wide = results.sensitivity_grid
+    ranks = wide.rank(axis=1, ascending=False, method="min")
+    columns = [
+        VARIANT,
+        *(Column(f"{format_plain(t)} mm", "nat (rank)", "Tolerance of the lengths, prior sd") for t in wide.index),
+    ]
+    doubtful = results.sensitivity.pivot(index="tolerance_mm", columns="variant", values="pareto_k") > PARETO_K_LIMIT
+    rows: list[list[str | Cell]] = []
+    for name in results.ranking:
+        texts = [
+            f"{format_fixed(x, 1)} ({format_fixed(rank, 0)})" for x, rank in zip(wide[name], ranks[name], strict=True)
+        ]
+        marks = doubtful.sort_index()[name]
+        rows.append(
+            [
+                label_variant(results, name),
+                *(Cell(t, "warning" if bad else "plain") for t, bad in zip(texts, marks, strict=True)),
+            ]
+        )
+    note = Statement(f"Marked where Pareto k exceeds {PARETO_K_LIMIT}.", "warning")
+    notes = [note] if doubtful.to_numpy().any() else []
+    return make_table("Log-evidence with model error for other tolerances of the lengths.", columns, rows, notes)
+
+
+def tabulate_diagnostics(results: StudyResults) -> Table:
+    """Return convergence of every posterior."""
+    columns = [
+        VARIANT,
+        Column("Model error", kind="text"),
+        Column("R-hat", f"limit {RHAT_LIMIT}"),
+        Column("bulk", f"limit {format_fixed(ESS_BULK_LIMIT, 0)}", "Smallest ESS"),
+        Column("tail", f"limit {format_fixed(ESS_TAIL_LIMIT, 0)}", "Smallest ESS"),
+        Column("Acceptance", "%"),
+        Column("Largest LOO", "Pareto k"),
+        Column("Time", "s", kind="seconds"),
+        Column("Status", kind="text"),
+    ]
+    rows: list[list[str | Cell]] = []
+    for name, setting, fit in results.fits():
+        problems = "; ".join(str(p) for p in fit["problems"]) or "not converged"
+        k = fit["elpd_loo_pareto_k_max"]
+        rows.append(
+            [
+                label_variant(results, name),
+                SHORT_SETTINGS[setting],
+                _limited(fit["rhat_max"], fit["rhat_max"] < RHAT_LIMIT, 4),
+                _limited(fit["ess_bulk_min"], fit["ess_bulk_min"] > ESS_BULK_LIMIT, 0),
+                _limited(fit["ess_tail_min"], fit["ess_tail_min"] > ESS_TAIL_LIMIT, 0),
+                format_fixed(100 * fit["acceptance"], 0),
+                Cell(format_fixed(k, 2), "plain" if k <= PARETO_K_LIMIT else "warning"),
+                format_fixed(fit["wall_seconds"], 1),
+                Cell("converged") if fit["converged"] else Cell(problems, "bad"),
+            ]
+        )
+    caption = "Convergence of every posterior; R-hat is rank-normalised, a chain is one ensemble of walkers."
+    return make_table(caption, columns, rows)

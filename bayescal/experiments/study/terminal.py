@@ -1,0 +1,42 @@
+"""What a study says on the terminal: the ranking, and what speaks against it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+
+def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
+    """Print the ranking of a study, and what did not converge."""
+    table = Table(title=f"{summary['title']} ({summary['data_origin']})", title_justify="left", title_style="")
+    for heading in (
+        *("rank", "variant", "log-evidence", "difference"),
+        *("elpd LOO", "elpd verif.", "position error", "converged"),
+    ):
+        table.add_column(heading, justify="left" if heading == "variant" else "right")
+    best = summary["variants"][summary["ranking"][0]]["log_evidence"]
+    for rank, name in enumerate(summary["ranking"], start=1):
+        fit = summary["variants"][name]
+        held = fit["verification"]
+        error = (held or fit["calibration"])["position_error_mm"]
+        table.add_row(
+            str(rank),
+            name,
+            f"{fit['log_evidence']:.2f} ± {fit['log_evidence_se']:.2f}",
+            f"{fit['log_evidence'] - best:.1f}",
+            f"{fit['elpd_loo']:.1f} ± {fit['elpd_loo_se']:.1f}",
+            f"{held['elpd']:.1f}" if held else "-",
+            f"{1e3 * error['mean']:.1f} / {1e3 * error['max']:.1f} µm",
+            "yes" if fit["converged"] else "NO",
+        )
+    console.print(table)
+    use = "verification" if summary["n_poses"]["verification"] else "calibration"
+    console.print(f"position error: mean / largest on the {use} poses; log-evidence in nats")
+    for name in summary["ranking"]:
+        fit = summary["variants"][name]
+        for setting, one in (("", fit), (" without model error", fit["without_model_error"])):
+            for problem in one["problems"]:
+                console.print(f"NOT CONVERGED {name}{setting}: {problem}")

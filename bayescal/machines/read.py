@@ -1,0 +1,211 @@
+"""The one reader of machine files: mechanisms on legs, and platforms on sliding legs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.config.load import check_section, find_line, look_up, read_toml
+from bayescal.errors import InputError, name_faults
+from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
+from bayescal.machines.kinematics import Machine, build_machine
+from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mechanism, section_of_rod
+from bayescal.machines.models import MODELS
+from bayescal.machines.readings import SlidingPlatform
+from bayescal.machines.readings.schema import SlidingPlatformConfig
+from bayescal.machines.readings.sliding_platform import matrix_of_angle
+from bayescal.machines.schema import BeamSectionConfig, LoadConfig, MechanismConfig, PointsConfig
+from bayescal.numerics.geometry import Array
+
+MPA_PER_GPA = 1e3
+UPWARDS = [0.0, 0.0, 1.0]
+SHORTEST = 1e-6  # mm; what rounding leaves of no length is less
+
+
+def load_mechanism(path: Path) -> Mechanism:
+    """Return the mechanism that a TOML file describes, lengths in mm.
+
+    Raises
+    ------
+    InputError
+        Where the file is not a mechanism, or its lists do not have one entry per leg.
+    """
+    content, text = read_toml(path)
+    config = check_section(MechanismConfig, content, path, text)
+    home, base = _home(config, path, text), points_of(config.base)
+    legs = _legs(config, base, home, path)
+    try:
+        return Mechanism(
+            name=config.name,
+            base_points=base,
+            platform_points=legs["platform"],
+            directions=legs["legs.direction"],
+            leg_lengths=legs["legs.length_mm"],
+            initial_actuator_positions=legs["legs.initial_actuator_position_mm"],
+            actuator_range=config.legs.actuator_range_mm,
+            flexures=_flexures(config, legs),
+            load=_load(config.load),
+            drive=config.legs.drive,
+            home_position=home,
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _legs(
+    config: MechanismConfig, base: Array, home: tuple[float, float, float] | None, path: Path
+) -> dict[str, Array]:
+    """Return what there is of every leg, shapes (N, ...), by the names of the fields."""
+    n_legs = len(base)
+    given = 0.0 if home is not None else config.legs.length_mm
+    columns = {
+        "platform": points_of(config.platform),
+        "legs.length_mm": np.atleast_1d(np.array(given, dtype=np.float64)),
+        "legs.direction": _directions(config, path),
+        "legs.initial_actuator_position_mm": np.atleast_1d(np.array(config.legs.initial_actuator_position_mm)),
+    }
+    if config.flexures is not None:
+        columns["flexures.length_mm"] = np.atleast_1d(np.array(config.flexures.length_mm))
+        columns["flexures.beta"] = np.atleast_1d(np.array(config.flexures.beta))
+    for field, values in columns.items():
+        if len(values) not in ((1, n_legs) if field != "platform" else (n_legs,)):
+            raise InputError(f"{path}: {field}: found {len(values)} legs, expected {n_legs} as in base")
+    if home is not None:
+        columns["legs.length_mm"] = _span(base, np.array(home) + columns["platform"], path)
+    if config.flexures is not None:
+        lengths, flexures = np.broadcast_arrays(columns["legs.length_mm"], columns["flexures.length_mm"])
+        if np.any(flexures >= lengths):
+            leg = int(np.argmax(flexures >= lengths))
+            raise InputError(
+                f"{path}: flexures.length_mm: found {flexures[leg]:g} mm on a leg of {lengths[leg]:g} mm, "
+                "expected flexures shorter than their leg"
+            )
+    return {field: np.broadcast_to(v, (n_legs, *v.shape[1:])) for field, v in columns.items()}
+
+
+def _directions(config: MechanismConfig, path: Path) -> Array:
+    """Return unit vectors, shape (1 or N, 3); zeros for struts."""
+    if config.legs.drive == "strut":
+        return np.zeros((1, 3))
+    given = UPWARDS if config.legs.direction is None else config.legs.direction
+    directions = np.atleast_2d(np.array(given, dtype=np.float64))
+    norms = np.linalg.norm(directions, axis=1, keepdims=True)
+    if np.any(norms == 0):
+        raise InputError(f"{path}: legs.direction: found a zero vector, expected a direction")
+    return directions / norms
+
+
+def _home(config: MechanismConfig, path: Path, text: str) -> tuple[float, float, float] | None:
+    """Return the home position in mm, None where the legs' lengths are given instead."""
+    line = find_line(text, ["legs"])
+    legs = f"{path}, line {line}: legs" if line else f"{path}: legs"
+    if config.home is None:
+        if config.legs.length_mm is None:
+            instead = " or [home]" if config.legs.drive == "strut" else ""
+            raise InputError(f"{legs}.length_mm: missing, expected a value{instead}")
+        return None
+    if config.legs.drive == "base":
+        raise InputError(f"{legs}.drive: found 'base' with [home], expected 'strut', or no [home]")
+    if config.legs.length_mm is not None:
+        raise InputError(f"{legs}.length_mm: found lengths beside [home], expected one of them, since home has them")
+    x, y, z = config.home.position_mm
+    return x, y, z
+
+
+def _span(lower: Array, upper: Array, path: Path) -> Array:
+    """Return the distances between joints, shape (N,), mm."""
+    lengths = np.linalg.norm(upper - lower, axis=1)
+    if np.any(lengths < SHORTEST):
+        leg = int(np.argmin(lengths)) + 1
+        raise InputError(f"{path}: home.position_mm: found both joints of leg {leg} in one place, expected a length")
+    return lengths
+
+
+def _flexures(config: MechanismConfig, full: dict[str, Array]) -> Flexures | None:
+    if config.flexures is None:
+        return None
+    length, beta = full["flexures.length_mm"], full["flexures.beta"]
+    if config.stiffness is None:
+        return Flexures(length, beta)
+    return Flexures(length, beta, _section(config.stiffness.flexure), _section(config.stiffness.leg))
+
+
+def _section(config: BeamSectionConfig) -> BeamSection:
+    if config.diameter_mm is None:
+        return BeamSection(config.k1_n_mm2 or 0.0, config.k2_n or 0.0, config.k3_n_mm2 or 0.0)
+    young, shear = config.young_modulus_gpa or 0.0, config.shear_modulus_gpa or 0.0
+    return section_of_rod(config.diameter_mm, MPA_PER_GPA * young, MPA_PER_GPA * shear)
+
+
+def _load(config: LoadConfig) -> ExternalLoad:
+    fx, fy, fz = config.force_n
+    mx, my, mz = config.moment_n_mm
+    gx, gy, gz = (config.mass_kg * g for g in config.gravity_m_s2)
+    cx, cy, cz = config.centre_of_mass_mm
+    return ExternalLoad((fx, fy, fz), (mx, my, mz), (gx, gy, gz), (cx, cy, cz))
+
+
+def points_of(config: PointsConfig) -> Array:
+    """Return points, shape (n, 3), mm."""
+    if config.points_mm is not None:
+        return np.array(config.points_mm, dtype=np.float64)
+    azimuth = np.radians(config.azimuth_deg or [])
+    radius = config.radius_mm or 0.0
+    height = np.full_like(azimuth, config.height_mm)
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), height], axis=1)
+
+
+def build_named_machine(
+    mechanism: Mechanism, model: str, deformation: str, nominal: NominalDeformation, field: str, where: Path
+) -> Machine:
+    """Return a mechanism seen through a model and a deformation by their names.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    model, deformation : str
+    nominal : NominalDeformation
+        What the deformation takes its nominal values from.
+    field, where : str, Path
+        Where the names stand, for the message.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, and a mechanism that is not one for the model.
+    """
+    found = look_up(MODELS, model, f"{field}.model", where)
+    kind = look_up(DEFORMATIONS, deformation, f"{field}.deformation", where)
+    return build_machine(found, mechanism, kind.from_nominal(nominal))
+
+
+def read_sliding_platform(path: Path) -> SlidingPlatform:
+    """Return the machine of a TOML file; InputError names the file."""
+    content, text = read_toml(path)
+    config = check_section(SlidingPlatformConfig, content, path, text)
+    with name_faults(path):
+        return build_sliding_platform(config)
+
+
+def build_sliding_platform(config: SlidingPlatformConfig) -> SlidingPlatform:
+    """Return the machine of a config, its platform's frame moved to B_1 with the ξ axis through B_2."""
+    points = np.array([leg.platform_point_mm for leg in config.legs])
+    if len(points) < 2 or np.allclose(points[0], points[1]):
+        raise InputError(f"machine {config.name!r}: found B_1 and B_2 in one place, expected them apart")
+    along = points[1] - points[0]
+    turned = float(np.arctan2(along[1], along[0]))
+    own = matrix_of_angle(np.array(-turned))
+    tool = own @ (np.array(config.tool.point_mm) - points[0])
+    angle = float(np.radians(config.home.angle_deg)) + turned
+    origin = np.array(config.home.tool_mm) - matrix_of_angle(np.array(angle)) @ tool
+    return SlidingPlatform(
+        name=config.name,
+        guide_points=np.array([leg.guide_point_mm for leg in config.legs]),
+        guide_angles=np.radians([leg.guide_angle_deg for leg in config.legs]),
+        leg_lengths=np.array([leg.length_mm for leg in config.legs]),
+        platform_points=(points - points[0]) @ own.T,
+        tool_point=tool,
+        home=np.array([*origin, angle]),
+        forward=np.array([leg.points == "along" for leg in config.legs]),
+    )

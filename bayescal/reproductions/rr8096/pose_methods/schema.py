@@ -1,0 +1,20 @@
+"""The schema of the comparison of pose extraction methods."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from bayescal.config.sections import ExperimentConfig, Positive
+
+
+class PoseMethodsConfig(ExperimentConfig):
+    """The simulation of RR-8096 figure 5: two ways to find a body's pose from its targets."""
+
+    kind: Literal["pose_methods"]
+    n_targets: Annotated[list[Annotated[int, Field(ge=3)]], Field(min_length=1)]
+    repeats: Annotated[int, Field(ge=2)]
+    length_mm: Positive
+    radius_mm: Positive
+    target_noise_um: Positive

@@ -1,0 +1,84 @@
+"""Computing simulated self-calibrations: the documented machine, other noise, other machines."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results
+from bayescal.reproductions.sika2008.documented import run_documented
+from bayescal.reproductions.sika2008.machines import list_correlations, list_machine_steps, run_machines
+from bayescal.reproductions.sika2008.published import Published, judge_documented, summarise_machines
+from bayescal.reproductions.sika2008.setting import Setting
+from bayescal.reproductions.sika2008.simulate import PAPER
+from bayescal.reproductions.sika2008.sweep import run_sweep
+
+SUMMARISED = (
+    "calibrability",
+    "errors",
+    "steps",
+    "coverage",
+    "uncalibrated",
+    "judged",
+    "machine_summary",
+)
+
+
+def compute_self_calibrations(setting: Setting, published: Published, run: Run) -> Results:
+    """Return all tables of an experiment and its summary."""
+    config = setting.config
+    names = [plan.name for plan in setting.plans.plans]
+    tables = run_documented(setting, run)
+    summary: dict[str, Any] = {"name": config.name, "sets": names} | _describe_inputs(setting)
+    if config.published is not None:
+        summary["source"] = config.published.source
+        tables["judged"] = judge_documented(published, tables, PAPER)
+    if config.noise_sweep is not None:
+        tables |= run_sweep(setting, config.noise_sweep, run)
+    if config.machines is not None:
+        machines, n_drawn = run_machines(setting, config.machines, run)
+        steps = list_machine_steps(machines, names)
+        tables |= {"machines": machines, "machine_steps": steps}
+        tables["machine_summary"] = summarise_machines(published, machines, steps)
+        tables["correlations"] = list_correlations(machines, names)
+        summary["machines"] = {
+            "kept": config.machines.count,
+            "drawn": n_drawn,
+            "dropped": n_drawn - config.machines.count,
+            "calibrations": config.machines.calibrations,
+            "failed": int(machines["n_failed"].sum()),
+        }
+    records = {name: tables[name].to_dict("records") for name in SUMMARISED if name in tables}
+    return Results(replace_nan(summary | records), tables)
+
+
+def _describe_inputs(setting: Setting) -> dict[str, Any]:
+    """Return what the page says of the experiment's inputs."""
+    config = setting.config
+    sensors = [
+        {"sensor": name, "noise": one.noise_um or one.noise_arcsec, "unit": "µm" if one.noise_um else "arcsec"}
+        for name, one in config.sensors.items()
+    ]
+    return {
+        "machine": setting.machine.name,
+        "n_legs": setting.machine.n_legs,
+        "calibrations": config.calibrations,
+        "n_poses": config.poses.n_poses,
+        "verification_poses": config.verification_poses,
+        "position_mm": config.poses.position_mm,
+        "angle_deg": config.poses.angle_deg,
+        "path": config.path.model_dump(),
+        "sensors": sensors,
+        "tolerances": config.tolerances.model_dump(),
+        "ranges": None if config.machines is None else config.machines.model_dump(),
+    }
+
+
+def replace_nan(value: Any) -> Any:
+    """Return a JSON-ready value with None for every number that is not finite."""
+    if isinstance(value, dict):
+        return {key: replace_nan(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [replace_nan(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

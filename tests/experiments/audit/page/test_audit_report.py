@@ -1,0 +1,585 @@
+"""The report of an audit: the verdict follows the numbers, the page is whole, escaped and says what it lacks."""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from html_reader import Reader
+from made_up_audit import OPTIONAL, describe_audit, make_audit_results, write_audit_results
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from bayescal.errors import InputError
+from bayescal.experiments.audit.page.build import build_page
+from bayescal.experiments.audit.page.figures.profiles import span_profile
+from bayescal.experiments.audit.page.results import AuditResults
+from bayescal.experiments.audit.page.ridges import build_ridges
+from bayescal.experiments.audit.page.tables import (
+    tabulate_changes,
+    tabulate_requirements,
+    tabulate_ridge_help,
+    tabulate_simulated,
+    tabulate_symbols,
+)
+from bayescal.experiments.audit.page.verdict import list_failures, rank_help, state_headline, state_verdict
+from bayescal.experiments.audit.page.wording import (
+    format_contraction,
+    format_fixed_span,
+    format_probability,
+    format_share,
+    list_names,
+)
+from bayescal.experiments.frame.results import read_results, write_results
+from bayescal.report.page import make_prose, render_png, write_page
+
+SECTIONS = (
+    *("verdict", "parameters", "ridges", "selection", "requirements", "changes", "sweeps", "profiles", "draws"),
+    *("simulated", "method"),
+)
+
+
+def make(change=None) -> AuditResults:
+    """Return a made-up audit without its tables."""
+    summary = describe_audit()
+    if change is not None:
+        change(summary)
+    return AuditResults(summary, {})
+
+
+def write_audit_report(folder: Path) -> Path:
+    """Write the page of an audit's directory and return it."""
+    return write_page(build_page(read_results(folder)), folder)
+
+
+def read_audit(folder: Path) -> AuditResults:
+    return AuditResults.of(read_results(folder))
+
+
+def remove(*keys):
+    def change(summary):
+        for key in keys[:-1]:
+            summary = summary[key]
+        del summary[keys[-1]]
+
+    return change
+
+
+def put(value, *keys):
+    def change(summary):
+        for key in keys[:-1]:
+            summary = summary[key]
+        summary[keys[-1]] = value
+
+    return change
+
+
+def say(results: AuditResults) -> dict[str, tuple[str, str]]:
+    """Return level and text of each sentence of the verdict by its lead."""
+    return {s.lead: (s.level, s.text) for s in state_verdict(results)}
+
+
+# --- the page --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("checks", [False, True])
+def test_the_page_is_whole_and_the_verdict_comes_first(tmp_path, checks):
+    page = write_audit_report(write_audit_results(tmp_path, checks=checks))
+    text = page.read_text(encoding="utf-8")
+    reader = Reader(text)
+    assert page.name == "report.html"
+    assert reader.open == []
+    assert reader.tags.count("img") == (8 if checks else 5)
+    assert all(r.startswith(("data:image/png;base64,", "#")) for r in reader.references)
+    assert not {"script", "link", "iframe"} & set(reader.tags)
+    places = [text.index(f'id="{name}"') for name in SECTIONS]
+    assert places == sorted(places)
+    assert {r[1:] for r in reader.references if r.startswith("#")} <= set(re.findall(r'id="([^"]+)"', text))
+    assert not list(page.parent.glob("*.tmp"))
+
+
+def test_the_same_audit_gives_the_same_bytes(tmp_path):
+    pages = [write_audit_report(write_audit_results(tmp_path, checks=True, name=name)) for name in ("one", "other")]
+    assert pages[0].read_bytes() == pages[1].read_bytes()
+
+
+def test_what_is_missing_is_said_to_be_left_out(tmp_path):
+    results = make_audit_results()
+    for name in OPTIONAL:
+        results.tables.pop(name, None)
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "profiles.png").write_bytes(b"of an earlier report")
+    text = write_page(build_page(results), tmp_path).read_text(encoding="utf-8")
+    reasons = ("nothing was swept", "the design asks for no profile likelihoods", "no draws of the posterior were made")
+    for reason in reasons:
+        assert text.count(f"Figure left out: {reason}.") == 1
+    assert "Left out: the design asks for no simulated calibrations." in text
+    assert not (tmp_path / "figures" / "profiles.png").exists()
+    assert Reader(text).tags.count("img") == 4
+
+
+def test_without_requirements_and_changes_the_page_says_so(tmp_path):
+    def change(summary):
+        summary |= {"requirements": {}, "what_if": [], "selection": []}
+        for direction in summary["directions"]:
+            direction |= {"effect_on_pose": "unknown", "share_of_limit": None, "limit": ""}
+
+    text = write_audit_report(write_audit_results(tmp_path, change)).read_text(encoding="utf-8")
+    assert "Figure left out: the design states no requirement." in text
+    assert "Figure left out: no change of the plan was looked at." in text
+    assert "No selection was made." in text
+    assert "whether the accuracy suffices is not told" in text
+
+
+def test_text_from_the_design_is_escaped(tmp_path):
+    attack = "<script>alert('x')</script> & \"$_^{ $\" <b>"
+
+    def change(summary):
+        summary["title"] = summary["machine"] = summary["name"] = summary["posterior"]["origin"] = attack
+        summary["plan"]["sensors"] = [attack]
+        summary["what_if"][1]["name"] = attack
+        summary["directions"][0]["sentence"] = attack
+        summary["parameters"]["l[1]"]["why"] = summary["parameters"]["l[1]"]["unit"] = attack
+        summary["directions"][1]["plot"]["formula"] = attack
+        summary["requirements"][attack] = summary["requirements"].pop("x")
+        for one in summary["what_if"][:3]:
+            one["requirements"][attack] = one["requirements"]["x"]
+
+    text = write_audit_report(write_audit_results(tmp_path, change, checks=True)).read_text(encoding="utf-8")
+    reader = Reader(text)
+    assert not {"script", "b"} & set(reader.tags)
+    assert text.count("&lt;script&gt;") >= 8
+
+
+def test_ridges_of_a_kind_stand_together_and_are_open_in_print(tmp_path):
+    blocks = build_ridges(make())
+    assert [(b.symbol, b.where, len(b.more)) for b in blocks] == [
+        *(("k1_d", "machine", 0), ("rho0", "legs 1, 2", 1), ("l", "leg 1", 0)),
+    ]
+    assert [mark.text for mark in blocks[1].marks] == ["never seen", "harmless to the pose"]
+    assert "Contraction 0.05." in blocks[2].facts
+    assert any("“better camera”, contraction 0.45" in fact for fact in blocks[2].facts)
+    assert any("at most 0.020 µm and 0.0072 arcsec" in fact for fact in blocks[2].facts)
+    text = write_audit_report(write_audit_results(tmp_path)).read_text(encoding="utf-8")
+    folded = text[text.index("1 more of this kind") :]
+    assert "Leg 2: changing <i>ρ</i><sup>0</sup> by" in folded[: folded.index("</details>")]
+    assert "details::details-content { content-visibility: visible" in text
+
+
+# --- the verdict -----------------------------------------------------------------------------------------------------
+
+
+def test_the_headline_counts_what_is_determined():
+    assert state_headline(make()) == (
+        "Of 7 parameters the 40 planned poses determine 2; 3 combinations can never be told by any measurement of this "
+        "kind and 1 more is hardly touched by the planned ones."
+    )
+
+    def know_all(summary):
+        summary["directions"] = [d for d in summary["directions"] if d["kind"] == "informed"]
+        for parameter in summary["parameters"].values():
+            parameter["verdict"] = "identifiable"
+
+    assert state_headline(make(know_all)) == "The 40 planned poses determine all 7 parameters."
+
+    def know_nothing(summary):
+        summary["plan"]["sensors"] = []
+        summary["directions"][3]["contraction"] = 0.5
+        for parameter in summary["parameters"].values():
+            parameter["verdict"] = "weak"
+
+    assert state_headline(make(know_nothing)) == (
+        "Of 7 parameters the 40 calibration poses determine none on its own; 3 combinations can never be told by any "
+        "measurement of this kind and 1 more is learnt only in part."
+    )
+
+
+def test_good_news_is_marked_good():
+    said = say(make())
+    assert said["What to free"] == (
+        "good",
+        "Free a_z and l, 4 parameters that are determined together (least contraction 0.80); fix rho0 and k1_d at "
+        "nominal. On single legs more could be freed: rho0 of leg 2.",
+    )
+    level, text = said["What stays hidden"]
+    assert level == "good"
+    assert "each of the 4 combinations" in text
+    assert "by at most 0.4 % of a requirement (x)" in text
+    level, text = said["Requirements"]
+    assert level == "good"
+    assert "each of its 2 requirements with a probability of more than 99.9 %" not in text  # the least is 0.999
+    assert "probability of 99.9 %, before the calibration none of them with more than 2.0 %" in text
+    assert "Tightest: x, predicted standard deviation 4 % of the limit" in text
+    assert set(said) == {
+        "What to free",
+        "What stays hidden",
+        "What fixing costs",
+        "Requirements",
+        "What would help most",
+    }
+    assert list_failures(make()) == []
+
+
+def test_harm_is_bad_news():
+    def change(summary):
+        summary["directions"][3] |= {"effect_on_pose": "harmful", "share_of_limit": 2.3}
+
+    level, text = say(make(change))["What stays hidden"]
+    assert level == "bad"
+    assert text.startswith("1 of 4 combinations that are not determined matters to the pose")
+    assert "along that of l[1] moves the predicted pose by 230 % of a requirement (x); the others are harmless" in text
+
+    def less(summary):
+        summary["directions"][3] |= {"effect_on_pose": "noticeable", "share_of_limit": 0.3}
+
+    assert say(make(less))["What stays hidden"][0] == "warning"
+
+
+def fail_x(summary):
+    summary["requirements"]["x"] |= {"probability": 0.4, "predicted_sd": 0.08, "geometry_sd": 0.02}
+
+
+def test_a_requirement_at_risk_is_bad_news_and_names_its_cause(tmp_path):
+    level, text = say(make(fail_x))["Requirements"]
+    assert level == "bad"
+    assert "will not reliably keep x (probability 40 %)" in text
+    assert "Tightest: x, predicted standard deviation 80 % of the limit; 6.2 % of that variance is geometry" in text
+    assert text.endswith("no calibration removes. The other requirements are kept.")
+    page = write_audit_report(write_audit_results(tmp_path, fail_x)).read_text(encoding="utf-8")
+    assert 'class="verdict failed"' in page
+
+    def by_geometry(summary):
+        summary["requirements"]["x"] |= {"probability": 0.4, "predicted_sd": 0.08, "geometry_sd": 0.079}
+
+    assert "which a better calibration would remove" in say(make(by_geometry))["Requirements"][1]
+
+
+def test_help_is_ranked_by_nats_and_by_the_requirement_at_risk():
+    assert [one.change.name for one in rank_help(make())] == ["better camera", "twice the poses"]
+    assert rank_help(make(), beyond_range=True)[0].change.name == "longer strokes"
+    text = say(make())["What would help most"][1]
+    assert text.startswith("“better camera”: 20 nat become 45, and 4 parameters are determined in place of 2.")
+    assert "Next comes “twice the poses” (30 nat, 4 determined)." in text
+    assert "“longer strokes” would help more, but needs more than the actuators' range." in text
+    assert text.endswith("The requirements ask for none of it.")
+
+    def change(summary):
+        fail_x(summary)
+        summary["what_if"][0]["requirements"]["x"] = 0.03
+        summary["what_if"][1]["requirements"]["x"] = 0.05
+
+    assert [one.change.name for one in rank_help(make(change))] == ["twice the poses", "better camera"]
+    text = say(make(change))["What would help most"][1]
+    assert "The tightest requirement's standard deviation becomes 30 % of its limit." in text
+    assert "ask for none" not in text
+
+    def useless(summary):
+        summary["total_nats"] = 44.0
+
+    assert say(make(useless))["What would help most"][1] == "None of the changes looked at would help noticeably."
+
+
+def test_doubt_about_rank_and_draws_opens_the_page(tmp_path):
+    def change(summary):
+        summary |= {"structural_rank_is_clear": False, "structural_gap": 3.0}
+        summary["posterior"]["converged"] = False
+
+    text = write_audit_report(write_audit_results(tmp_path, change, checks=True)).read_text(encoding="utf-8")
+    places = [text.index(s) for s in ("is not clear: the spectrum has a gap of 3.0", "did not converge", 'headline"')]
+    assert places == sorted(places)
+
+
+@pytest.mark.parametrize(("ratio", "se", "level"), [(1.02, 0.03, "good"), (1.4, 0.03, "warning"), (1.4, 0.2, "good")])
+def test_simulated_calibrations_bear_the_prediction_out_or_not(ratio, se, level):
+    def change(summary):
+        one = {"predicted_sd": 0.1, "simulated_sd": 0.1 * ratio, "ratio": ratio, "ratio_se": se, "unit": "mm"}
+        summary["simulated_calibrations"] = {"n": 200, "n_converged": 200, "symbols": {"l": one}}
+
+    assert say(make(change))["Simulated calibrations"][0] == level
+
+
+@pytest.mark.parametrize(("angle", "level"), [(2.5, "good"), (30.0, "warning"), (None, "plain")])
+def test_the_ridges_of_the_draws_are_held_against_the_information(angle, level):
+    def change(summary):
+        summary["posterior"] = {"origin": "here", "n_draws": 4000, "converged": True, "parameters": {}}
+        summary["posterior"]["principal_angle_deg"] = angle
+
+    assert say(make(change))["Posterior"][0] == level
+
+
+def test_a_larger_rank_beside_the_expected_machine_is_a_warning():
+    assert "Symmetry" not in say(make(put(4, "structural_rank_elsewhere")))
+    level, text = say(make(put(5, "structural_rank_elsewhere")))["Symmetry"]
+    assert level == "warning"
+    assert "has the rank 5 in place of 4" in text
+
+
+def test_what_fixing_the_rest_costs_is_said(tmp_path):
+    def put(factor, probability):
+        def change(summary):
+            for outlook in summary["requirements"].values():
+                outlook["reduced_sd"] = factor * outlook["predicted_sd"]
+                outlook["reduced_probability"] = probability
+
+        return change
+
+    found = {}
+    for name, (factor, probability) in {"cheap": (1.1, 1.0), "dear": (2.0, 0.99), "too dear": (9.0, 0.4)}.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        found[name] = say(read_audit(write_audit_results(folder, put(factor, probability))))["What fixing costs"]
+    assert [level for level, _ in found.values()] == ["good", "warning", "bad"]
+    assert "hardly costs" in found["cheap"][1]
+    assert "up to 2.0 times as uncertain" in found["dear"][1]
+    assert "probability to keep it 40 %" in found["too dear"][1]
+
+
+def test_calibrations_of_what_to_free_stand_beside_those_of_everything(tmp_path):
+    def change(summary):
+        off = json.loads(json.dumps(summary["simulated_calibrations"]))
+        for values in off["symbols"].values():
+            values |= {"ratio": 1.9, "ratio_se": 0.05}
+        summary["simulated_calibrations_recommended"] = off
+
+    results = read_audit(write_audit_results(tmp_path, change, checks=True))
+    said = say(results)
+    assert (said["Simulated calibrations"][0], said["Of what to free"][0]) == ("good", "warning")
+    assert [table.caption.split("; ")[1] for table in tabulate_simulated(results)] == [
+        "everything free within its tolerance",
+        "what is to be freed free, the rest truly nominal",
+    ]
+
+
+def test_draws_that_break_a_requirement_are_bad_news(tmp_path):
+    def change(summary):
+        summary["posterior"]["requirements"] = {"x": {"probability": 0.3}, "rotation_x": {"probability": 0.99}}
+
+    results = read_audit(write_audit_results(tmp_path, change, checks=True))
+    level, text = say(results)["Requirements by draws"]
+    assert (level, "x (30 %)" in text, "rotation" in text) == ("bad", True, False)
+    rows = tabulate_requirements(results).rows
+    assert [[row[k].text for k in (-4, -2, -1)] for row in rows] == [
+        [">99.9 %", "30 %", "not reliably"],
+        ["99.9 %", "99.0 %", "yes"],
+    ]
+
+
+def test_data_show_their_origin_and_draws_left_out_their_reason(tmp_path):
+    def change(summary):
+        summary["plan"]["sensors"] = []
+
+    text = write_audit_report(write_audit_results(tmp_path, change, checks=True)).read_text(encoding="utf-8")
+    assert "<strong>Data origin</strong> simulated at the expected machine" in text
+    without = write_audit_results(tmp_path, put("none wanted", "posterior_left_out"), name="without")
+    text = write_audit_report(without).read_text(encoding="utf-8")
+    assert "Figure left out: none wanted." in text
+    assert "Data origin" not in text
+
+
+# --- tables ----------------------------------------------------------------------------------------------------------
+
+
+def test_tables_follow_the_numbers():
+    rows = {row[0].text: row for row in tabulate_symbols(make()).rows}
+    assert [cell.text for cell in rows["l"]][2:9] == ["2.0", "1.5", "77 %", "0.40", "weak", "free", "0.020"]
+    assert (rows["rho0"][6].text, rows["rho0"][6].level) == ("not identifiable", "bad")
+    assert rows["rho0"][7].text == "fix"
+
+    changes = tabulate_changes(make())
+    assert [row[0].text for row in changes.rows] == [
+        *("as planned", "twice the poses", "better camera", "longer strokes †", "out of reach † ‡"),
+    ]
+    assert [cell.text for cell in changes.rows[4]][2:] == ["–"] * 5
+    assert len(changes.notes) == 2
+
+    (row,) = tabulate_ridge_help(make()).rows
+    assert [cell.text for cell in row] == ["l", "1", "0.05", "better camera", "0.45", "still not"]
+
+
+def test_mixed_verdicts_are_counted():
+    def change(summary):
+        summary["parameters"]["l[2]"]["verdict"] = "identifiable"
+
+    rows = {row[0].text: row for row in tabulate_symbols(make(change)).rows}
+    assert rows["l"][6].text == "1 identifiable, 1 weak"
+
+
+def test_words():
+    assert [format_contraction(x) for x in (0.0, 1e-4, 0.5, 0.999, 1.0, np.nan)] == [
+        *("0", "<0.01", "0.50", ">0.99", "1", "–"),
+    ]
+    assert [format_share(x) for x in (1e-5, 0.0058, 0.5, 12.3)] == ["<0.1 %", "0.58 %", "50 %", "1,230 %"]
+    assert [format_probability(x) for x in (1.0, 0.0, 0.42, 0.9765)] == [">99.9 %", "<0.1 %", "42 %", "97.7 %"]
+    assert [format_fixed_span(-np.inf, np.inf), format_fixed_span(-0.5, np.inf)] == ["open", "−0.50 to open"]
+    assert list_names(["u_y[5]", "u_y[4]", "k"]) == "u_y of legs 4 and 5 and k"
+
+
+def test_parameters_in_running_text_are_set_and_all_else_is_escaped():
+    prose = make_prose(["a", "a_z", "l", "rho0"])
+    assert prose("a_z[3] with l[1] & rho0") == (
+        "<i>a</i><sub>z,3</sub> with <i>l</i><sub>1</sub> &amp; <i>ρ</i><sup>0</sup>"
+    )
+    assert prose("<l> all al l.") == "&lt;l&gt; all al <i>l</i>."
+
+
+# --- figures ---------------------------------------------------------------------------------------------------------
+
+
+def test_every_figure_is_drawn_without_a_warning():
+    page = build_page(make_audit_results(checks=True))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        images = {one.name: render_png(one.draw) for one in page.figures()}
+    assert set(images) == {
+        *("contraction", "spectrum", "requirements", "changes", "sweeps", "profiles", "ridges", "ridges_others"),
+    }
+    assert all(image.startswith(b"\x89PNG") for image in images.values())
+
+
+def draw(results, name):
+    (one,) = (one for one in build_page(results).figures() if one.name == name)
+    figure = one.draw()
+    FigureCanvasAgg(figure).draw()
+    return figure
+
+
+def test_heat_maps_show_numbers_and_outline_what_to_free():
+    results = make_audit_results()
+    axes = draw(results, "contraction").axes[0]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["leg 1", "leg 2", "machine"]
+    assert sorted(text.get_text() for text in axes.texts) == ["0", "0.02", "0.02", "0.40", "0.40", "0.90", "0.90"]
+    outlined = sorted((round(p.get_x() + 0.46, 9), round(p.get_y() + 0.42, 9)) for p in axes.patches)
+    assert outlined == [(0, 0), (0, 1), (1, 0), (1, 1)]
+    axes = draw(results, "changes").axes[0]
+    assert [text.get_text() for text in axes.texts] == ["0.05", "0.30", "0.45", "0.60"]  # none where it cannot be
+
+
+def test_many_weak_combinations_are_shown_by_symbol():
+    def change(summary):
+        for k in range(3, 30):
+            name = f"l[{k}]"
+            summary["parameters"][name] = summary["parameters"]["l[1]"]
+            summary["directions"].append({**summary["directions"][3], "pivot": name, "contraction": 0.01 * k})
+            for one in summary["what_if"][:3]:
+                one["ridges"][name] = 0.02 * k
+
+    axes = draw(make_audit_results(change), "changes").axes[0]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["$l$"]
+    assert [text.get_text() for text in axes.texts] == ["0.03", "0.06", "0.06", "0.06"]
+
+
+def test_sweeps_have_a_panel_each_and_open_marks_beyond_the_range():
+    figure = draw(make_audit_results(), "sweeps")
+    assert len(figure.axes) == 6
+    left = figure.axes[0]
+    lines = {line.get_label(): line for line in left.lines if line.get_label().startswith("$")}
+    assert list(lines) == ["$a_{z}$", "$l$", "$ρ^{0}$", "$k_{1d}$"]
+    assert lines["$l$"].get_ydata() == pytest.approx(np.full(3, 100 * 0.6**0.5))
+    faces = [line.get_markerfacecolor() for line in left.lines if line.get_marker() == "o" and len(line.get_xdata())]
+    assert faces.count("white") == 4
+    assert figure.axes[3].lines[0].get_ydata() == pytest.approx([4.0, 4.0])
+
+
+def test_profiles_are_bounded_or_open():
+    value = np.linspace(-3, 3, 601)
+    closed = pd.DataFrame({"value": value, "deviance_data": value**2})
+    assert span_profile(closed) == pytest.approx((-(3.841**0.5), 3.841**0.5), abs=1e-4)
+    half = pd.DataFrame({"value": value, "deviance_data": np.where(value > 0, value**2, 0.0)})
+    low, high = span_profile(half)
+    assert (low, high) == (-np.inf, pytest.approx(3.841**0.5, abs=1e-4))
+
+
+def test_ridge_plots_show_draws_prior_and_curves():
+    figure = draw(make_audit_results(checks=True), "ridges")
+    shown = [axes for axes in figure.axes if axes.get_visible()]
+    assert len(shown) == 2  # one of the two legs of rho0, and l
+    assert len(shown[0].lines) == 4
+    assert [key.get_text() for key in figure.legends[0].get_texts()] == [
+        *("prior", "posterior", "analytic curve", "profile path"),
+    ]
+    assert shown[0].get_xlabel() == "$ρ_{1}^{0}$ (mm)"
+    others = draw(make_audit_results(checks=True), "ridges_others")
+    assert sum(axes.get_visible() for axes in others.axes) == 1
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (remove("title"), r"summary\.json: title: found nothing, expected str"),
+        (remove("plan", "n_poses"), r"plan\.n_poses: found nothing"),
+        (put("x", "parameters", "l[1]", "prior_sd"), r"parameters\.l\[1\]\.prior_sd: found str, expected a number"),
+        (put("perhaps", "parameters", "l[1]", "verdict"), r"verdict: found 'perhaps', expected one of identifiable"),
+        (put([], "parameters", "l[1]"), r"parameters\.l\[1\]: found list, expected an object"),
+        (put("odd", "directions", 0, "kind"), r"directions 1\.kind: found 'odd'"),
+        (put("c", "directions", 0, "pivot"), r"directions 1\.pivot: found 'c'"),
+        (put("bad", "directions", 0, "effect_on_pose"), r"effect_on_pose: found 'bad'"),
+        (put(0.0, "requirements", "x", "limit"), r"requirements\.x\.limit: found 0\.0, expected a positive number"),
+        (remove("what_if", 0, "requirements", "x"), r"what_if 1\.requirements\.x: found nothing"),
+        (put(None, "what_if", 0, "total_nats"), r"what_if 1\.total_nats: found nothing"),
+        (put(["q"], "recommended_free"), r"recommended_free: found 'q', expected parameters"),
+        (put({"n": 1}, "simulated_calibrations"), r"simulated_calibrations\.n_converged: found nothing"),
+        (put({}, "posterior"), r"posterior\.origin: found nothing"),
+        (put({}, "parameters"), r"parameters: found none"),
+    ],
+)
+def test_a_damaged_audit_is_one_line_and_nothing_is_written(tmp_path, change, fault):
+    folder = write_audit_results(tmp_path, change)
+    before = sorted(folder.rglob("*"))
+    with pytest.raises(InputError, match=fault) as error:
+        write_audit_report(folder)
+    assert "\n" not in str(error.value)
+    assert sorted(folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "fault"),
+    [
+        ("spectrum", lambda table: table.head(0), r"spectrum\.csv: found no rows, expected an audit's table"),
+        ("sweeps", lambda table: table[["sweep", "value"]], r"sweeps\.csv: found no column 'beyond_actuator_range'"),
+        ("profiles", lambda table: table.assign(value="a"), r"profiles\.csv: column 'value': found text"),
+    ],
+)
+def test_a_damaged_table_is_one_line(tmp_path, name, change, fault):
+    results = make_audit_results(checks=True)
+    results.tables[name] = change(results.tables[name])
+    folder = tmp_path / "audit"
+    folder.mkdir()
+    write_results(results, folder, "tables")
+    with pytest.raises(InputError, match=fault) as error:
+        write_audit_report(folder)
+    assert "\n" not in str(error.value)
+
+
+def test_an_empty_sweep_is_no_fault():
+    results = make_audit_results()
+    results.tables["sweeps"] = results.tables["sweeps"].head(0)
+    assert "sweeps" not in AuditResults.of(results).tables
+
+
+def test_without_a_summary_the_fault_names_the_file(tmp_path):
+    folder = write_audit_results(tmp_path)
+    (folder / "summary.json").unlink()
+    with pytest.raises(InputError, match=r"summary\.json: no such file"):
+        write_audit_report(folder)
+    (folder / "summary.json").write_text("{")
+    with pytest.raises(InputError, match=r"summary\.json: cannot be read as JSON"):
+        write_audit_report(folder)
+
+
+def test_the_report_command_knows_an_audit(tmp_path, monkeypatch, capsys):
+    from bayescal import cli
+
+    folder = write_audit_results(tmp_path)
+    monkeypatch.setattr("sys.argv", ["bayescal", "report", str(folder)])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == 0
+    assert capsys.readouterr().out == f"wrote {folder / 'report.html'}\n"
+    assert (folder / "figures" / "contraction.png").is_file()

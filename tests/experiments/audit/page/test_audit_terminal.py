@@ -1,0 +1,21 @@
+"""What an audit says on the terminal."""
+
+from __future__ import annotations
+
+import re
+
+from made_up_audit import make_audit_results
+from rich.console import Console
+
+from bayescal.experiments.audit.terminal import show_audit
+
+
+def test_the_terminal_shows_verdict_symbols_and_requirements(capsys):
+    show_audit(make_audit_results(), Console(width=120))
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 100
+    flat = " ".join(text.split())
+    assert "Of 7 parameters the 40 planned poses determine 2" in flat
+    assert "fix ρ0 and k_1d at nominal" in flat
+    assert re.search(r"│ l +│ mm +│ +2\.0 │ +1\.5 │ +0\.40 │ weak +│ free +│", text)
+    assert re.search(r"│ rotation about x │ 0\.1 mm │ +0\.0010 mm │ +1 % │ +99\.9 % │ +2\.0 % │", text)

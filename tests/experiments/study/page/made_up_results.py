@@ -1,0 +1,327 @@
+"""Tiny results directories with made-up numbers: two or twelve variants, two legs, six poses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pandas as pd
+
+from bayescal.experiments.frame import results as frame
+from bayescal.experiments.study.page.build import build_page
+from bayescal.experiments.study.page.results import StudyResults
+from bayescal.report.blocks import Page
+from bayescal.report.page import render_page, write_page
+from bayescal.report.provenance import show_provenance
+
+TWO = {"pus/none": (100.0, 2.0), "pus/linear": (120.0, 1.0)}  # log-evidence and how far the parameters moved
+TWELVE = {
+    f"{model}/{deformation}": (level - below, shift)
+    for model, below in (("six_pus", 0.1), ("jacobian", 150.0), ("beam", 0.4), ("stiffness", 0.0))
+    for deformation, level, shift in (("none", 1200.0, 3.0), ("linear", 1210.0, 2.0), ("matrix", 1500.0, 1.0))
+}
+LETTERS = {"six_pus": "a", "jacobian": "b", "beam": "c", "stiffness": "d"}
+TABLES = {"none": 5, "linear": 6, "matrix": 7}
+TITLES = {"six_pus": "6-PUS", "six_ups": "6-UPS", "jacobian": "Jacobian"}
+PUBLICATION = {
+    "source": "Gough 1956",
+    "citation": "V. E. Gough, Contribution to discussion of papers on research in automobile stability, 1956.",
+    "figures": {
+        **{"errors_all": "figures 15 to 17", "errors_none": "figure 15", "errors_linear": "figure 16"},
+        **{"errors_matrix": "figure 17", "hardpoints": "figure 18", "deflections": "figure 7", "flexure": "figure 9"},
+    },
+    "notation": {"a": "section 2.2", "rho0": "eq. 9", "kappa": "eq. 1", "K": "eqs. 2 to 4"},
+}
+SYMBOLS = ("a_x", "a_y", "b_x", "b_y", "l", "kappa")
+LEGS = (1, 2)
+USES = {"calibration": 4, "verification": 2}
+TOLERANCES = (0.5, 2.0)
+
+
+def describe_parameters(shift: float, with_model_error: bool) -> dict:
+    parameters = {}
+    for k, symbol in enumerate(SYMBOLS):
+        for leg in LEGS:
+            length = symbol != "kappa"
+            nominal, sd = (100.0 * leg - 10 * k, 0.1) if length else (0.01, 0.001)
+            mean = nominal + (shift * leg if length else 0.002)
+            prior_sd, unit = (2.0, "mm") if length else (0.01, "1")
+            parameters[f"{symbol}[{leg}]"] = describe(nominal, mean, sd, prior_sd, unit)
+    if with_model_error:
+        parameters |= {f"tau[{leg}]": describe(0.0, 0.004, 0.001, 0.006, "mm") for leg in LEGS}
+    return parameters
+
+
+def describe(nominal: float, mean: float, sd: float, prior_sd: float, unit: str) -> dict:
+    interval = {"q05": mean - 1.6 * sd, "q95": mean + 1.6 * sd}
+    return {"nominal": nominal, "unit": unit, "mean": mean, "sd": sd, **interval, "prior_sd": prior_sd, "rhat": 1.0}
+
+
+def describe_fit(log_evidence: float, shift: float, with_model_error: bool, uses: dict[str, int]) -> dict:
+    errors = {
+        "position_error_mm": {"mean": 0.004 * shift, "max": 0.009 * shift},
+        "orientation_error_deg": {"mean": 0.001, "max": 0.002},
+        "interval_90_coverage": 0.9 if with_model_error else 0.4,
+        "bound_95_coverage": 1.0,
+    }
+    return {
+        "n_parameters": 14,
+        "log_evidence": log_evidence,
+        "log_evidence_se": 0.01,
+        "log_evidence_methods": {"importance": log_evidence, "bridge": log_evidence + 0.02},
+        "log_evidence_method_se": {"importance": 0.01, "bridge": 0.01},
+        "log_evidence_primary": "importance",
+        "log_evidence_agrees": True,
+        "importance": {"efficiency": 0.4, "pareto_k": 0.3, "n_draws": 20000},
+        "elpd_loo": log_evidence + 50,
+        "elpd_loo_se": 5.0,
+        "elpd_loo_pareto_k_max": 0.5,
+        "elpd_loo_n_bad_k": 0,
+        "converged": True,
+        "problems": [],
+        "rhat_max": 1.001,
+        "ess_bulk_min": 4000.0,
+        "ess_tail_min": 3000.0,
+        "acceptance": 0.4,
+        "wall_seconds": 10.0,
+        "calibration": errors,
+        "verification": {**errors, "elpd": log_evidence / 5} if "verification" in uses else None,
+        "parameters": describe_parameters(shift, with_model_error),
+        "distance_from_nominal": {"rms_mm": shift, "rms_prior_sd": shift / 2},
+    }
+
+
+def describe_summary(uses: dict[str, int], variants_of: dict[str, tuple[float, float]]) -> dict:
+    variants = {}
+    for name, (log_evidence, shift) in variants_of.items():
+        variants[name] = describe_fit(log_evidence, shift, True, uses)
+        variants[name]["without_model_error"] = describe_fit(log_evidence - 30, shift, False, uses)
+    return {
+        "experiment": "tiny",
+        "title": "A tiny study",
+        "data_origin": "Made up for a test, never measured",
+        "models": {model: title for model, title in TITLES.items() if any(n.startswith(f"{model}/") for n in variants)},
+        "n_poses": {"calibration": uses["calibration"], "verification": uses.get("verification", 0)},
+        "pose_extraction": {"method": "robust", "chi2_per_dof": 1.02, "rejected_targets": []},
+        "variants": variants,
+        "ranking": sorted(variants, key=lambda name: -variants_of[name][0]),
+    }
+
+
+def tabulate_predictions(uses: dict[str, int], variants: dict[str, tuple[float, float]]) -> pd.DataFrame:
+    return pd.DataFrame(
+        {
+            "variant": variant,
+            "model_error": setting,
+            "pose": f"{use[0].upper()}{k}",
+            "use": use,
+            "position_error_mm": 0.004 + 0.001 * k,
+            "position_bound_95_mm": 0.0065,
+            "orientation_error_deg": 0.001,
+            "orientation_bound_95_deg": 0.002,
+        }
+        for variant in variants
+        for setting in ("free", "zero")
+        for use, n in uses.items()
+        for k in range(n)
+    )
+
+
+def tabulate_least_squares(variants: dict[str, tuple[float, float]], published: bool) -> pd.DataFrame:
+    """Least squares differ from the published values by 0.3 mm in leg 1 and 0.4 mm in leg 2, by 7 in kappa.
+
+    Of two variants only the second has published values.
+    """
+    rows = []
+    for variant in variants:
+        known = published and (len(variants) > 2 or variant == "pus/linear")
+        for symbol in SYMBOLS:
+            for leg in LEGS:
+                difference = 7.0 if symbol == "kappa" else {1: 0.3, 2: 0.4}[leg]
+                rows.append(
+                    {
+                        "variant": variant,
+                        "parameter": symbol,
+                        "leg": leg,
+                        "unit": "1" if symbol == "kappa" else "mm",
+                        "nominal": 0.0,
+                        "offset": 1.0 * leg,
+                        "published_offset": 1.0 * leg - difference if known else np.nan,
+                        "difference": difference if known else np.nan,
+                        "leg_residual_rms_um": 1.5,
+                        "converged": True,
+                    }
+                )
+    return pd.DataFrame(rows)
+
+
+def tabulate_sensitivity(summary: dict) -> pd.DataFrame:
+    return pd.DataFrame(
+        {
+            "variant": variant,
+            "tolerance_mm": tolerance,
+            "log_evidence": fit["log_evidence"] - tolerance,
+            "log_evidence_se": 0.01,
+            "efficiency": 0.4,
+            "pareto_k": 0.3,
+        }
+        for tolerance in TOLERANCES
+        for variant, fit in summary["variants"].items()
+    )
+
+
+def tabulate_ring() -> tuple[pd.DataFrame, pd.DataFrame]:
+    matrix = np.array([[10.0, -4.0], [2.0, 12.0]])  # 1e-3
+    travel = np.array([[-1.0, 1.0], [1.0, 0.5], [0.0, -1.0], [1.0, 1.0], [0.5, 0.0], [0.0, 0.5]])
+    deflection = travel @ matrix.T + 0.5  # µm
+    uses = ["calibration"] * 4 + ["verification"] * 2
+    ring = pd.DataFrame(
+        {
+            "pose": f"P{p}",
+            "use": uses[p],
+            "leg": leg,
+            "actuator_displacement_mm": travel[p, leg - 1],
+            "deflection_um": deflection[p, leg - 1],
+            "deflection_sd_um": 0.4,
+        }
+        for p in range(len(travel))
+        for leg in LEGS
+    )
+    rows = [("kappa", leg, leg, matrix[leg - 1, leg - 1], 0.5) for leg in LEGS]
+    rows += [("K", i, j, matrix[i - 1, j - 1], 0.1) for i in LEGS for j in LEGS]
+    return ring, pd.DataFrame(rows, columns=["quantity", "leg", "actuator", "mean_1e-3", "sd_1e-3"])
+
+
+def write_draws(path: Path) -> None:
+    """The draws of a_x and b_x of leg 2 lie on a ridge, everything else is independent."""
+    rng = np.random.default_rng(3)
+    draws = {symbol: rng.standard_normal((4, 50, len(LEGS))) for symbol in (*SYMBOLS, "tau")}
+    draws["b_x"][..., 1] = draws["a_x"][..., 1] + 0.1 * rng.standard_normal((4, 50))
+    with h5py.File(path, "w") as file:
+        for symbol, values in draws.items():
+            file[f"posterior/{symbol}"] = values
+        file["posterior/leg"] = np.array(LEGS)
+
+
+def describe_config(variants: dict[str, tuple[float, float]], published: bool) -> dict:
+    entries = []
+    for name in variants:
+        model, deformation = name.split("/")
+        entry = {"model": model, "deformation": deformation}
+        if model in LETTERS and published:
+            entry["published"] = f"published/table{TABLES[deformation]}{LETTERS[model]}.csv"
+        entries.append(entry)
+    return {"model_error": {"scale_um": 10.0}, "variants": entries}
+
+
+def tabulate_claims() -> pd.DataFrame:
+    rows = [
+        ("late", "7.1.1", "A claim of section 7.", "one", "one after all", 1.0, "1", "holds", "Seen <i>twice</i>."),
+        ("small", "2.3", "Motors place within a_x.", "6 µm", "5.9 µm", 5.9, "µm", "holds", "Worst signs."),
+        ("wrong", "2.3", "It turns by 1e-6 deg.", "1e-6 deg", "", 0.002, "deg", "does not hold", "Worst signs."),
+        ("open", "7.1.1", "The real platform stays stiff.", "", "", np.nan, "", "not testable", "No data."),
+        ("far", "10.2, 11", "A claim of later sections.", "two", "three", 3.0, "1", "does not hold", "Counted."),
+        ("mine", "own", "Table 7(c) is misprinted.", "1", "0.12", 0.12, "1", "does not hold", "Regression."),
+    ]
+    columns = ["claim", "section", "statement", "expected", "found", "value", "unit", "verdict", "why"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def tabulate_flexure() -> pd.DataFrame:
+    """Two flexures, of 5 and 10 mm; pivot and circle are half as much again and a millionth too far."""
+    bending = np.linspace(0.0, 1.0, 11)
+    frames = []
+    for length in (5.0, 10.0):
+        beam = 0.0508 * length * bending**2
+        frames.append(
+            pd.DataFrame(
+                {
+                    "flexure_length_mm": length,
+                    "bending_deg": bending,
+                    "across_um": 8.73 * length * bending,
+                    "along_beam_um": beam,
+                    "along_pivot_um": 1.5 * beam,
+                    "along_circle_um": beam * (1 + 1e-6),
+                    "circle_error_nm": 1e3 * beam * 1e-6,
+                }
+            )
+        )
+    return pd.concat(frames)
+
+
+def write_results(
+    parent,
+    change=None,
+    variants=TWO,
+    verification=True,
+    ring=True,
+    draws=True,
+    published=True,
+    claims=False,
+    flexure=False,
+    publication=None,
+    drive="base",
+    name="results",
+) -> Path:
+    """Write a results directory below a parent and return its path; ``change`` edits the summary in place."""
+    folder = parent / name
+    folder.mkdir()
+    uses = USES if verification else {"calibration": USES["calibration"]}
+    summary = describe_summary(uses, variants) | {"drive": drive}
+    if publication is not None or claims:
+        summary["publication"] = publication or PUBLICATION
+    if change is not None:
+        change(summary)
+    provenance = {"name": "tiny", "seed": 1, "config": describe_config(variants, published), "python": "3.12"}
+    provenance |= {"platform": "linux", "files": {"t.csv": "f" * 64}, "versions": {"numpy": "2"}}
+    tables = {
+        "predictions": tabulate_predictions(uses, variants),
+        "least_squares": tabulate_least_squares(variants, published),
+        "sensitivity": tabulate_sensitivity(summary),
+    }
+    if ring:
+        tables["ring"], tables["deformation"] = tabulate_ring()
+    if claims:
+        tables["claims"] = tabulate_claims()
+    if flexure:
+        tables["flexure"] = tabulate_flexure()
+    posteriors = {f"posterior/{variant.replace('/', '-')}.nc": write_draws for variant in variants if draws}
+    frame.write_results(frame.Results(summary, tables, posteriors, provenance), folder, tables_in="tables")
+    return folder
+
+
+def edit_table(folder, name, change) -> None:
+    """Change a table of a results directory in place."""
+    table = frame.read_results(folder).table(name)
+    change(table)
+    table.to_csv(folder / "tables" / f"{name}.csv", index=False)
+
+
+def edit_config(folder, change) -> None:
+    """Change the config of a results directory in place."""
+    path = folder / "provenance.json"
+    provenance = json.loads(path.read_text())
+    change(provenance["config"])
+    path.write_text(json.dumps(provenance))
+
+
+def read_study(folder) -> StudyResults:
+    return StudyResults.of(frame.read_results(folder))
+
+
+def read_page(folder) -> Page:
+    return build_page(frame.read_results(folder))
+
+
+def write_report(folder) -> Path:
+    """Write the page of a results directory as the frame does."""
+    results = frame.read_results(folder)
+    return write_page(build_page(results), folder, [show_provenance(results.provenance)])
+
+
+def render_text(folder) -> str:
+    """Return the page of a results directory without drawing its figures."""
+    page = read_page(folder)
+    return render_page(page, {figure.name: b"" for figure in page.figures() if figure.draw is not None})

@@ -1,0 +1,172 @@
+"""The page of a study on disk: self-contained, escaped, the same bytes from the same results."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from html_reader import Reader
+from made_up_results import PUBLICATION, TWELVE, edit_config, render_text, write_report
+
+from bayescal.errors import InputError
+
+
+def test_page_is_self_contained_and_well_formed(make_results):
+    page = write_report(make_results())
+    text = page.read_text(encoding="utf-8")
+    reader = Reader(text)
+    assert reader.open == []
+    assert reader.tags.count("img") == 9
+    assert all(r.startswith(("data:image/png;base64,", "#")) for r in reader.references)
+    assert not {"script", "link", "iframe", "object"} & set(reader.tags)
+    assert not re.search(r"url\(|@import", text)
+    assert {r[1:] for r in reader.references if r.startswith("#")} <= set(re.findall(r'id="([^"]+)"', text))
+    assert {p.name for p in page.parent.iterdir()} == {
+        "summary.json",
+        "provenance.json",
+        "tables",
+        "posterior",
+        "figures",
+        "report.html",
+    }
+
+
+def test_same_results_give_the_same_bytes(make_results):
+    one, other = make_results(name="one"), make_results(name="other")
+    contents = []
+    for folder in (one, other):
+        page = write_report(folder)
+        contents.append([page.read_bytes(), *(p.read_bytes() for p in sorted((folder / "figures").iterdir()))])
+    assert contents[0] == contents[1]
+    assert not any(b"Software" in image or b"tEXtDate" in image for image in contents[0][1:])
+
+
+def test_text_from_the_results_is_escaped(make_results):
+    attack = "<script>alert('x')</script> & \"$_^{ $\" <b>"
+
+    def change(summary):
+        summary["title"] = summary["data_origin"] = summary["experiment"] = attack
+        summary["pose_extraction"]["rejected_targets"] = [f"{attack}/P1"]
+        summary["variants"]["pus/none"]["problems"] = [attack]
+        renamed = {
+            name.replace("l[", "<i>$x_$[") if name.startswith("l[") else name: p
+            for name, p in summary["variants"]["pus/none"]["parameters"].items()
+        }
+        summary["variants"]["pus/none"]["parameters"] = renamed
+
+    folder = make_results(change)
+    predictions = folder / "tables" / "predictions.csv"
+    predictions.write_text(predictions.read_text().replace(",C0,", ",<script>$C0,"))
+    text = write_report(folder).read_text(encoding="utf-8")
+    reader = Reader(text)
+    assert "script" not in reader.tags
+    assert "b" not in reader.tags
+    assert "&lt;script&gt;alert(&#39;x&#39;)" in text
+    assert "&lt;i&gt;$x_$" in text
+
+
+def test_without_draws_and_ring_the_report_says_what_is_left_out(make_results):
+    folder = make_results(draws=False, ring=False)
+    (folder / "figures").mkdir()
+    (folder / "figures" / "ridges.png").write_bytes(b"of an earlier report")
+    text = write_report(folder).read_text(encoding="utf-8")
+    assert "Figure left out: it needs the draws of pus/linear, whose file is not there." in text
+    assert "Figure left out: the survey has no targets at the joints." in text
+    assert not (folder / "figures" / "ridges.png").exists()
+    assert (folder / "figures" / "parameters.png").is_file()
+
+
+def test_without_verification_poses_the_figures_are_drawn(make_results):
+    folder = make_results(verification=False)
+    text = write_report(folder).read_text(encoding="utf-8")
+    assert Reader(text).tags.count("img") == 9
+    assert '<td class="text plain">none</td>' in text
+
+
+def test_data_origin_and_failures_stand_before_the_headline(make_results):
+    def change(summary):
+        summary["variants"]["pus/linear"] |= {"converged": False, "problems": ["bulk ESS 12, limit 1000"]}
+
+    text = render_text(make_results(change))
+    places = [text.index(s) for s in ("Made up for a test", "bulk ESS 12", 'class="headline"', 'id="ranking"')]
+    assert places == sorted(places)
+    assert 'class="verdict failed"' in text
+
+
+def test_nothing_is_written_where_the_results_are_at_fault(make_results):
+    folder = make_results()
+    (folder / "summary.json").unlink()
+    before = sorted(folder.rglob("*"))
+    with pytest.raises(InputError, match=r"summary\.json"):
+        write_report(folder)
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_twelve_variants_make_one_page_with_long_tables_folded(make_results):
+    folder = make_results(variants=TWELVE, claims=True, flexure=True)
+    text = write_report(folder).read_text(encoding="utf-8")
+    reader = Reader(text)
+    assert reader.open == []
+    assert reader.tags.count("img") == 12
+    assert {r[1:] for r in reader.references if r.startswith("#")} <= set(re.findall(r'id="([^"]+)"', text))
+    folds = re.findall(r"<details( open)?>\s*<summary>(.*?)</summary>", text)
+    assert not any(is_open for is_open, _ in folds)
+    assert sum("beside" in title or title.startswith("Table ") for _, title in folds) == 12
+    places = [
+        text.index(f'id="{name}"') for name in ("verdict", "ranking", "claims", "errors", "parameters", "flexure")
+    ]
+    assert places == sorted(places)
+
+
+def test_a_single_variant_is_reported(make_results):
+    text = write_report(make_results(variants={"six_pus/linear": (10.0, 1.0)})).read_text(encoding="utf-8")
+    assert Reader(text).tags.count("img") == 9
+    assert "6-PUS/linear is the only variant, log-evidence 10.0" in text
+
+
+def test_without_published_values_nothing_is_said_of_them(make_results):
+    text = render_text(make_results(variants=TWELVE, published=False))
+    assert "<h2>Parameters</h2>" in text
+    assert "least squares − published" not in text
+    assert "Published values" not in text
+
+
+@pytest.mark.parametrize("drive", ["base", "strut"])
+def test_a_study_of_anybodys_machine_has_no_word_of_a_publication(make_results, drive):
+    folder = make_results(variants=TWELVE, published=False, flexure=True, drive=drive)
+    text = render_text(folder)
+    assert not re.findall(r"RR-8096|Yu\b|[Pp]ubli|\breport figure|\beqs?\. |\bafter ", text)
+    images = {image for image in re.findall(r'alt="([^"]*)"', text) if "joints from above" in image}
+    assert len(images) == 1  # the captions were among what was searched
+    told = render_text(make_results(variants=TWELVE, flexure=True, publication=PUBLICATION, drive=drive, name="told"))
+    for word in ("figure 9", "figure 18", "eq. 1", "published tables", PUBLICATION["citation"]):
+        assert word in told.replace("\u00a0", " ")
+
+
+def test_failed_convergence_opens_the_diagnostics(make_results):
+    def change(summary):
+        summary["variants"]["beam/none"] |= {"converged": False, "problems": ["bulk ESS 12, limit 1000"]}
+
+    text = render_text(make_results(change, variants=TWELVE))
+    assert "Do not rely on these numbers yet." in text
+    assert "beam/none, with model error: bulk ESS 12, limit 1000" in text
+    assert re.search(r"<details open>\s*<summary>Convergence", text)
+
+
+def test_figures_of_deformations_that_are_gone_are_removed(make_results):
+    folder = make_results(variants=TWELVE)
+    (folder / "figures").mkdir()
+    for name in ("errors_quadratic", "flexure"):
+        (folder / "figures" / f"{name}.png").write_bytes(b"of an earlier report")
+    write_report(folder)
+    names = {path.stem for path in (folder / "figures").iterdir()}
+    assert {"errors", "errors_none", "errors_linear", "errors_matrix", "parameters"} <= names
+    assert not {"errors_quadratic", "flexure"} & names
+
+
+def test_the_provenance_shows_the_config(make_results):
+    folder = make_results()
+    edit_config(folder, lambda config: config.update(b={"c": [{"d": "x [ y ]"}, 0.5]}))
+    text = write_report(folder).read_text(encoding="utf-8")
+    assert "&#34;x [ y ]&#34;" in text
+    assert text.index('id="notation"') < text.index('id="provenance"')

@@ -1,0 +1,92 @@
+"""Results that are not what a study writes are named: file, place, what was found and what was expected."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from made_up_results import PUBLICATION, read_study
+
+from bayescal.errors import InputError
+from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.study.page.results import StudyResults
+
+
+@pytest.mark.parametrize(
+    ("path", "content", "found"),
+    [
+        ("summary.json", None, "no such file"),
+        ("summary.json", "{", "cannot be read as JSON"),
+        ("summary.json", "{}", "expected str"),
+        ("provenance.json", None, "no such file"),
+        ("tables/predictions.csv", None, "no such file"),
+        ("tables/least_squares.csv", "variant,parameter\n", "found columns"),
+        ("tables/deformation.csv", None, "no such file"),
+        ("tables/sensitivity.csv", None, "no such file"),
+        ("posterior/pus-none.nc", "no hdf5", "cannot be read as a posterior"),
+    ],
+)
+def test_a_file_at_fault_is_named(make_results, path, content, found):
+    folder = make_results()
+    if content is None:
+        (folder / path).unlink()
+    else:
+        (folder / path).write_text(content)
+    with pytest.raises(InputError, match=found) as caught:
+        read_study(folder)
+    assert str(folder / path) in str(caught.value)
+
+
+def test_a_number_missing_from_a_fit_is_named(make_results):
+    def change(summary):
+        del summary["variants"]["pus/none"]["without_model_error"]["rhat_max"]
+
+    with pytest.raises(InputError, match=r"variants\.pus/none\.without_model_error\.rhat_max: found nothing"):
+        read_study(make_results(change))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "found"),
+    [
+        ("models", {"pus": 3}, r"models\.pus: found int, expected str"),
+        ("drive", "rope", "drive: found 'rope', expected base or strut"),
+        ("publication", "a book", "publication: found str, expected dict"),
+        ("publication", {**PUBLICATION, "citation": None}, r"publication\.citation: found nothing, expected str"),
+        ("publication", {**PUBLICATION, "figures": {"errors": 15}}, r"publication\.figures\.errors: found int"),
+    ],
+)
+def test_what_a_study_may_leave_out_is_checked_where_it_is_there(make_results, key, value, found):
+    with pytest.raises(InputError, match=rf"summary\.json: {found}"):
+        read_study(make_results(lambda summary: summary.update({key: value})))
+
+
+@pytest.mark.parametrize("name", ["predictions", "deformation", "claims"])
+def test_a_missing_column_is_named(make_results, name):
+    results = read_results(make_results(claims=True))
+    column = results.table(name).columns[-1]
+    tables = {**results.tables, name: results.table(name).drop(columns=column)}
+    if name == "predictions":
+        tables[name] = results.table(name).drop(columns=(column := "use"))
+    with pytest.raises(InputError, match=rf"tables/{name}\.csv: found no column '{column}'"):
+        StudyResults.of(replace(results, tables=tables))
+
+
+def test_text_where_numbers_are_expected_is_named(make_results):
+    results = read_results(make_results())
+    tables = {**results.tables, "ring": results.table("ring").assign(deflection_um="much")}
+    with pytest.raises(InputError, match=r"tables/ring\.csv: column 'deflection_um': found text, expected numbers"):
+        StudyResults.of(replace(results, tables=tables))
+
+
+@pytest.mark.parametrize("name", ["sensitivity", "deformation"])
+def test_a_missing_table_is_named(make_results, name):
+    results = read_results(make_results())
+    tables = {other: table for other, table in results.tables.items() if other != name}
+    with pytest.raises(InputError, match=rf"tables/{name}\.csv: found no rows, expected a study's table"):
+        StudyResults.of(replace(results, tables=tables))
+
+
+def test_results_that_stand_nowhere_name_the_file_alone(make_results):
+    results = replace(read_results(make_results()), folder=None, summary={})
+    with pytest.raises(InputError, match=r"^summary\.json: experiment: found nothing, expected str"):
+        StudyResults.of(results)

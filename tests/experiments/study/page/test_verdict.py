@@ -1,0 +1,181 @@
+"""Twelve variants: what is tied, what is told apart, and what deformation and model are worth, each by itself."""
+
+from __future__ import annotations
+
+import pytest
+from made_up_results import TWELVE, edit_table, read_study
+
+from bayescal.experiments.study.page.checks import title_failures
+from bayescal.experiments.study.page.ranking import tabulate_effects, tabulate_ranking
+from bayescal.experiments.study.page.variants import (
+    choose_model,
+    find_leaders,
+    group_variants,
+    label_variant,
+    name_variants,
+)
+from bayescal.experiments.study.page.verdict import state_headline, state_verdict
+
+
+def find_statement(results, lead: str, words: str = "") -> str:
+    """Return the one statement of the verdict with that lead and words."""
+    (text,) = (s.text for s in state_verdict(results) if s.lead == lead and words in s.text)
+    return text
+
+
+def raise_evidence(name: str, value: float):
+    """Return a change of the summary that sets one variant's log-evidence and ranks anew."""
+
+    def change(summary):
+        fit = summary["variants"][name]
+        fit["log_evidence"] = value
+        fit["log_evidence_methods"] = {"importance": value, "bridge": value}
+        summary["ranking"].sort(key=lambda n: -summary["variants"][n]["log_evidence"])
+
+    return change
+
+
+def test_a_tie_is_said_to_be_one(make_results):
+    results = read_study(make_results(variants=TWELVE))
+    assert state_headline(results) == (
+        "6-PUS, beam and stiffness with the matrix deformation explain the measurements best and cannot be told apart: "
+        "0.40 nat of log-evidence between them; Jacobian/matrix follows 150.0 nat behind."
+    )
+    assert find_leaders(results) == ["six_pus/matrix", "beam/matrix", "stiffness/matrix"]
+    assert choose_model(results) == "six_pus"
+
+
+def test_a_tie_ends_where_the_evidence_tells_apart(make_results):
+    results = read_study(make_results(raise_evidence("beam/matrix", 1503.0), variants=TWELVE))
+    assert state_headline(results).startswith("beam/matrix is preferred, not decisively, by 3.0 nat over stiffness/mat")
+    assert choose_model(results) == "beam"
+
+
+def test_an_uncertain_estimate_is_no_difference(make_results):
+    def change(summary):
+        raise_evidence("beam/matrix", 1503.0)(summary)
+        summary["variants"]["beam/matrix"]["log_evidence_se"] = 2.0
+
+    assert len(find_leaders(read_study(make_results(change, variants=TWELVE)))) == 3
+
+
+def test_deformation_and_model_are_named_by_themselves(make_results):
+    results = read_study(make_results(raise_evidence("jacobian/linear", 1300.0), variants=TWELVE))
+    assert find_statement(results, "Deformation") == (
+        "With the same model, matrix is ahead of linear by 290.0 nat (6-PUS, beam and stiffness) and 50.0 nat "
+        "(Jacobian); of none by 300.0 nat (6-PUS, Jacobian, beam and stiffness)."
+    )
+    model = find_statement(results, "Model")
+    assert "With the matrix deformation, 6-PUS, beam and stiffness are not told apart (0.4 nat)" in model
+    assert "Jacobian 149.9 nat below 6-PUS" in model
+    assert "with the linear deformation, Jacobian leads, 6-PUS, beam and stiffness 90.0 to 90.4 nat below" in model
+
+
+def test_pairs_told_apart_are_counted(make_results):
+    results = read_study(make_results(variants=TWELVE))
+    text = find_statement(results, "Pairs")
+    assert text.startswith("Of 66 pairs of variants the measurements tell 57 apart, by 9.6 nat or more")
+    assert text.endswith("the other 9 lie within 0.4 nat.")
+
+
+def test_effects_are_tabulated_with_letters_of_the_groups(make_results):
+    table = tabulate_effects(read_study(make_results(variants=TWELVE)))
+    rows = {row[0].text: [cell.text for cell in row[1:]] for row in table.rows}
+    assert rows["6-PUS"] == ["−300.1 D", "−290.1 C", "−0.1 A", "+300.0", "+290.0", "–", "–", "–"]
+    assert rows["Jacobian"][:3] == ["−450.0 F", "−440.0 E", "−150.0 B"]
+    assert rows["Jacobian"][-3:] == ["−149.9", "−149.9", "−149.9"]
+    assert tabulate_effects(read_study(make_results(name="one_model"))) is None
+
+
+def test_names_of_the_files_are_said(make_results):
+    notes = [s.text for s in tabulate_ranking(read_study(make_results(variants=TWELVE)), "free").notes]
+    assert notes == ["In config and results 6-PUS is six_pus and Jacobian is jacobian: 6-PUS/matrix is six_pus/matrix."]
+
+
+def test_groups_hold_what_lies_within_a_nat_of_their_best(make_results):
+    results = read_study(make_results(raise_evidence("beam/matrix", 1498.95), variants=TWELVE))
+    names = ["six_pus/matrix", "beam/matrix", "stiffness/matrix"]
+    assert group_variants(results, names) == [["six_pus/matrix", "stiffness/matrix"], ["beam/matrix"]]
+
+
+def test_the_same_leaders_in_prediction_agree(make_results):
+    results = read_study(make_results(variants=TWELVE))
+    text = find_statement(results, "Prediction", "LOO")
+    assert "agrees: the same 3 lead with 0.4 nat between them, 149.6 nat ahead of Jacobian/matrix" in text
+    assert "no pair that the evidence tells apart is reversed by more than 4 nat" in text
+
+
+def test_a_leader_that_predicts_badly_is_not_hidden(make_results):
+    def change(summary):
+        summary["variants"]["jacobian/none"]["elpd_loo"] = 1700.0
+        summary["variants"]["jacobian/matrix"]["verification"]["elpd"] = 300.0
+
+    results = read_study(make_results(change, variants=TWELVE))
+    loo = next(s for s in state_verdict(results) if "LOO" in s.text)
+    assert loo.level == "bad"
+    assert "disagrees: Jacobian/none first, 150.0 nat ahead of stiffness/matrix" in loo.text
+    held = find_statement(results, "Prediction", "held back")
+    assert "hardly separate the best" in held
+
+
+def test_reversed_pairs_further_down_are_counted(make_results):
+    def change(summary):
+        # one goes before three linear, three none and Jacobian/linear; the other passes three linear by too little
+        summary["variants"]["jacobian/none"]["elpd_loo"] = 1300.0
+        summary["variants"]["six_pus/none"]["elpd_loo"] = 1263.0
+
+    results = read_study(make_results(change, variants=TWELVE))
+    assert "further down 7 pairs come in the other order" in find_statement(results, "Prediction", "LOO")
+
+
+def test_who_passes_whom_at_another_tolerance_is_named(make_results):
+    folder = make_results(variants=TWELVE)
+
+    def change(table):
+        table.loc[(table["variant"] == "jacobian/none") & (table["tolerance_mm"] == 0.5), "log_evidence"] = 1205.0
+
+    edit_table(folder, "sensitivity", change)
+    text = find_statement(read_study(folder), "Stability")
+    assert "6-PUS, beam and stiffness with the matrix deformation stay first, never by less than 149.6 nat" in text
+    assert "Jacobian/none passes 4 variants at 0.5 mm" in text
+
+
+def test_of_a_single_tolerance_no_stability_is_claimed(make_results):
+    folder = make_results(variants=TWELVE)
+    path = folder / "tables" / "sensitivity.csv"
+    path.write_text("".join(line for line in path.read_text().splitlines(True) if ",0.5," not in line))
+    assert "Stability" not in {statement.lead for statement in state_verdict(read_study(folder))}
+
+
+def test_leaders_without_model_error_are_compared_as_a_group(make_results):
+    results = read_study(make_results(variants=TWELVE))
+    text = find_statement(results, "Model error")
+    assert "need the model error τ: without it their log-evidence falls by 30.0 nat" in text
+    assert "With τ = 0 everywhere the same 3 lead by 149.6 nat, within 0.4 nat." in text
+
+
+@pytest.mark.parametrize(
+    ("free", "words"), [(True, "Do not rely on these numbers yet"), (False, "all without model error; the ranking")]
+)
+def test_failures_say_whether_they_reach_the_ranking(make_results, free, words):
+    def change(summary):
+        fit = summary["variants"]["jacobian/none"]
+        (fit if free else fit["without_model_error"])["converged"] = False
+
+    assert words in title_failures(read_study(make_results(change, variants=TWELVE)))
+
+
+def test_names_of_variants(make_results):
+    results = read_study(make_results(variants=TWELVE))
+    assert label_variant(results, "six_pus/matrix") == "6-PUS/matrix"
+    assert label_variant(results, "another") == "another"
+    assert name_variants(results, ["six_pus/none", "beam/none"]) == "6-PUS and beam without deformation"
+    assert name_variants(results, ["six_pus/none", "beam/matrix"], "or") == "6-PUS/none or beam/matrix"
+
+
+def test_a_model_has_the_title_that_the_study_gives_it(make_results):
+    results = read_study(make_results(lambda summary: summary["models"].update(beam="beam theory"), variants=TWELVE))
+    assert label_variant(results, "beam/matrix") == "beam theory/matrix"
+    assert "6-PUS, beam theory and stiffness with the matrix deformation" in state_headline(results)
+    untitled = read_study(make_results(lambda summary: summary.pop("models"), variants=TWELVE, name="untitled"))
+    assert label_variant(untitled, "six_pus/matrix") == "six_pus/matrix"

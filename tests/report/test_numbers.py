@@ -1,0 +1,21 @@
+"""Numbers as text, in the one place where they are rounded."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bayescal.report.numbers import format_estimate, format_fixed, format_odds, format_significant
+
+
+def test_numbers_are_rounded_as_the_report_shows_them():
+    assert format_estimate(-1.6204, 0.0873) == "−1.620 ± 0.087"
+    assert format_estimate(1.0, 0.0996) == "1.00 ± 0.10"
+    assert format_fixed(-0.0004, 2, sign=True) == "0.00"
+    assert format_fixed(np.nan, 2) == "–"
+    assert format_fixed(-np.inf, 2) == "−∞"
+    assert format_significant(0.012345) == "0.0123"
+    assert format_significant(1234.5) == "1234"
+    assert format_odds(math.log(20)) == "20 to 1"
+    assert format_odds(358.0) == "10¹⁵⁵ to 1"

@@ -1,0 +1,178 @@
+"""A page of the kit: whole, self-contained, escaped, and the same whenever it is written."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from html_reader import Reader
+from matplotlib.figure import Figure as Drawing
+
+from bayescal.report import page as setting
+from bayescal.report.blocks import (
+    Absent,
+    Block,
+    Card,
+    Cell,
+    Column,
+    Counts,
+    Definitions,
+    Figure,
+    Fold,
+    Heading,
+    Page,
+    Preformatted,
+    Section,
+    Side,
+    Statement,
+    make_table,
+)
+from bayescal.report.page import make_prose, render_page, render_png, set_symbol, write_page
+from bayescal.report.provenance import format_config
+
+WICKED = "<script>alert(1)</script> & O1 at 3 µm"
+ESCAPED = "&lt;script&gt;alert(1)&lt;/script&gt; &amp; O1 at 3"
+COLUMNS = (Column("O1", group="published"), Column("O1", group="found"))
+WICKED_TABLE = make_table(WICKED, COLUMNS, [["0.0357", WICKED]], [Statement(WICKED, "warning")])
+
+
+def draw() -> Drawing:
+    drawing = Drawing(figsize=(2.0, 1.0))
+    drawing.subplots().plot([0.0, 1.0], [0.0, 1.0])
+    return drawing
+
+
+def make_page(*blocks: Block, level="good", finding=WICKED, lead="Found") -> Page:
+    section = Section("Table <1>", (WICKED, WICKED_TABLE, *blocks, Statement(WICKED, "bad")))
+    verdict = (Statement(finding, level, lead),)
+    return Page("Kind", WICKED, WICKED, WICKED, WICKED, verdict, (section,), (("Machine", WICKED),))
+
+
+def test_page_holds_everything_it_shows(tmp_path):
+    path = write_page(make_page(Figure("a", WICKED, draw), Fold("More", (Figure("b", "b", draw),))), tmp_path)
+    text = path.read_text(encoding="utf-8")
+    assert path == tmp_path / "report.html"
+    assert {one.name for one in tmp_path.iterdir()} == {"report.html", "figures"}
+    assert {one.name for one in (tmp_path / "figures").iterdir()} == {"a.png", "b.png"}
+    assert (tmp_path / "figures/a.png").read_bytes() == render_png(draw)
+    assert render_png(draw).startswith(b"\x89PNG")
+    assert len(re.findall(r'<img src="data:image/png;base64,', text)) == 2
+    reader = Reader(text)
+    assert reader.open == []
+    assert all(reference.startswith(("#", "data:")) for reference in reader.references)
+    assert not re.search(r"url\(|@import", text)
+    assert '<th colspan="1" class="group">published</th>' in text
+    assert ">0.0357<" in text
+    assert not re.search(r"\{\{|\{%", text)
+
+
+def test_all_text_is_escaped(tmp_path):
+    text = write_page(make_page(Figure("a", WICKED, draw)), tmp_path).read_text(encoding="utf-8")
+    assert "<script" not in text
+    assert "<1>" not in text
+    # heading, name, fact, origin, headline, finding, paragraph, caption, cell, three notes and captions, title, alt
+    assert text.count(ESCAPED) == 14
+
+
+@pytest.mark.parametrize(
+    ("block", "times"),
+    [
+        (Fold(WICKED, (WICKED,)), 2),
+        (Heading(WICKED), 1),
+        (Absent(WICKED), 1),
+        (Counts(WICKED, (Cell(WICKED),)), 2),
+        (Preformatted(WICKED), 1),
+        (Definitions(((WICKED, WICKED),)), 2),
+        (Side((WICKED_TABLE,)), 3),
+        (Card("a", WICKED, (Cell(WICKED),), WICKED, (WICKED,), WICKED, (WICKED,)), 6),
+        (Figure("b", "", None, WICKED), 1),
+        (replace(WICKED_TABLE, headings={0: WICKED}), 4),
+        (make_table("", COLUMNS, [[Cell(WICKED, badge=True), Cell("")]]), 1),
+        (make_table("", [Column("", kind="text")], [[Cell(WICKED, more=WICKED)]]), 2),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_text_of_every_block_is_shown_and_escaped(block, times):
+    without, text = render_page(make_page(), {}), render_page(make_page(block), {})
+    assert "<script" not in text
+    assert text.count(ESCAPED) == without.count(ESCAPED) + times
+    assert Reader(text).open == []
+
+
+def test_failures_stand_before_the_headline():
+    failed = replace(make_page(), failures=(Statement(WICKED, "bad"),), failures_title="Do not rely on this")
+    text = render_page(failed, {})
+    assert 'class="verdict failed"' in text
+    places = [text.index(word) for word in ("Do not rely on this", f"<li>{ESCAPED}", 'class="headline"')]
+    assert places == sorted(places)
+
+
+def test_links_of_the_page_lead_somewhere(tmp_path):
+    more = Section("Provenance", (), anchor="provenance")
+    text = write_page(make_page(), tmp_path, [more]).read_text(encoding="utf-8")
+    targets = re.findall(r'href="#([^"]*)"', text)
+    assert targets == ["section-1", "provenance"]
+    assert all(f'id="{target}"' in text for target in targets)
+    assert not (tmp_path / "figures").exists()
+
+
+@pytest.mark.parametrize(("level", "failed"), [("good", False), ("plain", False), ("warning", False), ("bad", True)])
+def test_bad_news_mark_the_verdict(level, failed):
+    text = render_page(make_page(level=level, finding="It is so", lead="Lead"), {})
+    assert ('class="verdict failed"' in text) is failed
+    assert f'<li class="{level}"><strong>Lead.</strong> It is so</li>' in text
+
+
+def test_same_page_gives_same_bytes(tmp_path):
+    contents = []
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+        write_page(make_page(Figure("a", "A", draw)), tmp_path / name)
+        contents.append([(tmp_path / name / part).read_bytes() for part in ("report.html", "figures/a.png")])
+    assert contents[0] == contents[1]
+    assert not any(mark in contents[0][1] for mark in (b"Software", b"tEXtDate"))
+
+
+def test_figures_of_an_earlier_page_are_removed(tmp_path):
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "old.png").write_bytes(b"of an earlier page")
+    write_page(make_page(Figure("a", "A", draw)), tmp_path)
+    assert {one.name for one in (tmp_path / "figures").iterdir()} == {"a.png"}
+
+
+def test_figures_need_names_of_their_own():
+    with pytest.raises(ValueError, match=r"figure 'a' stands twice"):
+        make_page(Figure("a", "", draw), Fold("", (Figure("a", "", draw),)))
+    with pytest.raises(ValueError, match=r"figure '\.\./a': expected letters"):
+        Figure("../a", "", draw)
+
+
+def test_what_is_folded_on_screen_is_open_in_print():
+    style = (Path(setting.__file__).parent / "page.css").read_text(encoding="utf-8")
+    print_rules = style[style.index("@media print") :]
+    assert re.search(r"details::details-content \{[^}]*content-visibility: visible;[^}]*\}", print_rules)
+
+
+# --- text ------------------------------------------------------------------------------------------------------------
+
+
+def test_symbols_are_set_with_sub_and_superscripts():
+    assert set_symbol("a_x") == "<i>a</i><sub>x</sub>"
+    assert set_symbol("kappa") == "<i>κ</i>"
+    assert set_symbol("rho0") == "<i>ρ</i><sup>0</sup>"
+    assert set_symbol("<b>") == "&lt;b&gt;"
+
+
+def test_symbols_in_running_text_are_set_and_all_else_is_escaped():
+    prose = make_prose()
+    assert prose("a_x of 3 mm & ρ^0") == "<i>a</i><sub>x</sub> of 3\u00a0mm &amp; <i>ρ</i><sup>0</sup>"
+    assert prose("table_5 six_pus k_12") == "table_5 six_pus <i>k</i><sub>12</sub>"
+    assert prose("<b> a_b>") == "&lt;b&gt; <i>a</i><sub>b</sub>&gt;"
+
+
+def test_the_config_is_shown_as_it_was_given():
+    config = {"a": [1, 2], "b": {"c": [{"d": "x [ y ]"}, 0.5], "e": {}}, "f": []}
+    assert json.loads(format_config(config)) == config
