@@ -24,7 +24,7 @@ from bayescal.identifiability.calibration import simulate_measurements
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.fits import Fitter, Fits, Measurements
 from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity, root_of
-from bayescal.config import load_mechanism
+from bayescal.machines.read import load_mechanism
 from bayescal.machines.deformations.linear import LinearDeformation
 from bayescal.numerics.geometry import Array, compute_pose_error
 from bayescal.machines.kinematics import Machine

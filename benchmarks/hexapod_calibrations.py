@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from bayescal.reproductions.yu2023.angles import coordinates_from_pose, pose_from_coordinates
 from bayescal.reproductions.yu2023.least_squares import Weighting, calibrate, linearise, move
 from bayescal.reproductions.yu2023.setting import CommandedPoses, Setting, noise_scale, read_setting
-from bayescal.config.load import load_experiment
+from bayescal.experiments.frame.load import load_experiment
 from bayescal.numerics.geometry import Array
 
 EXPERIMENT = Path(__file__).parent.parent / "experiments" / "hexapod" / "table4.toml"

@@ -20,7 +20,7 @@ from telescope_problem import write_results
 import numpy as np
 
 from bayescal.identifiability.design import Knowledge, Plan
-from bayescal.config import load_mechanism
+from bayescal.machines.read import load_mechanism
 from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
 from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models.six_ups import SixUps

@@ -17,7 +17,7 @@ from telescope_problem import write_results
 
 import numpy as np
 
-from bayescal.config.load import load_experiment
+from bayescal.experiments.frame.load import load_experiment
 from bayescal.density.readings.poses import eliminate_poses
 from bayescal.density.readings.tool import compute_tool_sensitivity
 from bayescal.experiments.sensor_placement.alignment import take_away

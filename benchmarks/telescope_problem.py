@@ -22,7 +22,6 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", 
 
 import numpy as np  # noqa: E402 - after the number of threads is set
 
-from bayescal.config import load_mechanism  # noqa: E402
 from bayescal.data.measured_poses import MeasuredPoses  # noqa: E402
 from bayescal.density.likelihood import PoseLikelihood  # noqa: E402
 from bayescal.density.posterior import ModelError, Posterior  # noqa: E402
@@ -31,6 +30,7 @@ from bayescal.files.csv_tables import read_matrix  # noqa: E402
 from bayescal.machines.deformations.matrix import MatrixDeformation  # noqa: E402
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics  # noqa: E402
 from bayescal.machines.models.six_pus import SixPus  # noqa: E402
+from bayescal.machines.read import load_mechanism
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"

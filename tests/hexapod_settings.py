@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import studies
 
-from bayescal.config import HexapodCalibrationsConfig, load_experiment
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.reproductions.yu2023.schema import HexapodCalibrationsConfig
 from bayescal.reproductions.yu2023.setting import Setting, read_setting
 
 HEXAPOD = studies.EXPERIMENTS / "hexapod"

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import studies
 
-from bayescal.config import load_mechanism, load_simulation
 from bayescal.data.simulation import build_twin, format_survey, simulate_survey
+from bayescal.experiments.simulation.load import load_simulation
 from bayescal.machines.mechanism import Mechanism
+from bayescal.machines.read import load_mechanism
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 
 AUDIT = studies.EXPERIMENTS / "audit"

@@ -6,8 +6,9 @@ from functools import cache
 
 import studies
 
-from bayescal.config import PlacementConfig, load_experiment
+from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.sensor_placement.inputs import PlacementInputs, read_placement
+from bayescal.experiments.sensor_placement.schema import PlacementConfig
 
 FOLDER = studies.EXPERIMENTS / "sliding_star"
 SHIPPED = ("sensors", "m2_hexapod_sensors")

@@ -7,8 +7,8 @@ import numpy as np
 import studies
 import telescope_machines as machines
 
-from bayescal.config import load_mechanism
 from bayescal.identifiability.design import Knowledge, Plan
+from bayescal.machines.read import load_mechanism
 from bayescal.machines.sensors import PoseSensor
 from bayescal.pose_selection import ActuatorBox, SelectionProblem, WorkspaceBox, random_candidates
 from bayescal.pose_selection.criteria import O1, O2, O3, O4, O5, AOptimality, DOptimality, IOptimality

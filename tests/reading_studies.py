@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from reading_machines import EXPERIMENT
 
-from bayescal.config import load_experiment, load_reading_simulation
+from bayescal.experiments.frame.load import load_experiment, load_reading_simulation
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, read_inputs
 from bayescal.experiments.self_calibration.simulate import simulate_readings
 

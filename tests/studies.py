@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.config import load_experiment, load_simulation
 from bayescal.data.simulation import build_twin, format_survey, simulate_survey
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.inputs import StudyInputs, load_inputs
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"

@@ -19,10 +19,11 @@ import placement_problems
 import pytest
 import studies
 
-from bayescal.config import load_experiment, load_simulation
 from bayescal.config.load import EXPERIMENTS
 from bayescal.data.simulation import build_twin
 from bayescal.errors import NumericalError
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study import run as run_module
 from bayescal.experiments.study.fit import run_task
 from bayescal.files.csv_tables import read_table

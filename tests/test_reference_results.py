@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from bayescal.config import load_experiment
 from bayescal.config.load import dump_config
-from bayescal.experiments.audit import load as load_audit
 from bayescal.experiments.audit.audit import analyse
 from bayescal.experiments.audit.inputs import read_inputs
-from bayescal.experiments.study.inputs import hash_identity, load_inputs
+from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.frame.identity import hash_identity, load_inputs
+from bayescal.experiments.frame.load import load_experiment
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "telescope"

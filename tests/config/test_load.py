@@ -10,18 +10,15 @@ import pytest
 import studies
 from bayescal.experiments.shared.load_readings import load_sliding_platform
 
-from bayescal.config import (
-    PoseMethodsConfig,
-    StudyConfig,
-    load_audit,
-    load_experiment,
-    load_mechanism,
-    load_reading_simulation,
-    load_simulation,
-)
 from bayescal.config.load import EXPERIMENTS
 from bayescal.errors import InputError
+from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.frame.load import load_experiment, load_reading_simulation
+from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.study.schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad
+from bayescal.machines.read import load_mechanism
+from bayescal.reproductions.rr8096.pose_methods.schema import PoseMethodsConfig
 
 LOADERS = {
     "study": load_experiment,

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import studies
 
-from bayescal.config import load_mechanism
 from bayescal.errors import InputError
+from bayescal.machines.read import load_mechanism
 
 M2 = studies.EXPERIMENTS / "audit" / "m2_hexapod_mechanism.toml"
 TELESCOPE = studies.TELESCOPE / "mechanism.toml"

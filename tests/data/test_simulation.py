@@ -9,11 +9,11 @@ import pytest
 import studies
 from scipy import stats
 
-from bayescal.config import load_simulation
 from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.data.photogrammetry.survey import read_survey
 from bayescal.data.simulation import Twin, build_twin, format_survey, simulate_survey
 from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.simulation.load import load_simulation
 from bayescal.files.csv_tables import read_matrix
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import rotation_vector_from_matrix

@@ -7,8 +7,8 @@ import json
 import audit_problems as problems
 import numpy as np
 import pytest
-from bayescal.experiments.audit.run import compute_audit
 
+from bayescal.api import compute_audit
 from bayescal.experiments.audit.audit import analyse
 from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit

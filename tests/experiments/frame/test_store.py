@@ -16,8 +16,8 @@ from studies import snapshot
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame import store as store_module
+from bayescal.experiments.frame.identity import hash_identity
 from bayescal.experiments.frame.store import IDENTITY_FILE, PROVENANCE_FILE, Store, list_differences
-from bayescal.experiments.study.inputs import hash_identity
 from bayescal.files.atomic import read_json, write_atomically
 
 IDENTITY = {"config": {"seed": 1, "sampler": {"steps": 10}, "free": ["a", "b"]}, "files": {"data.csv": "abc"}}

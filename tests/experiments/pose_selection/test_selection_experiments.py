@@ -12,20 +12,20 @@ import pandas as pd
 import pytest
 import studies
 from bayescal.experiments.pose_selection.run import run_pose_selection
-from bayescal.identifiability.requirements import find_limits
 
-from bayescal.config import load_experiment
 from bayescal.errors import InputError
-from bayescal.experiments.audit import load as load_audit
 from bayescal.experiments.audit.audit import run_audit
 from bayescal.experiments.audit.changes import ProposedPlan, evaluate_proposal
 from bayescal.experiments.audit.i_optimal import plan_i_optimal, propose_i_optimal, select_i_optimal
 from bayescal.experiments.audit.inputs import read_inputs
+from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.audit.results import summarise
+from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.pose_selection.accuracy import judge_poses
 from bayescal.experiments.pose_selection.inputs import read_selection
 from bayescal.experiments.pose_selection.tables import tabulate_random_sets
 from bayescal.experiments.pose_selection.tasks import run_tasks
+from bayescal.identifiability.requirements import find_limits
 from bayescal.identifiability.sensitivity import compute_sensitivity
 
 FOLDER = studies.EXPERIMENTS / "pose_selection"

@@ -9,8 +9,8 @@ import pytest
 import studies
 from bayescal.experiments.pose_selection.run import identify_selection
 
-from bayescal.config import load_experiment
-from bayescal.experiments.study.inputs import hash_identity
+from bayescal.experiments.frame.identity import hash_identity
+from bayescal.experiments.frame.load import load_experiment
 
 FOLDER = studies.EXPERIMENTS / "pose_selection"
 RESULTS = studies.EXPERIMENTS.parent / "results"

@@ -256,7 +256,7 @@ def test_bad_simulations_are_one_line(call, tmp_path, monkeypatch, old, new, exp
 
 
 def test_simulated_noise_has_its_size():
-    from bayescal.config import load_experiment
+    from bayescal.experiments.frame.load import load_experiment
 
     config = load_experiment(EXPERIMENT / "study.toml")
     inputs = load_small(EXPERIMENT / "study.toml")

@@ -14,10 +14,11 @@ from bayescal.experiments.self_calibration.run import compute_outcome, run_self_
 from reading_machines import EXPERIMENT
 from reading_studies import copy_shipped, describe_variant, load_small, write_small
 
-from bayescal.config import load_experiment
 from bayescal.density.readings.calibrability import compute_calibrability
 from bayescal.density.readings.tool import locate_tool
 from bayescal.errors import NotConvergedError
+from bayescal.experiments.frame.identity import hash_identity
+from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.self_calibration import run as run_module
 from bayescal.experiments.self_calibration.blunders import check_readings
 from bayescal.experiments.self_calibration.fit import fit_variant
@@ -25,7 +26,6 @@ from bayescal.experiments.self_calibration.identifiability import audit_variant,
 from bayescal.experiments.self_calibration.page.verdict import explains, list_rows, write_names
 from bayescal.experiments.self_calibration.tables import rank_models, tabulate
 from bayescal.experiments.self_calibration.tool import assess_tool, predict_tool
-from bayescal.experiments.study.inputs import hash_identity
 
 RESULTS = Path(__file__).parents[3] / "results" / "sliding_star"
 TABLES = {"variants", "parameters", "identifiability", "ridges", "predictions", "residuals"}

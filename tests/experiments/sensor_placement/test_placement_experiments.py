@@ -12,12 +12,12 @@ import studies
 from bayescal.experiments.sensor_placement.run import identify, run_sensor_placement
 from placement_problems import FOLDER, SHIPPED, shrink
 
-from bayescal.config import load_experiment
 from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.frame.identity import hash_identity
+from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.sensor_placement.inputs import Choice, read_placement
 from bayescal.experiments.sensor_placement.page.figures import write_sensors
 from bayescal.experiments.sensor_placement.tables import describe_kinds, describe_pattern, find_front
-from bayescal.experiments.study.inputs import hash_identity
 
 RESULTS = Path(__file__).parents[3] / "results"
 TIMED = ("timing.csv", "report.html")

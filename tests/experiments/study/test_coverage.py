@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayescal.config import load_experiment, load_simulation
 from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.data.simulation import build_twin, simulate_survey
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import count_walkers, explore

@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 import studies
 
-from bayescal.config import load_experiment, load_simulation
 from bayescal.data.photogrammetry.poses import PoseExtraction, extract_poses
 from bayescal.data.photogrammetry.survey import Survey
 from bayescal.data.simulation import Twin, build_twin, simulate_survey
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.schema import StudyConfig
 from bayescal.inference.ensemble import run_ensemble

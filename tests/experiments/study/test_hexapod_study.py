@@ -12,8 +12,8 @@ import pytest
 import studies
 from bayescal.experiments.study.run import run_study
 
-from bayescal.config import load_experiment
 from bayescal.errors import InputError
+from bayescal.experiments.frame.load import load_experiment
 
 
 @pytest.fixture(scope="module", params=hexapods.LIMITS)

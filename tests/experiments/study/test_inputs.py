@@ -10,8 +10,8 @@ import pytest
 import studies
 from bayescal.experiments.study.run import run_study
 
-from bayescal.config import load_experiment
 from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.study import run as run_module
 
 

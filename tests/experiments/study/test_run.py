@@ -15,13 +15,14 @@ import pandas as pd
 import pytest
 import studies
 import xarray as xr
-from bayescal.experiments.study.run import StudyResult, run_study
 
-from bayescal.config import load_experiment
+from bayescal.api import run_study
 from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.frame.identity import hash_identity
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.run import Finished
 from bayescal.experiments.study import run as run_module
 from bayescal.experiments.study.fit import list_tasks, run_task
-from bayescal.experiments.study.inputs import hash_identity
 
 VARIANTS = {"six_pus/none": 7, "six_pus/matrix": 13}
 NUMBERS = (

@@ -12,7 +12,6 @@ import telescope_machines as machines
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
-from bayescal.config import load_mechanism
 from bayescal.density.least_squares import identify
 from bayescal.density.likelihood import PoseLikelihood
 from bayescal.density.posterior import ModelError, Posterior
@@ -29,6 +28,7 @@ from bayescal.machines.kinematics import (
     solve_inverse_kinematics,
 )
 from bayescal.machines.models import MODELS
+from bayescal.machines.read import load_mechanism
 from bayescal.numerics.geometry import compute_pose_error
 
 STROKE = 14.1

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import studies
 
-from bayescal.config import load_mechanism
 from bayescal.errors import InputError
 from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
 from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models import MODELS
+from bayescal.machines.read import load_mechanism
 from bayescal.machines.readings import SpatialMachine
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 

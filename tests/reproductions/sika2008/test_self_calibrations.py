@@ -12,8 +12,8 @@ import pytest
 from bayescal.reproductions.sika2008.run import identify, run_self_calibrations
 from sliding_platforms import STAR, copy_tiny, make_content
 
-from bayescal.config import load_experiment
-from bayescal.experiments.study.inputs import hash_identity
+from bayescal.experiments.frame.identity import hash_identity
+from bayescal.experiments.frame.load import load_experiment
 from bayescal.reproductions.sika2008 import machines as machines_module
 from bayescal.reproductions.sika2008.documented import QUANTILE, list_calibrabilities, list_steps, name_parts
 from bayescal.reproductions.sika2008.machines import GEOMETRY, draw_candidate, lay_out

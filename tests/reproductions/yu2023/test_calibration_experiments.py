@@ -10,8 +10,8 @@ import pytest
 from bayescal.reproductions.yu2023.run import run_hexapod_calibrations
 from hexapod_settings import SHIPPED, copy_tiny
 
-from bayescal.config import load_experiment
 from bayescal.errors import InputError
+from bayescal.experiments.frame.load import load_experiment
 
 TABLES = {
     "table4": {"table4", "best", "noise_draws", "workspaces"},

@@ -11,8 +11,8 @@ import studies
 from bayescal.reproductions.yu2023.run import identify
 from hexapod_settings import HEXAPOD, SHIPPED, load_setting
 
-from bayescal.config import load_experiment
-from bayescal.experiments.study.inputs import hash_identity
+from bayescal.experiments.frame.identity import hash_identity
+from bayescal.experiments.frame.load import load_experiment
 from bayescal.reproductions.yu2023 import accuracy
 from bayescal.reproductions.yu2023.setting import CommandedPoses
 
