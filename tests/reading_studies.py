@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 from reading_machines import EXPERIMENT
 
-from bayescal.experiments.frame.load import load_experiment, load_reading_simulation
+from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, read_inputs
+from bayescal.experiments.self_calibration.schema import ReadingSimulationConfig
 from bayescal.experiments.self_calibration.simulate import simulate_readings
+from bayescal.machines.read import read_sliding_platform
 
 SMALL = {"walkers": 56, "burn_in": 5, "steps": 12, "draws": 1000, "max_draws": 1000}
 SHORT_WORKSPACE = {"n_poses": 20}
@@ -99,10 +101,11 @@ def write_small(folder: Path, *variants: str, n_legs: int = 3) -> Path:
     """Write machine, readings and config of a small self-calibration; return the config."""
     (folder / "machine.toml").write_text(describe_machine(n_legs))
     (folder / "simulate.toml").write_text(SIMULATION + SENSORS)
-    simulation = load_reading_simulation(folder / "simulate.toml")
-    assert simulation is not None
+    simulation = load_experiment(folder / "simulate.toml")
+    assert isinstance(simulation, ReadingSimulationConfig)
+    model = read_sliding_platform(folder / simulation.machine)
     (folder / "data").mkdir()
-    for name, text in simulate_readings(simulation, folder, np.random.default_rng(simulation.seed)).items():
+    for name, text in simulate_readings(simulation, model, np.random.default_rng(simulation.seed)).files.items():
         (folder / "data" / name).write_text(text)
     path = folder / "study.toml"
     path.write_text(STUDY + SENSORS + "".join(variants or [describe_variant("s6", ["s", "phi"])]))

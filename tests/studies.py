@@ -20,6 +20,8 @@ N_CALIBRATION = 13
 N_VERIFICATION = 3
 SEED = 20
 
+PROGRESS = re.compile(r"[A-Za-z -]+: \d+ of \d+ done, \d+ s(, about \d+ s left)?")
+
 SIMULATION = """
 kind = "simulation"
 name = "tiny_twin"
@@ -185,6 +187,11 @@ def copy_small(config: Path, folder: Path) -> Path:
         text = re.sub(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)
     (folder / config.name).write_text(text)
     return folder / config.name
+
+
+def list_errors(err: str) -> list[str]:
+    """Return the lines on standard error that tell no progress."""
+    return [line for line in err.splitlines() if not PROGRESS.fullmatch(line)]
 
 
 def snapshot(folder: Path) -> dict[str, bytes | None]:

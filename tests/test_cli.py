@@ -19,13 +19,13 @@ import placement_problems
 import pytest
 import studies
 
-from bayescal.config.load import EXPERIMENTS
 from bayescal.data.simulation import build_twin
 from bayescal.errors import NumericalError
+from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.registry import list_references
 from bayescal.experiments.simulation.load import load_simulation
-from bayescal.experiments.study import run as run_module
-from bayescal.experiments.study.fit import run_task
+from bayescal.experiments.study import compute
 from bayescal.files.csv_tables import read_table
 from bayescal.inference import exploration
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -59,8 +59,8 @@ def study(tmp_path, monkeypatch) -> Path:
 
 @pytest.fixture
 def quick(monkeypatch) -> None:
-    """Leave the figures out of the report: they take most of a tiny study's time."""
-    monkeypatch.setattr(run_module, "write_report", lambda folder: folder)
+    """Leave the page out of the results: its figures take most of a tiny study's time."""
+    monkeypatch.setattr(frame, "write_page", lambda page, folder, more: folder)
 
 
 def start(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
@@ -76,6 +76,15 @@ def start(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
         # a suite run in the background ignores interrupts, and its children would inherit that
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
+
+
+def wait_for_task(process: subprocess.Popen[str], partial: Path, n: int = 1) -> None:
+    """Wait until a process has kept so many tasks."""
+    deadline = time.monotonic() + 60
+    while len(list(partial.glob("*.npz"))) < n:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def numbers_only(summary: Path) -> str:
@@ -153,9 +162,14 @@ def test_missing_config(refuse, study):
 
 
 def test_kind_of_another_command(refuse, study):
-    kinds = ", ".join(sorted(EXPERIMENTS))
-    assert f"kind: found 'simulation', expected one of {kinds}" in refuse("run", "simulate.toml")
-    assert "kind: found 'study', expected 'simulation'" in refuse("simulate", study, "--out", "x")
+    assert "kind: found 'study', expected 'simulation' or 'reading_simulation'" in refuse(
+        "simulate", study, "--out", "x"
+    )
+    for path, kind in ((study, "study"), ("simulate.toml", "simulation")):
+        assert f"kind: found {kind!r}, expected 'audit'" in refuse("audit", path)
+    studies.edit(Path(study), 'kind = "study"', 'kind = "mechanism"')
+    kinds = ", ".join(sorted(list_references("KINDS")))
+    assert f"kind: found 'mechanism', expected one of {kinds}" in refuse("run", study)
     figure5 = studies.EXPERIMENTS / "pose_extraction" / "figure5.toml"
     assert "kind: found 'pose_methods', expected 'study'" in refuse("poses-from-targets", figure5)
 
@@ -185,8 +199,8 @@ def test_full_disk_is_one_line(call, study, monkeypatch, quick):
     def fail(*_):
         raise OSError(28, "No space left on device", "out")
 
-    monkeypatch.setattr(run_module, "run_task", fail)
-    code, _, err = call("run", study, "--out", "out", "--workers", 1)
+    monkeypatch.setattr(compute, "run_task", fail)
+    code, _, err = call("run", study, "--out", "out", "--workers", 1, "--quiet")
     assert code == 2
     assert err.count("\n") == 1
     assert "No space left on device" in err
@@ -205,12 +219,21 @@ def test_results_of_another_config(call, refuse, study, quick):
 def test_not_converged_is_3_with_the_results_written(call, study, quick):
     code, out, err = call("run", study, "--out", "out", "--workers", 1)
     assert code == 3
-    assert err.count("\n") == 1
-    assert "not everything converged" in err
+    assert "sampling: 4 of 4 done" in err
+    (error,) = studies.list_errors(err)
+    assert error.startswith("bayescal: ")
+    assert "not everything converged" in error
     assert "six_pus/matrix" in out
     assert "NOT CONVERGED six_pus/none" in out
     assert json.loads(Path("out/summary.json").read_text())["seed"] == 11
     assert not list(Path().glob("*.partial"))
+
+
+def test_quiet_prints_nothing_but_the_error(call, study, quick):
+    code, out, err = call("run", study, "--out", "out", "--workers", 1, "--quiet")
+    assert (code, out) == (3, "")
+    assert err.startswith("bayescal: out: not everything converged")
+    assert err.count("\n") == 1
 
 
 def test_default_out_and_seed(call, study, quick):
@@ -218,13 +241,13 @@ def test_default_out_and_seed(call, study, quick):
     assert json.loads(Path("results/tiny/summary.json").read_text())["seed"] == 5
 
 
-def test_converged_is_0_and_silent(call, study, quick):
+def test_converged_is_0_without_errors(call, study, quick):
     path = Path(study)
     studies.edit(path, "walkers = 8", "walkers = 64")
     studies.edit(path, "burn_in = 5\nsteps = 10", "burn_in = 20\nsteps = 60")
     studies.edit(path, "draws = 1000\nmax_draws = 1000", "draws = 4000\nmax_draws = 4000")
     code, out, err = call("run", study, "--out", "out", "--workers", 1)
-    assert (code, err) == (0, "")
+    assert (code, studies.list_errors(err)) == (0, [])
     assert "NOT CONVERGED" not in out
     assert "report: out/report.html" in out
 
@@ -233,11 +256,12 @@ def test_numerical_failure_is_3_in_one_line(call, study, quick, monkeypatch):
     def fail(inputs, task):
         raise NumericalError("as if")
 
-    monkeypatch.setattr(run_module, "run_task", fail)
+    monkeypatch.setattr(compute, "run_task", fail)
     code, _, err = call("run", study, "--out", "out", "--workers", 1)
     assert code == 3
-    assert err.count("\n") == 1
-    assert "as if" in err
+    (error,) = studies.list_errors(err)
+    assert error.startswith("bayescal: ")
+    assert "as if" in error
     assert not Path("out").exists()
 
 
@@ -246,33 +270,32 @@ def test_a_narrow_uniform_prior_is_no_failure(call, study, quick):
     studies.edit(Path(study), 'prior = "normal", sd = 2.0', 'prior = "uniform", half_width = 0.001')
     code, _, err = call("run", study, "--out", "out", "--workers", 1)
     assert code in (0, 3)
-    assert err.count("\n") <= 1
+    assert len(studies.list_errors(err)) <= 1
     assert Path("out/summary.json").exists()
 
 
-def test_interrupt_is_130_and_resume_completes(call, study, monkeypatch, quick):
+def test_interrupt_is_130_and_resume_completes(call, study, tmp_path, quick):
     call("run", study, "--out", "whole", "--workers", 1)
-    calls = []
-
-    def interrupt_later(inputs, task):
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        calls.append(task)
-        return run_task(inputs, task)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(run_module, "run_task", interrupt_later)
-        code, out, err = call("run", study, "--out", "out", "--workers", 1)
-    assert (code, out) == (130, "")
+    process = start("run", study, "--out", "out", "--workers", 1, cwd=tmp_path)
+    try:
+        wait_for_task(process, tmp_path / "out.partial", n=2)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert (process.returncode, out) == (130, "")
     assert err.count("\n") == 1
+    assert err.startswith("bayescal: interrupted")
     assert "--resume" in err
+    kept = list(Path("out.partial").glob("sampling-six_pus-*.npz"))
+    assert 2 <= len(kept) < 4
     studies.edit(Path(study), "Tiny study", "Tiny study, renamed")
     assert call("run", study, "--out", "out", "--workers", 1, "--resume")[0] == 3
     assert numbers_only(Path("out/summary.json")).replace(", renamed", "") == numbers_only(Path("whole/summary.json"))
 
 
 @pytest.mark.parametrize("seconds", [0.2, 0.6])
-def test_process_in_a_pipe_is_silent_and_can_be_interrupted(study, tmp_path, seconds):
+def test_process_in_a_pipe_can_be_interrupted(study, tmp_path, seconds):
     studies.edit(Path(study), "steps = 10", "steps = 3000")
     process = start("run", study, "--out", "out", "--workers", 1, cwd=tmp_path)
     try:
@@ -297,11 +320,7 @@ def test_workers_can_be_interrupted_and_the_run_resumed(study, tmp_path, call, q
     call("run", study, "--out", "whole", "--workers", 1)
     process = start("run", study, "--out", "out", "--workers", 2, cwd=tmp_path)
     try:
-        deadline = time.monotonic() + 60
-        while not list((tmp_path / "out.partial").glob("*.npz")):
-            assert process.poll() is None, process.communicate()
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        wait_for_task(process, tmp_path / "out.partial")
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
     finally:
@@ -384,15 +403,41 @@ def test_report_of_what_is_no_results_directory(refuse, study):
     refuse("report", "study.toml")
 
 
-def test_report_of_a_small_experiment(refuse, tmp_path):
-    for text in ('{"config": {"kind": "pose_selection"}}', '{"config": {"kind": ["pose_selection"]}}', '{"config": 1}'):
-        (tmp_path / "provenance.json").write_text(text)
-        said = refuse("report", tmp_path)
-        assert ("found results of kind 'pose_selection'" in said) == ('"pose_selection"}' in text)
+@pytest.mark.parametrize(
+    ("provenance", "expected"),
+    [
+        ("[]", "found a list, expected a JSON object"),
+        ("{}", "found no tables, expected results of this version"),
+        ('{"kind": "study", "tables": 1}', "found no tables, expected results of this version"),
+        ('{"kind": "study", "tables": {"x.csv": 1}}', "found no tables, expected results of this version"),
+        ('{"kind": "study", "tables": {"../x.csv": {}}}', "found '../x.csv', expected names of CSV files"),
+        ('{"kind": "study", "tables": {"x.csv": {}}}', "x.csv: no such file, expected a table of the results"),
+        ('{"tables": {}}', "found no kind of experiment in its provenance"),
+        ('{"kind": ["study"], "tables": {}}', "found no kind of experiment in its provenance"),
+        ('{"kind": "studdy", "tables": {}}', "kind: found 'studdy', did you mean 'study'?"),
+        ('{"kind": "os:system", "tables": {}}', "whose code results do not decide on"),
+        ('{"kind": "study", "tables": {}}', "summary.json: experiment: found nothing, expected str"),
+        ('{"kind": "study", "tables": {"x.csv": {"a": ["text"]}}}', "x.csv: a: found kind ['text'] in provenance.json"),
+        ('{"kind": "study", "tables": {}, "empty_tables": 3}', "empty_tables: found 3, expected lists of columns"),
+        ('{"kind": "study", "tables": {}, "empty_tables": {"x": [3]}}', "empty_tables: found {'x': [3]}, expected"),
+        ('{"kind": "simulation", "tables": {}}', "found damaged results (KeyError: 'n_poses')"),
+        ('{"kind": "pose_selection", "tables": {}}', "found a config in its provenance that is none"),
+        ('{"kind": "pose_selection", "tables": {}, "config": 1}', "found damaged results (TypeError: "),
+    ],
+)
+def test_report_of_results_that_no_experiment_wrote(refuse, tmp_path, provenance, expected):
+    (tmp_path / "provenance.json").write_text(provenance)
+    (tmp_path / "summary.json").write_text("{}")
+    if '"a"' in provenance:
+        (tmp_path / "x.csv").write_text("a\n1\n")
+    assert expected in refuse("report", tmp_path)
 
 
-def test_report_is_written_anew(call, study, quick):
-    call("run", study, "--out", "out", "--workers", 1)
+def test_report_is_written_anew(call, study, monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setattr(frame, "write_page", lambda page, folder, more: folder)
+        call("run", study, "--out", "out", "--workers", 1)
+    assert not Path("out/report.html").exists()
     code, out, err = call("report", "out")
     assert (code, err) == (0, "")
     assert out == "wrote out/report.html\n"
@@ -422,9 +467,11 @@ def test_compare_ranks_studies_of_the_same_data(call, refuse, study, quick):
 def test_shipped_pose_extraction_runs_tiny(call, tmp_path):
     path = studies.copy_small(studies.EXPERIMENTS / "pose_extraction" / "figure5.toml", tmp_path / "copy")
     code, out, err = call("run", path, "--out", tmp_path / "out")
-    assert (code, err) == (0, "")
+    assert (code, studies.list_errors(err)) == (0, [])
     assert "robust" in out
-    assert {p.name for p in (tmp_path / "out").iterdir()} >= {"summary.csv", "figure5.png", "provenance.json"}
+    assert {str(p.relative_to(tmp_path / "out")) for p in (tmp_path / "out").rglob("*")} >= {
+        *("summary.csv", "figures/figure5.png", "provenance.json", "summary.json", "report.html")
+    }
     assert call("run", path, "--out", tmp_path / "out")[0] == 0
     code, _, err = call("run", path, "--out", tmp_path / "out", "--seed", 6)
     assert code == 2
@@ -453,7 +500,7 @@ def test_shipped_study_runs_tiny(call, tmp_path, monkeypatch, quick, name, n_var
         data.write_text("\n".join([*lines[:3], *(x for x in lines[3:] if x.split(",")[0] in kept)]) + "\n")
     code, out, err = call("run", path, "--out", tmp_path / "out", "--workers", 1)
     assert code == 3
-    assert err.count("\n") == 1
+    assert len(studies.list_errors(err)) == 1
     config = load_experiment(path)
     assert len(config.variants) == n_variants
     assert all(variant.name in out for variant in config.variants)

@@ -47,6 +47,13 @@ class Profile:
     converged: np.ndarray
 
 
+def check_profiles(knowledge: Knowledge, names: Sequence[str]) -> None:
+    """Raise InputError for names that are not free."""
+    for name in names:
+        if name not in knowledge.names:
+            raise InputError(f"profile of {name!r}: not free here, expected one of {', '.join(knowledge.names)}")
+
+
 def compute_profiles(
     knowledge: Knowledge,
     plan: Plan,
@@ -74,9 +81,7 @@ def compute_profiles(
     InputError
         For names that are not free.
     """
-    for name in names:
-        if name not in knowledge.names:
-            raise InputError(f"profile of {name!r}: not free here, expected one of {', '.join(knowledge.names)}")
+    check_profiles(knowledge, names)
     fitter = Fitter(knowledge, plan)
     places = np.array([knowledge.names.index(name) for name in names], dtype=int)
     measured = _measure(fitter, rng)

@@ -157,13 +157,15 @@ def points_of(config: PointsConfig) -> Array:
 
 
 def build_named_machine(
-    mechanism: Mechanism, model: str, deformation: str, nominal: NominalDeformation, field: str, where: Path
+    mechanism: Mechanism, file: Path, model: str, deformation: str, nominal: NominalDeformation, field: str, where: Path
 ) -> Machine:
     """Return a mechanism seen through a model and a deformation by their names.
 
     Parameters
     ----------
     mechanism : Mechanism
+    file : Path
+        Its own, for the message that it is not one for the model.
     model, deformation : str
     nominal : NominalDeformation
         What the deformation takes its nominal values from.
@@ -177,7 +179,9 @@ def build_named_machine(
     """
     found = look_up(MODELS, model, f"{field}.model", where)
     kind = look_up(DEFORMATIONS, deformation, f"{field}.deformation", where)
-    return build_machine(found, mechanism, kind.from_nominal(nominal))
+    seen = kind.from_nominal(nominal)
+    with name_faults(file):
+        return build_machine(found, mechanism, seen)
 
 
 def read_sliding_platform(path: Path) -> SlidingPlatform:

@@ -21,8 +21,8 @@ class PointsConfig(Section):
 
     @model_validator(mode="after")
     def _check_one_way(self) -> Self:
-        circle = {"radius_mm", "azimuth_deg"} & self.model_fields_set
-        one_by_one = self.points_mm is not None and not ({"height_mm"} | circle) & self.model_fields_set
+        circle = [one for one in (self.radius_mm, self.azimuth_deg) if one is not None]
+        one_by_one = self.points_mm is not None and not circle and self.height_mm == 0.0
         if not one_by_one and (len(circle) < 2 or self.points_mm is not None):
             raise ValueError("expected either radius_mm with azimuth_deg, or points_mm")
         return self

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 import studies
-from bayescal.experiments.shared.load_readings import load_sliding_platform
 
-from bayescal.config.load import EXPERIMENTS
+from bayescal.data.schema import SimulationConfig
 from bayescal.errors import InputError
 from bayescal.experiments.audit.load import load_audit
-from bayescal.experiments.frame.load import load_experiment, load_reading_simulation
+from bayescal.experiments.frame.load import load_experiment, load_kind
+from bayescal.experiments.frame.registry import list_references
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad
-from bayescal.machines.read import load_mechanism
+from bayescal.machines.read import load_mechanism, read_sliding_platform
 from bayescal.reproductions.rr8096.pose_methods.schema import PoseMethodsConfig
 
 LOADERS = {
@@ -28,8 +28,8 @@ LOADERS = {
     "self_calibrations": load_experiment,
     "sensor_placement": load_experiment,
     "self_calibration": load_experiment,
-    "reading_simulation": load_reading_simulation,
-    "sliding_platform": load_sliding_platform,
+    "reading_simulation": load_experiment,
+    "sliding_platform": read_sliding_platform,
     "simulation": load_simulation,
     "audit": load_audit,
 }
@@ -212,7 +212,7 @@ def test_freeing_a_parameter_without_prior(study, symbol, why):
 def test_misspelt_kind(study):
     studies.edit(study, 'kind = "study"', 'kind = "studdy"')
     found = fail(load_experiment, study)
-    assert f"kind: found 'studdy', did you mean 'study'?, expected one of {', '.join(sorted(EXPERIMENTS))}" in found
+    assert f"kind: found 'studdy', did you mean 'study'?, expected one of {', '.join(sorted(list_references('KINDS')))}" in found
 
 
 def test_missing_kind(study):
@@ -222,7 +222,9 @@ def test_missing_kind(study):
 
 def test_study_is_no_simulation_and_the_reverse(study):
     assert "kind: found 'study', expected 'simulation'" in fail(load_simulation, study)
-    assert "kind: found 'simulation', expected one of" in fail(load_experiment, study.with_name("simulate.toml"))
+    simulation = study.with_name("simulate.toml")
+    assert "kind: found 'simulation', expected 'study'" in fail(lambda path: load_kind(path, "study"), simulation)
+    assert isinstance(load_experiment(simulation), SimulationConfig)
 
 
 @pytest.mark.parametrize(

@@ -77,13 +77,13 @@ def choose_profiles(audit: Audit) -> list[str]:
 
 
 def _profile(audit: Audit, run: Run) -> list[Profile]:
-    names = choose_profiles(audit)
-    tasks = dict(zip(names, names, strict=True))
-    return list(run.map("profiles", _profile_one, audit.inputs, tasks, (Profile,)).values())
+    """Return the profiles, all of them as one batch: side by side they share each iteration."""
+    return run.once("profiles", _compute_profiles, (audit.inputs, choose_profiles(audit)), (Profile,))
 
 
-def _profile_one(inputs: AuditInputs, name: str) -> Profile:
-    return compute_profiles(inputs.knowledge, inputs.plan, [name])[0]
+def _compute_profiles(task: tuple[AuditInputs, list[str]]) -> list[Profile]:
+    inputs, names = task
+    return compute_profiles(inputs.knowledge, inputs.plan, names)
 
 
 def _tabulate_profiles(audit: Audit, profiles: list[Profile]) -> dict[str, pd.DataFrame]:

@@ -32,6 +32,7 @@ from bayescal.files.csv_tables import read_matrix
 from bayescal.identifiability.design import Knowledge, Plan, predict_poses
 from bayescal.identifiability.frames import FRAMES, frame_symbols
 from bayescal.identifiability.pose_volume import PoseVolume, draw_displacements, find_workspace_actuators
+from bayescal.identifiability.profile import check_profiles
 from bayescal.identifiability.requirements import Requirement
 from bayescal.identifiability.units import Units
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
@@ -134,6 +135,7 @@ def _complete(
     config: AuditConfig, folder: Path, knowledge: Knowledge, plan: Plan, measured: Measured | None
 ) -> AuditInputs:
     units, workspace = Units(config.units.length, config.units.angle), read_workspace(config.workspace)
+    check_profiles(knowledge, config.profiles)
     predict_poses(knowledge.machine, knowledge.machine_centre, plan.actuators)
     at = find_actuators(knowledge, workspace, config.seed, plan.actuators)
     requirements = read_requirements(config.requirements, units)

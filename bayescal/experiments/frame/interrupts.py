@@ -7,10 +7,14 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import cache
 
 INTERRUPTED = 130
+WARNINGS = "PYTHONWARNINGS"
+UNSAID = "ignore::UserWarning:joblib.externals.loky.backend.resource_tracker"
 SHOW_CURSOR = "\x1b[?25h\n"  # a progress bar hides it
 
 
@@ -29,7 +33,9 @@ def end_on_interrupt(message: str) -> Iterator[None]:
 
     def end(*_: object) -> None:
         for worker in multiprocessing.active_children():
-            worker.kill()
+            if worker.pid is not None:
+                with suppress(ProcessLookupError):
+                    os.kill(worker.pid, signal.SIGKILL)
         cursor = SHOW_CURSOR if sys.stderr.isatty() else ""
         os.write(2, f"{cursor}{message}\n".encode())
         os._exit(INTERRUPTED)
@@ -48,7 +54,24 @@ def end_on_interrupt(message: str) -> Iterator[None]:
 
 @contextmanager
 def shield_children() -> Iterator[None]:
-    """Let processes that are started now never see an interrupt from the terminal: it is their parent's to handle."""
+    """Let processes that are started now never see an interrupt from the terminal: it is their parent's to handle.
+
+    The process that clears up shared memory after all others have ended does so without a word.
+    """
+    before = os.environ.get(WARNINGS)
+    os.environ[WARNINGS] = ",".join(filter(None, (before, UNSAID)))
+    try:
+        with _block_interrupts():
+            yield
+    finally:
+        if before is None:
+            del os.environ[WARNINGS]
+        else:
+            os.environ[WARNINGS] = before
+
+
+@contextmanager
+def _block_interrupts() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -57,3 +80,15 @@ def shield_children() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@cache
+def follow_parent(parent: int) -> None:
+    """Let this worker end when its parent has ended without telling it, killed for example."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -14,12 +15,12 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from threadpoolctl import threadpool_limits
 
 from bayescal.errors import BayescalError, InputError, NumericalError
-from bayescal.experiments.frame.interrupts import shield_children
+from bayescal.experiments.frame.interrupts import follow_parent, shield_children
 from bayescal.experiments.frame.progress import Progress
 from bayescal.experiments.frame.records import Record, decode, encode
 from bayescal.experiments.frame.store import Store
 
-UNFIT = re.compile(r"[^A-Za-z0-9.+-]+")
+UNFIT = re.compile(r"[^A-Za-z0-9_.+-]+")
 """What no file name should hold."""
 
 type Failure = tuple[type[BayescalError], str]
@@ -128,11 +129,20 @@ def _compute[S, T](
         return
     parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", inner_max_num_threads=1)
     with shield_children():
-        outcomes = parallel(joblib.delayed(_run_guarded)(function, shared, name, task) for name, task in tasks.items())
+        outcomes = parallel(
+            joblib.delayed(_run_in_worker)(os.getpid(), function, shared, name, task) for name, task in tasks.items()
+        )
     try:
         yield from outcomes
     except TerminatedWorkerError as error:
         raise NumericalError("a worker was killed, perhaps for want of memory; go on with --resume") from error
+
+
+def _run_in_worker[S, T](
+    parent: int, function: Callable[[S, T], Any], shared: S, name: str, task: T
+) -> tuple[str, Record | Failure]:
+    follow_parent(parent)
+    return _run_guarded(function, shared, name, task)
 
 
 def _run_guarded[S, T](function: Callable[[S, T], Any], shared: S, name: str, task: T) -> tuple[str, Record | Failure]:

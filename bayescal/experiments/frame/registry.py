@@ -14,7 +14,8 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+
+import cloudpickle
 
 from bayescal.config.load import look_up
 from bayescal.errors import InputError
@@ -109,5 +110,4 @@ def _import(location: str, folder: Path | None) -> ModuleType:
 
 def _send_by_value(module: ModuleType) -> None:
     """Let worker processes, which cannot import a file's module by name, be sent its functions and classes whole."""
-    cloud: Any = importlib.import_module("joblib.externals.cloudpickle")
-    cloud.register_pickle_by_value(module)
+    cloudpickle.register_pickle_by_value(module)  # between a run and its own workers, never to or from a file

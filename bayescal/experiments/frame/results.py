@@ -126,14 +126,21 @@ def read_results(folder: Path) -> Results:
     kinds = provenance.get("tables")
     if not isinstance(kinds, dict) or not all(isinstance(columns, dict) for columns in kinds.values()):
         raise InputError(f"{folder / PROVENANCE_FILE}: found no tables, expected results of this version")
+    empty = provenance.get("empty_tables", {})
+    if not isinstance(empty, dict) or not all(map(_are_names, empty.values())):
+        raise InputError(f"{folder / PROVENANCE_FILE}: empty_tables: found {empty!r}, expected lists of columns")
     for name in kinds:
         if not TABLE_NAME.fullmatch(name):
             raise InputError(f"{folder / PROVENANCE_FILE}: tables: found {name!r}, expected names of CSV files")
     summary = read_json(folder / SUMMARY_FILE)
     tables = {Path(name).stem: _read_table(folder / name, columns) for name, columns in kinds.items()}
-    for name, columns in provenance.get("empty_tables", {}).items():
+    for name, columns in empty.items():
         tables[name] = pd.DataFrame(columns=columns)
     return Results(summary, tables, {}, provenance, folder)
+
+
+def _are_names(columns: object) -> bool:
+    return isinstance(columns, list) and all(isinstance(column, str) for column in columns)
 
 
 def _read_table(path: Path, kinds: Mapping[str, str]) -> pd.DataFrame:
@@ -149,7 +156,7 @@ def _read_table(path: Path, kinds: Mapping[str, str]) -> pd.DataFrame:
 
 
 def _read_column(path: Path, cells: pd.Series, kind: str) -> pd.Series:
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"{path}: {cells.name}: found kind {kind!r} in {PROVENANCE_FILE}, expected {', '.join(KINDS)}")
     if kind == "text":
         return cells

@@ -189,7 +189,7 @@ class SelectionConfig(ExperimentConfig):
         if self.workspace is None:
             for what, needed in (
                 ("[calibrations]", self.calibrations is not None),
-                ("[requirements]", bool(self.requirements.model_fields_set)),
+                ("[requirements]", self.requirements.is_any),
                 ("criterion 'I'", any("I" in choice.criteria for choice in self.selections)),
             ):
                 if needed:

@@ -45,7 +45,7 @@ class Tables:
     @property
     def metric(self) -> str:
         """Column of ``errors`` by which ways to choose are ranked."""
-        required = bool(self.config.requirements.model_fields_set)
+        required = self.config.requirements.is_any
         return "simulated_share_of_limits" if required else "mean_position_um"
 
     @property

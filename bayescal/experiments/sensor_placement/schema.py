@@ -54,7 +54,7 @@ class PlacementMachineConfig(Section):
 
     @model_validator(mode="after")
     def _check_model(self) -> Self:
-        if self.model is None and {"deformation", "tool_mm"} & self.model_fields_set:
+        if self.model is None and (self.deformation != "none" or self.tool_mm is not None):
             raise ValueError("found deformation or tool_mm without model, expected a model of a mechanism with them")
         return self
 

@@ -74,7 +74,7 @@ def read_machine(path: Path, variant: ModelConfig, deformation: DeformationConfi
         return 1e-3 * read_matrix(folder / name, mechanism.n_legs)
 
     nominal = NominalDeformation(deformation.kappa, matrix)
-    machine = build_named_machine(mechanism, variant.model, variant.deformation, nominal, "variant", folder)
+    machine = build_named_machine(mechanism, path, variant.model, variant.deformation, nominal, "variant", folder)
     check_home_pose(machine)
     return machine
 

@@ -96,3 +96,8 @@ class RequirementsConfig(Section):
     rotation_y: Positive | None = None
     rotation_z: Positive | None = None
     rotation: Positive | None = None
+
+    @property
+    def is_any(self) -> bool:
+        """Whether anything is required."""
+        return any(limit is not None for _, limit in self)

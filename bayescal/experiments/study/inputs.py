@@ -117,9 +117,8 @@ class StudyInputs:
     def machine(self, variant: VariantConfig) -> Machine:
         """Return the mechanism seen through a variant."""
         nominal = NominalDeformation(self.config.deformation.kappa, lambda: self.matrix)
-        names = variant.model, variant.deformation
-        with name_faults(self.folder):
-            return build_named_machine(self.mechanism, *names, nominal, "variants", self.folder)
+        file, names = self.folder / self.config.mechanism, (variant.model, variant.deformation)
+        return build_named_machine(self.mechanism, file, *names, nominal, "variants", self.folder)
 
     @property
     def matrix_from_targets(self) -> bool:

@@ -6,8 +6,10 @@ import json
 
 import audit_problems as problems
 import pytest
+import studies
 
-from bayescal.experiments.audit import run as run_module
+from bayescal.experiments.audit import kind as audit_kind
+from bayescal.experiments.frame import run as frame
 
 SMALL = """
 extends = "base.toml"
@@ -43,18 +45,21 @@ def design(tmp_path):
 def test_an_audit_writes_results_and_report(call, design, tmp_path):
     out = tmp_path / "out"
     code, said, complaint = call("audit", design, "--out", out)
-    assert (code, complaint) == (0, "")
+    assert (code, studies.list_errors(complaint)) == (0, [])
     assert "Of 42 parameters" in said
-    summary = json.loads((out / "audit.json").read_text())
+    summary = json.loads((out / "summary.json").read_text())
     assert summary["simulated_calibrations"]["n"] == 4
     assert all("posterior_sd_over_draws" in values for values in summary["parameters"].values())
     assert [change["name"] for change in summary["what_if"]] == ["<b>twice</b>", "40 poses chosen I-optimally"]
-    page = (out / "audit.html").read_text()
+    page = (out / "report.html").read_text()
     assert "<b>twice" not in page
     assert "&lt;b&gt;twice" in page
     before = page
     assert call("report", out)[0] == 0
-    assert (out / "audit.html").read_text() == before
+    assert (out / "report.html").read_text() == before
+    provenance = json.loads((out / "provenance.json").read_text())
+    assert provenance["config_sha256"] == summary["config_sha256"]
+    assert set(provenance["files"]) == {f"{problems.DESIGNS}/camera_hexapod_mechanism.toml"}
     assert call("audit", design, "--out", out)[0] == 0  # its own results may be replaced
     assert not list(tmp_path.glob("*.partial"))
 
@@ -62,7 +67,7 @@ def test_an_audit_writes_results_and_report(call, design, tmp_path):
 def test_the_same_design_gives_the_same_numbers(call, design, tmp_path):
     for name in ("one", "other"):
         assert call("audit", design, "--out", tmp_path / name)[0] == 0
-    one, other = ((tmp_path / name / "audit.json").read_text() for name in ("one", "other"))
+    one, other = ((tmp_path / name / "summary.json").read_text() for name in ("one", "other"))
     assert one == other
 
 
@@ -92,8 +97,19 @@ def test_other_directories_are_left_alone(call, design, tmp_path):
     (precious / "notes.txt").write_text("mine")
     code, _, complaint = call("audit", design, "--out", precious)
     assert code == 2
-    assert "holds no audit" in complaint
+    assert "holds no results" in complaint
     assert [path.name for path in precious.iterdir()] == ["notes.txt"]
+
+
+def test_results_of_another_design_are_kept(call, design, tmp_path):
+    out = tmp_path / "out"
+    assert call("audit", design, "--out", out)[0] == 0
+    before = studies.snapshot(out)
+    studies.edit(design, "poses_factor = 2.0", "poses_factor = 3.0")
+    code, said, complaint = call("audit", design, "--out", out)
+    assert (code, said, complaint.count("\n")) == (2, "", 1)
+    assert "holds results of another config" in complaint
+    assert studies.snapshot(out) == before
 
 
 def test_a_failure_on_the_way_leaves_the_old_results(call, design, tmp_path, monkeypatch):
@@ -101,30 +117,31 @@ def test_a_failure_on_the_way_leaves_the_old_results(call, design, tmp_path, mon
     assert call("audit", design, "--out", out)[0] == 0
     before = {path: path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
 
-    def fail(folder):
+    def fail(page, folder, more):
         raise OSError(28, "No space left on device", str(folder))
 
-    monkeypatch.setattr(run_module, "write_audit_report", fail)
+    monkeypatch.setattr(frame, "write_page", fail)
     code, _, complaint = call("audit", design, "--out", out)
     assert code == 2
     assert "No space left" in complaint
+    assert len(studies.list_errors(complaint)) == 1
     assert {path: path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()} == before
 
 
 def test_a_posterior_that_did_not_converge_is_exit_code_3(call, design, tmp_path, monkeypatch):
-    compute_audit = run_module.compute_audit
+    compute_audit = audit_kind.compute_audit
 
-    def compute(config, folder, planner):
-        results = compute_audit(config, folder, planner)
+    def compute(inputs, run):
+        results = compute_audit(inputs, run)
         results.summary["posterior"] = {
             **{"origin": "made up", "n_draws": 8, "converged": False, "problems": ["R-hat 1.2"], "parameters": {}},
             **{"requirements": {}, "principal_angle_deg": None},
         }
         return results
 
-    monkeypatch.setattr(run_module, "compute_audit", compute)
+    monkeypatch.setattr(audit_kind, "compute_audit", compute)
     code, said, complaint = call("audit", design, "--out", tmp_path / "out")
-    assert (code, complaint.count("\n")) == (3, 1)
+    assert (code, len(studies.list_errors(complaint))) == (3, 1)
     assert "did not converge" in complaint
     assert "Of 42 parameters" in said
-    assert (tmp_path / "out" / "audit.html").is_file()
+    assert (tmp_path / "out" / "report.html").is_file()

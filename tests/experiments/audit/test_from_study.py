@@ -10,6 +10,7 @@ from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import run_audit
 from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.frame.parallel import Run
 from bayescal.inference.mode import find_modes
 from bayescal.machines.kinematics import solve_forward_kinematics
 
@@ -110,7 +111,7 @@ def test_values_that_a_study_fixes_are_fixed(design):
 
 
 def test_audit_of_a_study_runs_with_its_what_ifs(design):
-    audit = run_audit(_read(design))
+    audit = run_audit(_read(design), Run())
     assert audit.analysis.structure.rank == 12
     assert all(outcome.information is not None for outcome in audit.what_ifs)
     assert 0.0 < audit.outlooks[0].predicted_sd < audit.outlooks[0].prior_sd

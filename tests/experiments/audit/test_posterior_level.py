@@ -13,6 +13,7 @@ from bayescal.experiments.audit.audit import run_audit
 from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.audit.posterior import LeftOut, PosteriorLevel, audit_posterior, compare_spaces
+from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.requirements import Requirement
 from bayescal.identifiability.sensitivity import compute_sensitivity
@@ -35,8 +36,8 @@ def _inputs(path, draws, variant=(), **changes):
 
 
 def _level(inputs):
-    audit = run_audit(inputs)
-    return audit, audit_posterior(inputs, audit)
+    audit = run_audit(inputs, Run())
+    return audit, audit_posterior(inputs, audit, Run())
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +84,7 @@ def test_probability_without_bends_is_the_first_orders(straight):
     limit = Requirement("z", 2.6 * sd.predicted_sd)
     inputs = replace(audit.inputs, requirements=[limit])
     expected = audit.forecast.judge([limit], audit.analysis.information, inputs.plan, _rng(), ())[0].probability
-    chance = audit_posterior(inputs, audit).chances["z"]
+    chance = audit_posterior(inputs, audit, Run()).chances["z"]
     assert 0.2 < expected < 0.8  # where a difference would show
     assert abs(chance.probability - expected) < 0.06
     assert abs(chance.of_mean_machine - expected) < 0.06
@@ -97,7 +98,7 @@ def test_machine_of_mean_parameters_lies_off_a_bent_ridge(bent):
     """All draws keep the joint a + ρ^0 u; their mean, with u shorter than one, is off by some µm in z."""
     audit, _ = bent
     inputs = replace(audit.inputs, requirements=[Requirement("z", 0.004), Requirement("x", 0.1)])
-    chances = audit_posterior(inputs, audit).chances
+    chances = audit_posterior(inputs, audit, Run()).chances
     assert chances["z"].probability > 0.99
     assert chances["z"].of_mean_machine < 0.5
     assert chances["x"].of_mean_machine > 0.99

@@ -14,6 +14,7 @@ from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.audit.posterior import audit_posterior
 from bayescal.experiments.audit.ridge_curves import MAX_DRAWS, plot_ridges, tabulate_plots
+from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability.ridge_laws import LAWS, Leg, LevelLine, find_legs
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import compute_pose_error
@@ -28,8 +29,8 @@ def _plot(name, draws=0):
     config = load_audit(path)
     config = config.model_copy(update={"posterior": config.posterior.model_copy(update={"draws": draws})})
     inputs = read_inputs(config, path.parent)
-    audit = run_audit(inputs)
-    return inputs, audit, plot_ridges(inputs, audit, audit_posterior(inputs, audit))
+    audit = run_audit(inputs, Run())
+    return inputs, audit, plot_ridges(inputs, audit, audit_posterior(inputs, audit, Run()))
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +79,7 @@ def test_a_leg_that_stands_otherwise_is_not_explained(linear, monkeypatch):
         ]
 
     monkeypatch.setattr(ridge_curves, "find_legs", mirrored)
-    wrong = plot_ridges(inputs, audit, audit_posterior(inputs, audit))
+    wrong = plot_ridges(inputs, audit, audit_posterior(inputs, audit, Run()))
     steep = [number for number, plot in plots.items() if _symbols(plot) & {"kappa"} and plot.angle is not None]
     assert len(steep) >= 6
     assert all(wrong[number].explanation is None for number in steep if not _is_lateral(inputs, plots[number]))
@@ -246,7 +247,7 @@ def test_tables(measured):
 def test_plots_are_in_the_designs_units(linear):
     inputs, audit, plots = linear
     micro = replace(inputs, units=replace(inputs.units, length="um"))
-    other = plot_ridges(micro, audit, audit_posterior(micro, audit))
+    other = plot_ridges(micro, audit, audit_posterior(micro, audit, Run()))
     plot = next(number for number, plot in plots.items() if _symbols(plot) == {"a_z", "l"})
     assert (other[plot].x_unit, plots[plot].x_unit) == ("um", "mm")
     assert np.allclose(other[plot].points["prior"], 1e3 * plots[plot].points["prior"])

@@ -206,13 +206,13 @@ def test_results_of_another_config_are_refused(store):
 def test_a_directory_without_results_is_refused(store):
     store.out.mkdir()
     (store.out / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match="holds no results of a study"):
+    with pytest.raises(InputError, match="holds no results, expected a new or a results directory"):
         store.check_results(IDENTITY)
 
 
 def test_a_file_is_refused(store):
     store.out.write_text("years of work")
-    with pytest.raises(InputError, match="holds no results of a study"):
+    with pytest.raises(InputError, match="holds no results, expected a new or a results directory"):
         store.check_results(IDENTITY)
 
 

@@ -11,20 +11,24 @@ import numpy as np
 import pandas as pd
 import pytest
 import studies
-from bayescal.experiments.pose_selection.run import run_pose_selection
 
 from bayescal.errors import InputError
+from bayescal.experiments.audit import changes as changes_module
 from bayescal.experiments.audit.audit import run_audit
-from bayescal.experiments.audit.changes import ProposedPlan, evaluate_proposal
-from bayescal.experiments.audit.i_optimal import plan_i_optimal, propose_i_optimal, select_i_optimal
+from bayescal.experiments.audit.changes import evaluate_plan, list_changes
+from bayescal.experiments.audit.i_optimal import ProposedPlan, plan_i_optimal, select_i_optimal
 from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.audit.results import summarise
 from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.frame.run import find_results_kind, run_experiment, write_report
 from bayescal.experiments.pose_selection.accuracy import judge_poses
 from bayescal.experiments.pose_selection.inputs import read_selection
 from bayescal.experiments.pose_selection.tables import tabulate_random_sets
 from bayescal.experiments.pose_selection.tasks import run_tasks
+from bayescal.experiments.pose_selection.verdict import Tables
 from bayescal.identifiability.requirements import find_limits
 from bayescal.identifiability.sensitivity import compute_sensitivity
 
@@ -52,7 +56,7 @@ def shrink(name: str):
 def result(request, tmp_path_factory):
     config = shrink(request.param)
     folder = tmp_path_factory.mktemp(request.param) / "out"
-    run_pose_selection(config, FOLDER, folder)
+    run_experiment(config, FOLDER, folder)
     return config, folder
 
 
@@ -77,10 +81,23 @@ def test_shipped_experiment_writes_everything(result):
     assert (folder / "errors.csv").is_file() is (config.calibrations is not None)
 
 
+def test_page_comes_from_the_files_alone(result):
+    """Whatever the config leaves out, what is read back of it is the same: rankings are by the same errors."""
+    config, folder = result
+    before, kind = studies.snapshot(folder), find_results_kind(folder)
+    results = read_results(folder)
+    found = kind.config_of(results)
+    assert found.model_dump() == config.model_dump()
+    required = config.name == "pose_selection_i_optimal"
+    assert Tables.of(found, results).metric == ("simulated_share_of_limits" if required else "mean_position_um")
+    write_report(folder)
+    assert studies.snapshot(folder) == before
+
+
 def test_written_values_are_those_of_the_poses(result):
     config, folder = result
     inputs = read_selection(config, FOLDER)
-    start = inputs.audit.knowledge.machine.mechanism.initial_actuator_positions
+    start = inputs.design.knowledge.machine.mechanism.initial_actuator_positions
     poses, selections = read(folder, "poses"), read(folder, "selections")
     keys = ["label", "criterion", "n_poses", "repeat"]
     for key, rows in poses.groupby(keys, sort=False):
@@ -94,7 +111,7 @@ def test_written_values_are_those_of_the_poses(result):
 
 def test_plans_are_read_by_audits(result):
     config, folder = result
-    legs = len(read_selection(config, FOLDER).audit.knowledge.machine.mechanism.leg_lengths)
+    legs = len(read_selection(config, FOLDER).design.knowledge.machine.mechanism.leg_lengths)
     plans = sorted((folder / "plans").glob("*.csv"))
     ways = {(c.label or c.method, name, n) for c in config.selections for name in c.criteria for n in c.n_poses}
     assert {path.stem for path in plans} == {f"{label}_{criterion}_{n}" for label, criterion, n in ways}
@@ -107,13 +124,13 @@ def test_same_seed_gives_same_bytes_whatever_the_workers(tmp_path):
     config = shrink("rr8096_figure14")
     config = config.model_copy(update={"selections": config.selections[:2]})  # without the continuous ones, to be quick
     for name, workers in (("one", 1), ("two", 2)):
-        run_pose_selection(config, FOLDER, tmp_path / name, workers)
+        run_experiment(config, FOLDER, tmp_path / name, workers)
     for name in DETERMINISTIC:
         paths = [tmp_path / run / f"{name}.csv" for run in ("one", "two")]
         assert paths[0].is_file() == paths[1].is_file()
         if paths[0].is_file():
             assert paths[0].read_bytes() == paths[1].read_bytes()
-    run_pose_selection(config.model_copy(update={"seed": 1}), FOLDER, tmp_path / "other")
+    run_experiment(config.model_copy(update={"seed": 1}), FOLDER, tmp_path / "other")
     assert (tmp_path / "one/poses.csv").read_bytes() != (tmp_path / "other/poses.csv").read_bytes()
 
 
@@ -135,7 +152,7 @@ def test_random_sets_are_those_of_the_source():
     config = load_experiment(FOLDER / "yu2023_table1.toml")
     choices = [c.model_copy(update={"repeats": 2}) for c in config.selections if c.method == "random"]
     inputs = read_selection(config.model_copy(update={"selections": choices}), FOLDER)
-    values = tabulate_random_sets(run_tasks(inputs)).groupby("repeat")["value"]
+    values = tabulate_random_sets(run_tasks(inputs, Run())).groupby("repeat")["value"]
     assert len(values) == 2
     np.testing.assert_allclose(values.mean(), 0.01713, rtol=0.03)
     assert abs(values.max().iloc[0] / 0.02199 - 1.0) < 0.03
@@ -163,7 +180,7 @@ def test_faults_are_one_line(tmp_path, old, new, message):
     path.parent.mkdir()
     path.write_text(text.replace(old, new), encoding="utf-8")
     with pytest.raises(InputError, match=message) as error:
-        run_pose_selection(load_experiment(path), path.parent, tmp_path / "out")
+        run_experiment(load_experiment(path), path.parent, tmp_path / "out")
     assert "\n" not in str(error.value)
     assert not (tmp_path / "out").exists()
 
@@ -185,10 +202,10 @@ def test_measured_poses_count(tmp_path):
     config = config.model_copy(
         update={"measured": section, "selections": [choice], "calibrations": None, "designs": []}
     )
-    run_pose_selection(config, FOLDER, tmp_path / "out")
+    run_experiment(config, FOLDER, tmp_path / "out")
     inputs = read_selection(config, FOLDER)
     poses, selections = read(tmp_path / "out", "poses"), read(tmp_path / "out", "selections")
-    start = inputs.audit.knowledge.machine.mechanism.initial_actuator_positions
+    start = inputs.design.knowledge.machine.mechanism.initial_actuator_positions
     own = start + poses[poses["repeat"] == 1][[f"drho_{k}_mm" for k in range(1, 7)]].to_numpy()
     assert own.shape == (1, 6)
     together = inputs.indices(np.concatenate([inputs.measured, own]))["O1"]
@@ -325,9 +342,16 @@ def test_audit_gains_by_i_optimal_poses(design):
     assert np.mean(after.simulated[:, 2] ** 2) < np.mean(before.simulated[:, 2] ** 2)
 
 
-def test_audit_lists_i_optimal_poses_among_its_changes(camera):
+def refuse(inputs):
+    raise InputError("found redundant legs without [workspace], expected it")
+
+
+def test_audit_lists_i_optimal_poses_among_its_changes(camera, monkeypatch):
     """They keep the requirements better than the plan; everything else stays as it is without them."""
-    plain, proposed = run_audit(camera), run_audit(camera, propose_i_optimal)
+    proposed = run_audit(camera, Run())
+    with monkeypatch.context() as patch:
+        patch.setattr(changes_module, "propose_i_optimal", refuse)
+        plain = run_audit(camera, Run())
     change = proposed.what_ifs[-1]
     assert [outcome.name for outcome in proposed.what_ifs[:-1]] == [outcome.name for outcome in plain.what_ifs]
     assert (change.name, change.n_poses, change.beyond_range) == ("40 poses chosen I-optimally", 40, False)
@@ -338,9 +362,8 @@ def test_audit_lists_i_optimal_poses_among_its_changes(camera):
     assert after < 0.9 * planned
 
 
-def test_audit_goes_without_poses_that_cannot_be_chosen(camera):
-    def refuse(inputs):
-        raise InputError("found redundant legs without [workspace], expected it")
-
-    assert evaluate_proposal(camera, refuse, None) == []
-    assert evaluate_proposal(camera, lambda inputs: ProposedPlan("as it is", inputs.plan), None)[0].n_poses == 40
+def test_audit_goes_without_poses_that_cannot_be_chosen(camera, monkeypatch):
+    monkeypatch.setattr(changes_module, "propose_i_optimal", refuse)
+    outcomes = run_audit(camera, Run()).what_ifs
+    assert [outcome.name for outcome in outcomes] == [change.name for change in list_changes(camera)]
+    assert evaluate_plan(camera, ProposedPlan("as it is", camera.plan), None).n_poses == 40

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 from dataclasses import replace
@@ -10,19 +11,22 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from bayescal.experiments.self_calibration.run import compute_outcome, run_self_calibration
+import studies
 from reading_machines import EXPERIMENT
 from reading_studies import copy_shipped, describe_variant, load_small, write_small
+from rich.console import Console
 
 from bayescal.density.readings.calibrability import compute_calibrability
 from bayescal.density.readings.tool import locate_tool
-from bayescal.errors import NotConvergedError
-from bayescal.experiments.frame.identity import hash_identity
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.self_calibration import run as run_module
+from bayescal.experiments.frame.identity import hash_identity, identify
+from bayescal.experiments.frame.load import find_kind, load, load_experiment
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.run import Finished, run_experiment, write_report
 from bayescal.experiments.self_calibration.blunders import check_readings
+from bayescal.experiments.self_calibration.compute import compute_variants
 from bayescal.experiments.self_calibration.fit import fit_variant
 from bayescal.experiments.self_calibration.identifiability import audit_variant, compute_rows
+from bayescal.experiments.self_calibration.kind import SelfCalibration
 from bayescal.experiments.self_calibration.page.verdict import explains, list_rows, write_names
 from bayescal.experiments.self_calibration.tables import rank_models, tabulate
 from bayescal.experiments.self_calibration.tool import assess_tool, predict_tool
@@ -32,11 +36,14 @@ TABLES = {"variants", "parameters", "identifiability", "ridges", "predictions", 
 
 
 def run(path: Path, out: Path, workers: int = 1) -> str:
-    """Run, whether or not so little sampling converges."""
-    try:
-        return run_self_calibration(load_experiment(path), path.parent, out, workers)
-    except NotConvergedError as error:
-        return error.found
+    """Return what a run prints, whether or not so little sampling converges."""
+    return say(run_experiment(load_experiment(path), path.parent, out, workers))
+
+
+def say(finished: Finished) -> str:
+    console = Console(file=io.StringIO(), width=120)
+    finished.show(console)
+    return console.file.getvalue()
 
 
 @pytest.fixture(scope="module")
@@ -64,16 +71,22 @@ def test_shipped_experiment_runs_tiny(tmp_path):
     some = [one for one in variants if re.search(r'name = "(\w+)"', one)[1] in kept]
     path.write_text("[[variants]]".join([head, *some]) + "[sampler]" + text.partition("[sampler]")[2])
     out = tmp_path / "out"
-    said = run(path, out)
-    assert "report: " in said
+    finished = run_experiment(load_experiment(path), path.parent, out)
+    said = say(finished)
+    assert f"report: {out / 'report.html'}" in said
+    assert finished.page.headline in said
     assert all(name in said for name in kept)
     assert {p.stem for p in out.glob("*.csv")} == TABLES
     assert {p.stem for p in (out / "figures").iterdir()} == {"tool", "parameters", "predictions"}
     summary = json.loads((out / "summary.json").read_text())
+    assert summary == finished.summary
     assert summary["rankings"][0][0] == "s8_one_length"
     page = re.sub(r"base64,[^\"]*", "", (out / "report.html").read_text())
     assert not re.search(r"\bnan\b|None", page)
     assert "never measured" in page
+    before = studies.snapshot(out)
+    write_report(out)
+    assert studies.snapshot(out) == before
 
 
 def test_workers_change_nothing(tmp_path):
@@ -90,10 +103,15 @@ def test_not_converged_is_3_with_the_results_written(call, tmp_path, monkeypatch
     path = Path("study.toml")
     path.write_text(path.read_text().replace("walkers = 56", "walkers = 8").replace("steps = 12", "steps = 3"))
     code, out, err = call("run", "study.toml", "--out", "out", "--workers", 1)
+    *progress, complaint = err.splitlines()
     assert code == 3
-    assert err.count("\n") == 1
-    assert "not everything converged" in err
+    assert all(line.startswith("variants: ") for line in progress)
+    assert complaint.startswith("bayescal: out: not everything converged")
     assert "NOT everything converged" in out
+    assert call("run", "study.toml", "--out", "out", "--workers", 1, "--quiet") == (3, "", f"{complaint}\n")
+    finished = run_experiment(load_experiment(path), path.parent, Path("out"))
+    assert not finished.converged
+    assert finished.failures == ["not everything converged"]
     assert not json.loads(Path("out/summary.json").read_text())["converged"]
     assert '<section id="verdict" class="verdict failed">' in Path("out/report.html").read_text()
     assert not list(Path().glob("*.partial"))
@@ -104,9 +122,10 @@ def test_converged_is_0(call, tmp_path, monkeypatch):
     path = write_small(tmp_path)
     path.write_text(path.read_text().replace("burn_in = 5\nsteps = 12", "burn_in = 10\nsteps = 30"))
     code, out, err = call("run", "study.toml", "--workers", 1)
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert re.fullmatch(r"variants: 1 of 1 done, \d+ s\n", err)
     assert "report: results/small/report.html" in out
-    assert call("run", "study.toml", "--workers", 1)[0] == 0
+    assert call("run", "study.toml", "--workers", 1, "--quiet") == (0, "", "")
     code, _, err = call("run", "study.toml", "--seed", 6)
     assert code == 2
     assert "another config" in err
@@ -300,8 +319,7 @@ def test_a_wrong_model_is_told_apart(tmp_path):
         tmp_path, describe_variant("all", ["s", "phi"]), describe_variant("wrong", ["s", "phi"], 'fixed = ["beta"]')
     )
     inputs = load_small(path)
-    outcomes = {name: compute_outcome(inputs, variant) for name, variant in inputs.variants.items()}
-    good, wrong = list_rows(tabulate(inputs, outcomes)["variants"])
+    good, wrong = list_rows(tabulate(inputs, compute_variants(inputs, Run()))["variants"])
     assert explains(good)
     assert not explains(wrong)
     assert good["log_evidence"] - wrong["log_evidence"] > 100.0
@@ -317,8 +335,9 @@ def test_names_are_written_as_in_the_paper():
 # --- reference results -----------------------------------------------------------------------------------------------
 
 
-def test_reference_results_are_those_of_the_committed_config(shipped):
-    current = hash_identity(shipped.identity())
+def test_reference_results_are_those_of_the_committed_config():
+    kind, config = load(EXPERIMENT / "study.toml")
+    current = hash_identity(identify(config, EXPERIMENT, kind.files(config, EXPERIMENT)))
     for file in ("provenance.json", "summary.json"):
         assert json.loads((RESULTS / file).read_text())["config_sha256"] == current
 
@@ -352,10 +371,5 @@ def test_one_outcome_is_computed_again(shipped):
         assert summary["audits"][name]["rank"] == audit.structure.rank
 
 
-def test_runner_is_registered():
-    from bayescal.cli import RUNNERS
-
-    assert RUNNERS["self_calibration"] == (
-        "bayescal.experiments.self_calibration.run",
-        run_module.run_self_calibration.__name__,
-    )
+def test_kind_is_registered():
+    assert type(find_kind("self_calibration", EXPERIMENT / "study.toml", None)) is SelfCalibration

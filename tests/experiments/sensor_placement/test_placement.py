@@ -10,9 +10,11 @@ from placement_problems import FOLDER, read, shrink
 
 from bayescal.density.readings.poses import eliminate_poses
 from bayescal.density.readings.tool import compute_tool_sensitivity
+from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.sensor_placement.alignment import alignment_basis, take_away
 from bayescal.experiments.sensor_placement.inputs import displace, read_placement
 from bayescal.experiments.sensor_placement.placement import (
+    Accuracy,
     build_placement,
     compute_information,
     evaluate_set,
@@ -212,8 +214,16 @@ def test_the_number_of_workers_changes_nothing():
     inputs = read("sensors")
     sets = (inputs.enumerate_sets() @ inputs.members)[1000:1060]
     placement = build_placement(inputs)
-    one, two = evaluate_sets(placement, sets, 1), evaluate_sets(placement, sets, 2)
-    assert repr(one) == repr(two)
+    parts = {f"{k}": part for k, part in enumerate(np.array_split(sets, 8))}
+    one, two = (
+        [
+            accuracy
+            for part in run.map("sets", evaluate_sets, placement, parts, (Accuracy,)).values()
+            for accuracy in part
+        ]
+        for run in (Run(workers=1), Run(workers=2))
+    )
+    assert repr(one) == repr(two) == repr(evaluate_sets(placement, sets))
 
 
 # --- simulated -------------------------------------------------------------------------------------------------------

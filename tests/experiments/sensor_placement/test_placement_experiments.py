@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 
@@ -9,12 +10,14 @@ import numpy as np
 import pandas as pd
 import pytest
 import studies
-from bayescal.experiments.sensor_placement.run import identify, run_sensor_placement
 from placement_problems import FOLDER, SHIPPED, shrink
+from rich.console import Console
 
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.frame.identity import hash_identity
-from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.identity import hash_identity, identify
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.frame.run import find_results_kind, run_experiment, write_report
 from bayescal.experiments.sensor_placement.inputs import Choice, read_placement
 from bayescal.experiments.sensor_placement.page.figures import write_sensors
 from bayescal.experiments.sensor_placement.tables import describe_kinds, describe_pattern, find_front
@@ -27,8 +30,9 @@ TIMED = ("timing.csv", "report.html")
 def result(request, tmp_path_factory):
     config = shrink(request.param)
     out = tmp_path_factory.mktemp(request.param) / "out"
-    printed = run_sensor_placement(config, FOLDER, out)
-    return config, out, printed
+    console = Console(file=io.StringIO(), width=120)
+    run_experiment(config, FOLDER, out).show(console)
+    return config, out, console.file.getvalue()
 
 
 def read(out: Path, name: str) -> pd.DataFrame:
@@ -97,10 +101,18 @@ def test_the_page_says_what_was_found(result):
     assert {p.name for p in (out / "figures").iterdir()} == {"front.png", "numbers.png", "simulated.png"}
 
 
+def test_page_comes_from_the_files_alone(result):
+    config, out, _ = result
+    before = studies.snapshot(out)
+    assert find_results_kind(out).config_of(read_results(out)).model_dump() == config.model_dump()
+    write_report(out)
+    assert studies.snapshot(out) == before
+
+
 def test_results_repeat_whatever_the_number_of_workers(tmp_path):
     config = shrink("sensors", workspace_poses=6, simulated_sets=2)
     for name, workers in (("one", 1), ("two", 2)):
-        run_sensor_placement(config, FOLDER, tmp_path / name, workers)
+        run_experiment(config, FOLDER, tmp_path / name, workers)
     one, two = (
         {p.name: p.read_bytes() for p in (tmp_path / name).glob("*.*") if p.name not in TIMED}
         for name in ("one", "two")
@@ -111,15 +123,15 @@ def test_results_repeat_whatever_the_number_of_workers(tmp_path):
 def test_another_config_does_not_replace_results(result):
     config, out, _ = result
     with pytest.raises(InputError, match="holds results of another config"):
-        run_sensor_placement(config.model_copy(update={"seed": 99}), FOLDER, out)
+        run_experiment(config.model_copy(update={"seed": 99}), FOLDER, out)
 
 
 def test_no_good_set_is_a_failure_and_writes_nothing(tmp_path):
     config = shrink("sensors")
     few = config.model_copy(update={"sensors": {"s[1]": config.sensors["s"]}, "named": {}})
     with pytest.raises(NumericalError, match="found no set of 1 that calibrates"):
-        run_sensor_placement(few, FOLDER, tmp_path / "out")
-    assert not list(tmp_path.iterdir())
+        run_experiment(few, FOLDER, tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["out.partial"]  # what is kept for --resume
 
 
 # --- words -----------------------------------------------------------------------------------------------------------
@@ -205,10 +217,10 @@ def test_bad_input_is_one_line_and_nothing_written(call, tmp_path, name, old, ne
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_reference_results_are_those_of_the_shipped_config(name):
-    config = load_experiment(FOLDER / f"{name}.toml")
+    kind, config = load(FOLDER / f"{name}.toml")
     results = RESULTS / config.name
     provenance = json.loads((results / "provenance.json").read_text())
-    assert provenance["config_sha256"] == hash_identity(identify(config, FOLDER))
+    assert provenance["config_sha256"] == hash_identity(identify(config, FOLDER, kind.files(config, FOLDER)))
     summary = json.loads((results / "summary.json").read_text())
     simulated = pd.read_csv(results / "simulated.csv")
     z = (simulated["simulated_um"] - simulated["predicted_um"]) / simulated["simulated_error_um"]

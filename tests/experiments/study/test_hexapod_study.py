@@ -10,8 +10,8 @@ import hexapods
 import pandas as pd
 import pytest
 import studies
-from bayescal.experiments.study.run import run_study
 
+from bayescal.api import run_study
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 

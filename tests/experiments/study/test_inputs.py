@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 import studies
-from bayescal.experiments.study.run import run_study
 
+from bayescal.api import run_study
 from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.frame import parallel
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.study import run as run_module
+from bayescal.experiments.study import compute
 
 
 @pytest.fixture
@@ -242,7 +243,7 @@ def test_a_failure_of_scipy_is_numerical(folder, monkeypatch, error):
     def fail_always(inputs, task):
         raise error
 
-    monkeypatch.setattr(run_module, "run_task", fail_always)
+    monkeypatch.setattr(compute, "run_task", fail_always)
     with pytest.raises(NumericalError, match="six_pus-none-tau-free"):
         run_study(load_experiment(folder / "study.toml"), folder, folder / "out")
 
@@ -256,7 +257,7 @@ def test_left_handed_targets_are_a_numerical_failure_or_a_misfit(folder):
     assert not result.converged
 
 
-def kill_worker(inputs, task):
+def kill_worker(*_):
     """Stand for the kernel that ends a process for want of memory."""
     import os
 
@@ -264,6 +265,6 @@ def kill_worker(inputs, task):
 
 
 def test_a_killed_worker_is_a_numerical_failure(folder, monkeypatch):
-    monkeypatch.setattr(run_module, "_run_in_worker", kill_worker)
+    monkeypatch.setattr(parallel, "_run_guarded", kill_worker)
     with pytest.raises(NumericalError, match="a worker was killed"):
         run_study(load_experiment(folder / "study.toml"), folder, folder / "out", workers=2)

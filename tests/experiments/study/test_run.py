@@ -18,10 +18,11 @@ import xarray as xr
 
 from bayescal.api import run_study
 from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.identity import hash_identity
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import Finished
-from bayescal.experiments.study import run as run_module
+from bayescal.experiments.study import compute
 from bayescal.experiments.study.fit import list_tasks, run_task
 
 VARIANTS = {"six_pus/none": 7, "six_pus/matrix": 13}
@@ -31,7 +32,7 @@ NUMBERS = (
 )
 
 
-def run(path: Path, out: Path, workers: int = 1, resume: bool = False, **changes: Any) -> StudyResult:
+def run(path: Path, out: Path, workers: int = 1, resume: bool = False, **changes: Any) -> Finished:
     config = load_experiment(path).model_copy(update=changes)
     return run_study(config, path.parent, out, workers, resume)
 
@@ -45,7 +46,7 @@ def folder(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def result(folder) -> StudyResult:
+def result(folder) -> Finished:
     """Return the finished tiny study."""
     return run(folder / "study.toml", folder / "results" / "first")
 
@@ -58,7 +59,7 @@ def summary(result) -> dict[str, Any]:
 @pytest.fixture(autouse=True)
 def _skip_reports(monkeypatch):
     """Let only the first run, made before, write its report: the numbers do not depend on it."""
-    monkeypatch.setattr(run_module, "write_report", lambda folder: folder)
+    monkeypatch.setattr(frame, "write_page", lambda page, folder, more: folder)
 
 
 def without_wall_seconds(out: Path) -> str:
@@ -252,7 +253,7 @@ def test_interrupted_and_resumed_equals_uninterrupted(result, folder, monkeypatc
         return run_task(inputs, task)
 
     with monkeypatch.context() as patched:
-        patched.setattr(run_module, "run_task", interrupt_later)
+        patched.setattr(compute, "run_task", interrupt_later)
         with pytest.raises(KeyboardInterrupt):
             run(folder / "study.toml", out)
     assert not out.exists()
@@ -265,7 +266,7 @@ def test_interrupted_and_resumed_equals_uninterrupted(result, folder, monkeypatc
         calls.append(task)
         return run_task(inputs, task)
 
-    monkeypatch.setattr(run_module, "run_task", count)
+    monkeypatch.setattr(compute, "run_task", count)
     run(folder / "study.toml", out, resume=True, title="Tiny study")
     assert len(calls) - n_before == len(list_tasks(studies.load_study(folder / "study.toml"))) - n_finished
     assert without_wall_seconds(out) == without_wall_seconds(result.out)
@@ -282,7 +283,7 @@ def test_resume_after_changed_data_is_refused(folder, tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(run_module, "run_task", interrupt)
+        patched.setattr(compute, "run_task", interrupt)
         with pytest.raises(KeyboardInterrupt):
             run(path, tmp_path / "out")
     data = tmp_path / "data" / "actuators.csv"
@@ -301,13 +302,13 @@ def test_numerical_failure_of_one_task_keeps_all_others(tmp_path, monkeypatch):
             raise NumericalError("as if")
         return run_task(inputs, task)
 
-    monkeypatch.setattr(run_module, "run_task", fail_later)
+    monkeypatch.setattr(compute, "run_task", fail_later)
     with pytest.raises(NumericalError, match=r"as if; \d of \d tasks are kept"):
         run(path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     kept = {file.stem for file in (tmp_path / "out.partial").glob("*.npz")}
-    assert kept == {task.key for task in calls} - {calls[1].key}
-    monkeypatch.setattr(run_module, "run_task", run_task)
+    assert kept == {f"sampling-{task.key}" for task in calls} - {f"sampling-{calls[1].key}"}
+    monkeypatch.setattr(compute, "run_task", run_task)
     assert run(path, tmp_path / "out", resume=True).out.is_dir()
 
 

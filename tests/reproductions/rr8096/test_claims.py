@@ -6,12 +6,15 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 import studies
 import telescope_machines as machines
 
 from bayescal.density.least_squares import LeastSquaresFit, identify
 from bayescal.errors import NumericalError
+from bayescal.experiments.frame.registry import find_class
+from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.tables import identify_variants
 from bayescal.machines.deformations import NominalDeformation
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -515,7 +518,7 @@ def test_machine_of_eight_legs(monkeypatch):
     assert found["initial_positions_free"].value == 8
 
 
-def test_study_gives_its_subject(tmp_path):
+def test_study_gives_its_evidence(tmp_path):
     inputs = studies.load_study(studies.write_tiny_study(tmp_path))
     fits = identify_variants(inputs)
     evidence = ClaimEvidence.from_study(inputs, {"variants": {}}, fits)
@@ -530,4 +533,7 @@ def test_study_gives_its_subject(tmp_path):
     )
     assert not evidence.repeats("six_pus/matrix")
     assert evidence.best_machine().deformation.name == "matrix"
-    assert tabulate_claims(evidence)["claim"].is_unique
+    table = tabulate_claims(evidence)
+    assert table["claim"].is_unique
+    named = find_class("CLAIMS", "rr8096", Claims, "claims", tmp_path / "study.toml", tmp_path)
+    pd.testing.assert_frame_equal(named().tabulate(inputs, {"variants": {}}, fits), table)

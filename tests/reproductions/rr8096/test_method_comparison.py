@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
+import studies
 
 from bayescal.errors import InputError
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.run import run_experiment, write_report
 from bayescal.reproductions.rr8096.pose_methods.comparison import (
     compare_pose_methods,
     draw_cylinder_targets,
@@ -80,6 +84,34 @@ def test_figure_shows_the_means(comparison):
     line = position.containers[0].lines[0]
     expected = 1000 * summary.query("method == 'line'")["position_error_mm_mean"]
     np.testing.assert_allclose(line.get_ydata(), expected)
+
+
+def test_shipped_experiment_runs_tiny(tmp_path):
+    """Tables as computed, the means in the summary, and a page with the figure, from the files alone."""
+    path = studies.copy_small(studies.EXPERIMENTS / "pose_extraction" / "figure5.toml", tmp_path / "in")
+    config, out = load_experiment(path), tmp_path / "out"
+    finished = run_experiment(config, path.parent, out)
+    expected = compare_pose_methods(
+        config.n_targets,
+        config.repeats,
+        config.length_mm,
+        config.radius_mm,
+        1e-3 * config.target_noise_um,
+        np.random.default_rng(config.seed),
+    )
+    repeats = pd.read_csv(out / "repeats.csv")
+    pd.testing.assert_frame_equal(repeats, expected, rtol=1e-8)
+    pd.testing.assert_frame_equal(pd.read_csv(out / "summary.csv"), summarise_comparison(expected), rtol=1e-8)
+    means = expected.groupby("method")[ERRORS[:3]].mean()
+    for method, errors in finished.summary["mean_errors"].items():
+        assert errors == pytest.approx(means.loc[method].to_dict())
+    ratio = means.loc["line", "orientation_error_deg"] / means.loc["robust", "orientation_error_deg"]
+    assert f"{ratio:.3g}"[:3] in finished.page.headline
+    assert (out / "figures" / "figure5.png").stat().st_size > 0
+    assert "figure 5" in (out / "report.html").read_text(encoding="utf-8")
+    before = studies.snapshot(out)
+    write_report(out)
+    assert studies.snapshot(out) == before
 
 
 def test_no_repeats_is_an_input_error():

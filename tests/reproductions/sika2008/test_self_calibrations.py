@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 from dataclasses import replace
@@ -9,11 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from bayescal.reproductions.sika2008.run import identify, run_self_calibrations
+import studies
+from rich.console import Console
 from sliding_platforms import STAR, copy_tiny, make_content
 
-from bayescal.experiments.frame.identity import hash_identity
-from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.identity import hash_identity, identify
+from bayescal.experiments.frame.load import load, load_experiment
+from bayescal.experiments.frame.run import run_experiment, write_report
 from bayescal.reproductions.sika2008 import machines as machines_module
 from bayescal.reproductions.sika2008.documented import QUANTILE, list_calibrabilities, list_steps, name_parts
 from bayescal.reproductions.sika2008.machines import GEOMETRY, draw_candidate, lay_out
@@ -61,7 +64,9 @@ def edit(path, old, new):
 
 def run(path, name="out", workers=1):
     out = path.parents[1] / name
-    return out, run_self_calibrations(load_experiment(path), path.parent, out, workers)
+    console = Console(file=io.StringIO(), width=120)
+    run_experiment(load_experiment(path), path.parent, out, workers).show(console)
+    return out, console.file.getvalue()
 
 
 def plain_text(page):
@@ -77,12 +82,16 @@ def test_shipped_experiment_runs_tiny(path):
     assert {p.stem for p in out.glob("*.csv")} == TABLES
     assert {p.stem for p in (out / "figures").iterdir()} == FIGURES
     summary = json.loads((out / "summary.json").read_text())
+    assert summary["headline"] in text
     assert [row["n_parameters"] for row in summary["calibrability"]] == [18, 22, 26]
     assert not re.search(r"\bnan\b", plain_text(out / "report.html"))
     two, _ = run(path, "two", workers=2)
     for table in out.glob("*.csv"):
         assert table.read_bytes() == (two / table.name).read_bytes()
     assert (out / "report.html").read_bytes() == (two / "report.html").read_bytes()
+    before = studies.snapshot(out)
+    write_report(out)
+    assert studies.snapshot(out) == before
 
 
 def write_legs(path, n_legs):
@@ -317,7 +326,7 @@ def test_faults_are_one_line_and_nothing_is_written(call, path, fault, match):
     else:
         edit(path.parent / fault[0], *fault[1:])
     out = path.parents[1] / "out"
-    code, printed, error = call("run", path, "--out", out, "--workers", 1)
+    code, printed, error = call("run", path, "--out", out, "--workers", 1, "--quiet")
     assert (code, printed) == (2, "")
     assert error.count("\n") == 1
     assert re.search(match, error), error
@@ -334,7 +343,7 @@ def test_tolerances_beyond_reach_are_named(call, path):
 def test_calibrations_without_solution_are_a_numerical_failure(call, path):
     """Readings so noisy that Gauss and Newton's method does not find its way."""
     edit(path, "s = { noise_um = 1.0 }", "s = { noise_um = 100000.0 }")
-    code, _, error = call("run", path, "--out", path.parents[1] / "out", "--workers", 1)
+    code, _, error = call("run", path, "--out", path.parents[1] / "out", "--workers", 1, "--quiet")
     assert code == 3
     assert "none of 6 calibrations converged" in error
     assert error.count("\n") == 1
@@ -346,9 +355,9 @@ def test_calibrations_without_solution_are_a_numerical_failure(call, path):
 def test_committed_results_are_those_of_the_committed_config():
     """And what they say: the published pattern, and intervals that hold what they state."""
     experiment, results = STAR / "calibrations.toml", STAR.parents[1] / "results" / "sliding_star_calibrations"
-    config = load_experiment(experiment)
+    kind, config = load(experiment)
     provenance = json.loads((results / "provenance.json").read_text())
-    assert provenance["config_sha256"] == hash_identity(identify(config, STAR))
+    assert provenance["config_sha256"] == hash_identity(identify(config, STAR, kind.files(config, STAR)))
     summary = json.loads((results / "summary.json").read_text())
     assert all(row["reached"] for row in summary["judged"])
     assert all(0.85 <= row["share"] <= 0.95 for row in summary["coverage"])

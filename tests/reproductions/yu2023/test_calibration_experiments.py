@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 
 import pandas as pd
 import pytest
-from bayescal.reproductions.yu2023.run import run_hexapod_calibrations
+import studies
 from hexapod_settings import SHIPPED, copy_tiny
+from rich.console import Console
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.run import run_experiment, write_report
 
 TABLES = {
     "table4": {"table4", "best", "noise_draws", "workspaces"},
@@ -30,7 +33,9 @@ def tiny(request, tmp_path_factory):
     """Return a shipped experiment with little to do: its name, its config's path, its results, what it said."""
     folder = tmp_path_factory.mktemp(request.param)
     path, out = copy_tiny(request.param, folder), folder / "out"
-    return request.param, path, out, run_hexapod_calibrations(load_experiment(path), path.parent, out, workers=1)
+    console = Console(file=io.StringIO(), width=120)
+    run_experiment(load_experiment(path), path.parent, out, workers=1).show(console)
+    return request.param, path, out, console.file.getvalue()
 
 
 def refuse_constant(name: str):
@@ -42,14 +47,22 @@ def test_shipped_experiment_runs_tiny(tiny):
     assert "report.html" in text
     assert {p.stem for p in out.glob("*.csv")} >= TABLES[name]
     assert {p.stem for p in (out / "figures").iterdir()} == FIGURES[name]
-    json.loads((out / "summary.json").read_text(), parse_constant=refuse_constant)
+    summary = json.loads((out / "summary.json").read_text(), parse_constant=refuse_constant)
+    assert summary["headline"] in text
     assert not re.search(r"\bnan\b", re.sub(r"base64,[^\"]*", "", (out / "report.html").read_text()))
+
+
+def test_page_comes_from_the_files_alone(tiny):
+    out = tiny[2]
+    before = studies.snapshot(out)
+    write_report(out)
+    assert studies.snapshot(out) == before
 
 
 @pytest.mark.parametrize("tiny", ["figure10"], indirect=True)  # all three select their poses by the same function
 def test_two_workers_change_nothing(tiny, tmp_path):
     _, path, out, _ = tiny
-    run_hexapod_calibrations(load_experiment(path), path.parent, tmp_path / "two", workers=2)
+    run_experiment(load_experiment(path), path.parent, tmp_path / "two", workers=2)
     for table in out.glob("*.csv"):
         assert table.read_bytes() == (tmp_path / "two" / table.name).read_bytes()
 
@@ -85,7 +98,7 @@ def refuse(path, old, new, match):
     assert old in text
     path.write_text(text.replace(old, new))
     with pytest.raises(InputError, match=match) as caught:
-        run_hexapod_calibrations(load_experiment(path), path.parent, path.parent / "out", workers=1)
+        run_experiment(load_experiment(path), path.parent, path.parent / "out", workers=1)
     assert "\n" not in str(caught.value)
     assert not (path.parent / "out").exists()
 

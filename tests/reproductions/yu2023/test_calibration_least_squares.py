@@ -35,7 +35,7 @@ def commanded(n: int = 20, seed: int = 3) -> CommandedPoses:
 def simulated(n_machines: int, poses: CommandedPoses, noise: float = 1.0, seed: int = 4):
     rng = np.random.default_rng(seed)
     truth = SETTING.draw_machines(n_machines, rng)
-    stood = SETTING.stand(truth, poses)
+    stood = SETTING.reach_poses(truth, poses)
     return truth, stood + noise * SCALE * rng.standard_normal(stood.shape)
 
 
@@ -124,7 +124,7 @@ def test_most_probable_machines_are_the_audits():
     placed = candidates_at(SETTING.domain, shares * [1, 1, 1, 0.05, 0.05, 0.05]).placed  # angles are rotation vectors
     poses = CommandedPoses(coordinates_from_pose(placed.position, placed.rotation), placed.actuators)
     truth, _ = simulated(5, poses)
-    position, rotation = pose_from_coordinates(SETTING.stand(truth, poses))
+    position, rotation = pose_from_coordinates(SETTING.reach_poses(truth, poses))
     noise = SCALE * np.random.default_rng(5).standard_normal((*position.shape[:2], 6))
     position, rotation = position + noise[..., :3], matrix_from_rotation_vector(noise[..., 3:]) @ rotation
     measured = coordinates_from_pose(position, rotation)

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 import studies
-from bayescal.reproductions.yu2023.run import identify
 from hexapod_settings import HEXAPOD, SHIPPED, load_setting
 
-from bayescal.experiments.frame.identity import hash_identity
-from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.identity import hash_identity, identify
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.parallel import Run
 from bayescal.reproductions.yu2023 import accuracy
 from bayescal.reproductions.yu2023.setting import CommandedPoses
 
@@ -29,10 +29,10 @@ def read_table(name: str, table: str) -> pd.DataFrame:
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_results_are_those_of_the_shipped_config(name):
-    config = load_experiment(HEXAPOD / f"{name}.toml")
+    kind, config = load(HEXAPOD / f"{name}.toml")
     assert config.name == f"hexapod_{name}"  # where the command writes by default
     provenance = json.loads((RESULTS / config.name / "provenance.json").read_text())
-    assert provenance["config_sha256"] == hash_identity(identify(config, HEXAPOD))
+    assert provenance["config_sha256"] == hash_identity(identify(config, HEXAPOD, kind.files(config, HEXAPOD)))
 
 
 def test_first_selection_is_the_committed_one():
@@ -47,13 +47,13 @@ def test_first_selection_is_the_committed_one():
 def test_random_poses_give_the_committed_figures_again(monkeypatch):
     """Half of table 8 without the selections, which take long; the random sets and the noise do not depend on them."""
 
-    def draw_any(setting, choices, seeds, workers):
+    def draw_any(setting, choices, seeds, run, what):
         drawn = setting.draw_random(choices[0][1], len(choices), np.random.default_rng(0))
         return [CommandedPoses(*pair) for pair in zip(drawn.coordinates, drawn.actuators, strict=True)]
 
     monkeypatch.setattr(accuracy, "select_all", draw_any)
     setting = load_setting("table8")
-    tables = accuracy.run_accuracy(setting, setting.config.study, workers=1).tables
+    tables = accuracy.run_accuracy(setting, setting.config.study, Run()).tables
     committed = read_table("table8", "table8")
     assert (committed["poses"] == "random").sum() == 12
     for method, alike in (("random", True), ("optimal", False)):

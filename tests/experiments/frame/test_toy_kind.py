@@ -1,0 +1,185 @@
+"""A kind from a folder outside the package through run, resume, report, workers, progress and compare."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import toys
+
+SLOW = "count = 6\npause = 0.6\n"
+
+
+def start(path: Path, *options: object) -> subprocess.Popen:
+    """Start a run in a process and a group of its own, as a shell does."""
+    command = [sys.executable, "-m", "bayescal.cli", "run", str(path), *map(str, options)]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, cwd=path.parent
+    )
+
+
+def wait_for_tasks(out: Path, n: int = 1, limit: float = 60.0) -> None:
+    """Wait until so many tasks are kept."""
+    until = time.monotonic() + limit
+    while len(list(out.with_name(f"{out.name}.partial").glob("squares-*.npz"))) < n:
+        assert time.monotonic() < until, "no task was kept in time"
+        time.sleep(0.02)
+
+
+def list_group(leader: int) -> list[int]:
+    """Return the processes of a session that are still there and no zombies."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                state, _, _, session = (entry / "stat").read_text().rpartition(")")[2].split()[:4]
+            except (OSError, ValueError):
+                continue
+            if int(session) == leader and state != "Z":
+                found.append(int(entry.name))
+    return found
+
+
+def read_all(out: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
+
+
+def test_run_report_workers_and_compare(call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = toys.write_toy(tmp_path)
+    for workers in (1, 2):
+        code, said, complaint = call("run", path, "--out", tmp_path / f"out{workers}", "--workers", workers)
+        assert code == 0, complaint
+        assert "Squares add up to" in said
+        assert "squares: 4 of 4 done" in complaint
+    one, two = (read_all(tmp_path / f"out{n}") for n in (1, 2))
+    assert one == two
+    assert {"summary.json", "provenance.json", "report.html", "squares.csv", "notes/plain.txt"} <= set(one)
+    provenance = json.loads(one["provenance.json"])
+    assert set(provenance["files"]) == {"numbers.txt", "toy_kind.py"}
+    (tmp_path / "out1" / "report.html").unlink()
+    assert call("report", tmp_path / "out1", "--kind", "toy_kind.py:Toy")[0] == 0
+    assert read_all(tmp_path / "out1") == one
+    code, said, _ = call("compare", tmp_path / "out1", tmp_path / "out2", "--kind", "toy_kind.py:Toy")
+    assert code == 0
+    assert "total" in said
+
+
+def test_results_name_no_code_that_is_run(call, tmp_path):
+    path = toys.write_toy(tmp_path)
+    assert call("run", path, "--out", tmp_path / "out", "--quiet")[0] == 0
+    code, _, complaint = call("report", tmp_path / "out")
+    assert code == 2
+    assert "whose code results do not decide on, expected --kind" in complaint
+    assert complaint.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"kind": "toy_kind.py:Nothing"}, "which is no Experiment"),
+        ({"kind": "nowhere.py:Toy"}, "no such file, expected a Python module"),
+        ({"kind": "no.such.module:Toy"}, "whose module fails to import (ModuleNotFoundError"),
+        ({"kind": "stduy"}, "did you mean 'study'?"),
+        ({"numbers": "missing.txt"}, "missing.txt"),
+        ({"count": 0}, "count: found 0"),
+    ],
+)
+def test_faults_are_one_line_and_leave_nothing(call, tmp_path, change, message):
+    path = toys.write_toy(tmp_path)
+    lines = [line for line in path.read_text().splitlines() if line.partition(" ")[0] not in change]
+    path.write_text("\n".join([*lines, *(f"{key} = {json.dumps(value)}" for key, value in change.items())]))
+    code, said, complaint = call("run", path, "--out", tmp_path / "sub" / "out")
+    assert (code, said, complaint.count("\n")) == (2, "", 1)
+    assert message in complaint
+    assert not (tmp_path / "sub").exists()
+
+
+def test_a_module_that_raises_is_one_line(call, tmp_path):
+    path = toys.write_toy(tmp_path)
+    (tmp_path / "toy_kind.py").write_text("raise RuntimeError('broken\\nin two lines')")
+    code, _, complaint = call("run", path, "--out", tmp_path / "out")
+    assert (code, complaint.count("\n")) == (2, 1)
+    assert "fails to import (RuntimeError: broken in two lines)" in complaint
+
+
+def test_quiet_says_nothing_and_results_of_another_config_are_kept(call, tmp_path):
+    path, out = toys.write_toy(tmp_path), tmp_path / "out"
+    assert call("run", path, "--out", out, "--quiet") == (0, "", "")
+    before = read_all(out)
+    path.write_text(path.read_text().replace('title = "A toy"', 'title = "Another title"'))
+    assert call("run", path, "--out", out, "--quiet")[0] == 0  # a title changes no result
+    for name, old, new in (("toy.toml", "seed = 3", "seed = 4"), ("numbers.txt", "2.0", "3.0")):
+        text = (tmp_path / name).read_text()
+        (tmp_path / name).write_text(text.replace(old, new))
+        code, _, complaint = call("run", path, "--out", out)
+        assert code == 2
+        assert "holds results of another config" in complaint
+        (tmp_path / name).write_text(text)
+    assert read_all(out)["squares.csv"] == before["squares.csv"]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_killed_and_resumed_is_uninterrupted(tmp_path, workers):
+    path, out, whole = toys.write_toy(tmp_path, SLOW), tmp_path / "out", tmp_path / "whole"
+    process = start(path, "--out", out, "--workers", workers, "--quiet")
+    wait_for_tasks(out, 2)
+    os.kill(process.pid, signal.SIGKILL)
+    process.communicate()
+    kept = {p.name for p in out.with_name("out.partial").glob("*.npz")}
+    assert 2 <= len(kept) < 6
+    assert not out.exists()
+    resumed = start(path, "--out", out, "--workers", 3 - workers, "--resume", "--quiet")
+    assert resumed.communicate() == ("", "")
+    assert resumed.returncode == 0
+    assert start(path, "--out", whole, "--quiet").communicate() == ("", "")
+    assert read_all(out) == read_all(whole)
+    assert not list(tmp_path.glob("out.*"))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupts_are_one_line_and_leave_no_process(tmp_path, workers, number):
+    path, out = toys.write_toy(tmp_path, SLOW), tmp_path / "out"
+    process = start(path, "--out", out, "--workers", workers, "--quiet")
+    wait_for_tasks(out)
+    os.killpg(process.pid, number) if number == signal.SIGINT else os.kill(process.pid, number)
+    said, complaint = process.communicate(timeout=20)
+    assert (process.returncode, said, complaint.count("\n")) == (130, "", 1)
+    assert "interrupted; finished work is kept, go on with --resume" in complaint
+    until = time.monotonic() + 10.0
+    while list_group(process.pid) and time.monotonic() < until:
+        time.sleep(0.1)
+    assert list_group(process.pid) == []
+    assert not out.exists()
+
+
+def test_a_second_run_on_the_same_results_is_refused(call, tmp_path):
+    path, out = toys.write_toy(tmp_path, SLOW), tmp_path / "out"
+    process = start(path, "--out", out, "--workers", 1, "--quiet")
+    wait_for_tasks(out)
+    code, _, complaint = call("run", path, "--out", out)
+    assert (code, complaint.count("\n")) == (2, 1)
+    assert f"another run (process {process.pid}) is under way there" in complaint
+    os.kill(process.pid, signal.SIGKILL)
+    process.communicate()
+    assert call("run", path, "--out", out, "--resume", "--quiet")[0] == 0  # the lock died with its process
+
+
+def test_a_pipe_hears_of_long_stages(tmp_path, monkeypatch, capsys):
+    from bayescal.experiments.frame import progress
+
+    monkeypatch.setattr(progress, "EVERY", 0.2)
+    with progress.Progress(quiet=False).follow("stage", 3, 1) as stage:
+        stage.advance()
+        time.sleep(0.5)
+        stage.advance()
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith("stage: 2 of 3 done, 0 s, about")
+    assert lines[-1] == "stage: 3 of 3 done, 1 s" or lines[-1] == "stage: 3 of 3 done, 0 s"
