@@ -12,8 +12,8 @@ from rich.console import Console
 from bayescal.errors import BayescalError, InputError, NumericalError, name_faults
 from bayescal.experiments.frame.interrupts import INTERRUPTED, end_on_interrupt
 
-WIDTH = 120
-"""Of what is printed where there is no terminal."""
+WIDTH, WIDE = 120, 160
+"""Of what is printed where there is no terminal; comparisons are wide."""
 
 app = typer.Typer(
     add_completion=False,
@@ -155,9 +155,10 @@ def compare(
     kind: Kind = None,
 ) -> None:
     """Set several results side by side; of studies of the same data, rank their variants together."""
-    from bayescal.experiments.frame.compare import compare_results, show_comparison
+    from bayescal.experiments.frame.compare import compare_results
 
-    show_comparison(compare_results(results, kind), _make_console())
+    experiment, table = compare_results(results, kind)
+    experiment.show_comparison(table, _make_console(WIDE))
 
 
 def make_directory(path: Path) -> None:
@@ -168,9 +169,9 @@ def make_directory(path: Path) -> None:
         raise InputError(f"{path}: cannot be made a directory ({error.strerror})") from error
 
 
-def _make_console() -> Console:
+def _make_console(width: int = WIDTH) -> Console:
     found = Console(highlight=False, markup=False)
-    return found if found.is_terminal else Console(width=WIDTH, highlight=False, markup=False)
+    return found if found.is_terminal else Console(width=width, highlight=False, markup=False)
 
 
 def main() -> None:

@@ -26,6 +26,7 @@ from bayescal.experiments.audit.inputs import AuditInputs, read_inputs
 from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity
 from bayescal.experiments.audit.schema import WhatIfConfig
 from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.frame.parallel import Run
 from bayescal.numerics.geometry import Array, compute_pose_error
 
 DESIGN = Path(__file__).parent.parent / "experiments" / "audit" / "telescope_six_pus_none.toml"
@@ -63,7 +64,7 @@ def run(points: int) -> dict[str, object]:
     difference_time, difference = time_it(lambda: differentiate(inputs), REPEATS)
     apart = float(np.abs(exact - difference).max() / np.abs(exact).max())
     analyse_time, _ = time_it(lambda: analyse(inputs), REPEATS)
-    audit_time, _ = time_it(lambda: run_audit(inputs), REPEATS)
+    audit_time, _ = time_it(lambda: run_audit(inputs, Run()), REPEATS)
     rng = np.random.default_rng(1)
     changes = [
         WhatIfConfig(

@@ -30,7 +30,7 @@ from bayescal.files.csv_tables import read_matrix  # noqa: E402
 from bayescal.machines.deformations.matrix import MatrixDeformation  # noqa: E402
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics  # noqa: E402
 from bayescal.machines.models.six_pus import SixPus  # noqa: E402
-from bayescal.machines.read import load_mechanism
+from bayescal.machines.read import load_mechanism  # noqa: E402
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"

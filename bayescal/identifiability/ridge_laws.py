@@ -51,8 +51,8 @@ class Law:
         Between which it is the curve, in any order.
     formula : str
         What is constant, with ``{z_x}``, ``{z_y}`` and ``{z_z}`` for the leg's direction.
-    source : str
-        Where it is derived.
+    name : str
+        What that is, in words.
     invariant : callable
         From the leg and its parameters by symbol; those that a model lacks are left out.
     """
@@ -60,7 +60,7 @@ class Law:
     drives: tuple[Drive, ...]
     pairs: tuple[Pair, ...]
     formula: str
-    source: str
+    name: str
     invariant: Callable[[Leg, Values], float]
 
     def holds_for(self, drive: Drive, pair: Pair) -> bool:
@@ -119,21 +119,21 @@ LAWS: tuple[Law, ...] = (
         ("base",),
         (("a_z", "l"), ("b_z", "l"), ("a_z", "b_z")),
         "λ a_z − λ b_z + l, λ = z·e_z = {z_z}",
-        "RR-8096 eqs. (34) to (36)",
+        "the distance of the joints along the leg",  # RR-8096 eqs. (34) to (36)
         _length,
     ),
     Law(
         ("base",),
         (("kappa", "u_x"), ("kappa", "u_y")),
         "κ − u_z − (z_x/z_z) u_x − (z_y/z_z) u_y, z = ({z_x}, {z_y}, {z_z})",
-        "RR-8096 eqs. (38) to (40)",
+        "the gain of the actuator along the leg",  # RR-8096 eqs. (38) to (40)
         _gain,
     ),
     Law(
         ("base",),
         (("u_x", "u_y"),),
         "z·u, what the actuator moves along the leg, z = ({z_x}, {z_y}, {z_z})",
-        "RR-8096 eq. (30), ρ u along the leg",
+        "the direction of the actuator against the leg",  # RR-8096 eq. (30), ρ u along the leg
         _gain,
     ),
     *(
@@ -141,7 +141,7 @@ LAWS: tuple[Law, ...] = (
             ("base",),
             (("rho0", f"a_{axis}"), (f"u_{axis}", f"a_{axis}")) if axis != "z" else (("rho0", "a_z"),),
             f"a_{axis} + ρ0 u_{axis}, the lower joint at home",
-            "RR-8096 eq. (30), a + ρ u at ρ0",
+            "the place of the joint at home",  # RR-8096 eq. (30), a + ρ u at ρ0
             _joint(k),
         )
         for k, axis in enumerate("xyz")
@@ -150,7 +150,7 @@ LAWS: tuple[Law, ...] = (
         ("strut",),
         (*((point, "l") for point in _POINTS), *product(_POINTS[:3], _POINTS[3:])),
         "l + z·a − z·b, z = ({z_x}, {z_y}, {z_z})",
-        "Yu et al. 2023 eqs. (1) and (3)",
+        "the length between the joints of the strut",  # Yu, Wu and Wang 2023 eqs. (1) and (3)
         _length,
     ),
 )

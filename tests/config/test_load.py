@@ -211,8 +211,9 @@ def test_freeing_a_parameter_without_prior(study, symbol, why):
 
 def test_misspelt_kind(study):
     studies.edit(study, 'kind = "study"', 'kind = "studdy"')
+    kinds = ", ".join(sorted(list_references("KINDS")))
     found = fail(load_experiment, study)
-    assert f"kind: found 'studdy', did you mean 'study'?, expected one of {', '.join(sorted(list_references('KINDS')))}" in found
+    assert f"kind: found 'studdy', did you mean 'study'?, expected one of {kinds}" in found
 
 
 def test_missing_kind(study):

@@ -17,6 +17,7 @@ from bayescal.experiments.audit.inputs import close_legs, read_inputs
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.audit.results import summarise, tabulate
 from bayescal.experiments.audit.schema import WhatIfConfig
+from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.pose_volume import PoseVolume, find_workspace_actuators
 from bayescal.identifiability.requirements import Forecast, Requirement
@@ -41,7 +42,7 @@ def camera():
 
 @pytest.fixture(scope="module")
 def audited(telescope):
-    audit = run_audit(telescope)
+    audit = run_audit(telescope, Run())
     return audit, summarise(audit)
 
 
@@ -219,9 +220,9 @@ def test_stricter_limits_make_the_unknown_harmful(telescope):
     """With stricter limits what is not known is no longer harmless."""
     for share, word in ((1.0, "harmless"), (0.01, "noticeable"), (1e-3, "harmful")):
         strict = replace(telescope, requirements=[replace(r, limit=share * r.limit) for r in telescope.requirements])
-        audit = run_audit(strict)
+        audit = run_audit(strict, Run())
         assert audit.harm(max((r.direction for r in audit.ridges), key=lambda d: d.contraction))[0] == word
-    unjudged = run_audit(replace(telescope, requirements=[]))
+    unjudged = run_audit(replace(telescope, requirements=[]), Run())
     assert unjudged.harm(unjudged.ridges[0].direction)[0] == "unknown"
 
 
@@ -243,7 +244,8 @@ def test_a_design_in_other_units_says_the_same(length, angle, tmp_path):
     for name in dumped["requirements"]:
         dumped["requirements"][name] *= SCALES[angle if name.startswith("rotation") else length]
     one, other = (
-        summarise(run_audit(read_inputs(c, problems.DESIGNS))) for c in (config, type(config).model_validate(dumped))
+        summarise(run_audit(read_inputs(c, problems.DESIGNS), Run()))
+        for c in (config, type(config).model_validate(dumped))
     )
     assert other["structural_rank"] == one["structural_rank"] == 42
     assert other["recommended_free"] == one["recommended_free"]
@@ -303,7 +305,7 @@ def test_designs_at_fault_are_told_in_one_line(fault, tmp_path):
     text, message = FAULTS[fault]
     path = _write(tmp_path, text)
     with pytest.raises(InputError, match=message) as caught:
-        run_audit(read_inputs(load_audit(path), path.parent))
+        run_audit(read_inputs(load_audit(path), path.parent), Run())
     assert "\n" not in str(caught.value)
 
 
@@ -321,10 +323,10 @@ def test_poses_that_the_machine_cannot_take_are_named(tmp_path):
 def test_designs_may_not_extend_themselves(tmp_path):
     path = tmp_path / "loop.toml"
     path.write_text('extends = "loop.toml"\nkind = "audit"')
-    with pytest.raises(InputError, match="extends: found more than 8 designs"):
+    with pytest.raises(InputError, match="extends: found more than 8 configs"):
         load_audit(path)
     path.write_text('extends = "../loop.toml"\nkind = "audit"')
-    with pytest.raises(InputError, match="expected a design in the same directory"):
+    with pytest.raises(InputError, match="expected a config in the same directory"):
         load_audit(path)
 
 

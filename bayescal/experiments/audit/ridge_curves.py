@@ -169,7 +169,7 @@ class _Plotter:
         explanation, angle = None, None
         if found is not None:
             law, leg, angle, line = found
-            formula, explanation = law.say(leg), f"{law.say(leg)} stays the same ({law.source})."
+            formula, explanation = law.say(leg), f"{law.say(leg)} stays the same ({law.name})."
             if len(line) > 1:
                 curves["analytic"] = middle + line * scale
         x_unit, y_unit = (self.inputs.units.name(unit) for unit in units)

@@ -9,11 +9,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pandas as pd
 from pydantic import ValidationError
 from rich.console import Console
+from rich.table import Table
 
 from bayescal.config.files import find_files
 from bayescal.config.sections import ExperimentConfig
@@ -21,6 +22,7 @@ from bayescal.errors import InputError
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.report.blocks import Page
+from bayescal.report.numbers import format_significant
 
 
 class Experiment[C: ExperimentConfig, I](ABC):
@@ -87,18 +89,22 @@ class Experiment[C: ExperimentConfig, I](ABC):
         return []
 
     def compare(self, results: Mapping[str, Results]) -> pd.DataFrame:
-        """Return several results directories of this kind side by side, a row each: the summaries' own values.
+        """Return several results directories of this kind side by side: an entry of their summaries a row.
 
         Raises
         ------
         InputError
             Where they cannot be compared.
         """
-        rows: list[dict[str, object]] = []
-        for name, one in results.items():
-            plain = {key: value for key, value in one.summary.items() if isinstance(value, bool | int | float | str)}
-            rows.append({"results": name, **plain})
-        return pd.DataFrame(rows)
+        columns = {name: _list_plain(one.summary) for name, one in results.items()}
+        return pd.DataFrame(columns).rename_axis("entry").reset_index()
+
+    def show_comparison(self, table: pd.DataFrame, console: Console) -> None:
+        """Print what `compare` returns."""
+        shown = Table(*(str(name) for name in table.columns))
+        for row in table.itertuples(index=False):
+            shown.add_row(*map(str, row))
+        console.print(shown)
 
     def check_comparable(self, data: Mapping[str, Mapping[str, object]]) -> None:
         """Raise InputError where results are not of the same data: what is given of each must be the same."""
@@ -110,3 +116,16 @@ class Experiment[C: ExperimentConfig, I](ABC):
                     raise InputError(
                         f"{name}: {key} differs from {names[0]} ({value} and {other}), expected the same data"
                     )
+
+
+def _list_plain(summary: Mapping[str, Any], before: str = "") -> dict[str, str]:
+    """Return the numbers and marks of a summary, those of its sections too, as texts; lists are left out."""
+    found: dict[str, str] = {}
+    for key, value in summary.items():
+        if isinstance(value, dict):
+            found |= _list_plain(value, f"{before}{key}.")
+        elif isinstance(value, bool | int):
+            found[f"{before}{key}"] = str(value)
+        elif isinstance(value, float):
+            found[f"{before}{key}"] = format_significant(value, 4)
+    return found

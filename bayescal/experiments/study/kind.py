@@ -22,7 +22,7 @@ from bayescal.experiments.study.compute import compute_study
 from bayescal.experiments.study.inputs import StudyInputs, load_inputs
 from bayescal.experiments.study.page.build import build_page
 from bayescal.experiments.study.schema import StudyConfig
-from bayescal.experiments.study.terminal import show_ranking
+from bayescal.experiments.study.terminal import show_comparison, show_ranking
 from bayescal.numerics.units import MICROMETRE
 from bayescal.report.blocks import Page
 
@@ -91,6 +91,10 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring):
             actuator_noise=config.data.actuator_noise_um * MICROMETRE,
             left_variance=0.0 if left is None else float(left.mean()),
         )
+
+    def show_comparison(self, table: pd.DataFrame, console: Console) -> None:
+        """Print variants of several studies ranked together."""
+        show_comparison(table, console)
 
     def compare(self, results: Mapping[str, Results]) -> pd.DataFrame:
         """Return the variants of several studies of the same data, the largest log-evidence first."""

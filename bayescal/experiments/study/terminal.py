@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
@@ -40,3 +41,22 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
         for setting, one in (("", fit), (" without model error", fit["without_model_error"])):
             for problem in one["problems"]:
                 console.print(f"NOT CONVERGED {name}{setting}: {problem}")
+
+
+def show_comparison(comparison: pd.DataFrame, console: Console) -> None:
+    """Print variants of several studies ranked together."""
+    table = Table()
+    for heading in ("results", "variant", "free", "log-evidence", "difference", "elpd LOO", "elpd verif.", "converged"):
+        table.add_column(heading, justify="left" if heading in ("results", "variant") else "right", overflow="fold")
+    for row in comparison.to_dict("records"):
+        table.add_row(
+            str(row["results"]),
+            str(row["variant"]),
+            str(row["n_parameters"]),
+            f"{row['log_evidence']:.2f} ± {row['se']:.2f}",
+            f"{row['difference']:.1f}",
+            f"{row['elpd_loo']:.1f}",
+            f"{row['elpd_verification']:.1f}",
+            str(row["converged"]),
+        )
+    console.print(table)

@@ -80,7 +80,7 @@ class O1(ObservabilityCriterion, LogDet):
 
     name: ClassVar[str] = "O1"
     title: ClassVar[str] = "Geometric mean of the singular values"
-    source: ClassVar[str] = "Menq, Borm and Lai 1989; Borm and Menq 1991; Yu, Wu and Wang 2023, section 3.1"
+    source: ClassVar[str] = "Menq, Borm and Lai 1989; Borm and Menq 1991"
 
     def from_log_det(self, log_det: Array, n_poses: int, n_parameters: int) -> Array:
         """Return O1."""

@@ -162,7 +162,7 @@ class O2(Spectral):
 
     name: ClassVar[str] = "O2"
     title: ClassVar[str] = "Inverse condition number"
-    source: ClassVar[str] = "Driels and Pathre 1990; Yu, Wu and Wang 2023, section 3.1"
+    source: ClassVar[str] = "Driels and Pathre 1990"
 
     def _slopes(self, values: Array) -> Array:
         result = np.zeros_like(values)
@@ -182,7 +182,7 @@ class O3(Spectral):
 
     name: ClassVar[str] = "O3"
     title: ClassVar[str] = "Least singular value"
-    source: ClassVar[str] = "Nahvi, Hollerbach and Hayward 1994; Yu, Wu and Wang 2023, section 3.1"
+    source: ClassVar[str] = "Nahvi, Hollerbach and Hayward 1994"
 
     def _slopes(self, values: Array) -> Array:
         result = np.zeros_like(values)
@@ -201,7 +201,7 @@ class O4(Spectral):
 
     name: ClassVar[str] = "O4"
     title: ClassVar[str] = "Noise amplification index"
-    source: ClassVar[str] = "Nahvi and Hollerbach 1996; Yu, Wu and Wang 2023, section 3.1"
+    source: ClassVar[str] = "Nahvi and Hollerbach 1996"
 
     def _slopes(self, values: Array) -> Array:
         result = np.zeros_like(values)
@@ -221,7 +221,7 @@ class O5(Spectral):
 
     name: ClassVar[str] = "O5"
     title: ClassVar[str] = "Harmonic mean of the singular values over their number"
-    source: ClassVar[str] = "Sun and Hollerbach 2008; Yu, Wu and Wang 2023, section 3.1"
+    source: ClassVar[str] = "Sun and Hollerbach 2008"
 
     def _slopes(self, values: Array) -> Array:
         return np.asarray(values**-2 / np.sum(1.0 / values) ** 2)

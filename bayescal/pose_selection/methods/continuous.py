@@ -42,7 +42,7 @@ class Continuous(SelectionMethod):
 
     name: ClassVar[str] = "continuous"
     title: ClassVar[str] = "All poses at once, continuous"
-    source: ClassVar[str] = "RR-8096 section 6.3, figure 13"
+    source: ClassVar[str] = "Local optimisation with exact gradients"
 
     def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
         """Return the local optimum; the start where the optimiser found nothing better within the constraints."""

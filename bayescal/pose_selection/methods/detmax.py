@@ -27,7 +27,7 @@ class Detmax(SelectionMethod):
 
     name: ClassVar[str] = "detmax"
     title: ClassVar[str] = "DETMAX"
-    source: ClassVar[str] = "Mitchell 1974; Yu, Wu and Wang 2023, section 3.2"
+    source: ClassVar[str] = "Mitchell 1974"
 
     def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
         """Return the set where the exchange ends."""

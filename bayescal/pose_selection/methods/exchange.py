@@ -32,7 +32,7 @@ class Exchange(SelectionMethod):
 
     name: ClassVar[str] = "exchange"
     title: ClassVar[str] = "Exchange (eliminate and add, from the candidates)"
-    source: ClassVar[str] = "After IOOPS (Daney, Papegay and Madeline 2005; RR-8096 section 6.3.2); Fedorov 1972"
+    source: ClassVar[str] = "Fedorov 1972; Daney, Papegay and Madeline 2005"
 
     def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
         """Return the set where the exchange ends."""

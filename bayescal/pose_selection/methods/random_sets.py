@@ -28,7 +28,7 @@ class RandomSets(SelectionMethod):
 
     name: ClassVar[str] = "random"
     title: ClassVar[str] = "Best of random sets"
-    source: ClassVar[str] = "RR-8096 section 6.3.2; Yu, Wu and Wang 2023, section 5"
+    source: ClassVar[str] = "Random sampling"
 
     def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
         """Return the best of the sets."""

@@ -39,7 +39,7 @@ class TabuDetmax(SelectionMethod):
 
     name: ClassVar[str] = "tabu"
     title: ClassVar[str] = "Improved DETMAX with a tabu list"
-    source: ClassVar[str] = "Yu, Wu and Wang 2023, section 3.2"
+    source: ClassVar[str] = "Mitchell 1974, with a tabu list after Glover 1989"
 
     def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
         """Return the best set seen."""

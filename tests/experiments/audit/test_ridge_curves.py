@@ -20,7 +20,7 @@ from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import compute_pose_error
 
 LENGTHS, GAIN, DIRECTION, JOINT = "(34) to (36)", "(38) to (40)", "ρ u along the leg", "a + ρ u at ρ0"
-STRUT = "Yu et al. 2023"
+STRUT = "the length between the joints of the strut"
 
 
 def _plot(name, draws=0):

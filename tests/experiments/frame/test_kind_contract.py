@@ -1,0 +1,213 @@
+"""One contract for every kind of experiment in the registry, at tiny effort."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import reading_studies
+import studies
+import tiny_experiments
+
+from bayescal import cli
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.registry import list_references
+from bayescal.experiments.frame.run import run_experiment, write_report
+from bayescal.experiments.frame.store import Store
+
+AUDIT = 'extends = "camera_hexapod.toml"\nname = "small"\nsimulated_calibrations = 4\nprofiles = ["l[1]"]\n'
+AUDIT += "[workspace]\nposes = 20\n[posterior]\ndraws = 500\n[sweep]\nnoise = [1.0]\nposes = [40]\nworkspace = [1.0]\n"
+
+
+def write_audit(folder: Path) -> Path:
+    for path in (tiny_experiments.SHIPPED / "audit").glob("camera_hexapod*.toml"):
+        shutil.copy(path, folder)
+    (folder / "small.toml").write_text(AUDIT)
+    return folder / "small.toml"
+
+
+def take_tiny(name: str) -> Callable[[Path], Path]:
+    return lambda folder: tiny_experiments.copy_tiny(folder) / f"{name}.toml"
+
+
+def write_selection(folder: Path) -> Path:
+    path = take_tiny("pose_selection/hexapod_i_optimal")(folder)
+    text = re.sub(r"(?m)^criteria = .*$", 'criteria = ["O1"]', path.read_text())
+    path.write_text(text.replace("machines = 4", "machines = 2"))
+    return path
+
+
+MAKE = {
+    "audit": write_audit,
+    "hexapod_calibrations": take_tiny("hexapod/figure10"),
+    "pose_methods": take_tiny("pose_extraction/figure5"),
+    "pose_selection": write_selection,
+    "reading_simulation": take_tiny("sliding_star/simulate"),
+    "self_calibration": reading_studies.write_small,
+    "self_calibrations": take_tiny("sliding_star/calibrations"),
+    "sensor_placement": take_tiny("sliding_star/m2_hexapod_sensors"),
+    "simulation": take_tiny("telescope/simulate"),
+    "study": studies.write_tiny_study,
+}
+"""What writes a small experiment of a kind to a folder and returns its config."""
+WITHOUT_TASKS = ("simulation", "reading_simulation")  # over in an instant: nothing is worth keeping
+
+
+def test_every_kind_is_here():
+    assert set(MAKE) == set(list_references("KINDS"))
+
+
+@pytest.fixture(scope="module", params=sorted(MAKE))
+def finished(request, tmp_path_factory):
+    """Return a kind, its config and the results of a run with one worker."""
+    folder = tmp_path_factory.mktemp(request.param)
+    path = MAKE[request.param](folder)
+    run(path, folder / "out")
+    return request.param, path, folder / "out"
+
+
+def run(path: Path, out: Path, **options):
+    return run_experiment(load(path)[1], path.parent, out, **options)
+
+
+def read_all(out: Path) -> dict[str, bytes]:
+    """Return all files of a results directory, wall times aside; of posteriors' files only that they are there."""
+    found = {}
+    for path in sorted(out.rglob("*")):
+        if path.is_dir():
+            continue
+        content = b"" if path.suffix == ".nc" else path.read_bytes()
+        if path.stem in ("timing", "timings"):
+            content = re.sub(rb",[^,\n]*$", b"", content, flags=re.MULTILINE)
+        content = re.sub(rb'"wall_seconds": [0-9.e-]+', b"", content)
+        found[str(path.relative_to(out))] = re.sub(rb'<td class="seconds[^>]*>[^<]*', b"", content)
+    return found
+
+
+def test_results_say_what_was_found_and_where_it_comes_from(finished):
+    kind, path, out = finished
+    summary, provenance = (json.loads((out / f"{name}.json").read_text()) for name in ("summary", "provenance"))
+    assert summary["headline"]
+    assert provenance["kind"] == kind
+    assert provenance["config"]["kind"] == kind
+    assert {"name", "title", "seed", "python", "platform", "versions", "files", "tables"} <= set(provenance)
+    for name in provenance["files"]:
+        assert (path.parent / name).is_file()
+    page = (out / "report.html").read_text()
+    assert provenance["config_sha256"] in page
+    assert all(value in page for value in (*provenance["files"].values(), provenance["versions"]["numpy"]))
+    assert not re.search(r"\bnan\b", re.sub(r"base64,[^\"]*", "", page))
+    assert not list(out.parent.glob("out.*"))
+
+
+def test_the_number_of_workers_changes_nothing(finished):
+    _, path, out = finished
+    run(path, out.with_name("two"), workers=2)
+    assert read_all(out.with_name("two")) == read_all(out)
+
+
+def test_an_interrupted_run_is_taken_up(finished, monkeypatch):
+    kind, path, out = finished
+    again, save, kept = out.with_name("again"), Store.save_task, []
+
+    def stop(store, key, arrays):
+        save(store, key, arrays)
+        kept.append(key)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Store, "save_task", stop)
+    if kind in WITHOUT_TASKS:
+        run(path, again)
+        assert kept == []
+        return
+    with pytest.raises(KeyboardInterrupt):
+        run(path, again)
+    assert len(kept) == 1
+    assert not again.exists()
+    monkeypatch.setattr(Store, "save_task", lambda store, key, arrays: (kept.append(key), save(store, key, arrays)))
+    run(path, again, resume=True)
+    assert len(kept) == len(set(kept))  # nothing that was kept is done again
+    assert read_all(again) == read_all(out)
+
+
+def test_the_page_is_written_again_from_files_alone(finished, tmp_path):
+    _, _, out = finished
+    shutil.copytree(out, tmp_path / "moved")
+    for path in [tmp_path / "moved/report.html", *(tmp_path / "moved").glob("figures/*")]:
+        path.unlink()
+    write_report(tmp_path / "moved")
+    assert read_all(tmp_path / "moved") == read_all(out)
+
+
+def test_results_of_another_config_are_refused(finished, call):
+    _, path, out = finished
+    before = read_all(out)
+    code, said, complaint = call("run", path, "--out", out, "--seed", 987654)
+    assert (code, said, complaint.count("\n")) == (2, "", 1)
+    assert "holds results of another config" in complaint
+    assert read_all(out) == before
+
+
+def test_there_must_be_something_to_resume(finished, call, tmp_path):
+    _, path, _ = finished
+    code, _, complaint = call("run", path, "--out", tmp_path / "new" / "out", "--resume")
+    assert (code, complaint.count("\n")) == (2, 1)
+    assert "found no interrupted run, expected one to resume" in complaint
+    assert not (tmp_path / "new").exists()
+
+
+def _remove(name):
+    return lambda out: (out / name).unlink()
+
+
+def _empty(name):
+    return lambda out: (out / name).write_text("{}\n")
+
+
+def _spoil_table(out):
+    table = out / next(iter(json.loads((out / "provenance.json").read_text())["tables"]))
+    header = table.read_text().partition("\n")[0]
+    table.write_text(f"{header}\n{','.join(['nonsense'] * len(header.split(',')))}\n")
+
+
+@pytest.mark.parametrize(
+    "damage", [_remove("provenance.json"), _remove("summary.json"), _empty("provenance.json"), _empty("summary.json")]
+)
+def test_damaged_results_are_one_line(finished, damage, call, tmp_path):
+    _, _, out = finished
+    shutil.copytree(out, tmp_path / "damaged")
+    damage(tmp_path / "damaged")
+    before = read_all(tmp_path / "damaged")
+    code, said, complaint = call("report", tmp_path / "damaged")
+    assert (code, said, complaint.count("\n")) == (2, "", 1), complaint
+    assert str(tmp_path / "damaged") in complaint
+    assert read_all(tmp_path / "damaged") == before
+
+
+def test_a_spoilt_table_is_one_line(finished, call, tmp_path):
+    _, _, out = finished
+    if not json.loads((out / "provenance.json").read_text())["tables"]:
+        pytest.skip("this kind writes no tables")
+    shutil.copytree(out, tmp_path / "damaged")
+    _spoil_table(tmp_path / "damaged")
+    code, _, complaint = call("report", tmp_path / "damaged")
+    assert (code, complaint.count("\n")) == (2, 1)
+
+
+def test_compare_takes_two_results_or_says_why_not(finished, call):
+    _, _, out = finished
+    code, said, complaint = call("compare", out, out)
+    assert code == 0, complaint
+    assert "variant" in said or "entry" in said
+
+
+def test_options_are_those_of_every_kind(call):
+    for command in ("run", "audit"):
+        code, said, _ = call(command, "--help")
+        assert code == 0
+        assert all(option in said for option in ("--out", "--seed", "--workers", "--resume", "--quiet"))
+    assert cli.INTERRUPTED == 130
