@@ -42,20 +42,6 @@ class NumericalError(BayescalError):
     exit_code = 3
 
 
-class NotConvergedError(NumericalError):
-    """Results are written, but not all that is in them converged.
-
-    Attributes
-    ----------
-    found : str
-        What was found, in a few lines.
-    """
-
-    def __init__(self, fault: str, found: str) -> None:
-        super().__init__(fault)
-        self.found = found
-
-
 @contextmanager
 def name_faults(what: Path | str) -> Iterator[None]:
     """Put the name of a file or a variant before what is wrong with it, where the message does not start with it."""

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 
 from bayescal.reproductions.yu2023.angles import coordinates_from_pose, pose_from_coordinates
 from bayescal.reproductions.yu2023.least_squares import Weighting, calibrate, linearise, move
-from bayescal.reproductions.yu2023.setting import CommandedPoses, Setting, noise_scale, read_setting
+from bayescal.reproductions.yu2023.setup import CommandedPoses, Setup, noise_scale, read_setup
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.numerics.geometry import Array
 
@@ -31,7 +31,7 @@ SETS = 5
 REPEATS = 3
 
 
-def fit_alone(setting: Setting, poses: CommandedPoses, measured: Array, with_derivatives: bool) -> Array:
+def fit_alone(setting: Setup, poses: CommandedPoses, measured: Array, with_derivatives: bool) -> Array:
     """Return one machine's parameters by SciPy, from nominal."""
     machine, actuators = setting.machine, poses.actuators[None]
     start = pose_from_coordinates(measured[None])
@@ -54,7 +54,7 @@ def fit_alone(setting: Setting, poses: CommandedPoses, measured: Array, with_der
 def run(n_alone: int) -> dict[str, object]:
     """Time everything, print and return the figures."""
     config = load_experiment(EXPERIMENT)
-    setting = read_setting(config, EXPERIMENT.parent)
+    setting = read_setup(config, EXPERIMENT.parent)
     rng = np.random.default_rng(1)
     machines = setting.draw_machines(config.study.parameter_sets, rng)
     problems = []
@@ -63,7 +63,7 @@ def run(n_alone: int) -> dict[str, object]:
         for _ in range(SETS):
             drawn = setting.draw_random(condition.poses, 1, rng)
             poses = CommandedPoses(drawn.coordinates[0], drawn.actuators[0])
-            problems.append((poses, setting.stand(machines, poses) + noise))
+            problems.append((poses, setting.reach_poses(machines, poses) + noise))
     times, walls = [], []
     for _ in range(REPEATS):
         began, wall = time.process_time(), time.perf_counter()
@@ -86,7 +86,7 @@ def run(n_alone: int) -> dict[str, object]:
     return figures
 
 
-def setting_calibrate(setting: Setting, poses: CommandedPoses, measured: Array) -> Array:
+def setting_calibrate(setting: Setup, poses: CommandedPoses, measured: Array) -> Array:
     """Return the parameters of all machines of a set."""
     return calibrate(setting.machine, poses.actuators, measured, Weighting(np.ones(6))).theta
 

@@ -137,7 +137,8 @@ def build_model_case(problem: Problem, name: str) -> dict[str, Callable[[], obje
 def time_models(repeats: int) -> dict[str, object]:
     """Time every model, print a table; return the figures."""
     problem = simulate()
-    cases = {name: build_model_case(problem, name) for name in MODELS}
+    drive = problem.machine.mechanism.drive
+    cases = {name: build_model_case(problem, name) for name, model in MODELS.items() if model.drive == drive}
     unit = {"µs / machine": 1e6 / BATCH / CALLS, "µs with τ": 1e6 / BATCH / CALLS, "Jacobian, ms": 1e3 / CALLS}
     figures: dict[str, object] = {"n_machines": BATCH, "n_poses": N_POSES, "repeats": repeats}
     for what in cases["six_pus"]:
@@ -146,7 +147,7 @@ def time_models(repeats: int) -> dict[str, object]:
         best = {name: unit.get(what, 1.0) * min(s) for name, s in seconds.items()}
         ratio = {name: float(np.median(np.array(s) / np.array(seconds["six_pus"]))) for name, s in seconds.items()}
         print(f"{'':32}{what:>14}{'this / 6-PUS':>14}")
-        for name in MODELS:
+        for name in cases:
             print(f"  {name:30}{best[name]:14.3g}{ratio[name]:14.2f}")
         figures[what] = {"best": best, "over_six_pus": ratio}
     return figures

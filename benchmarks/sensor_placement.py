@@ -18,11 +18,19 @@ from telescope_problem import write_results
 import numpy as np
 
 from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.parallel import Run
 from bayescal.density.readings.poses import eliminate_poses
 from bayescal.density.readings.tool import compute_tool_sensitivity
 from bayescal.experiments.sensor_placement.alignment import take_away
+from bayescal.experiments.sensor_placement.compute import CHUNK
 from bayescal.experiments.sensor_placement.inputs import PlacementInputs, read_placement
-from bayescal.experiments.sensor_placement.placement import Placement, build_placement, evaluate_sets, is_external
+from bayescal.experiments.sensor_placement.placement import (
+    Accuracy,
+    Placement,
+    build_placement,
+    evaluate_sets,
+    is_external,
+)
 
 FOLDER = Path(__file__).parent.parent / "experiments" / "sliding_star"
 
@@ -45,10 +53,12 @@ def run(name: str, n_alone: int, counts: list[int]) -> dict[str, object]:
     """Time one experiment, print and return the figures."""
     inputs = read_placement(load_experiment(FOLDER / f"{name}.toml"), FOLDER)
     placement, sets = build_placement(inputs), inputs.enumerate_sets() @ inputs.members
+    chunks = {str(start): sets[start : start + CHUNK] for start in range(0, len(sets), CHUNK)}
     figures: dict[str, object] = {"sets": len(sets), "poses": len(inputs.pose), "parameters": len(inputs.free)}
     for workers in counts:
         began = time.perf_counter()
-        found = evaluate_sets(placement, sets, workers)
+        judged = Run(workers).map("sets of sensors", evaluate_sets, placement, chunks, (Accuracy,))
+        found = [accuracy for chunk in judged.values() for accuracy in chunk]
         figures[f"seconds_{workers}"] = time.perf_counter() - began
     good = [k for k, accuracy in enumerate(found) if accuracy.reason == ""]
     some = np.random.default_rng(1).permutation(good)[:n_alone]

@@ -11,7 +11,7 @@ import studies
 
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.reproductions.yu2023.schema import HexapodCalibrationsConfig
-from bayescal.reproductions.yu2023.setting import Setting, read_setting
+from bayescal.reproductions.yu2023.setup import Setup, read_setup
 
 HEXAPOD = studies.EXPERIMENTS / "hexapod"
 SHIPPED = ("table4", "table8", "figure10")
@@ -28,11 +28,11 @@ SMALL = {
 }
 
 
-def load_setting(name: str = "table8") -> Setting:
+def load_setting(name: str = "table8") -> Setup:
     """Return the setting of a shipped experiment."""
     config = load_experiment(HEXAPOD / f"{name}.toml")
     assert isinstance(config, HexapodCalibrationsConfig)
-    return read_setting(config, HEXAPOD)
+    return read_setup(config, HEXAPOD)
 
 
 def copy_tiny(name: str, folder: Path) -> Path:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -129,10 +129,6 @@ class Plan:
         for sensor in self.sensors:
             total += sensor.information(found.position, found.rotation)
         return total / self.noise_factor**2
-
-    def with_sensors(self, sensors: tuple[Sensor, ...]) -> Plan:
-        """Return the plan with other sensors."""
-        return replace(self, sensors=sensors, pose_information=None)
 
 
 def predict_poses(machine: Machine, theta: Array, actuators: Array) -> ForwardKinematics:

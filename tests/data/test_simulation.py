@@ -133,7 +133,7 @@ def true_matrix() -> np.ndarray:
 
 
 def test_ring_gives_back_the_matrix_of_eq_4(shipped, true_matrix):
-    estimate = shipped.ring_matrix
+    estimate = shipped.measured_matrix
     error = (estimate.matrix - true_matrix).ravel()
     check_chi_square(float(error @ np.linalg.solve(estimate.covariance, error)), 36)
     assert (np.abs(error) < 4 * estimate.sd.ravel()).all()
@@ -142,17 +142,17 @@ def test_ring_gives_back_the_matrix_of_eq_4(shipped, true_matrix):
 
 
 def test_another_matrix_fails_the_same_check(shipped, true_matrix):
-    error = (shipped.ring_matrix.matrix - true_matrix.T).ravel()
-    assert stats.chi2.sf(float(error @ np.linalg.solve(shipped.ring_matrix.covariance, error)), 36) < RARE
+    error = (shipped.measured_matrix.matrix - true_matrix.T).ravel()
+    assert stats.chi2.sf(float(error @ np.linalg.solve(shipped.measured_matrix.covariance, error)), 36) < RARE
 
 
 def test_ring_gives_the_kappa_that_the_matrix_implies(shipped, true_matrix):
     travel = shipped.displacement[~shipped.survey.verification]
     implied = np.sum(travel * (travel @ true_matrix.T), axis=0) / np.sum(travel**2, axis=0)
-    np.testing.assert_allclose(shipped.ring_linear.kappa, implied, atol=1.5e-3)
+    np.testing.assert_allclose(shipped.measured_kappa.kappa, implied, atol=1.5e-3)
     # the report's nominal value is 0.011; what K does beyond its diagonal is scatter to a linear ring
-    assert ((shipped.ring_linear.kappa > 0.005) & (shipped.ring_linear.kappa < 0.025)).all()
-    assert (shipped.ring_linear.residual_sd > 5e-3).all()
+    assert ((shipped.measured_kappa.kappa > 0.005) & (shipped.measured_kappa.kappa < 0.025)).all()
+    assert (shipped.measured_kappa.residual_sd > 5e-3).all()
 
 
 def test_offset_of_kappa_leaves_the_ring_alone(config):

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayescal.experiments.audit.changes import Outcome, SweepPoint, check_changes, evaluate_changes
+from bayescal.experiments.audit.changes import ChangeEffect, SweepPoint, check_changes, evaluate_changes
 from bayescal.experiments.audit.inputs import AuditInputs
 from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability.directions import Direction, find_directions
@@ -63,7 +63,7 @@ class Audit:
         Of the workspace, or of the planned poses where there is no workspace.
     outlooks : list of Outlook
         One per requirement.
-    what_ifs : list of Outcome
+    what_ifs : list of ChangeEffect
     sweeps : list of SweepPoint
     """
 
@@ -72,7 +72,7 @@ class Audit:
     ridges: list[Ridge]
     forecast: Forecast
     outlooks: list[Outlook]
-    what_ifs: list[Outcome]
+    what_ifs: list[ChangeEffect]
     sweeps: list[SweepPoint]
 
     def harm(self, direction: Direction) -> tuple[Harm, float, str]:

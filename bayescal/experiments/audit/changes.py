@@ -21,7 +21,7 @@ from bayescal.numerics.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class ChangeEffect:
     """What a changed plan would tell.
 
     Attributes
@@ -109,12 +109,12 @@ def apply_change(inputs: AuditInputs, change: WhatIfConfig) -> Plan:
     )
 
 
-def evaluate_change(inputs: AuditInputs, change: WhatIfConfig, forecast: Forecast | None) -> Outcome:
+def evaluate_change(inputs: AuditInputs, change: WhatIfConfig, forecast: Forecast | None) -> ChangeEffect:
     """Return what a changed plan would tell; the workspace and its requirements stay."""
     return evaluate_plan(inputs, ProposedPlan(change.name, apply_change(inputs, change)), forecast)
 
 
-def evaluate_plan(inputs: AuditInputs, proposed: ProposedPlan, forecast: Forecast | None) -> Outcome:
+def evaluate_plan(inputs: AuditInputs, proposed: ProposedPlan, forecast: Forecast | None) -> ChangeEffect:
     """Return what another plan would tell; the workspace and its requirements stay."""
     plan, knowledge = proposed.plan, inputs.knowledge
     mechanism = knowledge.machine.mechanism
@@ -123,9 +123,9 @@ def evaluate_plan(inputs: AuditInputs, proposed: ProposedPlan, forecast: Forecas
     try:
         rows = compute_sensitivity(knowledge, plan.actuators).rows(plan)
     except InputError:
-        return Outcome(proposed.name, plan.n_poses, None, beyond, {})
+        return ChangeEffect(proposed.name, plan.n_poses, None, beyond, {})
     information = information_of_rows(rows, knowledge.sd)
-    return Outcome(
+    return ChangeEffect(
         proposed.name, plan.n_poses, information, beyond, _required(forecast, plan, information, inputs.requirements)
     )
 
@@ -148,12 +148,12 @@ class SweepPoint:
     sweep : str
         ``noise``, ``poses`` or ``workspace``.
     value : float
-    outcome : Outcome
+    outcome : ChangeEffect
     """
 
     sweep: str
     value: float
-    outcome: Outcome
+    outcome: ChangeEffect
 
 
 def list_sweeps(inputs: AuditInputs) -> list[tuple[str, float, WhatIfConfig]]:
@@ -165,19 +165,19 @@ def list_sweeps(inputs: AuditInputs) -> list[tuple[str, float, WhatIfConfig]]:
     return changes
 
 
-def evaluate_changes(inputs: AuditInputs, forecast: Forecast, run: Run) -> tuple[list[Outcome], list[SweepPoint]]:
+def evaluate_changes(inputs: AuditInputs, forecast: Forecast, run: Run) -> tuple[list[ChangeEffect], list[SweepPoint]]:
     """Return what changed plans would tell, the last with poses chosen I-optimally, and all points of the sweeps."""
     changes, points = list_changes(inputs), list_sweeps(inputs)
     tasks: dict[str, WhatIfConfig | None] = {f"{k} {change.name}": change for k, change in enumerate(changes)}
     tasks["I-optimal poses"] = None
     tasks |= {f"{sweep} {k}": change for k, (sweep, _, change) in enumerate(points)}
-    found = list(run.map("other plans", _evaluate, (inputs, forecast), tasks, (Outcome,)).values())
+    found = list(run.map("other plans", _evaluate, (inputs, forecast), tasks, (ChangeEffect,)).values())
     what_ifs, swept = found[: len(changes) + 1], found[len(changes) + 1 :]
     sweeps = [SweepPoint(sweep, value, one) for (sweep, value, _), one in zip(points, swept, strict=True) if one]
     return [one for one in what_ifs if one is not None], sweeps
 
 
-def _evaluate(shared: tuple[AuditInputs, Forecast], change: WhatIfConfig | None) -> Outcome | None:
+def _evaluate(shared: tuple[AuditInputs, Forecast], change: WhatIfConfig | None) -> ChangeEffect | None:
     inputs, forecast = shared
     if change is not None:
         return evaluate_change(inputs, change, forecast)
@@ -195,7 +195,7 @@ def contraction_of_symbols(information: Information, symbols: tuple[str, ...]) -
     return {symbol: (min(values), max(values)) for symbol, values in named.items()}
 
 
-def contraction_along(outcome: Outcome, directions: Array) -> Array:
+def contraction_along(outcome: ChangeEffect, directions: Array) -> Array:
     """Return the contraction of directions (n, k) under a changed plan; NaN where there is none."""
     if outcome.information is None:
         return np.full(directions.shape[1], np.nan)

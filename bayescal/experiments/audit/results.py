@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.experiments.audit.audit import Audit
-from bayescal.experiments.audit.changes import Outcome, contraction_along, contraction_of_symbols
+from bayescal.experiments.audit.changes import ChangeEffect, contraction_along, contraction_of_symbols
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import nats_from_contraction
 from bayescal.identifiability.ridges import Ridge
@@ -231,7 +231,7 @@ def _weak_vectors(audit: Audit) -> tuple[list[str], Array]:
     return names, np.stack([d.vector for d in ridges], axis=1) if ridges else np.empty((n, 0))
 
 
-def _summarise_outcome(audit: Audit, outcome: Outcome) -> dict[str, Any]:
+def _summarise_outcome(audit: Audit, outcome: ChangeEffect) -> dict[str, Any]:
     names, vectors = _weak_vectors(audit)
     along = contraction_along(outcome, vectors)
     information = outcome.information

@@ -10,7 +10,14 @@ import numpy as np
 
 from bayescal.config.load import look_up
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.data.photogrammetry import ring_deformation as pads
+from bayescal.data.photogrammetry.joint_deflection import (
+    JointDeflection,
+    KappaEstimate,
+    MatrixEstimate,
+    fit_linear_deformation,
+    fit_matrix_deformation,
+    measure_joint_deflection,
+)
 from bayescal.data.photogrammetry.poses import PoseExtraction, extract_poses
 from bayescal.data.photogrammetry.survey import Survey, read_survey
 from bayescal.density.likelihood import PoseLikelihood
@@ -69,13 +76,13 @@ class StudyInputs:
         return self.extraction.poses.select(self.survey.verification == verification)
 
     @cached_property
-    def ring(self) -> pads.RingDeformation | None:
+    def deflection(self) -> JointDeflection | None:
         """Deflection of every leg's joint at every pose from the targets on the pads; None without such targets."""
         platform = self.survey.platform
         on_pad = platform.leg > 0
         if not on_pad.any():
             return None
-        return pads.measure_ring_deformation(
+        return measure_joint_deflection(
             self.extraction.platform,
             platform.reference[on_pad],
             platform.measured[:, on_pad],
@@ -85,24 +92,28 @@ class StudyInputs:
         )
 
     @cached_property
-    def ring_matrix(self) -> pads.MatrixEstimate | None:
+    def measured_matrix(self) -> MatrixEstimate | None:
         """K from the calibration poses' ring targets (RR-8096 eqs. 2 to 4)."""
         return (
-            None if self.ring is None else pads.fit_matrix_deformation(self._calibration_ring, self._calibration_travel)
+            None
+            if self.deflection is None
+            else fit_matrix_deformation(self._calibration_deflection, self._calibration_travel)
         )
 
     @cached_property
-    def ring_linear(self) -> pads.KappaEstimate | None:
+    def measured_kappa(self) -> KappaEstimate | None:
         """κ from the calibration poses' ring targets (RR-8096 eq. 1)."""
         return (
-            None if self.ring is None else pads.fit_linear_deformation(self._calibration_ring, self._calibration_travel)
+            None
+            if self.deflection is None
+            else fit_linear_deformation(self._calibration_deflection, self._calibration_travel)
         )
 
     @property
-    def _calibration_ring(self) -> pads.RingDeformation:
-        assert self.ring is not None
+    def _calibration_deflection(self) -> JointDeflection:
+        assert self.deflection is not None
         chosen = ~self.survey.verification
-        return pads.RingDeformation(self.ring.displacement[chosen], self.ring.covariance[chosen])
+        return JointDeflection(self.deflection.displacement[chosen], self.deflection.covariance[chosen])
 
     @property
     def _calibration_travel(self) -> Array:
@@ -130,12 +141,12 @@ class StudyInputs:
         """K in mm per mm, from the ring targets or from a file in 1e-3."""
         if not self.matrix_from_targets:
             return 1e-3 * read_matrix(self.folder / self.config.deformation.matrix, self.mechanism.n_legs)
-        if self.ring_matrix is None:
+        if self.measured_matrix is None:
             raise InputError(
                 f"{self.folder / self.config.data.reference}: found no target on a leg's pad, "
                 "expected some, since deformation.matrix is 'targets'"
             )
-        return self.ring_matrix.matrix
+        return self.measured_matrix.matrix
 
     def likelihood(self, variant: VariantConfig, verification: bool) -> PoseLikelihood:
         """Return the density of the poses of one use under a variant."""
@@ -154,9 +165,9 @@ class StudyInputs:
 
         Between poses the error is correlated; its variance enters pose by pose, which is the larger part of it.
         """
-        assert self.ring_matrix is not None
+        assert self.measured_matrix is not None
         n = self.mechanism.n_legs
-        blocks = self.ring_matrix.covariance.reshape(n, n, n, n)
+        blocks = self.measured_matrix.covariance.reshape(n, n, n, n)
         variance = np.empty((len(displacement), n))
         for leg in range(n):
             travel = displacement.copy()
@@ -200,10 +211,10 @@ class StudyInputs:
         return priors, fixed
 
 
-def _measure_ring(inputs: StudyInputs) -> None:
+def _measure_deflection(inputs: StudyInputs) -> None:
     """Compute what the ring targets say now, so that a fault shows before any long computation."""
     try:
-        _ = inputs.ring, inputs.ring_matrix, inputs.ring_linear
+        _ = inputs.deflection, inputs.measured_matrix, inputs.measured_kappa
     except PoseInputError as error:
         raise InputError(f"pose {inputs.survey.poses[error.index]!r}: {error.fault}") from error
 
@@ -223,7 +234,7 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
         extraction = extract_poses(survey, data.target_noise_um * MICROMETRE, data.pose_method)
     inputs = StudyInputs(config, folder, mechanism, survey, extraction)
     with name_faults(folder / data.targets):
-        _measure_ring(inputs)
+        _measure_deflection(inputs)
     for variant in config.variants:
         machine = inputs.machine(variant)
         with name_faults(folder / config.mechanism):

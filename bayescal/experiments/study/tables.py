@@ -173,9 +173,9 @@ def tabulate_flexure(mechanism: Mechanism) -> pd.DataFrame:
 
 def tabulate_ring(inputs: StudyInputs) -> pd.DataFrame:
     """Return the measured deflection of every joint at every pose, µm, with its standard deviation."""
-    if inputs.ring is None:
+    if inputs.deflection is None:
         return pd.DataFrame()
-    sd = np.sqrt(np.diagonal(inputs.ring.covariance, axis1=-2, axis2=-1))
+    sd = np.sqrt(np.diagonal(inputs.deflection.covariance, axis1=-2, axis2=-1))
     n_poses, n_legs = inputs.displacement.shape
     return pd.DataFrame(
         {
@@ -183,7 +183,7 @@ def tabulate_ring(inputs: StudyInputs) -> pd.DataFrame:
             "use": np.repeat(np.where(inputs.survey.verification, "verification", "calibration"), n_legs),
             "leg": np.tile(np.arange(1, n_legs + 1), n_poses),
             "actuator_displacement_mm": inputs.displacement.ravel(),
-            "deflection_um": 1e3 * inputs.ring.displacement.ravel(),
+            "deflection_um": 1e3 * inputs.deflection.displacement.ravel(),
             "deflection_sd_um": 1e3 * sd.ravel(),
         }
     )
@@ -191,20 +191,20 @@ def tabulate_ring(inputs: StudyInputs) -> pd.DataFrame:
 
 def tabulate_deformation(inputs: StudyInputs) -> pd.DataFrame:
     """Return κ and K from the targets with posterior standard deviations, in 1e-3."""
-    if inputs.ring_matrix is None or inputs.ring_linear is None:
+    if inputs.measured_matrix is None or inputs.measured_kappa is None:
         return pd.DataFrame()
     n = inputs.mechanism.n_legs
     rows = [
         {"quantity": "kappa", "leg": i + 1, "actuator": i + 1, "mean_1e-3": 1e3 * k, "sd_1e-3": 1e3 * s}
-        for i, (k, s) in enumerate(zip(inputs.ring_linear.kappa, inputs.ring_linear.sd, strict=True))
+        for i, (k, s) in enumerate(zip(inputs.measured_kappa.kappa, inputs.measured_kappa.sd, strict=True))
     ]
     rows += [
         {
             "quantity": "K",
             "leg": i + 1,
             "actuator": j + 1,
-            "mean_1e-3": 1e3 * inputs.ring_matrix.matrix[i, j],
-            "sd_1e-3": 1e3 * inputs.ring_matrix.sd[i, j],
+            "mean_1e-3": 1e3 * inputs.measured_matrix.matrix[i, j],
+            "sd_1e-3": 1e3 * inputs.measured_matrix.sd[i, j],
         }
         for i in range(n)
         for j in range(n)

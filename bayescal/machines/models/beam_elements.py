@@ -1,8 +1,7 @@
-"""Beam elements and the chain flexure, leg, flexure: RR-8096 section 5.
+"""The chain flexure, leg, flexure as beams: RR-8096 section 5.
 
-`compute_beam_stiffness` and `condense_chain` are the report's 12 x 12 matrices (eqs. 20 to 27). A straight chain of
-round beams loaded only at its ends is also described by four numbers, `ChainStiffness`, which models use for whole
-batches of machines: what the condensed matrix says of the joints' centres, in closed form.
+A straight chain of round beams loaded only at its ends is described by four numbers, `ChainStiffness`, for whole
+batches of machines: what the condensed 12 x 12 matrix (eqs. 20 to 27) says of the joints' centres, in closed form.
 """
 
 from __future__ import annotations
@@ -12,50 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.machines.mechanism import BeamSection
-from bayescal.numerics.geometry import Array, skew_matrix
+from bayescal.numerics.geometry import Array
 
 SYMBOLS = ("k1_d", "k2_d", "k3_d", "k1_l", "k2_l", "k3_l", "l", "l_b")
 COMPLEX_STEP = 1e-30
-
-
-def compute_beam_stiffness(section: BeamSection, length: float) -> Array:
-    """Return K_loc of eq. (21), shape (12, 12): loads (N, N mm) of both end nodes from their displacements (mm, rad).
-
-    The beam lies along its local x axis; each node has (F_x, F_y, F_z, M_x, M_y, M_z).
-    """
-    k1, k2, k3 = section.k1, section.k2, section.k3
-    shear, couple, near, far = 12 * k1 / length**3, 6 * k1 / length**2, 4 * k1 / length, 2 * k1 / length
-    first = np.diag([k2 / length, shear, shear, k3 / length, near, near])
-    first[1, 5] = first[5, 1] = couple
-    first[2, 4] = first[4, 2] = -couple
-    second = np.diag(np.diagonal(first))
-    second[1, 5] = second[5, 1] = -couple
-    second[2, 4] = second[4, 2] = couple
-    between = np.diag([-k2 / length, -shear, -shear, -k3 / length, far, far])
-    between[1, 5], between[5, 1] = couple, -couple
-    between[2, 4], between[4, 2] = -couple, couple
-    return np.block([[first, between], [between.T, second]])
-
-
-def condense_chain(elements: Sequence[Array]) -> Array:
-    """Return the stiffness of a chain of beams between its two end nodes, shape (12, 12) (eqs. 24 to 27)."""
-    n_nodes = len(elements) + 1
-    full = np.zeros((6 * n_nodes, 6 * n_nodes))
-    for k, element in enumerate(elements):
-        full[6 * k : 6 * k + 12, 6 * k : 6 * k + 12] += element
-    known = np.r_[0:6, 6 * n_nodes - 6 : 6 * n_nodes]
-    inner = np.arange(6, 6 * n_nodes - 6)
-    coupling = full[np.ix_(inner, known)]
-    return full[np.ix_(known, known)] - coupling.T @ np.linalg.solve(full[np.ix_(inner, inner)], coupling)
-
-
-def shift_nodes(stiffness: Array, first: Array, second: Array) -> Array:
-    """Return a stiffness (12, 12) seen at points that lie (3,) mm off its nodes, rigidly tied to them."""
-    transport = np.eye(12)
-    transport[:3, 3:6] = skew_matrix(first)  # node = point - offset: u_node = u_point - φ x offset
-    transport[6:9, 9:12] = skew_matrix(second)
-    return transport.T @ stiffness @ transport
 
 
 @dataclass(frozen=True, eq=False)

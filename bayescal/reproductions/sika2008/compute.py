@@ -10,7 +10,7 @@ from bayescal.experiments.frame.results import Results
 from bayescal.reproductions.sika2008.documented import run_documented
 from bayescal.reproductions.sika2008.machines import list_correlations, list_machine_steps, run_machines
 from bayescal.reproductions.sika2008.published import Published, judge_documented, summarise_machines
-from bayescal.reproductions.sika2008.setting import Setting
+from bayescal.reproductions.sika2008.setup import Setup
 from bayescal.reproductions.sika2008.simulate import PAPER
 from bayescal.reproductions.sika2008.sweep import run_sweep
 
@@ -25,19 +25,19 @@ SUMMARISED = (
 )
 
 
-def compute_self_calibrations(setting: Setting, published: Published, run: Run) -> Results:
+def compute_self_calibrations(setup: Setup, published: Published, run: Run) -> Results:
     """Return all tables of an experiment and its summary."""
-    config = setting.config
-    names = [plan.name for plan in setting.plans.plans]
-    tables = run_documented(setting, run)
-    summary: dict[str, Any] = {"name": config.name, "sets": names} | _describe_inputs(setting)
+    config = setup.config
+    names = [plan.name for plan in setup.plans.plans]
+    tables = run_documented(setup, run)
+    summary: dict[str, Any] = {"name": config.name, "sets": names} | _describe_inputs(setup)
     if config.published is not None:
         summary["source"] = config.published.source
         tables["judged"] = judge_documented(published, tables, PAPER)
     if config.noise_sweep is not None:
-        tables |= run_sweep(setting, config.noise_sweep, run)
+        tables |= run_sweep(setup, config.noise_sweep, run)
     if config.machines is not None:
-        machines, n_drawn = run_machines(setting, config.machines, run)
+        machines, n_drawn = run_machines(setup, config.machines, run)
         steps = list_machine_steps(machines, names)
         tables |= {"machines": machines, "machine_steps": steps}
         tables["machine_summary"] = summarise_machines(published, machines, steps)
@@ -53,16 +53,16 @@ def compute_self_calibrations(setting: Setting, published: Published, run: Run) 
     return Results(replace_nan(summary | records), tables)
 
 
-def _describe_inputs(setting: Setting) -> dict[str, Any]:
+def _describe_inputs(setup: Setup) -> dict[str, Any]:
     """Return what the page says of the experiment's inputs."""
-    config = setting.config
+    config = setup.config
     sensors = [
         {"sensor": name, "noise": one.noise_um or one.noise_arcsec, "unit": "µm" if one.noise_um else "arcsec"}
         for name, one in config.sensors.items()
     ]
     return {
-        "machine": setting.machine.name,
-        "n_legs": setting.machine.n_legs,
+        "machine": setup.machine.name,
+        "n_legs": setup.machine.n_legs,
         "calibrations": config.calibrations,
         "n_poses": config.poses.n_poses,
         "verification_poses": config.verification_poses,

@@ -15,7 +15,7 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.reading_machine import ZEROS
 from bayescal.numerics.geometry import Array
 from bayescal.reproductions.sika2008.predict import predict_covariance, predict_tool
-from bayescal.reproductions.sika2008.setting import CALIBRATIONS, Plan, Plans, Setting
+from bayescal.reproductions.sika2008.setup import CALIBRATIONS, Plan, Plans, Setup
 from bayescal.reproductions.sika2008.simulate import (
     BAYESIAN,
     PAPER,
@@ -37,28 +37,28 @@ FIRST = 0  # which calibration is shown alone
 type Found = dict[tuple[str, str], Simulated]
 
 
-def run_documented(setting: Setting, run: Run) -> dict[str, pd.DataFrame]:
+def run_documented(setup: Setup, run: Run) -> dict[str, pd.DataFrame]:
     """Return the tables of the documented machine."""
-    plans, rng = setting.plans, setting.rng(CALIBRATIONS)
-    measured = measure(plans, setting.pose, setting.targets, setting.config.calibrations, rng)
-    found = simulate_all(setting, plans, measured, run)
-    spread = {plan.name: state_spread(found[plan.name, BAYESIAN], setting.targets) for plan in plans.plans}
+    plans, rng = setup.plans, setup.rng(CALIBRATIONS)
+    measured = measure(plans, setup.pose, setup.targets, setup.config.calibrations, rng)
+    found = simulate_all(setup, plans, measured, run)
+    spread = {plan.name: state_spread(found[plan.name, BAYESIAN], setup.targets) for plan in plans.plans}
     return {
-        "calibrability": list_calibrabilities(plans, setting.pose),
-        "errors": list_errors(setting, found),
+        "calibrability": list_calibrabilities(plans, setup.pose),
+        "errors": list_errors(setup, found),
         "steps": list_steps(plans, found),
         "parameters": _list_parameters(found, spread),
         "coverage": _list_coverage(plans, found, spread),
-        "path": _list_path(setting, measured, found),
-        "uncalibrated": _list_uncalibrated(setting, measured),
+        "path": _list_path(setup, measured, found),
+        "uncalibrated": _list_uncalibrated(setup, measured),
     }
 
 
-def simulate_all(setting: Setting, plans: Plans, measured: Measured, run: Run) -> Found:
+def simulate_all(setup: Setup, plans: Plans, measured: Measured, run: Run) -> Found:
     """Return the calibrations by set and procedure."""
     by_name = {plan.name: plan for plan in plans.plans}
     tasks = {f"{name} {procedure}": (name, procedure) for name in by_name for procedure in PROCEDURES}
-    shared = (plans, measured, setting.pose, setting.targets)
+    shared = (plans, measured, setup.pose, setup.targets)
     found = run.map("documented machine", _simulate_one, shared, tasks, (Calibrations,))
     return {
         (name, procedure): Simulated(by_name[name], procedure, *parts)
@@ -100,9 +100,9 @@ def squares_of(one: Simulated, quantity: str, parts: dict[str, set[str]]) -> Arr
     return one.tool_squares if quantity == "tool" else one.noisy_tool_squares
 
 
-def list_errors(setting: Setting, found: Found) -> pd.DataFrame:
+def list_errors(setup: Setup, found: Found) -> pd.DataFrame:
     """Return root mean square errors of sets and procedures, mm and rad; of the paper's also those predicted."""
-    parts = name_parts(setting.plans.plans)
+    parts = name_parts(setup.plans.plans)
     rows = []
     for (name, procedure), one in found.items():
         row: dict[str, object] = {"set": name, "procedure": procedure}
@@ -110,10 +110,10 @@ def list_errors(setting: Setting, found: Found) -> pd.DataFrame:
             rms = rms_of(squares_of(one, quantity, parts))
             row |= {quantity: rms.value, f"{quantity}_se": rms.error}
         if procedure == PAPER:
-            covariance = predict_covariance(one.plan, setting.pose)
+            covariance = predict_covariance(one.plan, setup.pose)
             where = [k for k, p in enumerate(one.plan.parameters) if p in parts["lengths"]]
             row["lengths_predicted"] = float(np.sqrt(np.mean(np.diagonal(covariance)[where])))
-            row["tool_predicted"] = predict_tool(one.plan, covariance, setting.targets)
+            row["tool_predicted"] = predict_tool(one.plan, covariance, setup.targets)
         row |= {"n_failed": int((~one.good).sum()), "most_iterations": int(one.found.n_iterations.max())}
         rows.append(row)
     return pd.DataFrame(rows)
@@ -184,13 +184,13 @@ def _list_coverage(plans: Plans, found: Found, spread: dict[str, Spread]) -> pd.
     return pd.DataFrame(rows)
 
 
-def _list_path(setting: Setting, measured: Measured, found: Found) -> pd.DataFrame:
+def _list_path(setup: Setup, measured: Measured, found: Found) -> pd.DataFrame:
     """Return the error of the tool's centre along the path: of the first calibration, and its root mean square."""
-    sensors, path, parts = setting.plans.every.sensors, setting.path, []
+    sensors, path, parts = setup.plans.every.sensors, setup.path, []
     readings = sensors.read(measured.theta[:, None], path)
     truth, _, _ = sensors.model.tool(measured.theta[:, None], path)
     for (name, procedure), one in found.items():
-        columns = setting.plans.columns(one.plan)
+        columns = setup.plans.columns(one.plan)
         located = locate_tool(weigh(one.plan, procedure), one.found.theta, readings[..., columns], path)
         error = (located.position - truth)[one.good & located.converged.all(axis=1)]
         first = located.position[FIRST] - truth[FIRST]
@@ -203,16 +203,16 @@ def _list_path(setting: Setting, measured: Measured, found: Found) -> pd.DataFra
     return pd.concat(parts, ignore_index=True)
 
 
-def _list_uncalibrated(setting: Setting, measured: Measured) -> pd.DataFrame:
+def _list_uncalibrated(setup: Setup, measured: Measured) -> pd.DataFrame:
     """Return the tool's error of machines taken for nominal, read by the sensors of lengths that the first set has."""
-    plan = setting.plans.plans[0]
-    units = [setting.machine.channels[k].unit for k in plan.sensors.chosen]
+    plan = setup.plans.plans[0]
+    units = [setup.machine.channels[k].unit for k in plan.sensors.chosen]
     lengths = np.flatnonzero(np.array(units) == "mm")
     if len(lengths) < plan.sensors.n_coordinates:
         return pd.DataFrame()
-    sensors, columns = plan.sensors.select(lengths), setting.plans.columns(plan)[lengths]
+    sensors, columns = plan.sensors.select(lengths), setup.plans.columns(plan)[lengths]
     nominal = np.tile(plan.free.centre, (len(measured.theta), 1))
-    located = locate_tool(sensors, nominal, measured.at_targets[..., columns], setting.targets)
-    truth, _, _ = sensors.model.tool(measured.theta[:, None], setting.targets)
+    located = locate_tool(sensors, nominal, measured.at_targets[..., columns], setup.targets)
+    truth, _, _ = sensors.model.tool(measured.theta[:, None], setup.targets)
     rms = rms_of(np.mean(np.sum((located.position - truth) ** 2, axis=-1), axis=-1))
     return pd.DataFrame([{"sensors": " ".join(sensors.names), "tool": rms.value, "tool_se": rms.error}])

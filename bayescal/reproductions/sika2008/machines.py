@@ -20,7 +20,7 @@ from bayescal.numerics.geometry import Array
 from bayescal.reproductions.sika2008.documented import name_parts, squares_of
 from bayescal.reproductions.sika2008.predict import predict_covariance, predict_tool
 from bayescal.reproductions.sika2008.schema import PlausibleMachinesConfig
-from bayescal.reproductions.sika2008.setting import MACHINES, Plan, Plans, Setting, build_plans
+from bayescal.reproductions.sika2008.setup import MACHINES, Plan, Plans, Setup, build_plans
 from bayescal.reproductions.sika2008.simulate import PAPER, Measured, measure, simulate
 from bayescal.reproductions.sika2008.statistics import rms_of
 
@@ -63,7 +63,7 @@ class Candidate:
     angle_tolerance: float
 
 
-def run_machines(setting: Setting, config: PlausibleMachinesConfig, run: Run) -> tuple[pd.DataFrame, int]:
+def run_machines(setup: Setup, config: PlausibleMachinesConfig, run: Run) -> tuple[pd.DataFrame, int]:
     """Return a row for each machine and set, and how many machines were drawn in all.
 
     Raises
@@ -79,7 +79,7 @@ def run_machines(setting: Setting, config: PlausibleMachinesConfig, run: Run) ->
                 f"machines: found {len(candidates)} in {n_drawn} draws that reach their poses without crossed legs, "
                 f"expected {config.count}"
             )
-        one = draw_candidate(setting, config, setting.rng(MACHINES, n_drawn))
+        one = draw_candidate(setup, config, setup.rng(MACHINES, n_drawn))
         candidates += [] if one is None else [one]
         n_drawn += 1
     tasks = {f"{k + 1}": one for k, one in enumerate(candidates)}
@@ -88,20 +88,20 @@ def run_machines(setting: Setting, config: PlausibleMachinesConfig, run: Run) ->
     return table, n_drawn
 
 
-def draw_candidate(setting: Setting, config: PlausibleMachinesConfig, rng: np.random.Generator) -> Candidate | None:
+def draw_candidate(setup: Setup, config: PlausibleMachinesConfig, rng: np.random.Generator) -> Candidate | None:
     """Return a machine, None where it, or one within its tolerances, cannot take its poses or legs cross there."""
     geometry = {name: float(rng.uniform(*getattr(config, name))) for name in GEOMETRY}
     workspace = {"position_mm": geometry["position_mm"], "angle_deg": geometry["angle_deg"]}
     try:
-        machine = build_sliding_platform(lay_out(geometry, setting.machine.n_legs))
-        numbers = (setting.config.poses.n_poses, setting.config.verification_poses)
+        machine = build_sliding_platform(lay_out(geometry, setup.machine.n_legs))
+        numbers = (setup.config.poses.n_poses, setup.config.verification_poses)
         pose, targets = (draw_poses(machine, PlanarPosesConfig(n_poses=n, **workspace), rng) for n in numbers)
-        plans = build_plans(machine, setting.config, setting.config.sensors)
+        plans = build_plans(machine, setup.config, setup.config.sensors)
         measured = measure(plans, pose, targets, config.calibrations, rng)
     except InputError:
         return None
     return Candidate(
-        geometry, machine, plans, pose, targets, measured, float(np.radians(setting.config.tolerances.angle_deg))
+        geometry, machine, plans, pose, targets, measured, float(np.radians(setup.config.tolerances.angle_deg))
     )
 
 

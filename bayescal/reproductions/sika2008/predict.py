@@ -13,7 +13,7 @@ from bayescal.density.readings.calibrate import unweighted
 from bayescal.density.readings.poses import null_basis
 from bayescal.density.readings.tool import compute_tool_sensitivity
 from bayescal.numerics.geometry import Array
-from bayescal.reproductions.sika2008.setting import Plan
+from bayescal.reproductions.sika2008.setup import Plan
 
 
 def predict_covariance(plan: Plan, pose: Array) -> Array:

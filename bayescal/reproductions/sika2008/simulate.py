@@ -16,7 +16,7 @@ from bayescal.density.readings.poses import SensorSet
 from bayescal.density.readings.tool import compute_tool_sensitivity, locate_tool
 from bayescal.errors import InputError, NumericalError
 from bayescal.numerics.geometry import Array
-from bayescal.reproductions.sika2008.setting import Plan, Plans
+from bayescal.reproductions.sika2008.setup import Plan, Plans
 
 PAPER, BAYESIAN = "paper", "bayesian"
 PROCEDURES = (PAPER, BAYESIAN)

@@ -7,29 +7,29 @@ import pandas as pd
 from bayescal.experiments.frame.parallel import Run
 from bayescal.reproductions.sika2008.documented import list_errors, list_steps, simulate_all
 from bayescal.reproductions.sika2008.schema import NoiseSweepConfig
-from bayescal.reproductions.sika2008.setting import SWEEP, Setting, build_plans
+from bayescal.reproductions.sika2008.setup import SWEEP, Setup, build_plans
 from bayescal.reproductions.sika2008.simulate import measure
 
 
-def run_sweep(setting: Setting, config: NoiseSweepConfig, run: Run) -> dict[str, pd.DataFrame]:
+def run_sweep(setup: Setup, config: NoiseSweepConfig, run: Run) -> dict[str, pd.DataFrame]:
     """Return errors and steps for each noise of the angle sensors."""
     tasks = {f"{noise:g} arcsec": noise for noise in config.angle_noise_arcsec}
-    found = run.map("sweep of noise", _run_one, (setting, config), tasks)
+    found = run.map("sweep of noise", _run_one, (setup, config), tasks)
     errors, steps = (pd.concat(tables, ignore_index=True) for tables in zip(*found.values(), strict=True))
     return {"sweep_errors": errors, "sweep_steps": steps}
 
 
-def _run_one(shared: tuple[Setting, NoiseSweepConfig], noise: float) -> tuple[pd.DataFrame, pd.DataFrame]:
+def _run_one(shared: tuple[Setup, NoiseSweepConfig], noise: float) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return errors and steps for one noise, arcsec; machines and random numbers are the same for all."""
-    setting, config = shared
+    setup, config = shared
     sensors = {
         name: one if one.noise_arcsec is None else one.model_copy(update={"noise_arcsec": noise})
-        for name, one in setting.config.sensors.items()
+        for name, one in setup.config.sensors.items()
     }
-    plans = build_plans(setting.machine, setting.config, sensors)
-    measured = measure(plans, setting.pose, setting.targets, config.calibrations, setting.rng(SWEEP))
-    found = simulate_all(setting, plans, measured, Run())
-    tables = list_errors(setting, found), list_steps(plans, found)
+    plans = build_plans(setup.machine, setup.config, sensors)
+    measured = measure(plans, setup.pose, setup.targets, config.calibrations, setup.rng(SWEEP))
+    found = simulate_all(setup, plans, measured, Run())
+    tables = list_errors(setup, found), list_steps(plans, found)
     for table in tables:
         table.insert(0, "angle_noise_arcsec", noise)
     return tables

@@ -18,7 +18,7 @@ from bayescal.reproductions.yu2023.describe import PERCENTILES, describe, list_r
 from bayescal.reproductions.yu2023.evaluate import PoseErrors
 from bayescal.reproductions.yu2023.least_squares import Calibrations, Weighting
 from bayescal.reproductions.yu2023.schema import AccuracyStudyConfig, PoseNoiseConfig
-from bayescal.reproductions.yu2023.setting import ERROR_SYMBOLS, CommandedPoses, Setting, noise_scale, select_all
+from bayescal.reproductions.yu2023.setup import ERROR_SYMBOLS, CommandedPoses, Setup, noise_scale, select_all
 
 INDEX = "O1"
 FIGURES = ("position_max_mm", "position_mean_mm", "attitude_max_deg", "attitude_mean_deg")
@@ -43,34 +43,34 @@ def spread_selections(selected: list[CommandedPoses], repeats: int) -> Commanded
     return CommandedPoses(coordinates, np.stack([poses.actuators for poses in selected])[turn])
 
 
-def run_accuracy(setting: Setting, study: AccuracyStudyConfig, run: Run) -> Results:
+def run_accuracy(setup: Setup, study: AccuracyStudyConfig, run: Run) -> Results:
     """Return the distribution of table 8's figures, of the parameters and of what weights gain."""
-    seeds = np.random.SeedSequence(setting.config.seed).spawn(study.selections + 1)
+    seeds = np.random.SeedSequence(setup.config.seed).spawn(study.selections + 1)
     rng = np.random.default_rng(seeds[-1])
-    truth = np.tile(setting.read_machine(study.parameter_errors), (study.repeats, 1))
-    selected = select_all(setting, [(INDEX, study.poses)] * study.selections, seeds[:-1], run, "selections")
+    truth = np.tile(setup.read_machine(study.parameter_errors), (study.repeats, 1))
+    selected = select_all(setup, [(INDEX, study.poses)] * study.selections, seeds[:-1], run, "selections")
     sets = {
         "optimal": spread_selections(selected, study.repeats),
-        "random": setting.draw_random(study.poses, study.repeats, rng),
+        "random": setup.draw_random(study.poses, study.repeats, rng),
     }
     noise = noise_scale(study.noise) * rng.standard_normal((study.repeats, study.poses, 6))
-    weightings = list_weightings(study.noise, setting.config.parameter_error_mm)
+    weightings = list_weightings(study.noise, setup.config.parameter_error_mm)
     tasks = {f"{method} {name}": (method, name) for method in METHODS for name in weightings}
-    shared = (setting, study, truth, sets, noise)
+    shared = (setup, study, truth, sets, noise)
     calibrated = run.map("calibrations", _calibrate, shared, tasks, (Calibrations, PoseErrors))
     found = {tasks[name]: one for name, (one, _) in calibrated.items()}
     errors = {tasks[name]: one for name, (_, one) in calibrated.items()}
     repeats = _list_repeats(truth, found, errors)
-    published = _read_figures(setting, study.published)
+    published = _read_figures(setup, study.published)
     table = _describe_figures(repeats, published)
-    parameters = _list_parameters(setting, study, truth[0], found["optimal", "unweighted"])
+    parameters = _list_parameters(setup, study, truth[0], found["optimal", "unweighted"])
     tables = {
         "repeats": repeats,
         "table8": table,
         "ratios": _list_ratios(repeats),
         "reductions": _list_reductions(repeats, published),
         "parameters": parameters,
-        "convergence": _list_convergence(setting, truth[0], found["optimal", "unweighted"]),
+        "convergence": _list_convergence(setup, truth[0], found["optimal", "unweighted"]),
         "verification": _list_verification(errors),
     }
     values = [poses.value for poses in selected]
@@ -78,13 +78,13 @@ def run_accuracy(setting: Setting, study: AccuracyStudyConfig, run: Run) -> Resu
 
 
 def _calibrate(
-    shared: tuple[Setting, AccuracyStudyConfig, Array, dict[str, CommandedPoses], Array], task: tuple[str, str]
+    shared: tuple[Setup, AccuracyStudyConfig, Array, dict[str, CommandedPoses], Array], task: tuple[str, str]
 ) -> tuple[Calibrations, PoseErrors]:
     """Return all repeats' calibrations with one set of poses and one weighting, and their errors."""
-    (setting, study, truth, sets, noise), (method, name) = shared, task
-    weighting = list_weightings(study.noise, setting.config.parameter_error_mm)[name]
-    found = setting.calibrate(sets[method], setting.reach_poses(truth, sets[method]) + noise, weighting)
-    return found, setting.evaluate(truth, found.theta)
+    (setup, study, truth, sets, noise), (method, name) = shared, task
+    weighting = list_weightings(study.noise, setup.config.parameter_error_mm)[name]
+    found = setup.calibrate(sets[method], setup.reach_poses(truth, sets[method]) + noise, weighting)
+    return found, setup.evaluate(truth, found.theta)
 
 
 def _list_repeats(
@@ -112,11 +112,11 @@ def _list_repeats(
     return pd.concat(parts, ignore_index=True)
 
 
-def _read_figures(setting: Setting, name: str | None) -> dict[tuple[str, str], float]:
+def _read_figures(setup: Setup, name: str | None) -> dict[tuple[str, str], float]:
     """Return the published figures by method and figure."""
     if name is None:
         return {}
-    path = setting.folder / name
+    path = setup.folder / name
     table = read_table(path, ("method", *FIGURES))
     values = table.numbers(FIGURES)
     methods = table.text("method")
@@ -192,9 +192,9 @@ def _judge_published(repeats: pd.DataFrame, published: dict[tuple[str, str], flo
     }
 
 
-def _list_parameters(setting: Setting, study: AccuracyStudyConfig, truth: Array, found: Calibrations) -> pd.DataFrame:
+def _list_parameters(setup: Setup, study: AccuracyStudyConfig, truth: Array, found: Calibrations) -> pd.DataFrame:
     """Return preset, published and identified parameter errors, those identified in the first repeat."""
-    layout = setting.machine.layout
+    layout = setup.machine.layout
     errors = found.theta - layout.nominal
     table = pd.DataFrame(
         {
@@ -206,7 +206,7 @@ def _list_parameters(setting: Setting, study: AccuracyStudyConfig, truth: Array,
     )
     if study.published_parameters is None:
         return table
-    path = setting.folder / study.published_parameters
+    path = setup.folder / study.published_parameters
     columns = tuple(ERROR_SYMBOLS)[:-1]  # the printed table has no dh
     values = read_table(path, ("leg", *columns)).numbers(columns)
     published = np.full(layout.size, np.nan)
@@ -215,9 +215,9 @@ def _list_parameters(setting: Setting, study: AccuracyStudyConfig, truth: Array,
     return table.assign(published_mm=published)
 
 
-def _list_convergence(setting: Setting, truth: Array, found: Calibrations) -> pd.DataFrame:
+def _list_convergence(setup: Setup, truth: Array, found: Calibrations) -> pd.DataFrame:
     """Return the remaining errors of the first hardpoint's parameters after each iteration of the first repeat."""
-    layout = setting.machine.layout
+    layout = setup.machine.layout
     names = [name for name in layout.names if name.endswith(f"[{SHOWN_LEG + 1}]")]
     places = [layout.names.index(name) for name in names]
     rows = [

@@ -22,7 +22,7 @@ from bayescal.numerics.geometry import Array
 from bayescal.reproductions.yu2023.describe import describe, list_records
 from bayescal.reproductions.yu2023.least_squares import Weighting
 from bayescal.reproductions.yu2023.schema import ConditionConfig, IndexStudyConfig
-from bayescal.reproductions.yu2023.setting import CommandedPoses, Setting, noise_scale, select_all
+from bayescal.reproductions.yu2023.setup import CommandedPoses, Setup, noise_scale, select_all
 
 UNITS = ("rad", "deg")
 UNIT = "deg"
@@ -33,16 +33,16 @@ type Selected = dict[tuple[str, str], list[CommandedPoses]]
 type Seeds = Sequence[np.random.SeedSequence]
 
 
-def run_indices(setting: Setting, study: IndexStudyConfig, run: Run) -> Results:
+def run_indices(setup: Setup, study: IndexStudyConfig, run: Run) -> Results:
     """Return table 4 as the paper makes it, with the distribution over noise and selections."""
     pairs, n_draws = len(study.conditions) * len(study.indices), len(study.conditions) + 1
     counts = [study.selections, *[1] * len(study.workspace_scales)]
-    seeds = np.random.SeedSequence(setting.config.seed).spawn(n_draws + pairs * sum(counts))
+    seeds = np.random.SeedSequence(setup.config.seed).spawn(n_draws + pairs * sum(counts))
     starts = n_draws + pairs * np.cumsum([0, *counts])
-    published = _read_published(setting, study)
+    published = _read_published(setup, study)
     scales, parts = [1.0, *study.workspace_scales], []
     for k, scale in enumerate(scales):
-        scaled = setting if scale == 1.0 else setting.scale_workspace(scale)
+        scaled = setup if scale == 1.0 else setup.scale_workspace(scale)
         what = f"workspace {scale:g}"
         parts.append(_run(scaled, study, seeds[:n_draws], seeds[starts[k] : starts[k + 1]], run, what))
     tables = parts[0]
@@ -57,7 +57,7 @@ def run_indices(setting: Setting, study: IndexStudyConfig, run: Run) -> Results:
 
 
 def _run(
-    setting: Setting, study: IndexStudyConfig, draw_seeds: Seeds, selection_seeds: Seeds, run: Run, what: str
+    setup: Setup, study: IndexStudyConfig, draw_seeds: Seeds, selection_seeds: Seeds, run: Run, what: str
 ) -> dict[str, pd.DataFrame]:
     """Return the calibrations over noise draws, as many selections as there are seeds for, and over parameter sets.
 
@@ -65,11 +65,11 @@ def _run(
     """
     n_selections = len(selection_seeds) // (len(study.conditions) * len(study.indices))
     choices = [(i, c.poses) for c in study.conditions for i in study.indices for _ in range(n_selections)]
-    selected = iter(select_all(setting, choices, selection_seeds, run, f"{what}, selections"))
+    selected = iter(select_all(setup, choices, selection_seeds, run, f"{what}, selections"))
     poses: Selected = {
         (c.name, i): [next(selected) for _ in range(n_selections)] for c in study.conditions for i in study.indices
     }
-    shared = (setting, study, draw_seeds[0], poses)
+    shared = (setup, study, draw_seeds[0], poses)
     tasks = {f"{c.name}": (c, seed) for c, seed in zip(study.conditions, draw_seeds[1:], strict=True)}
     found = list(run.map(f"{what}, calibrations", _calibrate_condition, shared, tasks).values())
     names = ("parameter_sets", "noise_draws", "selections")
@@ -77,41 +77,41 @@ def _run(
 
 
 def _calibrate_condition(
-    shared: tuple[Setting, IndexStudyConfig, np.random.SeedSequence, Selected],
+    shared: tuple[Setup, IndexStudyConfig, np.random.SeedSequence, Selected],
     task: tuple[ConditionConfig, np.random.SeedSequence],
 ) -> dict[str, pd.DataFrame]:
     """Return the calibrations under one condition, those over parameter sets with the first selections only."""
-    (setting, study, machine_seed, selected), (condition, seed) = shared, task
-    machines = setting.draw_machines(study.parameter_sets, np.random.default_rng(machine_seed))
+    (setup, study, machine_seed, selected), (condition, seed) = shared, task
+    machines = setup.draw_machines(study.parameter_sets, np.random.default_rng(machine_seed))
     rng = np.random.default_rng(seed)
-    own = setting.draw_machines(study.noise_draws, rng)
+    own = setup.draw_machines(study.noise_draws, rng)
     noise = noise_scale(condition) * rng.standard_normal((study.noise_draws, condition.poses, 6))
     sets, draws, values = [], [], []
     for index in study.indices:
         for k, poses in enumerate(selected[condition.name, index]):
             label: dict[str, object] = {"condition": condition.name, "index": index, "selection": k + 1}
             values.append(label | {"value": poses.value})
-            draws.append(_calibrate(setting, label, poses, own, noise))
+            draws.append(_calibrate(setup, label, poses, own, noise))
             if k == 0:
-                sets.append(_calibrate(setting, label, poses, machines, noise[:1]))
+                sets.append(_calibrate(setup, label, poses, machines, noise[:1]))
     frames = {"parameter_sets": pd.concat(sets), "noise_draws": pd.concat(draws), "selections": pd.DataFrame(values)}
     return {name: frame.reset_index(drop=True) for name, frame in frames.items()}
 
 
 def _calibrate(
-    setting: Setting, label: dict[str, object], poses: CommandedPoses, truth: Array, noise: Array
+    setup: Setup, label: dict[str, object], poses: CommandedPoses, truth: Array, noise: Array
 ) -> pd.DataFrame:
     """Return the integrated errors of machines (B, D), one row each; NaN where a calibration did not converge."""
-    found = setting.calibrate(poses, setting.reach_poses(truth, poses) + noise, PLAIN)
-    error = setting.evaluate(truth, np.where(found.converged[:, None], found.theta, np.nan))
+    found = setup.calibrate(poses, setup.reach_poses(truth, poses) + noise, PLAIN)
+    error = setup.evaluate(truth, np.where(found.converged[:, None], found.theta, np.nan))
     columns = {"draw": np.arange(1, len(truth) + 1)} | {unit: error.integrated(unit) for unit in UNITS}
     return pd.DataFrame(label | columns | {"iterations": found.n_iterations})
 
 
-def _read_published(setting: Setting, study: IndexStudyConfig) -> Published:
+def _read_published(setup: Setup, study: IndexStudyConfig) -> Published:
     if study.published is None:
         return {}
-    table = read_table(setting.folder / study.published, ("condition", *study.indices))
+    table = read_table(setup.folder / study.published, ("condition", *study.indices))
     values = table.numbers(study.indices)
     names = table.text("condition")
     return {(c, i): float(values[r, k]) for r, c in enumerate(names) for k, i in enumerate(study.indices)}

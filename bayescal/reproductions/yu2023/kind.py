@@ -13,19 +13,19 @@ from bayescal.reproductions.yu2023.indices import run_indices
 from bayescal.reproductions.yu2023.numbers import run_numbers
 from bayescal.reproductions.yu2023.page.pages import build_page
 from bayescal.reproductions.yu2023.schema import AccuracyStudyConfig, HexapodCalibrationsConfig, IndexStudyConfig
-from bayescal.reproductions.yu2023.setting import Setting, read_setting
+from bayescal.reproductions.yu2023.setup import Setup, read_setup
 
 
-class HexapodCalibrations(Experiment[HexapodCalibrationsConfig, Setting]):
+class HexapodCalibrations(Experiment[HexapodCalibrationsConfig, Setup]):
     """Calibrations of hexapods, simulated to compare observability indices, sets of poses and their number."""
 
     schema = HexapodCalibrationsConfig
 
-    def read(self, config: HexapodCalibrationsConfig, folder: Path) -> Setting:
+    def read(self, config: HexapodCalibrationsConfig, folder: Path) -> Setup:
         """Return machine, workspace and candidates."""
-        return read_setting(config, folder)
+        return read_setup(config, folder)
 
-    def compute(self, inputs: Setting, run: Run) -> Results:
+    def compute(self, inputs: Setup, run: Run) -> Results:
         """Return the tables and the summary of one of the three studies."""
         study = inputs.config.study
         if isinstance(study, IndexStudyConfig):

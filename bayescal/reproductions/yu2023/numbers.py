@@ -11,23 +11,23 @@ from bayescal.numerics.geometry import Array
 from bayescal.reproductions.yu2023.accuracy import INDEX, METHODS, list_weightings, spread_selections
 from bayescal.reproductions.yu2023.describe import describe
 from bayescal.reproductions.yu2023.schema import NumberStudyConfig
-from bayescal.reproductions.yu2023.setting import CommandedPoses, Setting, noise_scale, select_all
+from bayescal.reproductions.yu2023.setup import CommandedPoses, Setup, noise_scale, select_all
 
 UNIT = "deg"
 
 
-def run_numbers(setting: Setting, study: NumberStudyConfig, run: Run) -> Results:
+def run_numbers(setup: Setup, study: NumberStudyConfig, run: Run) -> Results:
     """Return mean and spread of dX_z (mm and deg) for each number of poses, with and without weights."""
     count = len(study.poses)
-    seeds = np.random.SeedSequence(setting.config.seed).spawn(count * (study.selections + 1))
+    seeds = np.random.SeedSequence(setup.config.seed).spawn(count * (study.selections + 1))
     choices = [(INDEX, n) for n in study.poses for _ in range(study.selections)]
-    selected = select_all(setting, choices, seeds[count:], run, "selections")
-    truth = np.tile(setting.read_machine(study.parameter_errors), (study.repeats, 1))
+    selected = select_all(setup, choices, seeds[count:], run, "selections")
+    truth = np.tile(setup.read_machine(study.parameter_errors), (study.repeats, 1))
     tasks = {
         f"{n}": (n, seeds[k], selected[k * study.selections : (k + 1) * study.selections])
         for k, n in enumerate(study.poses)
     }
-    found = run.map("calibrations", _calibrate_number, (setting, study, truth), tasks)
+    found = run.map("calibrations", _calibrate_number, (setup, study, truth), tasks)
     rows: list[dict[str, object]] = []
     fewest: dict[tuple[str, str], Array] = {}
     for n, calibrated in zip(study.poses, found.values(), strict=True):
@@ -41,22 +41,22 @@ def run_numbers(setting: Setting, study: NumberStudyConfig, run: Run) -> Results
 
 
 def _calibrate_number(
-    shared: tuple[Setting, NumberStudyConfig, Array],
+    shared: tuple[Setup, NumberStudyConfig, Array],
     task: tuple[int, np.random.SeedSequence, list[CommandedPoses]],
 ) -> dict[tuple[str, str], tuple[Array, int]]:
     """Return dX_z of every calibration that converged and how many did not, by poses and weights."""
-    (setting, study, truth), (n, seed, selected) = shared, task
-    weightings = list_weightings(study.noise, setting.config.parameter_error_mm)
+    (setup, study, truth), (n, seed, selected) = shared, task
+    weightings = list_weightings(study.noise, setup.config.parameter_error_mm)
     rng = np.random.default_rng(seed)
     noise = noise_scale(study.noise) * rng.standard_normal((study.repeats, n, 6))
-    sets = (spread_selections(selected, study.repeats), setting.draw_random(n, study.repeats, rng))
+    sets = (spread_selections(selected, study.repeats), setup.draw_random(n, study.repeats, rng))
     calibrated = {}
     for method, poses in zip(METHODS, sets, strict=True):
-        measured = setting.reach_poses(truth, poses) + noise
+        measured = setup.reach_poses(truth, poses) + noise
         for name in ("unweighted", "weighted"):
-            found = setting.calibrate(poses, measured, weightings[name])
+            found = setup.calibrate(poses, measured, weightings[name])
             kept = found.converged
-            values = setting.evaluate(truth[kept], found.theta[kept]).integrated(UNIT)
+            values = setup.evaluate(truth[kept], found.theta[kept]).integrated(UNIT)
             calibrated[method, name] = values, int((~kept).sum())
     return calibrated
 

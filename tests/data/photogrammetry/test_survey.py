@@ -199,7 +199,7 @@ def test_single_missing_targets_are_nan_and_no_fault(folder):
     }
     assert unseen == missing
     assert np.isfinite(extract_poses(survey, 3e-3).poses.covariance).all()
-    assert studies.load_study(folder / "study.toml").ring_matrix is not None
+    assert studies.load_study(folder / "study.toml").measured_matrix is not None
 
 
 @pytest.mark.parametrize(

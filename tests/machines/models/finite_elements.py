@@ -1,6 +1,6 @@
 """Static equilibrium by finite elements, written out from RR-8096's eqs. (22) to (29), to hold the models against.
 
-Everything is computed from the 12 x 12 matrices of `beam_elements`, whose own tests hold them to the closed forms of
+Everything is computed from the 12 x 12 matrices of `beam_matrices`, whose own tests hold them to the closed forms of
 beams; the models use four numbers per chain instead.
 """
 
@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 import telescope_machines as machines
+from beam_matrices import compute_beam_stiffness, condense_chain
 
 from bayescal.machines.kinematics import check_home_pose
-from bayescal.machines.models.beam_elements import compute_beam_stiffness, condense_chain
 from bayescal.numerics.geometry import rotation_vector_from_matrix, skew_matrix
 
 

@@ -22,7 +22,7 @@ from bayescal.reproductions.sika2008.documented import QUANTILE, list_calibrabil
 from bayescal.reproductions.sika2008.machines import GEOMETRY, draw_candidate, lay_out
 from bayescal.reproductions.sika2008.predict import predict_covariance, predict_tool
 from bayescal.reproductions.sika2008.published import band_of, read_published
-from bayescal.reproductions.sika2008.setting import read_setting
+from bayescal.reproductions.sika2008.setup import read_setup
 from bayescal.reproductions.sika2008.simulate import BAYESIAN, PAPER, PROCEDURES, measure, simulate, state_spread
 from bayescal.reproductions.sika2008.statistics import cover, ratio_of, rms_of
 
@@ -52,8 +52,8 @@ def path(tmp_path):
 
 
 @pytest.fixture
-def setting(path):
-    return read_setting(load_experiment(path), path.parent)
+def setup(path):
+    return read_setup(load_experiment(path), path.parent)
 
 
 def edit(path, old, new):
@@ -134,27 +134,27 @@ def test_any_sets_on_any_legs(path, n_legs, sets):
 # --- parts -----------------------------------------------------------------------------------------------------------
 
 
-def test_prediction_is_what_simulation_finds(setting):
+def test_prediction_is_what_simulation_finds(setup):
     """For the paper's procedure; and with the wrong noise it is not."""
     n = 300
-    for plan in setting.plans.plans[1:]:
-        measured = measure(setting.plans, setting.pose, setting.targets, n, setting.rng(9))
-        found = simulate(setting.plans, plan, PAPER, measured, setting.pose, setting.targets)
-        covariance = predict_covariance(plan, setting.pose)
+    for plan in setup.plans.plans[1:]:
+        measured = measure(setup.plans, setup.pose, setup.targets, n, setup.rng(9))
+        found = simulate(setup.plans, plan, PAPER, measured, setup.pose, setup.targets)
+        covariance = predict_covariance(plan, setup.pose)
         ratio = np.sqrt(np.mean(found.error**2, axis=0) / np.diagonal(covariance))
         assert np.abs(ratio - 1.0).max() < 4.5 / np.sqrt(2 * n) + 0.02
-        tool = predict_tool(plan, covariance, setting.targets)
+        tool = predict_tool(plan, covariance, setup.targets)
         assert np.sqrt(found.tool_squares.mean()) == pytest.approx(tool, rel=0.12)
         louder = replace(plan, sensors=replace(plan.sensors, noise=1.5 * plan.sensors.noise))
-        assert np.diagonal(predict_covariance(louder, setting.pose)) == pytest.approx(2.25 * np.diagonal(covariance))
+        assert np.diagonal(predict_covariance(louder, setup.pose)) == pytest.approx(2.25 * np.diagonal(covariance))
 
 
-def test_stated_intervals_cover_and_understated_ones_do_not(setting):
+def test_stated_intervals_cover_and_understated_ones_do_not(setup):
     n = 200
-    plan = setting.plans.plans[2]
-    measured = measure(setting.plans, setting.pose, setting.targets, n, setting.rng(9))
-    found = simulate(setting.plans, plan, BAYESIAN, measured, setting.pose, setting.targets)
-    stated = state_spread(found, setting.targets)
+    plan = setup.plans.plans[2]
+    measured = measure(setup.plans, setup.pose, setup.targets, n, setup.rng(9))
+    found = simulate(setup.plans, plan, BAYESIAN, measured, setup.pose, setup.targets)
+    stated = state_spread(found, setup.targets)
     pairs = ((found.error, stated.parameters), (found.tool, stated.tool), (found.noisy_tool, stated.noisy_tool))
     for error, spread in pairs:
         share = cover(error, spread, QUANTILE, 0.9).share
@@ -166,43 +166,43 @@ def test_stated_intervals_cover_and_understated_ones_do_not(setting):
     assert np.sqrt(np.mean(added**2) / np.mean(wanted)) == pytest.approx(1.0, abs=0.06)
 
 
-def test_sets_share_machines_and_noise(setting):
-    plans = setting.plans
-    measured = measure(plans, setting.pose, setting.targets, 4, setting.rng(9))
+def test_sets_share_machines_and_noise(setup):
+    plans = setup.plans
+    measured = measure(plans, setup.pose, setup.targets, 4, setup.rng(9))
     small, large = plans.plans[0], plans.plans[2]
     np.testing.assert_array_equal(plans.columns(small), np.arange(4))
     np.testing.assert_array_equal(plans.columns(large), np.arange(12))
     assert small.sensors.names == tuple(plans.every.sensors.names[k] for k in plans.columns(small))
-    off = measured.readings - plans.every.sensors.read(measured.theta[:, None], setting.pose)
+    off = measured.readings - plans.every.sensors.read(measured.theta[:, None], setup.pose)
     assert (off / plans.every.sensors.noise).std() == pytest.approx(1.0, abs=0.06)
-    exact = plans.every.sensors.read(measured.theta[:, None], setting.targets)
+    exact = plans.every.sensors.read(measured.theta[:, None], setup.targets)
     np.testing.assert_array_equal(measured.at_targets, exact)
 
 
-def test_parts_are_what_all_sets_calibrate(setting):
-    parts = name_parts(setting.plans.plans)
+def test_parts_are_what_all_sets_calibrate(setup):
+    parts = name_parts(setup.plans.plans)
     assert len(parts["lengths"]) == 15
     assert parts["guide_angles"] == {"beta[2]", "beta[3]", "beta[4]"}
 
 
-def test_steps_are_ratios_of_root_mean_squares(setting):
-    measured = measure(setting.plans, setting.pose, setting.targets, 5, setting.rng(9))
+def test_steps_are_ratios_of_root_mean_squares(setup):
+    measured = measure(setup.plans, setup.pose, setup.targets, 5, setup.rng(9))
     found = {
-        (plan.name, procedure): simulate(setting.plans, plan, procedure, measured, setting.pose, setting.targets)
-        for plan in setting.plans.plans
+        (plan.name, procedure): simulate(setup.plans, plan, procedure, measured, setup.pose, setup.targets)
+        for plan in setup.plans.plans
         for procedure in PROCEDURES
     }
-    steps = list_steps(setting.plans, found).set_index(["from", "to", "procedure", "quantity"])["ratio"]
+    steps = list_steps(setup.plans, found).set_index(["from", "to", "procedure", "quantity"])["ratio"]
     one, two = (found[name, PAPER].tool for name in ("4 sensors", "8 sensors"))
     wanted = np.sqrt((one**2).sum() / (two**2).sum())
     assert steps["4 sensors", "8 sensors", PAPER, "tool"] == pytest.approx(wanted)
     assert wanted > 10.0
 
 
-def test_path_is_a_circle_of_the_tool(setting):
-    position, _, _ = setting.machine.tool(setting.machine.layout.nominal, setting.path)
+def test_path_is_a_circle_of_the_tool(setup):
+    position, _, _ = setup.machine.tool(setup.machine.layout.nominal, setup.path)
     np.testing.assert_allclose(np.linalg.norm(position, axis=1), 150.0, rtol=1e-12)
-    turned = np.degrees(setting.path[:, 2] - setting.machine.home[2])
+    turned = np.degrees(setup.path[:, 2] - setup.machine.home[2])
     assert turned.max() == pytest.approx(20.0)
     assert turned.min() == pytest.approx(-20.0)
 
@@ -243,9 +243,9 @@ def test_failed_calibrations_are_left_out():
 # --- machines --------------------------------------------------------------------------------------------------------
 
 
-def test_machines_are_drawn_from_their_ranges(setting):
-    config = setting.config.machines
-    drawn = [draw_candidate(setting, config, setting.rng(7, k)) for k in range(40)]
+def test_machines_are_drawn_from_their_ranges(setup):
+    config = setup.config.machines
+    drawn = [draw_candidate(setup, config, setup.rng(7, k)) for k in range(40)]
     kept = [one for one in drawn if one is not None]
     assert 10 < len(kept) < 40  # some do not reach their poses
     for one in kept:
@@ -258,11 +258,11 @@ def test_machines_are_drawn_from_their_ranges(setting):
         assert np.abs(tool).max() <= one.geometry["position_mm"]
 
 
-def test_the_documented_machine_is_one_of_them(setting):
+def test_the_documented_machine_is_one_of_them(setup):
     geometry = dict.fromkeys(GEOMETRY, 0.0) | {"guide_radius_mm": 600.0, "leg_length_mm": 800.0}
     ours = lay_out(geometry | {"platform_radius_mm": 100.0}, 4)
     found = machines_module.build_sliding_platform(ours)
-    off = found.layout.nominal - setting.machine.layout.nominal
+    off = found.layout.nominal - setup.machine.layout.nominal
     turns = np.array(found.layout.units) == "rad"
     np.testing.assert_allclose(off[~turns], 0.0, atol=1e-9)
     np.testing.assert_allclose(np.exp(1j * off[turns]), 1.0, atol=1e-12)
@@ -361,7 +361,7 @@ def test_committed_results_are_those_of_the_committed_config():
     summary = json.loads((results / "summary.json").read_text())
     assert all(row["reached"] for row in summary["judged"])
     assert all(0.85 <= row["share"] <= 0.95 for row in summary["coverage"])
-    setting = read_setting(config, STAR)
-    found = list_calibrabilities(setting.plans, setting.pose)
+    setup = read_setup(config, STAR)
+    found = list_calibrabilities(setup.plans, setup.pose)
     committed = pd.DataFrame(summary["calibrability"])
     np.testing.assert_allclose(found["metres_radians"], committed["metres_radians"], rtol=1e-6)

@@ -16,7 +16,7 @@ from bayescal.pose_selection import candidates_at, even_candidates
 from bayescal.pose_selection.observability import angle_rates
 from bayescal.reproductions.yu2023.angles import coordinates_from_pose, pose_from_coordinates
 from bayescal.reproductions.yu2023.least_squares import Weighting, calibrate, find_lengths, linearise, move
-from bayescal.reproductions.yu2023.setting import CommandedPoses
+from bayescal.reproductions.yu2023.setup import CommandedPoses
 
 SETTING = load_setting()
 MACHINE = SETTING.machine

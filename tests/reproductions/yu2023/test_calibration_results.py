@@ -14,7 +14,7 @@ from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.parallel import Run
 from bayescal.reproductions.yu2023 import accuracy
-from bayescal.reproductions.yu2023.setting import CommandedPoses
+from bayescal.reproductions.yu2023.setup import CommandedPoses
 
 RESULTS = studies.EXPERIMENTS.parent / "results"
 
@@ -37,23 +37,23 @@ def test_results_are_those_of_the_shipped_config(name):
 
 def test_first_selection_is_the_committed_one():
     """The others take long; by the Jacobian of rotation vectors O1 of the same poses is 0.05 % less."""
-    setting = load_setting("table8")
-    rng = np.random.default_rng(np.random.SeedSequence(setting.config.seed).spawn(1)[0])
+    setup = load_setting("table8")
+    rng = np.random.default_rng(np.random.SeedSequence(setup.config.seed).spawn(1)[0])
     values = read_summary("table8")["O1"]
-    assert setting.select("O1", setting.config.study.poses, rng).value == pytest.approx(values[0], rel=1e-6)
+    assert setup.select("O1", setup.config.study.poses, rng).value == pytest.approx(values[0], rel=1e-6)
     assert min(values) > 0.0357  # table 1, O1 of 20 poses by the improved DETMAX
 
 
 def test_random_poses_give_the_committed_figures_again(monkeypatch):
     """Half of table 8 without the selections, which take long; the random sets and the noise do not depend on them."""
 
-    def draw_any(setting, choices, seeds, run, what):
-        drawn = setting.draw_random(choices[0][1], len(choices), np.random.default_rng(0))
+    def draw_any(setup, choices, seeds, run, what):
+        drawn = setup.draw_random(choices[0][1], len(choices), np.random.default_rng(0))
         return [CommandedPoses(*pair) for pair in zip(drawn.coordinates, drawn.actuators, strict=True)]
 
     monkeypatch.setattr(accuracy, "select_all", draw_any)
-    setting = load_setting("table8")
-    tables = accuracy.run_accuracy(setting, setting.config.study, Run()).tables
+    setup = load_setting("table8")
+    tables = accuracy.run_accuracy(setup, setup.config.study, Run()).tables
     committed = read_table("table8", "table8")
     assert (committed["poses"] == "random").sum() == 12
     for method, alike in (("random", True), ("optimal", False)):

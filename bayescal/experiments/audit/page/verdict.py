@@ -245,11 +245,10 @@ def _blame(worst: Requirement) -> str:
 
 @dataclass(frozen=True)
 class Help:
-    """The best of the changes looked at, and by what it was judged."""
+    """One of the changes looked at, and whether it is worth its effort."""
 
     change: Change
     is_worth: bool
-    by_requirements: bool
 
 
 def measure_worst(results: AuditResults, change: Change) -> float:
@@ -268,10 +267,10 @@ def rank_help(results: AuditResults, beyond_range: bool = False) -> list[Help]:
     if _is_at_risk(results):
         now = max(map(_share, results.requirements))
         judged = [(c, measure_worst(results, c)) for c in feasible]
-        return [Help(c, worst <= WORTH_SHARE * now, True) for c, worst in sorted(judged, key=lambda pair: pair[1])]
+        return [Help(c, worst <= WORTH_SHARE * now) for c, worst in sorted(judged, key=lambda pair: pair[1])]
     now = results.summary["total_nats"]
     ordered = sorted(feasible, key=lambda c: -c.nats)
-    return [Help(c, c.nats - now >= WORTH_NATS, False) for c in ordered]
+    return [Help(c, c.nats - now >= WORTH_NATS) for c in ordered]
 
 
 def _is_at_risk(results: AuditResults) -> bool:

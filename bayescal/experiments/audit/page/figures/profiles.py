@@ -19,7 +19,6 @@ from bayescal.report.symbols import quote, set_parameter
 
 BLUE = "#0072B2"
 ORANGE = "#E69F00"
-GREEN = "#009E73"
 GREY = "#b5b5b5"
 COLUMNS = 4
 NINETY_FIVE = 3.841  # deviance of one parameter

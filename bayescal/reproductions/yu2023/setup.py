@@ -49,7 +49,7 @@ class CommandedPoses:
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class Setup:
     """Machine and workspace of an experiment.
 
     Attributes
@@ -77,8 +77,8 @@ class Setting:
         placed = even_candidates(self.domain, self.config.verification_poses, levels=None).placed
         return coordinates_from_pose(placed.position, placed.rotation)
 
-    def scale_workspace(self, scale: float) -> Setting:
-        """Return the setting with a workspace, and so candidates and verification poses, of another size."""
+    def scale_workspace(self, scale: float) -> Setup:
+        """Return the setup with a workspace, and so candidates and verification poses, of another size."""
         return replace(self, domain=replace(self.domain, half=scale * self.domain.half))
 
     def problem(self, index: str, n: int) -> SelectionProblem:
@@ -143,8 +143,8 @@ class Setting:
         return evaluate(self.machine, truth, found, self.targets)
 
 
-def read_setting(config: HexapodCalibrationsConfig, folder: Path) -> Setting:
-    """Return the setting of an experiment; InputError where the machine is no hexapod of struts with a home pose."""
+def read_setup(config: HexapodCalibrationsConfig, folder: Path) -> Setup:
+    """Return the setup of an experiment; InputError where the machine is no hexapod of struts with a home pose."""
     mechanism = load_mechanism(folder / config.mechanism)
     if mechanism.n_legs != 6:
         raise InputError(f"{folder / config.mechanism}: found {mechanism.n_legs} legs, expected 6")
@@ -152,7 +152,7 @@ def read_setting(config: HexapodCalibrationsConfig, folder: Path) -> Setting:
     check_home_pose(machine)
     half = np.concatenate([config.workspace.position_mm, np.radians(config.workspace.rotation_deg)])
     knowledge = Knowledge(machine, dict.fromkeys(machine.layout.names, config.parameter_error_mm))
-    return Setting(config, folder, machine, WorkspaceBox(knowledge, half))
+    return Setup(config, folder, machine, WorkspaceBox(knowledge, half))
 
 
 def noise_scale(noise: PoseNoiseConfig) -> Array:
@@ -161,16 +161,16 @@ def noise_scale(noise: PoseNoiseConfig) -> Array:
 
 
 def select_all(
-    setting: Setting, choices: Sequence[tuple[str, int]], seeds: Sequence[np.random.SeedSequence], run: Run, what: str
+    setup: Setup, choices: Sequence[tuple[str, int]], seeds: Sequence[np.random.SeedSequence], run: Run, what: str
 ) -> list[CommandedPoses]:
     """Return the poses of choices (index, n), each with its own seed; ``what`` names the stage."""
     for index, n in dict.fromkeys(choices):
-        setting.problem(index, n)
+        setup.problem(index, n)
     pairs = zip(choices, seeds, strict=True)
     tasks = {f"{k} {index} {n}": (index, n, seed) for k, ((index, n), seed) in enumerate(pairs)}
-    return list(run.map(what, _select, setting, tasks, (CommandedPoses,)).values())
+    return list(run.map(what, _select, setup, tasks, (CommandedPoses,)).values())
 
 
-def _select(setting: Setting, task: tuple[str, int, np.random.SeedSequence]) -> CommandedPoses:
+def _select(setup: Setup, task: tuple[str, int, np.random.SeedSequence]) -> CommandedPoses:
     index, n, seed = task
-    return setting.select(index, n, np.random.default_rng(seed))
+    return setup.select(index, n, np.random.default_rng(seed))

@@ -69,7 +69,7 @@ class Plans:
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class Setup:
     """The documented machine and where it is measured and judged.
 
     Attributes
@@ -100,8 +100,8 @@ class Setting:
         return np.random.default_rng([self.config.seed, *stream])
 
 
-def read_setting(config: SelfCalibrationsConfig, folder: Path) -> Setting:
-    """Return the setting of an experiment.
+def read_setup(config: SelfCalibrationsConfig, folder: Path) -> Setup:
+    """Return the setup of an experiment.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def read_setting(config: SelfCalibrationsConfig, folder: Path) -> Setting:
     targets = draw_poses(machine, config.poses.model_copy(update={"n_poses": config.verification_poses}), rng[1])
     path = follow_path(machine, config.path)
     machine.check_poses(path, lambda k: f"path: pose {k + 1}")
-    return Setting(config, folder, machine, plans, pose, targets, path)
+    return Setup(config, folder, machine, plans, pose, targets, path)
 
 
 def build_plans(

@@ -7,13 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, t
 
-from bayescal.data.photogrammetry.rigid_fit import fit_rigid_body
-from bayescal.data.photogrammetry.ring_deformation import (
-    RingDeformation,
+from bayescal.data.photogrammetry.joint_deflection import (
+    JointDeflection,
     fit_linear_deformation,
     fit_matrix_deformation,
-    measure_ring_deformation,
+    measure_joint_deflection,
 )
+from bayescal.data.photogrammetry.rigid_fit import fit_rigid_body
 from bayescal.errors import InputError
 
 NOISE = 0.005
@@ -44,12 +44,12 @@ def simulate(deflection, rng, noise=NOISE, n_pad=4):
 def measure(deflection, rng, noise=NOISE, n_pad=4):
     rigid, ring, leg = make_platform(n_pad)
     on_body, on_ring = simulate(deflection, rng, noise, n_pad)
-    return measure_ring_deformation(fit_rigid_body(rigid, on_body, NOISE), ring, on_ring, leg, NOISE, N_LEGS)
+    return measure_joint_deflection(fit_rigid_body(rigid, on_body, NOISE), ring, on_ring, leg, NOISE, N_LEGS)
 
 
 def correlated_ring(matrix, actuator, covariance, rng):
     draws = rng.standard_normal(actuator.shape) @ np.linalg.cholesky(covariance).T
-    return RingDeformation(actuator @ matrix.T + draws, np.broadcast_to(covariance, (len(actuator), *covariance.shape)))
+    return JointDeflection(actuator @ matrix.T + draws, np.broadcast_to(covariance, (len(actuator), *covariance.shape)))
 
 
 def draw_covariance(rng):
@@ -83,7 +83,7 @@ def test_wrong_and_unseen_pad_targets():
     wrong, without = on_ring.copy(), on_ring.copy()
     wrong[:, [1, 6]] += 1000.0
     without[:, [1, 6]] = np.nan
-    results = [measure_ring_deformation(fit, ring, m, leg, NOISE, N_LEGS) for m in (wrong, without, on_ring)]
+    results = [measure_joint_deflection(fit, ring, m, leg, NOISE, N_LEGS) for m in (wrong, without, on_ring)]
     np.testing.assert_allclose(results[0].displacement, results[1].displacement, atol=1e-12)
     np.testing.assert_allclose(results[0].covariance, results[1].covariance, rtol=1e-9)
     excess = np.diagonal(results[1].covariance - results[2].covariance, axis1=1, axis2=2)
@@ -95,7 +95,7 @@ def test_two_targets_on_a_pad_are_averaged_without_rejection():
     on_body, on_ring = simulate(np.zeros((1, N_LEGS)), np.random.default_rng(5), n_pad=2)
     fit = fit_rigid_body(rigid, on_body, NOISE)
     on_ring[0, 0] += 3.0 * fit.rotation[0, :, 2]
-    ring_result = measure_ring_deformation(fit, ring, on_ring, leg, NOISE, N_LEGS)
+    ring_result = measure_joint_deflection(fit, ring, on_ring, leg, NOISE, N_LEGS)
     assert ring_result.displacement[0, 0] == pytest.approx(1.5, abs=0.05)
 
 
@@ -106,11 +106,11 @@ def test_input_errors_of_the_measurement():
     empty = on_ring.copy()
     empty[1, leg == 3] = np.nan
     with pytest.raises(InputError, match="fit 1: found no seen target on the pad of leg 3"):
-        measure_ring_deformation(fit, ring, empty, leg, NOISE, N_LEGS)
+        measure_joint_deflection(fit, ring, empty, leg, NOISE, N_LEGS)
     with pytest.raises(InputError, match="every leg from 1 to 6"):
-        measure_ring_deformation(fit, ring, on_ring, np.minimum(leg, 5), NOISE, N_LEGS)
+        measure_joint_deflection(fit, ring, on_ring, np.minimum(leg, 5), NOISE, N_LEGS)
     with pytest.raises(InputError, match="expected \\(24, 3\\)"):
-        measure_ring_deformation(fit, ring[1:], on_ring, leg, NOISE, N_LEGS)
+        measure_joint_deflection(fit, ring[1:], on_ring, leg, NOISE, N_LEGS)
 
 
 def test_linear_deformation_is_the_closed_form_and_covers():
@@ -119,7 +119,7 @@ def test_linear_deformation_is_the_closed_form_and_covers():
     actuator = rng.uniform(-3, 3, (n_poses, N_LEGS))
     for _ in range(400):
         displacement = kappa * actuator + 0.01 * rng.standard_normal(actuator.shape)
-        fit = fit_linear_deformation(RingDeformation(displacement, np.zeros((n_poses, N_LEGS, N_LEGS))), actuator)
+        fit = fit_linear_deformation(JointDeflection(displacement, np.zeros((n_poses, N_LEGS, N_LEGS))), actuator)
         scale = fit.sd * np.sqrt((fit.dof - 2) / fit.dof)
         inside.append(np.abs(fit.kappa - kappa) < t.ppf(0.84, fit.dof) * scale)
     assert np.mean(inside) == pytest.approx(0.68, abs=4 * np.sqrt(0.68 * 0.32 / 2400))
@@ -132,7 +132,7 @@ def test_linear_deformation_is_the_closed_form_and_covers():
 def test_matrix_deformation_is_least_squares_for_equal_covariances():
     rng = np.random.default_rng(8)
     actuator, displacement = rng.uniform(-3, 3, (2, 15, N_LEGS))
-    fit = fit_matrix_deformation(RingDeformation(displacement, np.tile(4e-6 * np.eye(N_LEGS), (15, 1, 1))), actuator)
+    fit = fit_matrix_deformation(JointDeflection(displacement, np.tile(4e-6 * np.eye(N_LEGS), (15, 1, 1))), actuator)
     expected = np.linalg.lstsq(actuator, displacement)[0].T
     residuals = displacement - actuator @ expected.T
     np.testing.assert_allclose(fit.matrix, expected, rtol=1e-9, atol=1e-12)
@@ -148,7 +148,7 @@ def test_matrix_deformation_weighs_by_the_covariance_of_each_pose():
     rng = np.random.default_rng(9)
     actuator, displacement = rng.uniform(-3, 3, (2, 12, N_LEGS))
     covariance = np.stack([draw_covariance(rng) for _ in range(12)])
-    fit = fit_matrix_deformation(RingDeformation(displacement, covariance), actuator)
+    fit = fit_matrix_deformation(JointDeflection(displacement, covariance), actuator)
     root = np.linalg.inv(np.linalg.cholesky(covariance))
     design = np.concatenate([root[p] @ np.kron(np.eye(6), actuator[p]) for p in range(12)])
     expected = np.linalg.lstsq(design, np.einsum("pij,pj->pi", root, displacement).ravel())[0]
@@ -186,11 +186,11 @@ def test_input_errors_of_the_models():
     ring = correlated_ring(np.eye(6), actuator, np.eye(6), rng)
     with pytest.raises(InputError, match="found 9 poses with actuator displacements in 2 independent directions"):
         fit_matrix_deformation(ring, actuator[:, :2] @ rng.uniform(-1, 1, (2, 6)))
-    five = RingDeformation(ring.displacement[:5], ring.covariance[:5])
+    five = JointDeflection(ring.displacement[:5], ring.covariance[:5])
     with pytest.raises(InputError, match="found 5 poses"):
         fit_matrix_deformation(five, actuator[:5])
     with pytest.raises(InputError, match="found 3 poses"):
-        fit_linear_deformation(RingDeformation(ring.displacement[:3], ring.covariance[:3]), actuator[:3])
+        fit_linear_deformation(JointDeflection(ring.displacement[:3], ring.covariance[:3]), actuator[:3])
     with pytest.raises(InputError, match="no movement of actuator 4"):
         fit_linear_deformation(ring, actuator * (np.arange(6) != 3))
     with pytest.raises(InputError, match="expected \\(9, 6\\)"):

@@ -23,7 +23,7 @@ _MAD_TO_SD = 1.482602218505602  # 1 / Φ⁻¹(3/4)
 
 
 @dataclass(frozen=True, eq=False)
-class RingDeformation:
+class JointDeflection:
     """Deflections of the ring at the legs.
 
     Attributes
@@ -117,9 +117,9 @@ def _compute_pad_shares(deflection: Array, leg: NDArray[np.int64], noise: float,
     return np.stack(shares, axis=1)
 
 
-def measure_ring_deformation(
+def measure_joint_deflection(
     fit: RigidFit, reference: ArrayLike, measured: ArrayLike, leg: ArrayLike, noise: float, n_legs: int
-) -> RingDeformation:
+) -> JointDeflection:
     """Return the deflection of the ring at each leg, ``z · (R^T (m - p) - r)`` averaged over the targets of its pad.
 
     Parameters
@@ -139,7 +139,7 @@ def measure_ring_deformation(
 
     Returns
     -------
-    RingDeformation
+    JointDeflection
         The covariance is ``σ² diag(1 / n_i) + G C G^T``: n_i averaged targets of leg i, C the covariance of the pose,
         and row i of G ``-[z, l × z]`` with z of the platform in the measurement frame and l the mean lever ``m - p``.
 
@@ -168,21 +168,21 @@ def measure_ring_deformation(
     covariance = gain @ fit.covariance @ np.swapaxes(gain, -1, -2)
     covariance = covariance + noise**2 * np.sum(shares**2, axis=-1)[..., None] * np.eye(n_legs)
     displacement = np.einsum("pnm,pm->pn", shares, np.nan_to_num(deflection))
-    return RingDeformation(displacement, 0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
+    return JointDeflection(displacement, 0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
 
 
-def _check_actuators(ring: RingDeformation, actuator_displacement: ArrayLike) -> Array:
+def _check_actuators(deflection: JointDeflection, actuator_displacement: ArrayLike) -> Array:
     """Return the actuator displacements as an array of the deflections' shape."""
     actuator = np.asarray(actuator_displacement, dtype=float)
-    if actuator.shape != ring.displacement.shape or not np.isfinite(actuator).all():
+    if actuator.shape != deflection.displacement.shape or not np.isfinite(actuator).all():
         raise InputError(
             f"actuator displacements: found shape {actuator.shape}, "
-            f"expected {ring.displacement.shape} of finite numbers"
+            f"expected {deflection.displacement.shape} of finite numbers"
         )
     return actuator
 
 
-def fit_linear_deformation(ring: RingDeformation, actuator_displacement: ArrayLike) -> KappaEstimate:
+def fit_linear_deformation(deflection: JointDeflection, actuator_displacement: ArrayLike) -> KappaEstimate:
     """Return the coefficient of each leg in ``Δb_z,i = κ_i Δρ_i + ε`` (RR-8096 eq. 1).
 
     The residuals are mostly what the model leaves out, so their variance is taken as unknown, one per leg, with the
@@ -191,7 +191,7 @@ def fit_linear_deformation(ring: RingDeformation, actuator_displacement: ArrayLi
 
     Parameters
     ----------
-    ring : RingDeformation
+    ring : JointDeflection
         Deflections (P, N) in mm; their covariance is not used.
     actuator_displacement : array_like, shape (P, N)
         Δρ from the pose in which the ring's reference was taken, mm.
@@ -202,19 +202,19 @@ def fit_linear_deformation(ring: RingDeformation, actuator_displacement: ArrayLi
         Where shapes disagree, poses are fewer than four (the t distribution would have no variance), or an actuator
         never moves.
     """
-    actuator = _check_actuators(ring, actuator_displacement)
+    actuator = _check_actuators(deflection, actuator_displacement)
     dof = len(actuator) - 1
     if dof < 3:
         raise InputError(f"linear deformation: found {len(actuator)} poses, expected at least 4")
     power = np.sum(actuator**2, axis=0)
     if np.any(power == 0):
         raise InputError(f"linear deformation: found no movement of actuator {np.argmin(power) + 1}, expected some")
-    kappa = np.sum(actuator * ring.displacement, axis=0) / power
-    residual_sd = np.sqrt(np.sum((ring.displacement - kappa * actuator) ** 2, axis=0) / dof)
+    kappa = np.sum(actuator * deflection.displacement, axis=0) / power
+    residual_sd = np.sqrt(np.sum((deflection.displacement - kappa * actuator) ** 2, axis=0) / dof)
     return KappaEstimate(kappa, residual_sd / np.sqrt(power) * np.sqrt(dof / (dof - 2)), residual_sd, dof)
 
 
-def fit_matrix_deformation(ring: RingDeformation, actuator_displacement: ArrayLike) -> MatrixEstimate:
+def fit_matrix_deformation(deflection: JointDeflection, actuator_displacement: ArrayLike) -> MatrixEstimate:
     """Return the coefficient matrix in ``Δb_z = K Δρ`` (RR-8096 eqs. 2 and 3) by generalised least squares.
 
     Where RR-8096 fits each leg by itself with equal weights, here the legs are fitted together with the known
@@ -223,7 +223,7 @@ def fit_matrix_deformation(ring: RingDeformation, actuator_displacement: ArrayLi
 
     Parameters
     ----------
-    ring : RingDeformation
+    ring : JointDeflection
         Deflections (P, N) in mm and their covariance.
     actuator_displacement : array_like, shape (P, N)
         Δρ from the pose in which the ring's reference was taken, mm.
@@ -233,7 +233,7 @@ def fit_matrix_deformation(ring: RingDeformation, actuator_displacement: ArrayLi
     InputError
         Where shapes disagree, or the actuator displacements of all poses span fewer than N directions.
     """
-    actuator = _check_actuators(ring, actuator_displacement)
+    actuator = _check_actuators(deflection, actuator_displacement)
     n_poses, n_legs = actuator.shape
     rank = int(np.linalg.matrix_rank(actuator))
     if rank < n_legs:
@@ -241,13 +241,13 @@ def fit_matrix_deformation(ring: RingDeformation, actuator_displacement: ArrayLi
             f"matrix deformation: found {n_poses} poses with actuator displacements in {rank} independent directions, "
             f"expected {n_legs} to determine the {n_legs**2} coefficients"
         )
-    weight = np.linalg.inv(ring.covariance)
+    weight = np.linalg.inv(deflection.covariance)
     precision = np.einsum("pij,pa,pb->iajb", weight, actuator, actuator).reshape(n_legs**2, n_legs**2)
-    target = np.einsum("pij,pj,pa->ia", weight, ring.displacement, actuator)
+    target = np.einsum("pij,pj,pa->ia", weight, deflection.displacement, actuator)
     covariance = np.linalg.inv(precision)
     covariance = 0.5 * (covariance + covariance.T)
     matrix = (covariance @ target.ravel()).reshape(n_legs, n_legs)
-    residuals = ring.displacement - actuator @ matrix.T
+    residuals = deflection.displacement - actuator @ matrix.T
     return MatrixEstimate(
         matrix=matrix,
         covariance=covariance,
