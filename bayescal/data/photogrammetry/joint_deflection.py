@@ -191,7 +191,7 @@ def fit_linear_deformation(deflection: JointDeflection, actuator_displacement: A
 
     Parameters
     ----------
-    ring : JointDeflection
+    deflection : JointDeflection
         Deflections (P, N) in mm; their covariance is not used.
     actuator_displacement : array_like, shape (P, N)
         Δρ from the pose in which the ring's reference was taken, mm.
@@ -223,7 +223,7 @@ def fit_matrix_deformation(deflection: JointDeflection, actuator_displacement: A
 
     Parameters
     ----------
-    ring : JointDeflection
+    deflection : JointDeflection
         Deflections (P, N) in mm and their covariance.
     actuator_displacement : array_like, shape (P, N)
         Δρ from the pose in which the ring's reference was taken, mm.
