@@ -156,6 +156,11 @@ def test_bad_input_is_one_line_and_nothing_written(refuse, study, command, name,
     assert expected in refuse(command, study, "--out", "new/out")
 
 
+def test_unknown_claims(refuse, study):
+    studies.edit(Path(study), "seed = 11", 'seed = 11\nclaims = "rr8097"')
+    assert "claims: found 'rr8097', did you mean 'rr8096'?" in refuse("run", study)
+
+
 def test_missing_config(refuse, study):
     assert "nothing.toml: no such file, expected a TOML config" in refuse("run", "nothing.toml")
     assert "nothing.toml: no such file" in refuse("simulate", "nothing.toml", "--out", "x")

@@ -52,9 +52,9 @@ def format_pair(first: float | None, second: float | None, digits: int = 3) -> s
     return f"{format_significant(first, digits)} / {format_significant(second, digits)}"
 
 
-def format_percent(fraction: float | None) -> str:
-    """Return a fraction as whole per cent."""
-    return NOTHING if fraction is None or math.isnan(fraction) else f"{100 * fraction:.0f} %"
+def format_percent(fraction: float | None, decimals: int = 0) -> str:
+    """Return a fraction as per cent."""
+    return NOTHING if fraction is None or math.isnan(fraction) else f"{format_fixed(100 * fraction, decimals)} %"
 
 
 def format_odds(nats: float) -> str:
@@ -81,9 +81,30 @@ def format_plain(value: float, digits: int = 6, separator: str = "") -> str:
 
     ``separator``, a comma, stands between thousands.
     """
-    return f"{value:{separator}.{digits}g}"
+    return f"{value:{separator}.{digits}g}".replace("-", MINUS)
 
 
 def format_count(number: float) -> str:
     """Return a whole number with commas between thousands."""
     return f"{number:,.0f}"
+
+
+def format_scientific(value: float | None, digits: int = 2) -> str:
+    """Return a number with a power of ten on one line, ``3.3e4``."""
+    if value is None or not math.isfinite(value):
+        return format_fixed(value, 0)
+    mantissa, power = _split_power(value, digits)
+    return f"{mantissa}e{power}".replace("-", MINUS)
+
+
+def format_power(value: float | None, digits: int = 2) -> str:
+    """Return a number of any size, large and small ones as ``3.3·10⁴``."""
+    if value is None or value == 0.0 or not math.isfinite(value) or 1e-2 <= abs(value) < 1e3:
+        return format_significant(value, digits)
+    mantissa, power = _split_power(value, digits)
+    return f"{'' if mantissa == '1' else f'{mantissa}·'}10{str(power).translate(SUPERSCRIPTS)}".replace("-", MINUS)
+
+
+def _split_power(value: float, digits: int) -> tuple[str, int]:
+    mantissa, _, power = f"{value:.{digits - 1}e}".partition("e")
+    return mantissa, int(power)

@@ -6,7 +6,16 @@ import math
 
 import numpy as np
 
-from bayescal.report.numbers import format_estimate, format_fixed, format_odds, format_significant
+from bayescal.report.numbers import (
+    format_estimate,
+    format_fixed,
+    format_odds,
+    format_percent,
+    format_plain,
+    format_power,
+    format_scientific,
+    format_significant,
+)
 
 
 def test_numbers_are_rounded_as_the_report_shows_them():
@@ -19,3 +28,17 @@ def test_numbers_are_rounded_as_the_report_shows_them():
     assert format_significant(1234.5) == "1234"
     assert format_odds(math.log(20)) == "20 to 1"
     assert format_odds(358.0) == "10¹⁵⁵ to 1"
+    assert format_percent(-0.0421, 1) == "−4.2 %"
+    assert format_plain(-0.5) == "−0.5"
+
+
+def test_numbers_of_any_size_are_written_with_powers_of_ten():
+    assert format_scientific(31415.9) == "3.1e4"
+    assert format_scientific(-0.00012346, 4) == "−1.235e−4"
+    assert format_scientific(math.inf) == "∞"
+    assert format_power(31415.9) == "3.1·10⁴"
+    assert format_power(-0.004) == "−4.0·10⁻³"
+    assert format_power(1e5, 1) == "10⁵"
+    assert format_power(12.345) == "12"
+    assert format_power(0.0) == "0"
+    assert format_power(math.nan) == "–"

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from bayescal.report.numbers import format_fixed, format_plain
 from bayescal.report.style import GREY, INK, LEG_COLOURS, MARKERS, PALE, RED
 
 COLOURS = (LEG_COLOURS[4], LEG_COLOURS[5], LEG_COLOURS[2], LEG_COLOURS[3], LEG_COLOURS[0], LEG_COLOURS[1])
@@ -78,10 +79,10 @@ def draw_random_sets(sets: pd.DataFrame, criterion: str, mean: float | None, lar
     axes = figure.subplots()
     axes.hist(values, bins=40, color=PALE, edgecolor=GREY, linewidth=0.5)
     for value, label, style in ((values.mean(), "mean", "-"), (values.max(), "largest", "--")):
-        axes.axvline(value, color=INK, linewidth=1.3, linestyle=style, label=f"{label} found {value:.5f}")
+        axes.axvline(value, color=INK, linewidth=1.3, linestyle=style, label=f"{label} found {format_fixed(value, 5)}")
     for published, label, style in ((mean, "mean", "-"), (largest, "largest", "--")):
         if published is not None:
-            name = f"{label} published {published:.5f}"
+            name = f"{label} published {format_fixed(published, 5)}"
             axes.axvline(published, color=RED, linewidth=1.3, linestyle=style, label=name)
     axes.set(xlabel=criterion, ylabel=f"Sets of {len(values)}")
     axes.legend(loc="upper left")
@@ -147,7 +148,7 @@ def draw_errors(
         axes.set_xticks(ticks, [str(n) for n in ticks])
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
         axes.yaxis.set_minor_formatter(NullFormatter())
         axes.grid(visible=True)
     panels[0].legend()

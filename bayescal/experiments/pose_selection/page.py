@@ -23,7 +23,15 @@ from bayescal.experiments.pose_selection.tasks import DESIGN
 from bayescal.experiments.pose_selection.verdict import PRINTED, Tables, state_headline, state_verdict
 from bayescal.pose_selection import CRITERIA, METHODS
 from bayescal.report.blocks import Cell, Column, Figure, Page, Section, Statement, Table, make_section, make_table
-from bayescal.report.numbers import format_estimate, format_fixed, format_significant
+from bayescal.report.numbers import (
+    MINUS,
+    NOTHING,
+    format_estimate,
+    format_fixed,
+    format_plain,
+    format_scientific,
+    format_significant,
+)
 
 KIND = "Pose selection"
 INDICES = ("O1", "O2", "O3", "O4", "O5")
@@ -63,8 +71,11 @@ def _describe_candidates(config: SelectionConfig, results: Results) -> str:
     }
     where = "the actuators' range" if config.domain.within == "actuators" else "the workspace"
     if config.domain.position_mm is not None and config.domain.rotation_deg is not None:
-        halves = " × ".join(f"±{x:g}" for x in config.domain.position_mm)
-        where += f", {halves} mm, {' × '.join(f'±{x:g}' for x in config.domain.rotation_deg)} deg"
+        position, rotation = (
+            " × ".join(f"±{format_plain(x)}" for x in halves)
+            for halves in (config.domain.position_mm, config.domain.rotation_deg)
+        )
+        where += f", {position} mm, {rotation} deg"
     again = "; other ones in each repeat" if section.redraw else ""
     measured = results.summary["n_measured"]
     beside = "" if measured is None else f"; beside {measured} poses measured already"
@@ -78,14 +89,13 @@ def _estimate(mean: float, sd: float) -> str:
     if mean == 0.0 or abs(mean) >= SMALL:
         return format_estimate(mean, sd)
     power = -math.floor(math.log10(abs(mean)))
-    return f"({format_estimate(mean * 10.0**power, sd * 10.0**power)})e-{power}"
+    return f"({format_estimate(mean * 10.0**power, sd * 10.0**power)})e{MINUS}{power}"
 
 
 def _plain(value: float) -> str:
     if value == 0.0 or abs(value) >= SMALL:
         return format_significant(value, 4)
-    mantissa, power = f"{value:.3e}".split("e-")
-    return f"{mantissa}e-{int(power)}"
+    return format_scientific(value, 4)
 
 
 def _published_section(tables: Tables) -> list[Section]:
@@ -182,7 +192,7 @@ def _random_section(tables: Tables) -> list[Section]:
     rows = [
         [
             what,
-            "–" if published is None else _plain(published),
+            NOTHING if published is None else _plain(published),
             _plain(values.iloc[0]),
             _estimate(values.mean(), values.std()),
         ]

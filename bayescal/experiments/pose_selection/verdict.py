@@ -16,7 +16,14 @@ from bayescal.experiments.pose_selection.tables import NEAR
 from bayescal.experiments.pose_selection.tasks import DESIGN
 from bayescal.pose_selection import CRITERIA, METHODS
 from bayescal.report.blocks import Level, Statement
-from bayescal.report.numbers import format_estimate, format_fixed, format_significant, join_words
+from bayescal.report.numbers import (
+    format_estimate,
+    format_fixed,
+    format_percent,
+    format_significant,
+    format_span,
+    join_words,
+)
 
 FIRST_ORDER = 0.2
 PRINTED = 5e-4  # of a value: half of a unit of the fourth digit is less
@@ -105,9 +112,8 @@ def _judge_published(table: pd.DataFrame) -> list[Statement]:
         )
         short = rows[~reached].groupby("criterion", sort=False)["ratio"].min()
         if len(short):
-            words += (
-                f"; short are {join_words([f'{name} by up to {100 * (1 - r):.1f} %' for name, r in short.items()])}"
-            )
+            by = [f"{name} by up to {format_percent(1 - ratio, 1)}" for name, ratio in short.items()]
+            words += f"; short are {join_words(by)}"
         level: Level = "good" if reached.all() else "warning"
         title = METHODS[str(label)].title if label in METHODS else str(label)
         statements.append(Statement(f"{words}.", level, f"Published table, {title}"))
@@ -125,7 +131,8 @@ def _judge_random(sets: pd.DataFrame, section: PublishedConfig) -> list[Statemen
             continue
         first, off = float(values.iloc[0]), float(values.iloc[0]) / published - 1.0
         inside = bool(values.min() <= published <= values.max())
-        words = f"The {what} of {len(sets) // len(values)} random sets is {first:.5f}, published {published:.5f} "
+        words = f"The {what} of {len(sets) // len(values)} random sets is {format_fixed(first, 5)}, published "
+        words += f"{format_fixed(published, 5)} "
         words += f"({format_fixed(100 * off, 1, sign=True)} %)"
         if len(values) > 1:
             words += f"; over {len(values)} draws of candidates and sets {format_estimate(values.mean(), values.std())}"
@@ -144,7 +151,7 @@ def _judge_methods(tables: Tables) -> list[Statement]:
         if n:
             clear = more + same == n or more >= 0.9 * n
             words = f"{one} finds more than {other} in {more} of {n} pairs of the same candidates and start"
-            words += f", as much in {same}; half of the pairs gain above {100 * gain:.2f} %"
+            words += f", as much in {same}; half of the pairs gain above {format_percent(gain, 2)}"
             statements.append(Statement(f"{words}.", "good" if clear else "warning", "Methods"))
     return statements
 
@@ -154,8 +161,8 @@ def _judge_boundary(tables: Tables) -> list[Statement]:
     if tables.config.published is None or tables.errors.empty:
         return []
     shares = tables.selections.groupby("label", sort=False)["at_boundary"].mean().dropna()
-    words = join_words([f"{100 * share:.0f} % of {label}" for label, share in shares.items()])
-    text = f"of the poses chosen, {words} lie within {100 * (1 - NEAR):.0f} % of the limit of a coordinate."
+    words = join_words([f"{format_percent(share)} of {label}" for label, share in shares.items()])
+    text = f"of the poses chosen, {words} lie within {format_percent(1 - NEAR)} of the limit of a coordinate."
     return [Statement(text, "plain", "Boundary")]
 
 
@@ -239,10 +246,10 @@ def _judge_prediction(tables: Tables) -> list[Statement]:
     few = table["n_poses"] <= (off.max() if len(off) else 0)
     words = "simulated errors are "
     if not few.all():
-        words += f"{ratio[~few].min():.2f} to {ratio[~few].max():.2f} times those predicted to first order"
+        words += f"{format_span(list(ratio[~few]), 2)} times those predicted to first order"
         words += f" with {table.loc[~few, 'n_poses'].min()} poses or more" if few.any() else ""
     if few.any():
-        words += f"{'' if few.all() else ', '}{ratio[few].min():.2f} to {ratio[few].max():.2f} times"
+        words += f"{'' if few.all() else ', '}{format_span(list(ratio[few]), 2)} times"
         words += " those predicted to first order" if few.all() else " with fewer, where the first order does not hold"
     failed = tables.errors.groupby("name", sort=False)["n_failed"].sum()
     if failed.any():
@@ -266,9 +273,8 @@ def _recommend(tables: Tables) -> str:
     if not clear:
         return f"{words}, though within the scatter of the next."
     gains = [100.0 * (value - 1.0) for value in clear.values()]
-    span = f"{min(gains):.1f} to {max(gains):.1f}" if len(gains) > 1 else f"{gains[0]:.1f}"
     which = "beyond the scatter" if len(clear) == len(ahead) else f"beyond the scatter with {_list(clear)}"
-    return f"{words}; {which}, the error of the next being {span} % larger."
+    return f"{words}; {which}, the error of the next being {format_span(gains)} % larger."
 
 
 def _list(numbers: Iterable[int]) -> str:

@@ -9,6 +9,8 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
+from bayescal.report.numbers import MICROMETRES, format_estimate, format_fixed
+
 
 def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
     """Print the ranking of a study, and what did not converge."""
@@ -26,11 +28,11 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
         table.add_row(
             str(rank),
             name,
-            f"{fit['log_evidence']:.2f} ± {fit['log_evidence_se']:.2f}",
-            f"{fit['log_evidence'] - best:.1f}",
-            f"{fit['elpd_loo']:.1f} ± {fit['elpd_loo_se']:.1f}",
-            f"{held['elpd']:.1f}" if held else "-",
-            f"{1e3 * error['mean']:.1f} / {1e3 * error['max']:.1f} µm",
+            format_estimate(fit["log_evidence"], fit["log_evidence_se"], 2),
+            format_fixed(fit["log_evidence"] - best, 1),
+            format_estimate(fit["elpd_loo"], fit["elpd_loo_se"], 1),
+            format_fixed(held["elpd"] if held else None, 1),
+            " / ".join(format_fixed(MICROMETRES * error[which], 1) for which in ("mean", "max")) + " µm",
             "yes" if fit["converged"] else "NO",
         )
     console.print(table)
@@ -53,10 +55,10 @@ def show_comparison(comparison: pd.DataFrame, console: Console) -> None:
             str(row["results"]),
             str(row["variant"]),
             str(row["n_parameters"]),
-            f"{row['log_evidence']:.2f} ± {row['se']:.2f}",
-            f"{row['difference']:.1f}",
-            f"{row['elpd_loo']:.1f}",
-            f"{row['elpd_verification']:.1f}",
+            format_estimate(row["log_evidence"], row["se"], 2),
+            format_fixed(row["difference"], 1),
+            format_fixed(row["elpd_loo"], 1),
+            format_fixed(row["elpd_verification"], 1),
             str(row["converged"]),
         )
     console.print(table)

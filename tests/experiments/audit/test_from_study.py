@@ -9,7 +9,9 @@ import studies
 from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import run_audit
 from bayescal.experiments.audit.inputs import read_inputs
+from bayescal.experiments.audit.kind import Audit
 from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.parallel import Run
 from bayescal.inference.mode import find_modes
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -108,6 +110,22 @@ def test_values_that_a_study_fixes_are_fixed(design):
     knowledge = _read(design).knowledge
     places = knowledge.layout.index["b_z"]
     assert np.array_equal(knowledge.centre[places], knowledge.layout.nominal[places] + 0.25)
+
+
+def test_files_of_the_study_are_the_audits(design):
+    """Whatever changes the study's posterior changes the audit's identity."""
+    config = load_audit(design)
+    names = Audit().files(config, design.parent)
+    data = {f"tiny/{name}" for name in ("mechanism.toml", "published.csv", *studies.tiny_survey_texts())}
+    assert set(names) == {"tiny/study.toml", *data}
+    before = hash_identity(identify(config, design.parent, names))
+    for name in names:
+        path = design.parent / name
+        text = path.read_text()
+        path.write_text(f"{text}\n")
+        assert hash_identity(identify(config, design.parent, names)) != before, name
+        path.write_text(text)
+    assert hash_identity(identify(config, design.parent, names)) == before
 
 
 def test_audit_of_a_study_runs_with_its_what_ifs(design):

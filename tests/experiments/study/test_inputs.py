@@ -257,14 +257,15 @@ def test_left_handed_targets_are_a_numerical_failure_or_a_misfit(folder):
     assert not result.converged
 
 
-def kill_worker(*_):
+def kill_worker(parent, *_):
     """Stand for the kernel that ends a process for want of memory."""
     import os
 
+    assert os.getpid() != parent
     os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_killed_worker_is_a_numerical_failure(folder, monkeypatch):
-    monkeypatch.setattr(parallel, "_run_guarded", kill_worker)
+    monkeypatch.setattr(parallel, "_run_in_worker", kill_worker)
     with pytest.raises(NumericalError, match="a worker was killed"):
         run_study(load_experiment(folder / "study.toml"), folder, folder / "out", workers=2)

@@ -337,6 +337,17 @@ def test_study_without_verification_poses(tmp_path):
     assert result.summary["n_poses"] == {"calibration": 13, "verification": 0}
 
 
+def test_claims_are_tested_where_the_config_names_them(result, tmp_path):
+    assert not (result.out / "tables" / "claims.csv").exists()
+    assert "publication" not in result.summary
+    path = studies.write_tiny_study(tmp_path)
+    studies.edit(path, "seed = 11", 'seed = 11\nclaims = "rr8096"')
+    claimed = run(path, tmp_path / "out")
+    assert not pd.read_csv(claimed.out / "tables" / "claims.csv").empty
+    assert claimed.summary["publication"]
+    assert claimed.summary["ranking"] == result.summary["ranking"]
+
+
 def test_study_with_missing_targets_runs(tmp_path):
     path = studies.write_tiny_study(tmp_path)
     targets = tmp_path / "data" / "targets.csv"

@@ -11,6 +11,7 @@ from bayescal.report.numbers import (
     format_count,
     format_fixed,
     format_plain,
+    format_scientific,
     format_significant,
     join_words,
 )
@@ -84,8 +85,7 @@ def format_range(values: Sequence[float], write: Callable[[float], str], between
 def format_sd(value: float) -> str:
     """Return a standard deviation with two significant digits; tiny or huge ones with a power of ten."""
     if value and not 1e-5 <= abs(value) < 1e5:
-        mantissa, _, power = f"{value:.1e}".partition("e")
-        return f"{mantissa}e{int(power)}".replace("-", "−")
+        return format_scientific(value)
     return format_significant(value, 2)
 
 

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
+from bayescal.report.numbers import format_plain
 from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE, RED
 from bayescal.report.symbols import quote, set_parameter, split_name
 
@@ -39,7 +40,7 @@ def draw_tool(variants: pd.DataFrame) -> Figure:
     axes.set_yticks(place, [quote(str(title)) for title in rows["title"]])
     axes.set_ylim(-0.6, len(rows) - 0.4)
     axes.set_xscale("log")
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.grid(axis="x")
     axes.set_xlabel("Error of the tool's centre over the workspace, rms (µm)")

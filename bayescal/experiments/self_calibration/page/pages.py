@@ -11,14 +11,21 @@ from bayescal.experiments.self_calibration.page import figures
 from bayescal.experiments.self_calibration.page.verdict import (
     Row,
     explains,
-    format_power,
     list_rows,
     state_headline,
     state_verdict,
     write_names,
 )
 from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Section, Table, make_section, make_table
-from bayescal.report.numbers import NOTHING, count_decimals, format_estimate, format_fixed, format_significant
+from bayescal.report.numbers import (
+    NOTHING,
+    count_decimals,
+    format_estimate,
+    format_fixed,
+    format_pair,
+    format_scientific,
+    format_significant,
+)
 
 KIND = "Self-calibration"
 SHOWN = {"mm": (1.0, "mm"), "rad": (1e3, "mrad")}
@@ -66,10 +73,11 @@ def list_variants(tables: dict[str, pd.DataFrame]) -> list[str]:
     lines = [f"{'variant':{width}}  free  log-evidence      C  tool before/after µm  true µm  converged"]
     for row in list_rows(tables["variants"]):
         true = format_significant(row["tool_calibrated_error_um"])
-        tool = f"{format_significant(row['tool_before_um'])} / {format_significant(row['tool_after_um'])}"
+        tool = format_pair(row["tool_before_um"], row["tool_after_um"])
+        evidence, condition = format_fixed(row["log_evidence"], 2), format_scientific(row["calibrability"])
         lines.append(
-            f"{row['variant']:{width}}  {row['n_parameters']:4d}  {row['log_evidence']:12.2f}  "
-            f"{format_power(row['calibrability']):>5}  {tool:>20}  {true:>7}  {'yes' if row['converged'] else 'NO'}"
+            f"{row['variant']:{width}}  {row['n_parameters']:4d}  {evidence:>12}  "
+            f"{condition:>5}  {tool:>20}  {true:>7}  {'yes' if row['converged'] else 'NO'}"
         )
     return lines
 
@@ -93,7 +101,7 @@ def _show_sensors(tables: dict[str, pd.DataFrame]) -> Section:
     for row in list_rows(plain):
         line: list[str | Cell] = [str(row["title"])]
         line += [str(row[name]) for name in ("n_sensors", "n_parameters", "n_equations")]
-        line += [format_power(row["calibrability"]), format_power(row["calibrability_scaled"])]
+        line += [format_scientific(row["calibrability"]), format_scientific(row["calibrability_scaled"])]
         names = ["tool_before_um", "tool_after_um"]
         names += ["tool_nominal_error_um", "tool_calibrated_error_um"] if known else []
         rows.append([*line, *(format_significant(row[name]) for name in names)])
@@ -177,7 +185,7 @@ def _show_symbol(rows: pd.DataFrame, factor: float) -> Cell:
     order = list(VERDICT_LEVELS)
     worst = max((str(v) for v in rows["verdict"]), key=order.index)
     least = float(rows["contraction"].min())
-    share = f"{math.floor(100.0 * least) / 100.0:.2f}" if least < 0.99 else ">0.99"
+    share = format_fixed(math.floor(100.0 * least) / 100.0, 2) if least < 0.99 else ">0.99"
     return Cell(f"{format_significant(factor * rows['predicted_sd'].max(), 2)} ({share})", VERDICT_LEVELS[worst])
 
 

@@ -10,7 +10,15 @@ from typing import Any
 import pandas as pd
 
 from bayescal.report.blocks import Level, Statement
-from bayescal.report.numbers import format_fixed, format_odds, format_percent, format_significant, join_words
+from bayescal.report.numbers import (
+    format_count,
+    format_fixed,
+    format_odds,
+    format_percent,
+    format_scientific,
+    format_significant,
+    join_words,
+)
 from bayescal.report.symbols import split_name, split_symbol
 
 DOUBT = 4.0  # standard deviations that χ² may be off
@@ -35,14 +43,6 @@ def write_names(text: str) -> str:
         return f"{head}_{below}{leg or ''}{above}"
 
     return NAME.sub(write, text)
-
-
-def format_power(value: float) -> str:
-    """Return a large number with two digits and a power of ten."""
-    if not value < float("inf"):
-        return "∞" if value > 0 else "–"
-    mantissa, _, power = f"{value:.1e}".partition("e")
-    return f"{mantissa}e{int(power)}"
 
 
 def explains(row: Row) -> bool:
@@ -74,7 +74,7 @@ def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> 
 
 
 def _nats(value: float) -> str:
-    return f"{value:,.0f} nats" if value > 1000.0 else f"{format_fixed(value, 1)} nats"
+    return f"{format_count(value)} nats" if value > 1000.0 else f"{format_fixed(value, 1)} nats"
 
 
 def _ratio(value: float) -> str:
@@ -101,10 +101,10 @@ def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> l
 
 def _judge_sensors(row: Row, n_ridges: int, summary: dict[str, Any]) -> Statement:
     audit = summary["audits"][row["variant"]]
-    scaled = format_power(row["calibrability_scaled"])
+    scaled = format_scientific(row["calibrability_scaled"])
     text = (
         f"{row['n_parameters']} parameters from {row['n_equations']} equations, "
-        f"C = {format_power(row['calibrability'])} (m, rad), {scaled} in tolerances and noise. Tool's centre "
+        f"C = {format_scientific(row['calibrability'])} (m, rad), {scaled} in tolerances and noise. Tool's centre "
         f"{_um(row['tool_before_um'])} before, {_um(row['tool_after_um'])} after"
     )
     if not math.isnan(row["tool_calibrated_error_um"]):

@@ -12,6 +12,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
+from bayescal.report.numbers import format_count, format_plain
 from bayescal.report.style import GREY, INK, LEG_COLOURS, MARKERS, PALE, RED
 from bayescal.report.symbols import quote
 
@@ -84,7 +85,8 @@ def draw_simulated(simulated: pd.DataFrame) -> Figure:
     place = np.arange(len(simulated))
     axes.axhline(1.0, color=INK, linewidth=0.8)
     axes.errorbar(place, ratio, yerr=error, fmt="o", color=SIMULATED, markersize=4.5, capsize=3.0)
-    labels = [f"{n} for\n{price:g}" for n, price in zip(simulated["n_sensors"], simulated["price"], strict=True)]
+    pairs = zip(simulated["n_sensors"], simulated["price"], strict=True)
+    labels = [f"{n} for\n{format_plain(price)}" for n, price in pairs]
     axes.set_xticks(place, labels)
     axes.set_xlabel("Set: number of sensors and price")
     axes.set_ylabel("Simulated / predicted error")
@@ -114,7 +116,8 @@ def _draw_cloud(axes: Axes, sets: pd.DataFrame, against: str, top: float) -> Non
         if rows.any():
             x, y = sets.loc[rows, against] + shift[rows], sets.loc[rows, "rms_um"]
             size = 3.0 if reason else 4.0
-            axes.plot(x, y, marker, color=colour, markersize=size, label=f"{label} ({rows.sum():,} shown)", zorder=1)
+            shown = f"{label} ({format_count(rows.sum())} shown)"
+            axes.plot(x, y, marker, color=colour, markersize=size, label=shown, zorder=1)
 
 
 def _draw_named(axes: Axes, named: pd.DataFrame, against: str, top: float) -> None:
@@ -133,5 +136,5 @@ def _scale_log(axis: Axis) -> None:
     low, high = axis.get_view_interval()
     places = [m * 10.0**e for e in range(-6, 7) for m in TICKS if low <= m * 10.0**e <= high]
     axis.set_ticks(places)
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
     axis.set_minor_formatter(NullFormatter())

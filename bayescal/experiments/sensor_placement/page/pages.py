@@ -17,7 +17,9 @@ from bayescal.report.numbers import (
     format_estimate,
     format_fixed,
     format_percent,
+    format_plain,
     format_significant,
+    format_span,
     join_words,
 )
 
@@ -83,18 +85,19 @@ def _capital(text: str) -> str:
 
 def _offer(row: dict[str, Any] | pd.Series) -> str:
     """Return number, pattern and price of a set."""
-    return f"{row['n_sensors']} sensors for {row['price']:g} ({write_sensors(str(row['pattern']))})"
+    return f"{row['n_sensors']} sensors for {format_plain(row['price'])} ({write_sensors(str(row['pattern']))})"
 
 
 def _state_headline(summary: dict[str, Any]) -> str:
     best, enough = summary["best"], summary["enough"]
-    words = f"{enough['n_sensors']} sensors for {enough['price']:g} locate the tool's centre to {_um(enough['rms_um'])}"
+    words = f"{enough['n_sensors']} sensors for {format_plain(enough['price'])} locate the tool's centre to "
+    words += _um(enough["rms_um"])
     if enough["sensors"] == best["sensors"]:
         return f"{words}; no cheaper set comes within {format_percent(summary['within'])} of that."
     whole = "all" if best["n_sensors"] == summary["n_sensors"] else "the best set,"
     return (
         f"{words}, within {format_percent(summary['within'])} of the best: {whole} {best['n_sensors']} for "
-        f"{best['price']:g} reach {_um(best['rms_um'])}."
+        f"{format_plain(best['price'])} reach {_um(best['rms_um'])}."
     )
 
 
@@ -138,7 +141,7 @@ def _judge_named(name: str, row: dict[str, Any], summary: dict[str, Any], tables
     as_good = front[front["rms_um"] <= (1.0 + ROUNDED) * row["rms_um"]].iloc[0]
     nearly = front[front["rms_um"] <= (1.0 + summary["within"]) * row["rms_um"]].iloc[0]
     level: Level = "plain"
-    words = f"{row['n_sensors']} sensors for {row['price']:g} reach {_um(row['rms_um'])}"
+    words = f"{row['n_sensors']} sensors for {format_plain(row['price'])} reach {_um(row['rms_um'])}"
     if row["left_to_tolerances"] > 0.5:
         share = format_percent(row["left_to_tolerances"])
         words += f", {share} of its variance from what the readings hardly tell"
@@ -162,8 +165,8 @@ def _judge_fewest(tables: dict[str, pd.DataFrame]) -> Statement:
 
 def _count_bad(summary: dict[str, Any], tables: dict[str, pd.DataFrame]) -> Statement:
     counts = tables["sets"]["reason"].value_counts()
-    parts = [f"{counts[reason]:,} where {words}" for reason, words in REASONS.items() if reason in counts]
-    words = f"{summary['n_feasible']:,} of {summary['n_sets']:,} sets calibrate the machine"
+    parts = [f"{format_count(counts[reason])} where {words}" for reason, words in REASONS.items() if reason in counts]
+    words = f"{format_count(summary['n_feasible'])} of {format_count(summary['n_sets'])} sets calibrate the machine"
     return Statement(f"{words}; no good are {join_words(parts)}." if parts else f"{words}.", "plain", "Sets")
 
 
@@ -173,9 +176,9 @@ def _judge_simulated(simulated: pd.DataFrame) -> Statement:
     ratio = simulated["simulated_um"] / simulated["predicted_um"]
     total = int(simulated["n_machines"].sum()) + failed
     words = (
-        f"{inside} of {len(z)} predicted errors are met within two standard errors by {total:,} simulated calibrations"
+        f"{inside} of {len(z)} predicted errors are met within two standard errors by {format_count(total)} simulated "
+        f"calibrations (simulated over predicted {format_span(list(ratio), 2)})"
     )
-    words += f" (simulated over predicted {ratio.min():.2f} to {ratio.max():.2f})"
     words += f"; {failed} did not converge and count in nothing" if failed else ""
     level: Level = "good" if inside >= 0.8 * len(z) and not failed else "warning"
     return Statement(f"{words}.", level, "Predictions")
@@ -185,17 +188,18 @@ def _list_facts(summary: dict[str, Any]) -> tuple[tuple[str, str], ...]:
     tolerances = summary["tolerances"]
     sensors = []
     for name, s in summary["sensors"].items():
-        noise = f"{s['noise_um']:g} µm" if s["noise_um"] is not None else f"{s['noise_arcsec']:g} arcsec"
+        noise, unit = (s["noise_um"], "µm") if s["noise_um"] is not None else (s["noise_arcsec"], "arcsec")
         held = ", always there" if s["always"] else ""
         outside = ", only during the calibration" if name in summary["external"] else ""
-        sensors.append(f"{SENSORS.get(name, '')}{write_sensors(name)} {noise}, price {s['price']:g}{held}{outside}")
+        what = f"{SENSORS.get(name, '')}{write_sensors(name)} {format_plain(noise)} {unit}"
+        sensors.append(f"{what}, price {format_plain(s['price'])}{held}{outside}")
     return (
         ("Machine", str(summary["machine"]).replace("_", " ")),
         ("Sensors", "; ".join(sensors)),
         (
             "Tolerances",
-            f"lengths {tolerances['length_mm']:g} mm, angles {tolerances['angle_deg']:g}°, zeros of angle sensors "
-            f"{tolerances['zero_deg']:g}°",
+            f"lengths {format_plain(tolerances['length_mm'])} mm, angles {format_plain(tolerances['angle_deg'])}°, "
+            f"zeros of angle sensors {format_plain(tolerances['zero_deg'])}°",
         ),
         ("Plan", f"{summary['n_poses']} poses; accuracy over {summary['n_workspace']} poses of the same workspace"),
     )
@@ -236,7 +240,7 @@ def _number_section(tables: dict[str, pd.DataFrame]) -> Section:
     rows: list[list[str | Cell]] = []
     for _, row in tables["reasons"].iterrows():
         n = int(row["n_sensors"])
-        counts = [f"{int(row[name]):,}" for name in ("feasible", *REASONS)]
+        counts = [format_count(row[name]) for name in ("feasible", *REASONS)]
         pattern = write_sensors(str(best.loc[n, "pattern"])) if n in best.index else NOTHING
         rows.append([str(n), *counts, format_significant(row["best_um"]), pattern])
     why = "; ".join(f"“{name}”: {words}" for name, words in REASONS.items())
@@ -269,10 +273,10 @@ def _simulated_section(tables: dict[str, pd.DataFrame]) -> list[Section]:
         rows.append(
             [
                 str(row["n_sensors"]),
-                f"{row['price']:g}",
+                format_plain(row["price"]),
                 format_significant(row["predicted_um"]),
                 format_estimate(row["simulated_um"], row["simulated_error_um"]),
-                Cell(f"{z:+.1f}".replace("-", "−"), "plain" if abs(z) <= Z else "warning"),
+                Cell(format_fixed(z, 1, sign=True), "plain" if abs(z) <= Z else "warning"),
                 str(row["n_machines"]),
                 str(row["n_failed"]),
                 list_sensors(row["sensors"]),

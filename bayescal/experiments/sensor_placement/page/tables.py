@@ -6,7 +6,7 @@ import pandas as pd
 
 from bayescal.experiments.sensor_placement.page.figures import write_sensors
 from bayescal.report.blocks import Cell, Column, Table, make_table
-from bayescal.report.numbers import NOTHING, format_percent, format_significant
+from bayescal.report.numbers import NOTHING, format_count, format_percent, format_plain, format_significant
 
 STEP = 0.02
 """Steps of the front that gain less are left out of the page's table."""
@@ -45,7 +45,7 @@ def tabulate_front(front: pd.DataFrame, enough: str, within: float) -> Table:
     ]
     rows: list[list[str | Cell]] = [
         [
-            f"{row['price']:g}",
+            format_plain(row["price"]),
             str(row["n_sensors"]),
             Cell(format_significant(row["rms_um"]), "good" if row["sensors"] == enough else "plain"),
             format_significant(row["largest_um"]),
@@ -84,9 +84,9 @@ def tabulate_kinds(kinds: pd.DataFrame) -> Table:
         [
             str(row["n_sensors"]),
             write_sensors(row["kinds"]) or NOTHING,
-            f"{row['price']:g}",
-            f"{row['n_sets']:,}",
-            f"{row['n_feasible']:,}",
+            format_plain(row["price"]),
+            format_count(row["n_sets"]),
+            format_count(row["n_feasible"]),
             format_significant(row["best_um"]),
             format_significant(row["worst_um"]),
             write_sensors(row["best_pattern"]) or NOTHING,

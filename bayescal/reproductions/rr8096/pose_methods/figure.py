@@ -10,6 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from bayescal.report.numbers import format_plain
+
 STYLES: dict[str, dict[str, Any]] = {
     "line": {"color": "tab:red", "marker": "s", "label": "Line through the targets"},
     "robust": {"color": "black", "marker": "o", "label": "Robust rigid fit"},
@@ -36,7 +38,7 @@ def draw_pose_methods(summary: pd.DataFrame) -> Figure:
             axes.set_yscale("log")
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_minor_formatter(NullFormatter())
-            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
         else:
             axes.set_ylim(bottom=0)
         axes.set_xlabel("Number of targets")

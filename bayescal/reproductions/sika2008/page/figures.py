@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from bayescal.report.numbers import format_plain
 from bayescal.report.style import GREY, INK, MARKERS, PALE, RED
 from bayescal.report.symbols import quote, set_parameter
 
@@ -254,7 +255,7 @@ def draw_sweep(steps: pd.DataFrame, bands: Mapping[str, Band], assumed: Sequence
         axes.set(xscale="log", yscale="log")
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
             axis.set_minor_formatter(NullFormatter())
         axes.set_title(quote(name))
         axes.set_xlabel("Noise of the angle sensors (arcsec)")

@@ -10,14 +10,20 @@ from typing import Any
 import pandas as pd
 
 from bayescal.report.blocks import Cell, Column, Figure, Page, Section, Table, make_section, make_table
-from bayescal.report.numbers import MINUS, format_estimate, format_fixed, format_percent, join_words
+from bayescal.report.numbers import (
+    format_estimate,
+    format_fixed,
+    format_percent,
+    format_plain,
+    format_power,
+    join_words,
+)
 from bayescal.reproductions.sika2008.page import figures
 from bayescal.reproductions.sika2008.page.figures import PAPER, PROCEDURE_LABELS, scale_of_quantity
 from bayescal.reproductions.sika2008.page.verdict import (
     COVERED,
     WORDS,
     find_bands,
-    format_power,
     format_printed,
     index_rows,
     list_steps,
@@ -58,19 +64,19 @@ def build_page(name: str, title: str, tables: Tables, summary: dict[str, Any]) -
 
 
 def _list_facts(summary: dict[str, Any]) -> tuple[tuple[str, str], ...]:
-    noise = join_words([f"{one['sensor']} {one['noise']:g} {one['unit']}" for one in summary["sensors"]])
+    noise = join_words([f"{one['sensor']} {format_plain(one['noise'])} {one['unit']}" for one in summary["sensors"]])
     known = summary["tolerances"]
     return (
         ("Machine", f"{summary['machine']}, {summary['n_legs']} legs"),
         (
             "Measured",
-            f"{summary['n_poses']} poses within ±{summary['position_mm']:g} mm and ±{summary['angle_deg']:g} deg of "
-            f"home; noise {noise}",
+            f"{summary['n_poses']} poses within ±{format_plain(summary['position_mm'])} mm and "
+            f"±{format_plain(summary['angle_deg'])} deg of home; noise {noise}",
         ),
         (
             "Known beforehand",
-            f"lengths to {known['length_mm']:g} mm, guide angles to {known['angle_deg']:g} deg, zeros of angle sensors "
-            f"to {known['zero_deg']:g} deg (1 sd)",
+            f"lengths to {format_plain(known['length_mm'])} mm, guide angles to {format_plain(known['angle_deg'])} "
+            f"deg, zeros of angle sensors to {format_plain(known['zero_deg'])} deg (1 sd)",
         ),
     )
 
@@ -128,8 +134,8 @@ def _show_one(tables: Tables, summary: dict[str, Any]) -> Section:
     second = Figure(
         "path",
         "After figures 5 to 7: deviation of the computed tool's centre from the real one along a circle of "
-        f"{path['radius_mm']:g} mm about home, the platform swinging by ±{path['angle_deg']:g} deg, readings without "
-        "noise; the paper's procedure. Mind the scales.",
+        f"{format_plain(path['radius_mm'])} mm about home, the platform swinging by "
+        f"±{format_plain(path['angle_deg'])} deg, readings without noise; the paper's procedure. Mind the scales.",
         partial(figures.draw_path, tables["path"], names),
     )
     text = (
@@ -223,7 +229,7 @@ def _show_machines(tables: Tables, summary: dict[str, Any]) -> list[Section]:
     if "machines" not in tables:
         return []
     ranges, counts = summary["ranges"], summary["machines"]
-    span = {key: f"{low:g} to {high:g}".replace("-", MINUS) for key, (low, high) in _spans(ranges).items()}
+    span = {key: f"{format_plain(low)} to {format_plain(high)}" for key, (low, high) in _spans(ranges).items()}
     text = (
         f"{counts['drawn']} machines were drawn evenly: guides about a circle of radius {span['guide_radius_mm']} mm, "
         f"turned from its tangents by {span['guide_turn_deg']} deg; legs of {span['leg_length_mm']} mm; joints of the "
@@ -255,7 +261,7 @@ def _show_machines(tables: Tables, summary: dict[str, Any]) -> list[Section]:
     words = (
         "Correlations are of logarithms over the machines. The scatter is the factor by which the tool's error lies "
         "about the fitted power of the predictor; the few calibrations of each machine alone make about a factor of "
-        f"{_sampling_scatter(counts['calibrations']):.2f}.",
+        f"{format_fixed(_sampling_scatter(counts['calibrations']), 2)}.",
     )
     return [many, make_section("What C tells", words, (_correlation_table(tables, summary),), (told,))]
 

@@ -10,7 +10,16 @@ import numpy as np
 import pandas as pd
 
 from bayescal.report.blocks import Level, Statement
-from bayescal.report.numbers import NOTHING, SUPERSCRIPTS, format_estimate, format_significant, join_words
+from bayescal.report.numbers import (
+    NOTHING,
+    format_estimate,
+    format_fixed,
+    format_percent,
+    format_plain,
+    format_power,
+    format_significant,
+    join_words,
+)
 from bayescal.reproductions.sika2008.page.figures import BAYESIAN, PAPER, Band
 
 COVERED = (0.85, 0.95)
@@ -28,22 +37,11 @@ WORDS = {
 type Tables = dict[str, pd.DataFrame]
 
 
-def format_power(value: float, digits: int = 2) -> str:
-    """Return a number of any size, large ones as ``3.3·10⁴``."""
-    if not math.isfinite(value):
-        return "∞" if value > 0 else "–"
-    if 1e-2 <= abs(value) < 1e3:
-        return format_significant(value, digits)
-    mantissa, power = f"{value:.{digits - 1}e}".split("e")
-    return f"{mantissa}·10{str(int(power)).translate(SUPERSCRIPTS)}"
-
-
 def format_printed(value: float) -> str:
     """Return a published number with the digits that were printed."""
     if not math.isfinite(value) or abs(value) < 1e3:
-        return f"{value:g}" if math.isfinite(value) else NOTHING
-    mantissa, power = f"{value:.0e}".split("e")
-    return f"{'' if mantissa == '1' else f'{mantissa}·'}10{str(int(power)).translate(SUPERSCRIPTS)}"
+        return format_plain(value) if math.isfinite(value) else NOTHING
+    return format_power(value, 1)
 
 
 def index_rows(table: pd.DataFrame, keys: list[str]) -> dict[Any, dict[str, Any]]:
@@ -111,7 +109,7 @@ def _judge_published(tables: Tables) -> list[Statement]:
         found = join_words([format_power(float(value)) for value in own["found"]])
         printed = join_words([format_printed(float(value)) for value in own["published"]])
         counts = sets[sets["quantity"] == "n_parameters"]
-        numbers = join_words([f"{value:.0f}" for value in counts["found"]])
+        numbers = join_words([format_fixed(value, 0) for value in counts["found"]])
         words = f"C = {found} with {join_words(list(own['of']))}, published {printed}; {numbers} parameters"
         words += ", as published." if counts["reached"].all() else ", not as published."
         statements.append(Statement(words, _level(sets), "Calibrability"))
@@ -135,7 +133,7 @@ def _estimate(value: float, error: float) -> str:
 
 
 def _say_assumed(tables: Tables, summary: dict[str, Any]) -> Statement:
-    noise = join_words([f"{one['sensor']} {one['noise']:g} {one['unit']}" for one in summary["sensors"]])
+    noise = join_words([f"{one['sensor']} {format_plain(one['noise'])} {one['unit']}" for one in summary["sensors"]])
     words = f"Dimensions, poses, tolerances and noise are assumed, none of them published; noise here {noise}."
     bands = {of: band for of, band in find_bands(tables, "tool").items() if band.value >= 10.0}
     if "sweep_steps" not in tables or not bands:
@@ -145,16 +143,13 @@ def _say_assumed(tables: Tables, summary: dict[str, Any]) -> Statement:
         rows = sweep[(sweep["from"] + " to " + sweep["to"] == of) & (sweep["procedure"] == PAPER)]
         rows = rows[rows["quantity"] == "tool"].sort_values("angle_noise_arcsec")
         ratio, arcsec = rows["ratio"].to_numpy(), rows["angle_noise_arcsec"].to_numpy()
-        words += (
-            f" The factor from {of} is a matter of the angle sensors: the tool's is "
-            f"{join_words([f'{format_significant(r, 2)} at {a:g}' for a, r in zip(arcsec, ratio, strict=True)])} "
-            f"arcsec"
-        )
+        by = [f"{format_significant(r, 2)} at {format_plain(a)}" for a, r in zip(arcsec, ratio, strict=True)]
+        words += f" The factor from {of} is a matter of the angle sensors: the tool's is {join_words(by)} arcsec"
         if ratio.min() < band.value < ratio.max():
             at = float(np.exp(np.interp(-math.log(band.value), -np.log(ratio), np.log(arcsec))))
             words += f", and passes {format_printed(band.value)} near {format_significant(at, 1)} arcsec"
         error = float((rows["standard_error"] / rows["ratio"]).max())
-        words += f" (fewer calibrations than above, standard errors up to {100 * error:.0f} %)."
+        words += f" (fewer calibrations than above, standard errors up to {format_percent(error)})."
     return Statement(words, "warning", "Assumed")
 
 
@@ -212,7 +207,7 @@ def _say_machines(tables: Tables, summary: dict[str, Any]) -> list[Statement]:
             one = rows[of, quantity]
             part = f"{word} {format_power(one['p50'])} ({format_power(one['p05'])} to {format_power(one['p95'])})"
             if not math.isnan(one["published"]):
-                part += f", {100 * one['share_within']:.0f} % count as published"
+                part += f", {format_percent(one['share_within'])} count as published"
             parts.append(part)
         said.append(f"{of}, {'; '.join(parts)}")
     words += (
@@ -222,7 +217,7 @@ def _say_machines(tables: Tables, summary: dict[str, Any]) -> list[Statement]:
     printed = tables["machine_summary"]
     printed = printed[printed["of"].isin(summary["sets"]) & printed["published"].notna()]
     if len(printed):
-        shares = join_words([f"{100 * r['share_below']:.0f} % ({r['of']})" for _, r in printed.iterrows()])
+        shares = join_words([f"{format_percent(r['share_below'])} ({r['of']})" for _, r in printed.iterrows()])
         text = f"C itself belongs to the machine: {shares} of the plausible machines have one below that published"
         rare = not printed["share_below"].between(*COMMON).all()
         text += (
@@ -258,13 +253,13 @@ def _say_predictors(tables: Tables, summary: dict[str, Any]) -> list[Statement]:
     rows = {key: float(row["correlation"]) for key, row in every.items()}
 
     def say(predictor: str) -> str:
-        return join_words([f"{rows[name, predictor]:.2f} ({name})" for name in summary["sets"]])
+        return join_words([f"{format_fixed(rows[name, predictor], 2)} ({name})" for name in summary["sets"]])
 
     better = [name for name in summary["sets"] if rows[name, "scaled"] > rows[name, "metres_radians"] + CLEAR]
     worse = [name for name in summary["sets"] if rows[name, "scaled"] < rows[name, "metres_radians"] - CLEAR]
     gains = f"better with {join_words(better)}" if better else "nowhere better"
     gains += f", worse with {join_words(worse)}" if worse else ""
-    across = {predictor: f"{rows['all', predictor]:.2f}" for predictor in dict.fromkeys(table["predictor"])}
+    across = {predictor: format_fixed(rows["all", predictor], 2) for predictor in dict.fromkeys(table["predictor"])}
     text = (
         f"Over the machines the tool's error correlates with C (metres, radians) by {say('metres_radians')}, with C in "
         f"noise and tolerances by {say('scaled')}: {gains}. Across all sets it is {across['metres_radians']} against "

@@ -17,9 +17,16 @@ from bayescal.report.blocks import (
     make_section,
     make_table,
 )
-from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant, join_words
+from bayescal.report.numbers import (
+    format_estimate,
+    format_fixed,
+    format_percent,
+    format_plain,
+    format_significant,
+    join_words,
+)
 from bayescal.reproductions.yu2023.page import figures
-from bayescal.reproductions.yu2023.page.blocks import ANGLES, Parts, format_range, share_cell
+from bayescal.reproductions.yu2023.page.blocks import ANGLES, PageParts, format_range, share_cell
 
 ERRORS = {
     "position_max_mm": "largest position error",
@@ -36,7 +43,7 @@ RATIO_NAMES = {
 }
 
 
-def show_accuracy(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Parts:
+def show_accuracy(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageParts:
     """Return the page of table 8."""
     ratios = tables["ratios"]
     ours = ratios[(ratios["poses"] == "optimal") & (ratios["weighting"] == "bayesian")].set_index("figure")
@@ -90,10 +97,6 @@ def _estimate(row: pd.DataFrame) -> str:
     return format_estimate(float(row["ratio"].iloc[0]), float(row["standard_error"].iloc[0]))
 
 
-def _per_cent(share: float) -> str:
-    return f"{format_fixed(100 * share, 0)} %"
-
-
 def _judge_published(table: pd.DataFrame, summary: dict[str, Any]) -> Statement:
     rows = table.dropna(subset=["published"])
     outside = rows[(rows["published"] < rows["low"]) | (rows["published"] > rows["high"])]
@@ -118,8 +121,8 @@ def _judge_published(table: pd.DataFrame, summary: dict[str, Any]) -> Statement:
 
 def _judge_reductions(reductions: pd.DataFrame) -> Statement:
     words = [
-        f"{ERRORS[str(r['figure'])]} {_per_cent(r['published'])} published, {_per_cent(r['median'])} found "
-        f"({_per_cent(r['low'])} to {_per_cent(r['high'])})"
+        f"{ERRORS[str(r['figure'])]} {format_percent(r['published'])} published, {format_percent(r['median'])} found "
+        f"({format_percent(r['low'])} to {format_percent(r['high'])})"
         for _, r in reductions.iterrows()
     ]
     inside = ((reductions["published"] >= reductions["low"]) & (reductions["published"] <= reductions["high"])).all()
@@ -149,7 +152,7 @@ def _judge_parameters(summary: dict[str, Any]) -> Statement:
 
 def _judge_convergence(summary: dict[str, Any]) -> Statement:
     changes = summary["largest_change_mm"]
-    said = [f"{change:.1g}" for change in changes]
+    said = [format_plain(change, 1) for change in changes]
     settled = len(changes) >= PUBLISHED_ITERATIONS and (
         changes[PUBLISHED_ITERATIONS - 1] < SETTLED * summary["parameter_rms_mm"]["mean"]
     )
@@ -186,8 +189,8 @@ def _reduction_table(reductions: pd.DataFrame) -> Table:
     rows: list[list[str | Cell]] = []
     for _, r in reductions.iterrows():
         row: list[str | Cell] = [ERRORS[str(r["figure"])].capitalize()]
-        row += [f"{format_fixed(100 * r['published'], 1)} %"] if printed else []
-        row += [_per_cent(r["median"]), f"{_per_cent(r['low'])} to {_per_cent(r['high'])}"]
+        row += [format_percent(r["published"], 1)] if printed else []
+        row += [format_percent(r["median"]), f"{format_percent(r['low'])} to {format_percent(r['high'])}"]
         rows.append(row)
     return make_table("By how much selected poses reduce the errors of random ones, repeat by repeat.", columns, rows)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from bayescal.report.blocks import Cell, Section, Statement
-from bayescal.report.numbers import format_significant
+from bayescal.report.numbers import format_percent, format_significant
 
 TAIL = 0.025  # a published figure with less beside it is marked
 ANGLES = (
@@ -13,7 +13,7 @@ ANGLES = (
     "angles α, β, γ about fixed axes; only the workspace is a box of rotation vectors."
 )
 
-type Parts = tuple[str, tuple[Statement, ...], tuple[Section, ...]]
+type PageParts = tuple[str, tuple[Statement, ...], tuple[Section, ...]]
 """Headline, verdict and sections of a page."""
 
 
@@ -21,7 +21,7 @@ def share_cell(share: float) -> Cell:
     """Return how many repeats lie below a published figure, marked where it is in a tail; empty where there is none."""
     if math.isnan(share):
         return Cell("")
-    return Cell(f"{100 * share:.1f} %", "plain" if TAIL <= share <= 1.0 - TAIL else "warning")
+    return Cell(format_percent(share, 1), "plain" if TAIL <= share <= 1.0 - TAIL else "warning")
 
 
 def format_range(low: float, high: float, digits: int = 3) -> str:

@@ -9,6 +9,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
+from bayescal.report.numbers import format_plain
 from bayescal.report.style import GREY, INK, LEG_COLOURS, RED
 from bayescal.report.symbols import quote
 
@@ -70,7 +71,7 @@ def _scale_log(axis: Axis) -> None:
         for multiples in (COARSE, FINE)
     )
     axis.set_ticks(coarse if len(coarse) > 2 else fine)
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
     axis.set_minor_formatter(NullFormatter())
 
 

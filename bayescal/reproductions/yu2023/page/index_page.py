@@ -10,12 +10,12 @@ import pandas as pd
 from bayescal.report.blocks import Cell, Column, Figure, Section, Statement, Table, make_section, make_table
 from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant, join_words
 from bayescal.reproductions.yu2023.page import figures
-from bayescal.reproductions.yu2023.page.blocks import ANGLES, Parts, format_range, share_cell
+from bayescal.reproductions.yu2023.page.blocks import ANGLES, PageParts, format_range, share_cell
 
 UNIT = "deg"
 
 
-def show_indices(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Parts:
+def show_indices(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageParts:
     """Return the page of table 4."""
     table, best, first = tables["table4"], tables["best"], summary["first_index"]
     leads = _find_leaders(table, "mean")

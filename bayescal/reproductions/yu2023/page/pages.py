@@ -10,7 +10,7 @@ from bayescal.report.blocks import Cell, Column, Figure, Page, Statement, Table,
 from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant
 from bayescal.reproductions.yu2023.page import figures
 from bayescal.reproductions.yu2023.page.accuracy_page import show_accuracy
-from bayescal.reproductions.yu2023.page.blocks import ANGLES, Parts, format_range
+from bayescal.reproductions.yu2023.page.blocks import ANGLES, PageParts, format_range
 from bayescal.reproductions.yu2023.page.index_page import show_indices
 
 KIND = "Simulated calibrations"
@@ -24,7 +24,7 @@ def build_page(of: str, name: str, title: str, tables: dict[str, pd.DataFrame], 
     return Page(KIND, name, title, ORIGIN, headline, verdict, sections)
 
 
-def show_numbers(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Parts:
+def show_numbers(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageParts:
     """Return the page of figure 10."""
     table, enough = tables["figure10"], summary["random_poses_as_good"]
     fewest, most = summary["fewest_selected"], summary["most_random"]

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from bayescal.experiments.study.page.styles import Styles, list_keys
-from bayescal.report.numbers import MINUS, format_plain
+from bayescal.report.numbers import format_plain
 
 SPREAD = 0.08  # of the axis between the first and the last model at one tolerance
 
@@ -31,7 +31,7 @@ def draw_sensitivity(wide: pd.DataFrame, styles: Styles) -> Figure:
     _draw_lines(right, wide.sub(wide.max(axis=1), axis=0), styles)
     right.set_yscale("symlog", linthresh=1.0, linscale=0.6)
     right.set_ylim(min(-1.0, 1.6 * float(right.dataLim.y0)), 0.5)
-    right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value).replace("-", MINUS)))
+    right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
     right.set_ylabel("below the best there (nat, logarithmic)")
     right.set_title("What separates the variants")
     figure.legend(handles=list_keys(styles, 1.2), loc="outside upper left", ncols=8, borderaxespad=0.2)
