@@ -9,6 +9,7 @@ import pytest
 import telescope_machines as machines
 
 from bayescal import cli
+from bayescal.errors import InputError
 
 
 @pytest.fixture
@@ -38,3 +39,20 @@ def call(monkeypatch, capsys):
         return int(exit_info.value.code or 0), *capsys.readouterr()
 
     return call_main
+
+
+@pytest.fixture
+def proposes():
+    """Let audits of this test propose poses: that takes longer than all the rest of them."""
+
+
+@pytest.fixture(autouse=True)
+def _seldom_propose(request, monkeypatch):
+    """Leave the poses that an audit proposes to the tests that ask for them, and to those of whole runs."""
+    apart = {"proposes", "finished"} & set(request.fixturenames)
+    if not apart and ("/audit/" in request.node.nodeid or "/identifiability/" in request.node.nodeid):
+        monkeypatch.setattr("bayescal.experiments.audit.changes.propose_i_optimal", _decline)
+
+
+def _decline(inputs):
+    raise InputError(f"{inputs.config.name}: no poses are proposed here")

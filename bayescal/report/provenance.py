@@ -26,10 +26,9 @@ def show_provenance(provenance: Mapping[str, Any]) -> Section:
         _tabulate(provenance.get("versions"), "Versions.", "Package", "Version"),
         _tabulate(provenance.get("files"), "Input files.", "File", "SHA-256"),
     )
+    side = Side(tuple(table for table in mappings if table.rows))
     config = Preformatted(format_config(provenance.get("config", {})))
-    return Section(
-        "Provenance", (make_pairs("Run.", rows), Side(mappings), Fold("Config", (config,))), anchor="provenance"
-    )
+    return Section("Provenance", (make_pairs("Run.", rows), side, Fold("Config", (config,))), anchor="provenance")
 
 
 def _tabulate(content: object, caption: str, key: str, value: str) -> Table:

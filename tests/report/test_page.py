@@ -31,7 +31,7 @@ from bayescal.report.blocks import (
     make_table,
 )
 from bayescal.report.page import make_prose, render_page, render_png, set_symbol, write_page
-from bayescal.report.provenance import format_config
+from bayescal.report.provenance import format_config, show_provenance
 
 WICKED = "<script>alert(1)</script> & O1 at 3 µm"
 ESCAPED = "&lt;script&gt;alert(1)&lt;/script&gt; &amp; O1 at 3"
@@ -148,6 +148,12 @@ def test_figures_need_names_of_their_own():
         make_page(Figure("a", "", draw), Fold("", (Figure("a", "", draw),)))
     with pytest.raises(ValueError, match=r"figure '\.\./a': expected letters"):
         Figure("../a", "", draw)
+
+
+def test_provenance_without_input_files_shows_no_empty_table():
+    section = show_provenance({"versions": {"numpy": "2.0"}, "files": {}})
+    tables = next(block.tables for block in section.blocks if isinstance(block, Side))
+    assert [table.caption for table in tables] == ["Versions."]
 
 
 def test_what_is_folded_on_screen_is_open_in_print():

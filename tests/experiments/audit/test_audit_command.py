@@ -42,9 +42,9 @@ def design(tmp_path):
     return path
 
 
-def test_an_audit_writes_results_and_report(call, design, tmp_path):
+def test_an_audit_writes_results_and_report(call, design, tmp_path, proposes):
     out = tmp_path / "out"
-    code, said, complaint = call("audit", design, "--out", out)
+    code, said, complaint = call("audit", design, "--out", out, "--workers", 1)
     assert (code, studies.list_errors(complaint)) == (0, [])
     assert "Of 42 parameters" in said
     summary = json.loads((out / "summary.json").read_text())
@@ -60,13 +60,13 @@ def test_an_audit_writes_results_and_report(call, design, tmp_path):
     provenance = json.loads((out / "provenance.json").read_text())
     assert provenance["config_sha256"] == summary["config_sha256"]
     assert set(provenance["files"]) == {f"{problems.DESIGNS}/camera_hexapod_mechanism.toml"}
-    assert call("audit", design, "--out", out)[0] == 0  # its own results may be replaced
+    assert call("audit", design, "--out", out, "--workers", 1)[0] == 0  # its own results may be replaced
     assert not list(tmp_path.glob("*.partial"))
 
 
 def test_the_same_design_gives_the_same_numbers(call, design, tmp_path):
     for name in ("one", "other"):
-        assert call("audit", design, "--out", tmp_path / name)[0] == 0
+        assert call("audit", design, "--out", tmp_path / name, "--workers", 1)[0] == 0
     one, other = ((tmp_path / name / "summary.json").read_text() for name in ("one", "other"))
     assert one == other
 
@@ -84,7 +84,7 @@ def test_the_same_design_gives_the_same_numbers(call, design, tmp_path):
 )
 def test_a_design_at_fault_is_one_line_and_nothing_is_written(call, design, tmp_path, change, message):
     design.write_text(f'extends = "base.toml"\n{change}\n')
-    code, said, complaint = call("audit", design, "--out", tmp_path / "out")
+    code, said, complaint = call("audit", design, "--out", tmp_path / "out", "--workers", 1)
     assert (code, said, complaint.count("\n")) == (2, "", 1)
     assert message in complaint
     assert "design.toml" in complaint
@@ -95,7 +95,7 @@ def test_other_directories_are_left_alone(call, design, tmp_path):
     precious = tmp_path / "precious"
     precious.mkdir()
     (precious / "notes.txt").write_text("mine")
-    code, _, complaint = call("audit", design, "--out", precious)
+    code, _, complaint = call("audit", design, "--out", precious, "--workers", 1)
     assert code == 2
     assert "holds no results" in complaint
     assert [path.name for path in precious.iterdir()] == ["notes.txt"]
@@ -103,10 +103,10 @@ def test_other_directories_are_left_alone(call, design, tmp_path):
 
 def test_results_of_another_design_are_kept(call, design, tmp_path):
     out = tmp_path / "out"
-    assert call("audit", design, "--out", out)[0] == 0
+    assert call("audit", design, "--out", out, "--workers", 1)[0] == 0
     before = studies.snapshot(out)
     studies.edit(design, "poses_factor = 2.0", "poses_factor = 3.0")
-    code, said, complaint = call("audit", design, "--out", out)
+    code, said, complaint = call("audit", design, "--out", out, "--workers", 1)
     assert (code, said, complaint.count("\n")) == (2, "", 1)
     assert "holds results of another config" in complaint
     assert studies.snapshot(out) == before
@@ -114,14 +114,14 @@ def test_results_of_another_design_are_kept(call, design, tmp_path):
 
 def test_a_failure_on_the_way_leaves_the_old_results(call, design, tmp_path, monkeypatch):
     out = tmp_path / "out"
-    assert call("audit", design, "--out", out)[0] == 0
+    assert call("audit", design, "--out", out, "--workers", 1)[0] == 0
     before = {path: path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
 
     def fail(page, folder, more):
         raise OSError(28, "No space left on device", str(folder))
 
     monkeypatch.setattr(frame, "write_page", fail)
-    code, _, complaint = call("audit", design, "--out", out)
+    code, _, complaint = call("audit", design, "--out", out, "--workers", 1)
     assert code == 2
     assert "No space left" in complaint
     assert len(studies.list_errors(complaint)) == 1
@@ -140,7 +140,7 @@ def test_a_posterior_that_did_not_converge_is_exit_code_3(call, design, tmp_path
         return results
 
     monkeypatch.setattr(audit_kind, "compute_audit", compute)
-    code, said, complaint = call("audit", design, "--out", tmp_path / "out")
+    code, said, complaint = call("audit", design, "--out", tmp_path / "out", "--workers", 1)
     assert (code, len(studies.list_errors(complaint))) == (3, 1)
     assert "did not converge" in complaint
     assert "Of 42 parameters" in said

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import toys
 
-SLOW = "count = 6\npause = 0.6\n"
+SLOW = "count = 6\npause = 0.4\n"
 
 
 def start(path: Path, *options: object) -> subprocess.Popen:

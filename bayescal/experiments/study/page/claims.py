@@ -71,7 +71,7 @@ def tabulate_claims(claims: pd.DataFrame) -> Table:
     for section in sorted(dict.fromkeys(claims["section"]), key=_order):
         headings[len(rows)] = _title(section)
         rows += [_row(claim) for _, claim in claims[claims["section"] == section].iterrows()]
-    return replace(make_table("", columns, rows, style="claims"), headings=headings)
+    return replace(make_table("Claims and findings.", columns, rows, style="claims"), headings=headings)
 
 
 def _order(section: str) -> tuple[bool, list[int], str]:
