@@ -321,6 +321,7 @@ def test_process_in_a_pipe_can_be_interrupted(study, tmp_path, seconds):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow  # the contract of all kinds has the same of small ones
 def test_workers_can_be_interrupted_and_the_run_resumed(study, tmp_path, call, quick):
     call("run", study, "--out", "whole", "--workers", 1)
     process = start("run", study, "--out", "out", "--workers", 2, cwd=tmp_path)

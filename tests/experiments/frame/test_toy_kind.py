@@ -20,8 +20,19 @@ def start(path: Path, *options: object) -> subprocess.Popen:
     """Start a run in a process and a group of its own, as a shell does."""
     command = [sys.executable, "-m", "bayescal.cli", "run", str(path), *map(str, options)]
     return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, cwd=path.parent
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        cwd=path.parent,
+        preexec_fn=heed_interrupts,
     )
+
+
+def heed_interrupts() -> None:
+    """Take interrupts as a shell's foreground does, wherever the tests themselves were started."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def wait_for_tasks(out: Path, n: int = 1, limit: float = 60.0) -> None:

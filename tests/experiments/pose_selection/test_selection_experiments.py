@@ -120,6 +120,7 @@ def test_plans_are_read_by_audits(result):
         assert moves.shape == (int(path.stem.rpartition("_")[2]), legs)
 
 
+@pytest.mark.slow  # the contract of all kinds has the same of small ones
 def test_same_seed_gives_same_bytes_whatever_the_workers(tmp_path):
     config = shrink("rr8096_figure14")
     config = config.model_copy(update={"selections": config.selections[:2]})  # without the continuous ones, to be quick

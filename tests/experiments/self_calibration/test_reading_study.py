@@ -89,6 +89,7 @@ def test_shipped_experiment_runs_tiny(tmp_path):
     assert studies.snapshot(out) == before
 
 
+@pytest.mark.slow  # the contract of all kinds has the same of small ones
 def test_workers_change_nothing(tmp_path):
     path = write_small(tmp_path, *(describe_variant(name, ["s", name]) for name in ("phi", "psi")))
     for workers in (1, 2):

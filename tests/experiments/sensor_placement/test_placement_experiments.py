@@ -109,6 +109,7 @@ def test_page_comes_from_the_files_alone(result):
     assert studies.snapshot(out) == before
 
 
+@pytest.mark.slow  # the contract of all kinds has the same of small ones
 def test_results_repeat_whatever_the_number_of_workers(tmp_path):
     config = shrink("sensors", workspace_poses=6, simulated_sets=2)
     for name, workers in (("one", 1), ("two", 2)):
