@@ -64,6 +64,7 @@ def test_an_audit_writes_results_and_report(call, design, tmp_path, proposes):
     assert not list(tmp_path.glob("*.partial"))
 
 
+@pytest.mark.slow  # the contract of all kinds has the same of a small one
 def test_the_same_design_gives_the_same_numbers(call, design, tmp_path):
     for name in ("one", "other"):
         assert call("audit", design, "--out", tmp_path / name, "--workers", 1)[0] == 0
@@ -101,6 +102,7 @@ def test_other_directories_are_left_alone(call, design, tmp_path):
     assert [path.name for path in precious.iterdir()] == ["notes.txt"]
 
 
+@pytest.mark.slow  # the contract of all kinds has the same of a small one
 def test_results_of_another_design_are_kept(call, design, tmp_path):
     out = tmp_path / "out"
     assert call("audit", design, "--out", out, "--workers", 1)[0] == 0
