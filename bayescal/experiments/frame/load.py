@@ -44,8 +44,7 @@ def load_experiment(path: Path) -> Any:
 
 def load_kind(path: Path, kind: str) -> Any:
     """Return the checked config of an experiment that must be of a kind."""
-    experiment, config = load(path)
+    config = load(path)[1]
     if config.kind != kind:
         raise InputError(f"{path}: kind: found {config.kind!r}, expected {kind!r}")
-    del experiment
     return config

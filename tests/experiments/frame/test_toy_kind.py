@@ -112,6 +112,22 @@ def test_faults_are_one_line_and_leave_nothing(call, tmp_path, change, message):
     assert not (tmp_path / "sub").exists()
 
 
+def test_an_installed_package_offers_its_kind_by_name(tmp_path):
+    """What README says of entry points: a package on the path, its kind named by the config alone."""
+    site, path = tmp_path / "site", toys.write_toy(tmp_path)
+    (site / "toys-1.0.dist-info").mkdir(parents=True)
+    (site / "toys-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: toys\nVersion: 1.0\n")
+    (site / "toys-1.0.dist-info" / "entry_points.txt").write_text("[bayescal.kinds]\ntoy = toy_kind:Toy\n")
+    (tmp_path / "toy_kind.py").rename(site / "toy_kind.py")
+    path.write_text(path.read_text().replace("toy_kind.py:Toy", "toy"))
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    for command in (["run", path, "--out", tmp_path / "out", "--workers", 2, "--quiet"], ["report", tmp_path / "out"]):
+        called = [sys.executable, "-m", "bayescal.cli", *map(str, command)]
+        done = subprocess.run(called, env=environment, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
 def test_a_module_that_raises_is_one_line(call, tmp_path):
     path = toys.write_toy(tmp_path)
     (tmp_path / "toy_kind.py").write_text("raise RuntimeError('broken\\nin two lines')")
