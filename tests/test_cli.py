@@ -23,7 +23,7 @@ from bayescal.data.simulation import build_twin
 from bayescal.errors import NumericalError
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.registry import list_references
+from bayescal.config.registry import list_references
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study import compute
 from bayescal.files.csv_tables import read_table

@@ -83,6 +83,14 @@ class ParameterLayout:
         """Unit of each parameter, in order."""
         return tuple(block.unit for block in self.blocks for _ in block.nominal)
 
+    def block(self, symbol: str) -> ParameterBlock:
+        """Return the block of a symbol."""
+        return self._by_symbol[symbol]
+
+    @cached_property
+    def _by_symbol(self) -> dict[str, ParameterBlock]:
+        return {block.symbol: block for block in self.blocks}
+
     @property
     def symbols(self) -> tuple[str, ...]:
         """Symbols of the blocks, in order."""

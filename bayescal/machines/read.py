@@ -5,15 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from pydantic import create_model
 
 from bayescal.config.load import check_section, find_line, look_up, read_toml
-from bayescal.errors import InputError, name_faults
+from bayescal.config.registry import find_class, list_references, list_sources
+from bayescal.config.sections import Section
+from bayescal.errors import BayescalError, InputError, name_faults
 from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
 from bayescal.machines.kinematics import Machine, build_machine
 from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mechanism, section_of_rod
 from bayescal.machines.models import MODELS
-from bayescal.machines.readings import SlidingPlatform
-from bayescal.machines.readings.schema import SlidingPlatformConfig
+from bayescal.machines.readings import FunctionModel, ReadingMachine, ReadingModel, SlidingPlatform
+from bayescal.machines.readings.schema import MachineFileConfig, SlidingPlatformConfig
 from bayescal.machines.readings.sliding_platform import matrix_of_angle
 from bayescal.machines.schema import BeamSectionConfig, LoadConfig, MechanismConfig, PointsConfig
 from bayescal.numerics.geometry import Array
@@ -182,6 +185,48 @@ def build_named_machine(
     seen = kind.from_nominal(nominal)
     with name_faults(file):
         return build_machine(found, mechanism, seen)
+
+
+def read_reading_model(path: Path) -> ReadingModel:
+    """Return the machine of a TOML file seen by its sensors, whatever its kind.
+
+    Its ``kind`` is ``sliding_platform`` or a machine of one function: a built-in name, an installed package's, or
+    ``file.py:Class`` beside the file. The class's own section is ``[machine]``.
+
+    Raises
+    ------
+    InputError
+        Names file, line and key; or what is wrong with the class.
+    """
+    content, text = read_toml(path)
+    kind = content.get("kind")
+    if kind == "sliding_platform":
+        return read_sliding_platform(path)
+    if not isinstance(kind, str):
+        names = ", ".join(sorted(["sliding_platform", *list_references("MACHINES")]))
+        raise InputError(f"{path}: kind: found {kind!r}, expected one of {names}, or file.py:Class")
+    found = find_class("MACHINES", kind, ReadingMachine, "kind", path, path.parent)  # type: ignore[type-abstract]
+    schema = create_model("MachineFile", __base__=MachineFileConfig, machine=(found.Config, ...))
+    config = check_section(schema, {"machine": {}, **content}, path, text)
+    with name_faults(path):
+        return FunctionModel(config.name, _make(found, config.machine))  # type: ignore[attr-defined]
+
+
+def _make(found: type[ReadingMachine], section: Section) -> ReadingMachine:
+    """Return a machine of a class that may be somebody else's."""
+    try:
+        return found(section)
+    except BayescalError:
+        raise
+    except Exception as error:
+        text = " ".join(str(error).split())
+        raise InputError(f"class {found.__name__}: failed with {type(error).__name__}: {text}") from error
+
+
+def list_machine_sources(path: Path) -> list[str]:
+    """Return the Python file that a machine's file takes its class from, relative to it; nothing for built-in ones."""
+    kind = read_toml(path)[0].get("kind")
+    return list_sources("MACHINES", kind) if isinstance(kind, str) else []
 
 
 def read_sliding_platform(path: Path) -> SlidingPlatform:

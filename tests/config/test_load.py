@@ -13,7 +13,7 @@ from bayescal.data.schema import SimulationConfig
 from bayescal.errors import InputError
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.frame.load import load_experiment, load_kind
-from bayescal.experiments.frame.registry import list_references
+from bayescal.config.registry import list_references
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad

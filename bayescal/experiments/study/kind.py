@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
+from bayescal.config.registry import find_class
 from bayescal.errors import InputError
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.registry import find_class
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.measured import MeasuredVariant, Measuring
 from bayescal.experiments.study.claims import Claims

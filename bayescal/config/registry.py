@@ -1,6 +1,7 @@
-"""Kinds of experiment by name: built-in ones, those of installed packages, and classes beside a config.
+"""Classes by name: built-in ones, those of installed packages, and classes beside a config.
 
-Nothing is imported that nobody named: a kind's module is loaded when a config or a command asks for it.
+One look-up serves all: kinds of experiment, claims, machines. Nothing is imported that nobody named: a class's module
+is loaded when a config or a command asks for it.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import importlib.util
 import sys
 import zlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -20,21 +22,45 @@ import cloudpickle
 from bayescal.config.load import look_up
 from bayescal.errors import InputError
 
-CATALOGUES = ("bayescal.experiments", "bayescal.reproductions")
-"""Packages that list what is theirs, ``module:Class`` by name: ``KINDS``, and ``CLAIMS`` on what a study finds."""
-GROUPS = {"KINDS": "bayescal.kinds", "CLAIMS": "bayescal.claims"}
-"""Entry points under which installed packages offer the same."""
+
+@dataclass(frozen=True)
+class Registry:
+    """Where classes of a sort are listed.
+
+    Attributes
+    ----------
+    modules : tuple of str
+        Packages that list what is theirs in a mapping of the registry's name: a class, or ``module:Class``, by name.
+    group : str
+        Entry points under which installed packages offer the same.
+    """
+
+    modules: tuple[str, ...]
+    group: str
+
+
+_EXPERIMENTS = ("bayescal.experiments", "bayescal.reproductions")
+REGISTRIES = {
+    "KINDS": Registry(_EXPERIMENTS, "bayescal.kinds"),
+    "CLAIMS": Registry(_EXPERIMENTS, "bayescal.claims"),
+    "MACHINES": Registry(("bayescal.machines.readings",), "bayescal.machines"),
+}
 
 
 @cache
 def list_references(what: str) -> Mapping[str, str]:
     """Return ``module:Class`` by name, built-in ones and those of installed packages."""
     found: dict[str, str] = {}
-    for catalogue in CATALOGUES:
-        found |= getattr(importlib.import_module(catalogue), what, {})
-    for one in entry_points(group=GROUPS[what]):
+    for module in REGISTRIES[what].modules:
+        listed = getattr(importlib.import_module(module), what, {})
+        found |= {name: one if isinstance(one, str) else _refer(one) for name, one in listed.items()}
+    for one in entry_points(group=REGISTRIES[what].group):
         found.setdefault(one.name, one.value)
     return found
+
+
+def _refer(found: type) -> str:
+    return f"{found.__module__}:{found.__qualname__}"
 
 
 def find_class[T](what: str, name: str, base: type[T], field: str, where: Path, folder: Path | None) -> type[T]:
@@ -43,7 +69,7 @@ def find_class[T](what: str, name: str, base: type[T], field: str, where: Path, 
     Parameters
     ----------
     what : str
-        ``KINDS`` or ``CLAIMS``.
+        One of `REGISTRIES`.
     name : str
     base : type
         What it must be a subclass of.
@@ -83,6 +109,11 @@ def find_class[T](what: str, name: str, base: type[T], field: str, where: Path, 
 def is_file(name: str) -> bool:
     """Whether a name is that of a class in a file beside the config."""
     return name.partition(":")[0].endswith(".py")
+
+
+def list_sources(what: str, name: str) -> list[str]:
+    """Return the file of a class beside the config, relative to it: a part of what determines results; else nothing."""
+    return [name.partition(":")[0]] if is_file(name) and name not in list_references(what) else []
 
 
 def _import(location: str, folder: Path | None) -> ModuleType:
