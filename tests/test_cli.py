@@ -19,11 +19,11 @@ import placement_problems
 import pytest
 import studies
 
+from bayescal.config.registry import list_references
 from bayescal.data.simulation import build_twin
 from bayescal.errors import NumericalError
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.config.registry import list_references
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study import compute
 from bayescal.files.csv_tables import read_table

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 import studies
 
+from bayescal.config.registry import list_references
 from bayescal.data.schema import SimulationConfig
 from bayescal.errors import InputError
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.frame.load import load_experiment, load_kind
-from bayescal.config.registry import list_references
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad

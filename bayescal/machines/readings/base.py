@@ -21,7 +21,7 @@ from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
 type Given = Mapping[str, Array]
-"""What is known of each row of the data, by name, shaped as the poses' leading axes: a temperature, a commanded value."""
+"""What is known of each row of the data, by name, shaped as the poses' leading axes: a temperature, a command."""
 NOTHING: Given = MappingProxyType({})
 
 

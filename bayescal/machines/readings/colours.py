@@ -29,7 +29,7 @@ def draw_points(model: FunctionModel, n: int) -> tuple[Array, Array, Given]:
 
 
 def find_pattern(model: FunctionModel) -> np.ndarray:
-    """Return which values see which entries of (d, v), (K, D + q): those whose derivative is not zero wherever tried."""
+    """Return which values see which entries of (d, v), (K, D + q): their derivative is not always zero."""
     theta, pose, given = draw_points(model, POINTS)
     _, slopes = model.differentiate(theta, pose, given, np.eye(theta.shape[1] + pose.shape[1]))
     return np.asarray(((slopes != 0.0) | np.isnan(slopes)).any(axis=1).T)

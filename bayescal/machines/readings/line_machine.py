@@ -1,8 +1,8 @@
 """A point on N lines from spools: a cable robot whose platform is a point, such as a Hangprinter.
 
 Line i runs from its anchor A_i to the point p, which stands at v = p. Encoders count the spools from where v = 0. With
-the length l_i = |A_i - p| of the line, of which c F_i l_i is stretch (c the compliance, per newton; F_i the tension), the
-line paid out since is
+the length l_i = |A_i - p| of the line and its strain c F_i (c the compliance, per newton; F_i the tension), the line
+paid out since is
 
     Δ_i = l_i(p) / (1 + c F_i(p)) - l_i(0) / (1 + c F_i(0)).
 
@@ -29,7 +29,6 @@ from bayescal.config.sections import NotNegative, Number, Positive, Section, Vec
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel, Coordinate
 from bayescal.machines.readings.function import Parameters, ReadingMachine
-from bayescal.numerics.analytic import norm
 
 GRAVITY = 9.80665
 PER_MILLION = 1e-6
@@ -47,20 +46,20 @@ class LineConfig(Section):
 class LineMachineConfig(Section):
     """A point on lines; ``tension`` says where the lines' tensions come from.
 
-    ``none``: lines do not stretch; ``hanging``: of the weight and the pretension; ``given``: columns ``force_1`` and so on
-    of the data, in N, and ``force_at_origin_n``.
+    ``none``: lines do not stretch; ``hanging``: of the weight and the pretension; ``given``: columns ``force_1`` and so
+    on of the data, in N, and ``force_at_origin_n``.
     """
 
     lines: Annotated[list[LineConfig], Field(min_length=1)]
     gear: Positive
     buildup_mm: NotNegative
     reach_mm: Annotated[list[Positive], Field(min_length=3, max_length=3)]
-    centre_mm: Vector = [0.0, 0.0, 0.0]
+    centre_mm: Vector = Field(default=[0.0, 0.0, 0.0])
     tension: Literal["none", "hanging", "given"] = "none"
     compliance_per_million: NotNegative = 0.0
     mass_kg: NotNegative = 0.0
     pretension_n: Number = 0.0
-    force_at_origin_n: list[NotNegative] = []
+    force_at_origin_n: list[NotNegative] = Field(default=[])
 
 
 class LineMachine(ReadingMachine):
@@ -71,7 +70,7 @@ class LineMachine(ReadingMachine):
 
     def __init__(self, config: LineMachineConfig) -> None:
         """Lay out parameters, coordinates and channels."""
-        self.lines, self.tension = config.lines, config.tension
+        self.tension = config.tension
         self.parallel = np.array([float(one.parallel) for one in config.lines])
         self.gear, self.weight = config.gear, config.mass_kg * GRAVITY
         n = range(1, len(config.lines) + 1)
@@ -100,42 +99,39 @@ class LineMachine(ReadingMachine):
 
     def read(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> Any:
         """Return the motors' angles, the point as an instrument sees it, and the lines' lengths."""
-        anchors = np.stack([parameters[f"A_{axis}"] for axis in AXES], axis=-1)
-        length, now = self._pay_out(parameters, anchors, v, given)
-        _, before = self._pay_out(parameters, anchors, np.zeros(3), None)
+        length, now = self._pay_out(parameters, [v[..., k, None] for k in range(len(AXES))], given)
+        _, before = self._pay_out(parameters, [0.0, 0.0, 0.0], None)
         paid_out, radius = now - before, parameters["R"]
         wound = np.sqrt(radius**2 - self.parallel * parameters["Q"][..., None] * paid_out)
         motor = 2.0 * self.gear * self.parallel * paid_out / (radius + wound)
-        seen = np.broadcast_to(self._see(parameters, v), (*motor.shape[:-1], len(AXES)))
-        return np.concatenate([motor, seen, length], axis=-1)
+        seen = [np.broadcast_to(one[..., None], (*motor.shape[:-1], 1)) for one in self._see(parameters, v)]
+        return np.concatenate([motor, *seen, length], axis=-1)
 
     def _see(self, parameters: Parameters, v: Any) -> Any:
-        """Return the point as an instrument sees it, (..., 3)."""
+        """Return the point as an instrument sees it, three arrays (...)."""
         x, y, z = v[..., 0], v[..., 1], v[..., 2]
         turn, scale = parameters["omega"], 1.0 + parameters["s"]
-        offset = np.stack([parameters[f"o_{axis}"] for axis in AXES], axis=-1)
-        turned = np.broadcast_arrays(x - turn * y, y + turn * x, z + 0.0 * turn)
-        return offset + scale[..., None] * np.stack(turned, axis=-1)
+        turned = (x - turn * y, y + turn * x, z)
+        return [parameters[f"o_{axis}"] + scale * one for axis, one in zip(AXES, turned, strict=True)]
 
-    def _pay_out(self, parameters: Parameters, anchors: Any, p: Any, given: Mapping[str, Any] | None) -> Any:
+    def _pay_out(self, parameters: Parameters, p: list[Any], given: Mapping[str, Any] | None) -> Any:
         """Return the lines' lengths at p and what of them has left the spools, both (..., N)."""
-        span = anchors - np.asarray(p)[..., None, :]
-        length = norm(span)
+        span = [parameters[f"A_{axis}"] - one for axis, one in zip(AXES, p, strict=True)]
+        length = np.sqrt(span[0] * span[0] + span[1] * span[1] + span[2] * span[2])
         if self.tension == "none":
             return length, length
         if self.tension == "hanging":
-            force = self._hang(parameters, span / length[..., None])
+            force = self._hang(parameters, np.stack(span, axis=-1) / length[..., None])
         elif given is None:
             force = self.at_origin
         else:
             force = np.stack([given[name] for name in self.given], axis=-1)
-        stretch = 1.0 + PER_MILLION * parameters["c"][..., None] * force
-        return length, length / stretch
+        return length, length / (1.0 + PER_MILLION * parameters["c"][..., None] * force)
 
     def _hang(self, parameters: Parameters, directions: Any) -> Any:
         """Return the tensions (..., N) of a point that hangs in its lines of directions (..., N, 3)."""
         across = np.swapaxes(directions, -1, -2)
-        even = parameters["T"][..., None] * np.ones(len(self.lines))
+        even = parameters["T"][..., None] * np.ones(len(self.parallel))
         missing = np.array([0.0, 0.0, self.weight]) - (across @ even[..., None])[..., 0]
         solved = np.linalg.solve(across @ directions, missing[..., None])
         return even + (directions @ solved)[..., 0]

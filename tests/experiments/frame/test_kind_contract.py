@@ -14,8 +14,8 @@ import studies
 import tiny_experiments
 
 from bayescal import cli
-from bayescal.experiments.frame.load import load
 from bayescal.config.registry import list_references
+from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment, write_report
 from bayescal.experiments.frame.store import Store
 
