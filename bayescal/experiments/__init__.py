@@ -1,6 +1,7 @@
 """Kinds of experiment on one frame; a new one is a folder and a line."""
 
 KINDS = {
+    "calibration": "bayescal.experiments.calibration.kind:Calibration",
     "audit": "bayescal.experiments.audit.kind:Audit",
     "pose_selection": "bayescal.experiments.pose_selection.kind:PoseSelection",
     "reading_simulation": "bayescal.experiments.self_calibration.simulation_kind:ReadingSimulation",

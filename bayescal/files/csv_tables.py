@@ -53,6 +53,12 @@ class Table:
                 result[number, k] = self._number(row[column], number, columns[k])
         return result
 
+    def optional_numbers(self, column: str) -> Array:
+        """Return a column as numbers, NaN for empty cells, shape (rows,)."""
+        k = self.columns.index(column)
+        cells = [row[k].strip() for row in self.rows]
+        return np.array([self._number(cell, n, column) if cell else np.nan for n, cell in enumerate(cells)])
+
     def _number(self, cell: str, row: int, column: str) -> float:
         try:
             value = float(cell.replace("_", "?"))  # Python would read 1_0 as ten

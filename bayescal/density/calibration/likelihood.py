@@ -146,7 +146,7 @@ class CalibrationLikelihood:
         return replace(self, data=self.data.pick(which), start=self.start[which])
 
     def anchored(self, pose: Array, theta: Array) -> CalibrationLikelihood:
-        """Return the same density that looks for poses from those (P, q) which a machine (D,) explains readings with."""
+        """Return the same density that starts at those poses (P, q) which a machine (D,) explains readings with."""
         return replace(self, start=pose, anchor=theta)
 
     # --- poses ---------------------------------------------------------------------------------------------------

@@ -179,8 +179,11 @@ class CalibrationPosterior:
         """Return white errors (P, K), H (P, K, q) and the derivative of the readings by the coordinates (P, K, m)."""
         theta = self.theta(y[None])
         error, slope, by_parameters = self.likelihood.linearise(theta, pose, white, with_parameters=True)
-        moves = self._moves * self._speed(y[: self.n_geometry])[:, None]
-        return error[0], slope[0], by_parameters[0] @ moves.T
+        return error[0], slope[0], by_parameters[0] @ self.moves(y).T
+
+    def moves(self, y: Array) -> Array:
+        """Return the derivatives of θ by the geometry's coordinates at y, shape (n,), as rows (m, D)."""
+        return np.asarray(self._moves * self._speed(y[: self.n_geometry])[:, None])
 
     def gradient(self, y: Array) -> tuple[Array, Array]:
         """Return the gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
