@@ -187,6 +187,7 @@ def test_interrupts_are_one_line_and_leave_no_process(tmp_path, workers, number)
         time.sleep(0.1)
     assert list_group(process.pid) == []
     assert not out.exists()
+    assert [path.name for path in tmp_path.glob("out*")] == ["out.partial"]
 
 
 def test_a_second_run_on_the_same_results_is_refused(call, tmp_path):
