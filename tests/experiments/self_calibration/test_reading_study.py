@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import studies
 from reading_machines import EXPERIMENT
 from reading_studies import copy_shipped, describe_variant, load_small, write_small
 from rich.console import Console
@@ -116,7 +117,9 @@ def test_converged_is_0(call, tmp_path, monkeypatch, no_pictures):
     path.write_text(path.read_text().replace("burn_in = 5\nsteps = 12", "burn_in = 10\nsteps = 30"))
     code, out, err = call("run", "study.toml", "--workers", 1)
     assert code == 0
-    assert re.fullmatch(r"variants: 1 of 1 done, \d+ s\n", err)
+    *earlier, last = err.splitlines()  # on a busy computer a stage is heard of before its end
+    assert all(studies.PROGRESS.fullmatch(line) for line in earlier)
+    assert re.fullmatch(r"variants: 1 of 1 done, \d+ s", last)
     assert "report: results/small/report.html" in out
 
 
