@@ -279,6 +279,7 @@ def test_a_narrow_uniform_prior_is_no_failure(call, study, quick):
     assert Path("out/summary.json").exists()
 
 
+@pytest.mark.slow  # the toy kind's interrupts, and the contract of all kinds, have the same of small ones
 def test_interrupt_is_130_and_resume_completes(call, study, tmp_path, quick):
     call("run", study, "--out", "whole", "--workers", 1)
     process = start("run", study, "--out", "out", "--workers", 1, cwd=tmp_path)
@@ -439,7 +440,7 @@ def test_report_of_results_that_no_experiment_wrote(refuse, tmp_path, provenance
     assert expected in refuse("report", tmp_path)
 
 
-def test_report_is_written_anew(call, study, monkeypatch):
+def test_report_is_written_anew(call, study, monkeypatch, no_pictures):
     with monkeypatch.context() as patched:
         patched.setattr(frame, "write_page", lambda page, folder, more: folder)
         call("run", study, "--out", "out", "--workers", 1)
