@@ -72,6 +72,7 @@ class ClaimEvidence:
         """
         config = inputs.config
         variants = [v for v in config.variants if not v.has_own_name]
+        others = {v.name for v in config.variants if v.has_own_name}
         return cls(
             mechanism=inputs.mechanism,
             nominal=NominalDeformation(config.deformation.kappa, lambda: inputs.matrix),
@@ -81,8 +82,8 @@ class ClaimEvidence:
             actuator_noise=1e-3 * config.data.actuator_noise_um,
             origin=config.data.origin,
             free={v.name: tuple(v.free) for v in variants},
-            fits={v.name: fits[v.name] for v in variants},
-            variants={v.name: summary["variants"][v.name] for v in variants},
+            fits={name: fit for name, fit in fits.items() if name not in others},
+            variants={name: fit for name, fit in summary["variants"].items() if name not in others},
             published={
                 v.name: _by_symbol(read_published(inputs.folder / v.published, inputs.mechanism.n_legs))
                 for v in variants

@@ -17,6 +17,7 @@ from bayescal.experiments.study.tables import tabulate_sensitivity
 
 UNIFORM = 'kappa = { prior = "uniform", half_width = 0.01 }'
 NORMAL = 'kappa = { prior = "normal", sd = 0.01 }'
+EFFORT = ("draws = 1000\nmax_draws = 1000", "draws = 4000\nmax_draws = 4000")
 PER_LEG = "sd = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]"
 
 
@@ -50,10 +51,8 @@ def test_a_factor_multiplies_the_width_of_every_prior_whatever_its_unit(tmp_path
 
 
 def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(tmp_path):
-    inputs = load(tmp_path / "own", ("factor = [1.0]", "factor = [1.0, 3.0]"), ("draws = 1000", "draws = 4000"))
-    wide = load(
-        tmp_path / "wide", ("sd = 2.0", "sd = 6.0"), ("sd = 0.01", "sd = 0.03"), ("draws = 1000", "draws = 4000")
-    )
+    inputs = load(tmp_path / "own", ("factor = [1.0]", "factor = [1.0, 3.0]"), EFFORT)
+    wide = load(tmp_path / "wide", ("sd = 2.0", "sd = 6.0"), ("sd = 0.01", "sd = 0.03"), EFFORT)
     fits = {task: run_task(inputs, task) for task in list_sensitivity(inputs).values()}
     table = tabulate_sensitivity(inputs, fits).set_index(["factor", "variant"])
     for task in list_tasks(wide)[:2]:
