@@ -353,8 +353,11 @@ def test_console_script_refuses_in_one_line(study, tmp_path):
 def test_simulate_writes_the_survey(call, study):
     code, out, err = call("simulate", "simulate.toml", "--out", "new/data")
     assert (code, err) == (0, "")
-    assert out.count("wrote new/data/") == 3
-    assert {f"data/{p.name}": p.read_text() for p in Path("new/data").iterdir()} == studies.tiny_survey_texts()
+    assert out.count("wrote new/data/") == 5
+    written = {f"data/{p.name}": p.read_text() for p in Path("new/data").iterdir()}
+    truth = {f"data/true_{what}.csv" for what in ("parameters", "poses")}
+    assert {name: text for name, text in written.items() if name not in truth} == studies.tiny_survey_texts()
+    assert truth < written.keys()
     assert call("simulate", "simulate.toml", "--out", "other", "--seed", 7)[0] == 0
     assert Path("other/targets.csv").read_text() != Path("new/data/targets.csv").read_text()
 

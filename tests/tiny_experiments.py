@@ -11,7 +11,7 @@ SHIPPED = Path(__file__).parents[1] / "experiments"
 
 SMALL = {
     "study": {"walkers": "8", "burn_in": "5", "steps": "10", "draws": "1000", "max_draws": "1000"}
-    | {"tolerance_mm": "[2.0]"},
+    | {"factor": "[1.0]"},
     "pose_methods": {"repeats": "2", "n_targets": "[6, 8]"},
     "hexapod_calibrations": {
         **{"candidates": "150", "list_length": "5", "iterations": "3", "verification_poses": "7", "repeats": "4"},

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.data.schema import SimulationConfig
-from bayescal.data.simulation import Twin, build_twin, format_survey, simulate_survey
+from bayescal.data.simulation import Twin, build_twin, format_survey, format_truth, survey_twin
 from bayescal.experiments.shared.simulated_data import Simulated, SimulatedData, tabulate_truth
 
 
@@ -25,9 +25,10 @@ class Simulation(SimulatedData[SimulationConfig, Twin]):
         return inputs.config.seed
 
     def simulate(self, inputs: Twin, rng: np.random.Generator) -> Simulated:
-        """Return the survey's files."""
-        survey, layout = simulate_survey(inputs, rng), inputs.machine.layout
+        """Return the survey's files, true parameters and true poses."""
+        (survey, poses), layout = survey_twin(inputs, rng), inputs.machine.layout
         truth = tabulate_truth(layout.names, layout.units, layout.nominal, inputs.theta)
         origin = inputs.config.origin
         counts = len(inputs.calibration), len(inputs.verification)
-        return Simulated(format_survey(survey, origin), truth, origin, *counts)
+        files = format_survey(survey, origin) | format_truth(inputs, survey.poses, poses)
+        return Simulated(files, truth, origin, *counts)

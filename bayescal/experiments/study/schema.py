@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -24,24 +24,52 @@ class DataConfig(Section):
     pose_method: Literal["robust", "line"] = "robust"
 
 
+type VariantName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+( [A-Za-z0-9_-]+)*$")]
+
+
 class VariantConfig(Section):
-    """A kinematic model with a deformation and its free parameters; all others stay at their nominal values."""
+    """A kinematic model with a deformation and its free parameters; all others stay at their nominal values.
+
+    Without a name of its own a variant is called after model and deformation, ``six_pus/none``; several free sets of
+    one model and deformation need names. A name has no slash, so that nobody takes it for the other kind.
+    """
 
     model: str
     deformation: str
+    name: VariantName = Field(default_factory=lambda known: name_variant(known.get("model"), known.get("deformation")))
     free: Annotated[list[str], Field(min_length=1)]
     published: InputFile | None = None
 
     @property
-    def name(self) -> str:
-        """For example ``six_pus/none``."""
-        return f"{self.model}/{self.deformation}"
+    def has_own_name(self) -> bool:
+        """Whether the config names it."""
+        return self.name != name_variant(self.model, self.deformation)
+
+
+def name_variant(model: object, deformation: object) -> str:
+    """Return what a variant without a name of its own is called."""
+    return f"{model}/{deformation}"
+
+
+def stem_of(variant: str) -> str:
+    """Return a variant's name as a part of file names."""
+    return variant.replace("/", "-").replace(" ", "_")
 
 
 class SensitivityConfig(Section):
-    """Tolerances of the lengths for which the evidence is computed anew."""
+    """Factors on the widths of all priors, sd or half width, for which the evidence is computed anew."""
 
-    tolerance_mm: Annotated[list[Positive], Field(min_length=1)] = Field(default=[0.5, 1.0, 2.0, 5.0])
+    factor: Annotated[list[Positive], Field(min_length=1)] = Field(default=[0.5, 1.0, 2.0, 5.0])
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_tolerance(cls, content: Any) -> Any:
+        if isinstance(content, dict) and "tolerance_mm" in content:
+            raise ValueError(
+                "tolerance_mm: replaced by factor, which multiplies the width of every prior, expected for example "
+                "factor = [0.5, 1.0, 2.0, 5.0]"
+            )
+        return content
 
 
 class StudyConfig(ExperimentConfig):
@@ -61,10 +89,7 @@ class StudyConfig(ExperimentConfig):
 
     @model_validator(mode="after")
     def _check_variants(self) -> Self:
-        names = [variant.name for variant in self.variants]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"variant {name!r} stands twice, expected each variant once")
+        _check_names([variant.name for variant in self.variants])
         for variant in self.variants:
             for symbol in variant.free:
                 if variant.free.count(symbol) > 1:
@@ -77,3 +102,16 @@ class StudyConfig(ExperimentConfig):
                         "expected a normal or uniform prior"
                     )
         return self
+
+
+def _check_names(names: list[str]) -> None:
+    """Raise ValueError for variants of one name, or of names that no file system need tell apart."""
+    first: dict[str, str] = {}
+    for name in names:
+        other = first.setdefault(stem_of(name).lower(), name)
+        if names.count(name) > 1:
+            raise ValueError(
+                f"variant {name!r} stands twice, expected each variant once, or a name of its own for each free set"
+            )
+        if other != name:
+            raise ValueError(f"variants {other!r} and {name!r} would share their files, expected other names")
