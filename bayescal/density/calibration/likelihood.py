@@ -23,14 +23,15 @@ import numpy as np
 from scipy.special import gammaln
 
 from bayescal.density.calibration.measurements import Comparison, Measurements
-from bayescal.density.readings.poses import solve_least_squares
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
 
 ROWS = 4096  # poses of machines that are looked at together
 CLOSE = 0.03  # deviations of a reading, below which a step is taken to first order: what that leaves enters squared
+NEAR = 0.3  # deviations of a reading, within which H is taken for constant
 CHORD = 0.01  # of a pose's deviations, where chords end
 MAX_STEPS, MAX_CHORDS = 30, 8
+SINGULAR = 1e-16  # of the determinant of HᵀH with unit diagonal
 GAUSSIAN = np.inf
 
 
@@ -195,13 +196,21 @@ class CalibrationLikelihood:
             pose = self._follow_chords(theta, pose)
         for _ in range(MAX_STEPS):
             error, slope, _ = self.linearise(theta, pose, white)
-            step = solve_least_squares(slope, error)
-            moved = np.einsum("cpkq,cpq->cpk", slope, step)
-            pose, size = pose + step, np.abs(moved).max(axis=-1)
+            step, left = _step(slope, error)
+            pose, size = pose + step, np.abs(error - left).max(axis=-1)
             if not np.any(size > CLOSE):
-                return Stand(pose, error - moved, slope)
+                return Stand(pose, left, slope)
+            if not np.any(size > NEAR):  # H is as good as that of the new pose
+                step, left = _step(slope, self._errors(theta, pose, white))
+                return Stand(pose + step, left, slope)
         lost = size > 1.0  # wandering still: no pose of this machine
-        return Stand(pose, np.where(lost[..., None], np.nan, error - moved), slope)
+        return Stand(pose, np.where(lost[..., None], np.nan, left), slope)
+
+    def _errors(self, theta: Array, pose: Array, white: Whitening) -> Array:
+        """Return white errors (C, P, K) of machines (C, D) at poses (C, P, q)."""
+        read = self.model.read(theta[:, None], pose, self._given)
+        error = self.comparison.subtract(self.data.values, read)
+        return white.vector(np.where(self.data.present, error, 0.0))
 
     def _follow_chords(self, theta: Array, pose: Array) -> Array:
         """Return poses (C, P, q) close to where machines explain the readings; where they start if chords go astray."""
@@ -277,3 +286,22 @@ def half_log_volume(slope: Array) -> Array:
         return np.zeros(slope.shape[:-2])
     with np.errstate(all="ignore"):
         return np.asarray(0.5 * np.linalg.slogdet(np.swapaxes(slope, -1, -2) @ slope)[1])
+
+
+def _step(slope: Array, error: Array) -> tuple[Array, Array]:
+    """Return the step of the pose (..., q) that leaves least of white errors (..., K), and what it leaves.
+
+    NaN where H (..., K, q) is singular.
+    """
+    across = np.swapaxes(slope, -1, -2)
+    normal = across @ slope
+    size = np.sqrt(np.einsum("...ii->...i", normal))
+    scaled = normal / (size[..., :, None] * size[..., None, :])
+    good = np.isfinite(scaled).all(axis=(-1, -2))
+    scaled = np.where(good[..., None, None], scaled, np.eye(slope.shape[-1]))
+    good &= np.linalg.det(scaled) > SINGULAR
+    scaled = np.where(good[..., None, None], scaled, np.eye(slope.shape[-1]))
+    side = (across @ error[..., None])[..., 0] / size
+    step = np.linalg.solve(scaled, np.nan_to_num(side)[..., None])[..., 0] / size
+    step = np.where(good[..., None], step, np.nan)
+    return step, error - (slope @ step[..., None])[..., 0]

@@ -83,7 +83,8 @@ class Comparison:
         return periods if np.isfinite(periods).any() else None
 
     @cached_property
-    def _rotations(self) -> list[slice]:
+    def rotations(self) -> list[slice]:
+        """Where the components of rotation vectors stand."""
         names = [one.rotation for one in self.channels]
         starts = [names.index(name) for name in dict.fromkeys(filter(None, names))]
         return [slice(k, k + 3) for k in starts]
@@ -95,16 +96,16 @@ class Comparison:
             circle = np.isfinite(self._periods)
             period = self._periods[circle]
             error[..., circle] -= period * np.round(error[..., circle] / period)
-        for three in self._rotations:
+        for three in self.rotations:
             error[..., three] = _turn(*np.broadcast_arrays(measured[..., three], read[..., three]))
         return np.asarray(error)
 
     def pull_back(self, error: Array, read: Array, slope: Array) -> Array:
         """Return the derivative of read minus measured from that of the readings, both (..., K, n)."""
-        if not self._rotations:
+        if not self.rotations:
             return slope
         result = slope.copy()
-        for three in self._rotations:
+        for three in self.rotations:
             vector, left = np.nan_to_num(read[..., three]), np.nan_to_num(error[..., three])
             # d log(M exp(-ω) Rᵀ) = -J_r⁻¹(r) ω with ω = J_l(v) dv, and J_r⁻¹(r) = J_l⁻¹(-r)
             turn = compute_left_inverse_jacobian(-left) @ np.linalg.inv(compute_left_inverse_jacobian(vector))

@@ -61,7 +61,7 @@ def _compute_variant(inputs: CalibrationInputs, name: str) -> _Fitted:
         fit,
         _explain(inputs, name, fit),
         assess(inputs, variant, fit),
-        [one.evaluate(variant.model, theta) for one in inputs.beside],
+        [one.evaluate(variant.whole, theta) for one in inputs.beside],
         held,
     )
 

@@ -32,9 +32,10 @@ class Variant:
     Attributes
     ----------
     config : CalibrationVariantConfig
+    whole : ReadingModel
+        The machine with all its channels.
     model : ReadingModel
-    chosen : ndarray of int
-        Channels that it takes in.
+        The machine with the channels that the variant takes in, K of them.
     priors : mapping of name to Prior
     fixed : mapping of parameter name to float
     common : mapping of name to tuple of parameter names
@@ -48,8 +49,8 @@ class Variant:
     """
 
     config: CalibrationVariantConfig
+    whole: ReadingModel
     model: ReadingModel
-    chosen: np.ndarray
     priors: Mapping[str, Prior]
     fixed: Mapping[str, float]
     common: Mapping[str, tuple[str, ...]]
@@ -78,9 +79,8 @@ class Variant:
 
     @property
     def internal(self) -> np.ndarray:
-        """Which channels the machine keeps after its calibration, of all, shape (K,)."""
-        own = np.array([not one.external for one in self.model.channels])
-        return own & np.isin(np.arange(len(own)), self.chosen)
+        """Which channels the machine keeps after its calibration, shape (K,)."""
+        return np.array([not one.external for one in self.model.channels])
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +116,7 @@ def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
     variants = {}
     for one in config.variants:
         with name_faults(f"variant {one.name!r}"):
-            variants[one.name] = _build(
-                config, one, models[one.machine or config.machine], readings, deviations, folder
-            )
+            variants[one.name] = _build(config, one, models[one.machine or config.machine], readings, deviations)
     beside = [read_beside(one, folder, model) for one in config.beside]
     return CalibrationInputs(config, getattr(model, "name", config.machine), variants, beside)
 
@@ -134,27 +132,28 @@ def _build(
     model: ReadingModel,
     readings: PoseReadings,
     deviations: Array,
-    folder: Path,
 ) -> Variant:
-    chosen = model.select(section.sensors if section.sensors is not None else config.sensors)
-    priors, fixed, common = choose_priors(config, section, model)
     rows = _choose_poses(section, model, readings)
-    some = np.isin(np.arange(len(model.channels)), chosen)
+    chosen = model.select(section.sensors if section.sensors is not None else config.sensors)
+    chosen = chosen[np.isfinite(readings.values[rows][:, chosen]).any(axis=0)]
+    if not len(chosen):
+        raise InputError("sensors: found no reading of any, expected some")
+    whole, model = model, model.pick(chosen)
+    priors, fixed, common = choose_priors(config, section, model)
     data = Measurements(
         readings.poses,
-        readings.values,
-        deviations,
+        readings.values[:, chosen],
+        deviations[:, chosen],
         {name: readings.given[name] for name in model.given},
-        readings.correlation,
-    )
-    data = data.only(some).pick(rows)
+        None if readings.correlation is None else readings.correlation[:, chosen][:, :, chosen],
+    ).pick(rows)
     _check_noise(data, model)
-    noise = build_noise(config, section, model)
+    noise = build_noise(config, section, whole, chosen)
     workspace = build_workspace(model, config.workspace, config.units)
     unplaced = Variant(
         section,
+        whole,
         model,
-        chosen,
         priors,
         fixed,
         common,

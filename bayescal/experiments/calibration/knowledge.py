@@ -76,11 +76,11 @@ def assess(inputs: CalibrationInputs, variant: Variant, fit: Fit) -> Knowledge:
     covariance = np.atleast_2d(np.cov(fit.kept[:, : posterior.n_geometry], rowvar=False))
     at = _look(posterior, variant, y, variant.workspace.draw(N_WORKSPACE, rng), variant.internal)
     names, units = _name_tool(variant, at.tool.shape[1])
-    chosen = np.isin(np.arange(len(variant.model.channels)), variant.chosen)
+    every = np.ones(len(variant.model.channels), dtype=bool)
     candidates = variant.workspace.draw(inputs.config.next.candidates, rng)
     tried = [
         (label, *_rank(posterior, variant, y, candidates, at, covariance, some, inputs.config.next.shown))
-        for label, some in (("own", variant.internal), ("all", chosen))
+        for label, some in (("own", variant.internal), ("all", every))
         if label == "own" or (some != variant.internal).any()
     ]
     verdicts, ridges = _judge(inputs, variant, posterior, y)

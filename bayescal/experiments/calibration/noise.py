@@ -61,10 +61,12 @@ def _factor(name: str, channel: Channel, field: str) -> float:
     return units[NOISE_UNITS[field]]
 
 
-def build_noise(config: CalibrationConfig, section: CalibrationVariantConfig, model: ReadingModel) -> NoiseModel:
-    """Return what of the noise is unknown; InputError for a group that no channel belongs to."""
+def build_noise(
+    config: CalibrationConfig, section: CalibrationVariantConfig, model: ReadingModel, chosen: np.ndarray
+) -> NoiseModel:
+    """Return what of the noise of the chosen channels is unknown; InputError for a group that no channel belongs to."""
     groups = _groups(config, model)
-    some = {groups[k] for k in model.select(section.sensors or config.sensors)}
+    some = {groups[k] for k in chosen}
     for table in ("unknown_noise", "model_error"):
         for name in getattr(config, table):
             if name not in groups:
@@ -77,9 +79,10 @@ def build_noise(config: CalibrationConfig, section: CalibrationVariantConfig, mo
     for name in taus:
         if len({c.unit for g, c in zip(groups, model.channels, strict=True) if g == name}) > 1:
             raise InputError(f"model_error.{name}: found channels of several units, expected one")
+    mine = [groups[k] for k in chosen]
     return NoiseModel(
-        np.array([list(scales).index(name) if name in scales else -1 for name in groups]),
-        np.array([list(taus).index(name) if name in taus else -1 for name in groups]),
+        np.array([list(scales).index(name) if name in scales else -1 for name in mine]),
+        np.array([list(taus).index(name) if name in taus else -1 for name in mine]),
         tuple(scales),
         tuple(taus),
         np.array(list(scales.values())),

@@ -113,7 +113,7 @@ def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dic
 
 def _name_data(variant: Variant) -> str:
     """Return which readings a variant takes in, in words that are the same for the same ones."""
-    kinds = dict.fromkeys(variant.model.channels[k].kind for k in variant.chosen if variant.data.present[:, k].any())
+    kinds = dict.fromkeys(one.kind for one in variant.model.channels)
     return f"{' '.join(kinds)}, {variant.data.n_poses} poses, {int(variant.data.present.sum())} readings"
 
 

@@ -201,3 +201,66 @@ class ReadingModel(ABC):
                 raise InputError(f"sensor {name!r}: unknown here, expected some of {', '.join(self.names)}")
             wanted |= found
         return np.array([k for k, name in enumerate(self.names) if name in wanted], dtype=int)
+
+    def pick(self, channels: np.ndarray) -> ReadingModel:
+        """Return the same machine with some of its sensors, by their places."""
+        return _Picked(self, tuple(int(k) for k in channels))
+
+
+@dataclass(frozen=True, eq=False)
+class _Picked(ReadingModel):
+    """A machine with some of its sensors."""
+
+    whole: ReadingModel
+    places: tuple[int, ...]
+
+    @property
+    def layout(self) -> ParameterLayout:
+        """The whole machine's."""
+        return self.whole.layout
+
+    @cached_property
+    def channels(self) -> tuple[Channel, ...]:
+        """The sensors it has left."""
+        return tuple(self.whole.channels[k] for k in self.places)
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The whole machine's."""
+        return self.whole.coordinates
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """What the whole machine has to know."""
+        return self.whole.given
+
+    @property
+    def member(self) -> str:
+        """What the whole machine says."""
+        return self.whole.member
+
+    def frame_parameters(self) -> tuple[str, ...]:
+        """Return what the whole machine says."""
+        return self.whole.frame_parameters()
+
+    def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
+        """Return what the whole machine says."""
+        return self.whole.seen_parameters(channels)
+
+    def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
+        """Return the readings of the sensors left."""
+        return self.whole.read(theta, pose, given)[..., self.places]
+
+    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
+        """Return the readings of the sensors left, with their derivatives."""
+        found = self.whole.linearise(theta, pose, with_parameters, given)
+        by_parameters = found.by_parameters[..., self.places, :] if with_parameters else found.by_parameters
+        return Readings(found.values[..., self.places], found.by_pose[..., self.places, :], by_parameters)
+
+    def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+        """Return the whole machine's tool."""
+        return self.whole.tool(theta, pose)
+
+    def rotation(self, pose: Array) -> Array:
+        """Return the whole machine's rotation."""
+        return self.whole.rotation(pose)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -120,6 +120,8 @@ class FunctionModel(ReadingModel):
     ----------
     name : str
     machine : ReadingMachine
+    places : tuple of int or None
+        Which of the machine's sensors it has; all by default.
 
     Raises
     ------
@@ -130,6 +132,7 @@ class FunctionModel(ReadingModel):
 
     name: str
     machine: ReadingMachine
+    places: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         """Check the machine: its members, its function's values and derivatives."""
@@ -144,8 +147,9 @@ class FunctionModel(ReadingModel):
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
-        """The machine's sensors."""
-        return tuple(self.machine.channels)
+        """The machine's sensors, or some of them."""
+        every = tuple(self.machine.channels)
+        return every if self.places is None else tuple(every[k] for k in self.places)
 
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -176,7 +180,12 @@ class FunctionModel(ReadingModel):
 
     def evaluate(self, theta: Any, pose: Any, given: Given) -> Any:
         """Return the function's values, real or complex, for (..., D) and (..., q)."""
-        return self.machine.read(Parameters(self.layout, theta), pose, given)
+        found = self.machine.read(Parameters(self.layout, theta), pose, given)
+        return found if self.places is None else np.asarray(found)[..., self.places]
+
+    def pick(self, channels: np.ndarray) -> ReadingModel:
+        """Return the same machine with some of its sensors; its derivatives take fewer rounds."""
+        return replace(self, places=tuple(int(k) for k in np.arange(len(self.machine.channels))[channels]))
 
     def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
         """Return the readings; see `ReadingModel.read`."""
