@@ -70,8 +70,9 @@ def identify(
 ) -> LeastSquaresFit:
     """Minimise the sum of squared W f over all legs' parameters of the given symbols.
 
-    With a component of u free each leg has two solutions of nearly the same actuator gain. Which one is nearer is decided
-    leg by leg on the closure f itself, where a leg's residual is its own; an objective that mixes the legs then starts from there.
+    With a component of u free each leg has two solutions of nearly the same actuator gain. Which one is nearer is
+    decided leg by leg on the closure f itself, where a leg's residual is its own; an objective that mixes the legs then
+    starts from there.
 
     Parameters
     ----------

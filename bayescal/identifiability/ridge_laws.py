@@ -181,7 +181,7 @@ def list_laws(machine: Machine) -> tuple[Law, ...]:
     The published ones are those of actuators told by u_x and u_y, which lean little. Where an actuator leans far or
     is level, a shift of either joint along any axis may be taken up by the leg's length.
     """
-    chart = machine.mechanism.chart
+    chart = machine.layout.directions
     if chart is None or chart.upright:
         return tuple(law for law in LAWS if machine.mechanism.drive in law.drives)
     return _laws_of_any_direction(chart)
@@ -236,7 +236,7 @@ def find_legs(knowledge: Knowledge) -> list[Leg]:
     home = solve_forward_kinematics(machine, theta, actuators)
     vectors = compute_leg_vectors(machine.layout, theta, home.position, home.rotation, machine.basis(actuators))
     turned = vectors.axis @ home.rotation
-    chart = machine.mechanism.chart
+    chart = machine.layout.directions
     legs = [Leg(tuple(z), tuple(own)) for z, own in zip(vectors.axis.tolist(), turned.tolist(), strict=True)]
     if chart is None:
         return legs

@@ -24,6 +24,7 @@ ACROSS = 1e-3  # of a leg's direction along its actuator, below which the actuat
 STRIDE = 0.25  # of the shortest leg, that actuators move from one pose of a path to the next one
 STEPS_ON_THE_WAY = 4  # of Newton's method at the poses of a path but the last
 NEAR = 200.0  # mm from the initial positions, within which actuator positions are searched from there
+FURTHEST = 2.0  # actuator ranges, within which they are searched from where perfect joints want them
 DRIVEN: dict[Drive, str] = {"base": "actuators at the base", "strut": "struts"}
 
 
@@ -94,7 +95,7 @@ class ForwardKinematics:
 
 
 def guess_home_pose(mechanism: Mechanism) -> tuple[Array, Array]:
-    """Return a level pose from which Newton's method finds the home pose: the stated one, or above or below the base."""
+    """Return a level pose from which Newton's method finds the home pose, as stated or as the legs span."""
     start = HomeStart(mechanism.home_position, mechanism.platform_below)
     try:
         return guess_level_pose(mechanism.home_joints, mechanism.platform_points, mechanism.leg_lengths, start)
@@ -145,7 +146,8 @@ def solve_forward_kinematics(
     shape = np.broadcast_shapes(theta.shape[:-1], actuators.shape[:-1])
     position = np.broadcast_to(position, (*shape, 3))
     rotation = np.broadcast_to(rotation, (*shape, 3, 3))
-    basis = machine.basis(np.broadcast_to(actuators, (*shape, actuators.shape[-1])))
+    actuators = np.broadcast_to(actuators, (*shape, actuators.shape[-1]))
+    basis = machine.basis(actuators)
     closure = machine.model.prepare(machine.layout, theta)
     if follow:
         position, rotation = _follow_path(machine, closure, position, rotation, actuators)
@@ -174,16 +176,14 @@ def _step_pose(
 def _follow_path(
     machine: Machine, closure: Closure, position: Array, rotation: Array, actuators: Array
 ) -> tuple[Array, Array]:
-    """Return poses near those of actuators (..., N) that travel far, from home poses; the others as they are."""
-    mechanism, shape = machine.mechanism, (*position.shape[:-1], actuators.shape[-1])
-    travel = actuators - mechanism.initial_actuator_positions
-    finite = np.isfinite(travel)
-    furthest = np.abs(travel[finite]).max(initial=0.0)
-    n_strides = int(np.ceil(furthest / (STRIDE * mechanism.leg_lengths.min())))
-    if mechanism.drive == "strut" or n_strides < 2:
+    """Return poses near those of actuators (..., N), from home poses; these where actuators travel little by design."""
+    mechanism = machine.mechanism
+    n_strides = int(np.ceil(mechanism.actuator_range / (STRIDE * mechanism.leg_lengths.min())))
+    if mechanism.drive == "strut":
         return position, rotation
-    for k in range(1, n_strides):
-        basis = machine.basis(np.broadcast_to(mechanism.initial_actuator_positions + k / n_strides * travel, shape))
+    start = mechanism.initial_actuator_positions
+    for share in np.arange(1, n_strides) / n_strides:
+        basis = machine.basis(start + share * (actuators - start))
         for _ in range(STEPS_ON_THE_WAY):
             position, rotation, _ = _step_pose(closure, position, rotation, basis)
     return position, rotation
@@ -252,7 +252,7 @@ def solve_inverse_kinematics(
 def _start_actuators(machine: Machine, theta: Array, position: Array, rotation: Array, shape: tuple[int, ...]) -> Array:
     """Return where Newton's method starts, shape (..., N): the initial positions where these lead to the right ones.
 
-    Where the pose has taken a leg to the other side of its initial foot, or further than steps lead, that is the
+    Where the pose has taken a leg to the other side of its initial foot, or far along a long guide, that is the
     position on the side of home for perfect joints without deformation, ρ = u · d - s sqrt(l² - |d|² + (u · d)²) with
     d = p + R b - a and s the side.
     """
@@ -267,8 +267,10 @@ def _start_actuators(machine: Machine, theta: Array, position: Array, rotation: 
     with np.errstate(invalid="ignore"):
         beyond = np.sqrt(layout.take(theta, "l") ** 2 - dot(reach, reach) + foot**2)
     direct = foot - machine.sides * beyond
-    astray = (np.sign(foot - initial) != machine.sides) | (np.abs(direct - initial) > NEAR)
-    return np.where(astray & np.isfinite(direct), direct, initial)
+    travel = np.abs(direct - initial)
+    far = (travel > NEAR) & (travel < FURTHEST * mechanism.actuator_range)
+    astray = np.sign(foot - initial) != machine.sides
+    return np.where((astray | far) & np.isfinite(direct), direct, initial)
 
 
 def _actuator_step(here: Linearisation) -> Array:

@@ -144,13 +144,14 @@ class Mechanism:
         return len(self.leg_lengths)
 
     @cached_property
-    def chart(self) -> DirectionChart | None:
-        """Which components of the actuators' directions are parameters; None for struts."""
-        return choose_chart(self.directions) if self.drive == "base" else None
+    def chart(self) -> DirectionChart:
+        """Which components of the actuators' directions are parameters; for struts, that of vertical actuators."""
+        return choose_chart(self.directions if self.drive == "base" else np.tile([0.0, 0.0, 1.0], (self.n_legs, 1)))
 
     def lay_out(self, blocks: Iterable[ParameterBlock]) -> ParameterLayout:
         """Return blocks of parameters laid out for this machine."""
-        return ParameterLayout(tuple(blocks), self.chart, HomeStart(self.home_position, self.platform_below))
+        chart = self.chart if self.drive == "base" else None
+        return ParameterLayout(tuple(blocks), chart, HomeStart(self.home_position, self.platform_below))
 
     @property
     def home_joints(self) -> Array:

@@ -27,7 +27,6 @@ class SixPus(LegDistance):
     def blocks(self, mechanism: Mechanism) -> tuple[ParameterBlock, ...]:
         """Return a, b, u (two components, see `directions`), l and ρ^0 of each leg."""
         chart = mechanism.chart
-        assert chart is not None
         components = chart.to_local(mechanism.directions)[:, :2].T
         return (
             *list_point_blocks(mechanism),
