@@ -20,7 +20,7 @@ SYMBOLS = {
     "anyhow": ("u_h", "u_v"),
 }
 HOME = np.array([3.0, -2.0, 400.0])
-REGULAR = 40.0  # condition of the home pose's Jacobian, lengths by the platform's size
+REGULAR = 15.0  # condition of the home pose's Jacobian, lengths by the platform's size
 ALONG = 0.5  # least cosine between a leg and its actuator
 
 

@@ -14,6 +14,7 @@ from bayescal.machines.models import MODELS
 from bayescal.machines.models.base import Closure, KinematicModel, Linearisation, newton_step
 from bayescal.machines.models.home import guess_level_pose
 from bayescal.machines.models.legs import actuator_directions, dot
+from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.parameters import HomeStart, ParameterLayout
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 
@@ -22,7 +23,7 @@ SINGULAR_CONDITION = 1e8
 LEVEL = 1e-3  # of a leg's direction along z, below which it is level
 ACROSS = 1e-3  # of a leg's direction along its actuator, below which the actuator does not move it
 STRIDE = 0.25  # of the shortest leg, that actuators move from one pose of a path to the next one
-STEPS_ON_THE_WAY = 4  # of Newton's method at the poses of a path but the last
+STEPS_ON_THE_WAY = 4  # of Newton's method at each pose of a path
 NEAR = 200.0  # mm from the initial positions, within which actuator positions are searched from there
 FURTHEST = 2.0  # actuator ranges, within which they are searched from where perfect joints want them
 DRIVEN: dict[Drive, str] = {"base": "actuators at the base", "strut": "struts"}
@@ -150,7 +151,7 @@ def solve_forward_kinematics(
     basis = machine.basis(actuators)
     closure = machine.model.prepare(machine.layout, theta)
     if follow:
-        position, rotation = _follow_path(machine, closure, position, rotation, actuators)
+        position, rotation = _follow_path(machine, theta, position, rotation, actuators)
     converged = np.zeros(shape, dtype=bool)
     iteration = 0
     while iteration < max_iterations and not converged.all():
@@ -174,15 +175,18 @@ def _step_pose(
 
 
 def _follow_path(
-    machine: Machine, closure: Closure, position: Array, rotation: Array, actuators: Array
+    machine: Machine, theta: Array, position: Array, rotation: Array, actuators: Array
 ) -> tuple[Array, Array]:
-    """Return poses near those of actuators (..., N), from home poses; these where actuators travel little by design."""
+    """Return poses of perfect joints near those of actuators (..., N), from home poses.
+
+    Machines whose actuators travel little by design have theirs near enough to home: these poses are returned.
+    """
     mechanism = machine.mechanism
     n_strides = int(np.ceil(mechanism.actuator_range / (STRIDE * mechanism.leg_lengths.min())))
-    if mechanism.drive == "strut":
+    if mechanism.drive == "strut" or n_strides < 2:
         return position, rotation
-    start = mechanism.initial_actuator_positions
-    for share in np.arange(1, n_strides) / n_strides:
+    closure, start = SixPus().prepare(machine.layout, theta), mechanism.initial_actuator_positions
+    for share in np.arange(1, n_strides + 1) / n_strides:
         basis = machine.basis(start + share * (actuators - start))
         for _ in range(STEPS_ON_THE_WAY):
             position, rotation, _ = _step_pose(closure, position, rotation, basis)
