@@ -5,10 +5,14 @@ All are made up. Whatever is simulated with them is a twin, never a measurement.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import studies
 import telescope_machines as machines
 
 from bayescal.machines.mechanism import Mechanism
+from bayescal.machines.read import load_mechanism
 
 KINDS = ("along x", "along y", "down", "inclined", "star", "anyhow")
 SYMBOLS = {
@@ -77,29 +81,11 @@ def _is_regular(legs: np.ndarray, upper: np.ndarray, u: np.ndarray) -> bool:
 
 
 def build_hexaglide(**changes: object) -> Mechanism:
-    """Return six carriages on horizontal guides along x, three legs leaning forth and three back."""
-    y = np.array([-300.0, -300.0, 0.0, 0.0, 300.0, 300.0])
-    forth = np.array([1.0, -1.0] * 3)
-    upper = np.array(
-        [[90, -110, 0], [-70, -150, 30], [60, 0, 60], [-110, 30, -20], [80, 140, 20], [-90, 120, 0]], dtype=np.float64
-    )
-    lower = np.column_stack([forth * 320.0 + upper[:, 0], y, np.array([0.0, 40.0, 0.0, 40.0, 0.0, 40.0])])
-    home = np.array([0.0, 0.0, 420.0])
-    initial = np.full(6, 350.0)
-    fields = {
-        "name": "hexaglide",
-        "base_points": lower - initial[:, None] * [1.0, 0.0, 0.0],
-        "platform_points": upper,
-        "directions": np.tile([1.0, 0.0, 0.0], (6, 1)),
-        "leg_lengths": np.linalg.norm(home + upper - lower, axis=1),
-        "initial_actuator_positions": initial,
-        "actuator_range": 400.0,
-        "home_position": tuple(home.tolist()),
-    }
-    return Mechanism(**(fields | changes))
+    """Return the shipped carriages on horizontal guides along x, three legs leaning forth and three back."""
+    return replace(load_mechanism(studies.EXPERIMENTS / "hexaglide" / "mechanism.toml"), **changes)
 
 
 def build_hanging(**changes: object) -> Mechanism:
     """Return the telescope's geometry upside down: sliders that move down, the platform below."""
     down = machines.build_telescope(directions=np.tile([0.0, 0.0, -1.0], (6, 1)), platform_below=True, name="hanging")
-    return machines.replace(down, **changes)
+    return replace(down, **changes)

@@ -132,7 +132,9 @@ def test_far_along_the_guides_the_side_of_home_is_kept():
     position = home.position + far[:, None] * AXES[0]
     rotation = np.tile(home.rotation, (len(far), 1, 1))
     found = solve_inverse_kinematics(machine, theta, position, rotation)
-    np.testing.assert_allclose(found.actuators - 350.0, np.tile(far[:, None], 6), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        found.actuators - machine.mechanism.initial_actuator_positions, np.tile(far[:, None], 6), rtol=0, atol=1e-9
+    )
     within = np.abs(far) < 400.0
     back = solve_forward_kinematics(machine, theta, found.actuators[within])
     np.testing.assert_allclose(back.position, position[within], atol=1e-9)
@@ -264,7 +266,7 @@ def test_leg_across_its_actuator_is_refused():
     lower = glide.home_joints.copy()
     lower[2] = np.array([glide.platform_points[2, 0], 0.0, 0.0])
     lengths = np.linalg.norm(np.array(glide.home_position) + glide.platform_points - lower, axis=1)
-    base = lower - 350.0 * glide.directions
+    base = lower - glide.initial_actuator_positions[:, None] * glide.directions
     message = refuse(replace(glide, base_points=base, leg_lengths=lengths))
     assert "leg 3 stands across its actuator at home, which cannot move it" in message
 
