@@ -494,6 +494,7 @@ STUDIES = [
     *(pytest.param(f"telescope/{name}", 12, marks=pytest.mark.slow) for name in ("study", "ridges")),
     ("m2_hexapod/study", 3),
     ("m2_hexapod/lengths", 1),
+    ("hexaglide/study", 2),
 ]
 
 
@@ -529,6 +530,7 @@ def test_every_shipped_experiment_is_run_here():
         "sliding_star/calibrations.toml",  # in self_calibration_study
         *(f"sliding_star/{name}.toml" for name in ("machine", "simulate", "study")),  # in reading_study
         "m2_hexapod/simulate.toml",
+        *(f"hexaglide/{name}.toml" for name in ("mechanism", "simulate", "audit")),  # in test_hexaglide
         "telescope/mechanism.toml",
         "telescope/simulate.toml",
         *(f"{name}.toml" for name in names),

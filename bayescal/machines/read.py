@@ -15,10 +15,11 @@ from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
 from bayescal.machines.kinematics import Machine, build_machine
 from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mechanism, section_of_rod
 from bayescal.machines.models import MODELS
+from bayescal.machines.parameters import HomeStart
 from bayescal.machines.readings import FunctionModel, ReadingMachine, ReadingModel, SlidingPlatform
 from bayescal.machines.readings.schema import MachineFileConfig, SlidingPlatformConfig
 from bayescal.machines.readings.sliding_platform import matrix_of_angle
-from bayescal.machines.schema import BeamSectionConfig, LoadConfig, MechanismConfig, PointsConfig
+from bayescal.machines.schema import BeamSectionConfig, HomeConfig, LoadConfig, MechanismConfig, PointsConfig
 from bayescal.numerics.geometry import Array
 
 MPA_PER_GPA = 1e3
@@ -50,18 +51,17 @@ def load_mechanism(path: Path) -> Mechanism:
             flexures=_flexures(config, legs),
             load=_load(config.load),
             drive=config.legs.drive,
-            home_position=home,
+            home_position=home.position,
+            platform_below=home.below,
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
-def _legs(
-    config: MechanismConfig, base: Array, home: tuple[float, float, float] | None, path: Path
-) -> dict[str, Array]:
+def _legs(config: MechanismConfig, base: Array, home: HomeStart, path: Path) -> dict[str, Array]:
     """Return what there is of every leg, shapes (N, ...), by the names of the fields."""
     n_legs = len(base)
-    given = 0.0 if home is not None else config.legs.length_mm
+    given = 0.0 if home.position is not None else config.legs.length_mm
     columns = {
         "platform": points_of(config.platform),
         "legs.length_mm": np.atleast_1d(np.array(given, dtype=np.float64)),
@@ -74,8 +74,9 @@ def _legs(
     for field, values in columns.items():
         if len(values) not in ((1, n_legs) if field != "platform" else (n_legs,)):
             raise InputError(f"{path}: {field}: found {len(values)} legs, expected {n_legs} as in base")
-    if home is not None:
-        columns["legs.length_mm"] = _span(base, np.array(home) + columns["platform"], path)
+    if home.position is not None:
+        travel = columns["legs.initial_actuator_position_mm"][:, None] * columns["legs.direction"]
+        columns["legs.length_mm"] = _span(base + travel, np.array(home.position) + columns["platform"], path)
     if config.flexures is not None:
         lengths, flexures = np.broadcast_arrays(columns["legs.length_mm"], columns["flexures.length_mm"])
         if np.any(flexures >= lengths):
@@ -99,21 +100,19 @@ def _directions(config: MechanismConfig, path: Path) -> Array:
     return directions / norms
 
 
-def _home(config: MechanismConfig, path: Path, text: str) -> tuple[float, float, float] | None:
-    """Return the home position in mm, None where the legs' lengths are given instead."""
+def _home(config: MechanismConfig, path: Path, text: str) -> HomeStart:
+    """Return where the machine stands at home: by its position, or by the legs' lengths."""
     line = find_line(text, ["legs"])
-    legs = f"{path}, line {line}: legs" if line else f"{path}: legs"
-    if config.home is None:
+    field = f"{path}, line {line}: legs.length_mm" if line else f"{path}: legs.length_mm"
+    home = config.home or HomeConfig(platform="above")
+    if home.position_mm is None:
         if config.legs.length_mm is None:
-            instead = " or [home]" if config.legs.drive == "strut" else ""
-            raise InputError(f"{legs}.length_mm: missing, expected a value{instead}")
-        return None
-    if config.legs.drive == "base":
-        raise InputError(f"{legs}.drive: found 'base' with [home], expected 'strut', or no [home]")
+            raise InputError(f"{field}: missing, expected a value or [home] with position_mm")
+        return HomeStart(below=home.platform == "below")
     if config.legs.length_mm is not None:
-        raise InputError(f"{legs}.length_mm: found lengths beside [home], expected one of them, since home has them")
-    x, y, z = config.home.position_mm
-    return x, y, z
+        raise InputError(f"{field}: found lengths beside [home], expected one of them, since home has them")
+    x, y, z = home.position_mm
+    return HomeStart((x, y, z))
 
 
 def _span(lower: Array, upper: Array, path: Path) -> Array:

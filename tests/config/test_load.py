@@ -286,7 +286,7 @@ def test_byte_order_mark_and_windows_lines_are_fine(study):
         ("direction = [0.0, 0.0, 1.0]", "direction = [[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]", "legs.direction: found 2"),
         ("direction = [0.0, 0.0, 1.0]", "direction = [0.0, 0.0, 0.0]", "legs.direction: found a zero vector"),
         ("direction = [0.0, 0.0, 1.0]", "direction = [0.0, 1.0]", "legs.direction: found [0.0, 1.0]"),
-        ("direction = [0.0, 0.0, 1.0]", "direction = [0.0, 0.0, -1.0]", "direction of leg 1 has z <= 0"),
+        ("direction = [0.0, 0.0, 1.0]", "direction = [0.0, 0.0, nan]", "legs.direction.2: found nan, expected"),
         ("position_mm = 10.0", "position_mm = [1, 2, 3, 4, 5]", "legs.initial_actuator_position_mm: found 5 legs"),
         ("length_mm = 500.0", "length_mm = -500.0", "legs.length_mm: found -500.0, expected greater than"),
         ("length_mm = 500.0", 'length_mm = "0.5 m"', "legs.length_mm: found '0.5 m', expected a valid number"),

@@ -85,8 +85,10 @@ def _predict(
         at = rest.stand(theta[part], white)
         here = held.model.linearise(theta[part][:, None], at.pose, False, given)
         slope = here.by_pose[..., channel, :]
-        inner = np.linalg.pinv(np.swapaxes(at.slope, -1, -2) @ at.slope, hermitian=True)
-        variance = np.einsum("tpi,tpij,tpj->tp", slope, inner, slope)
+        across = np.swapaxes(at.slope, -1, -2) @ at.slope
+        told = np.isfinite(at.error).all(axis=-1) & (np.linalg.det(np.nan_to_num(across)) > 0.0)
+        inner = np.linalg.inv(np.where(told[..., None, None], across, np.eye(across.shape[-1])))
+        variance = np.where(told, np.einsum("tpi,tpij,tpj->tp", slope, inner, slope), np.nan)
         variance = variance + own[part][..., channel] ** 2 + tau[part][..., channel] ** 2
         mean[part] = here.values[..., channel]
         spread[part] = np.sqrt(variance * _widen(rest, at.square, rng))

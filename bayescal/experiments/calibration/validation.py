@@ -60,7 +60,7 @@ def hold_back(inputs: CalibrationInputs, variant: Variant, fold: int, known: Arr
     rng = np.random.default_rng(second)
     efficiency, pareto_k = 1.0, float("nan")
     if known is None:
-        found = explore(posterior, first, inputs.config.sampler.walkers)
+        found = explore(posterior, first, inputs.config.sampler.walkers, max_pilots=0)  # draws are weighed anyway
         drawn = resample(found.straight.log_density, found.proposal, rng, PROPOSED * effort, effort)
         y, efficiency, pareto_k = found.straight.y_from_x(drawn.draws), drawn.efficiency, drawn.pareto_k
     else:

@@ -75,8 +75,9 @@ class SpatialMachine(ReadingModel):
     @cached_property
     def layout(self) -> ParameterLayout:
         """The machine's parameters, then the zeros of the inclinometers; nominally they read zero at home."""
-        zeros = [ParameterBlock(f"{kind}0", (0.0,) * self.n_legs, "rad") for kind in TILTS]
-        return ParameterLayout((*self.machine.layout.blocks, *zeros))
+        return self.machine.layout.extend(
+            tuple(ParameterBlock(f"{kind}0", (0.0,) * self.n_legs, "rad") for kind in TILTS)
+        )
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:

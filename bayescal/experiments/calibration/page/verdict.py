@@ -116,8 +116,8 @@ def _state_data(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
     if row["n_equations"] < row["n_parameters"]:
         found.append(
             Statement(
-                f"{row['n_equations']} equations for {row['n_parameters']} unknowns: what the readings do not tell rests "
-                "on the tolerances stated beforehand.",
+                f"{row['n_equations']} equations for {row['n_parameters']} unknowns: what the readings do not tell "
+                "rests on the tolerances stated beforehand.",
                 "warning",
                 "Data",
             )
