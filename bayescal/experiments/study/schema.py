@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from bayescal.config.classes import ClassMark, label_class
 from bayescal.config.sections import ExperimentConfig, InputFile, NotNegative, Positive, Section
 from bayescal.density.schema import FixedConfig, ModelErrorConfig, PriorConfig
 from bayescal.experiments.shared.schema import DeformationConfig
@@ -27,15 +28,15 @@ class DataConfig(Section):
 class VariantConfig(Section):
     """A kinematic model with a deformation and its free parameters; all others stay at their nominal values."""
 
-    model: str
-    deformation: str
+    model: Annotated[str, ClassMark("MODELS")]
+    deformation: Annotated[str, ClassMark("DEFORMATIONS")]
     free: Annotated[list[str], Field(min_length=1)]
     published: InputFile | None = None
 
     @property
     def name(self) -> str:
-        """For example ``six_pus/none``."""
-        return f"{self.model}/{self.deformation}"
+        """For example ``six_pus/none``; of somebody else's classes their own names."""
+        return f"{label_class(self.model)}/{label_class(self.deformation)}"
 
 
 class SensitivityConfig(Section):
@@ -49,7 +50,7 @@ class StudyConfig(ExperimentConfig):
 
     kind: Literal["study"]
     mechanism: InputFile
-    claims: str | None = None
+    claims: Annotated[str, ClassMark("CLAIMS")] | None = None
     data: DataConfig
     deformation: DeformationConfig = DeformationConfig()
     parameters: dict[str, PriorConfig]
