@@ -58,9 +58,17 @@ class ClassName(str):
 
 @dataclass(frozen=True)
 class ClassMark:
-    """Marks a text that names a class of a registry: the field holds a `ClassName`."""
+    """Marks a text that names a class of a registry: the field holds a `ClassName`.
+
+    Attributes
+    ----------
+    registry : str
+    beside : bool
+        Whether options stand beside the name, in its section (see `OwnSection`).
+    """
 
     registry: str
+    beside: bool = False
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
         """Return the schema of a name, or of a table with a name and options."""
@@ -71,6 +79,8 @@ class ClassMark:
 
     def _read(self, value: object, info: ValidationInfo) -> ClassName:
         name, options = _split(value)
+        if options and self.beside:
+            raise ValueError(f"found a table of {', '.join(options)}, expected a name with the options beside it")
         folder = (info.context or {}).get(FOLDER)
         if folder is None:
             return ClassName(name, self.registry, options, getattr(value, "found", None))
@@ -78,7 +88,8 @@ class ClassMark:
             found = load_class(self.registry, name, folder)
         except InputError as error:
             raise ValueError(str(error)) from error
-        check_options(found, options)
+        if not self.beside:
+            check_options(found, options)
         return ClassName(name, self.registry, options, found)
 
 

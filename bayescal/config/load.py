@@ -62,7 +62,7 @@ def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
 
 
 def _differ(old: dict[str, Any], new: dict[str, Any]) -> bool:
-    return any(tag in new and old.get(tag) != new[tag] for tag in ("kind", "plan", "prior"))
+    return any(tag in new and old.get(tag) != new[tag] for tag in ("kind", "plan", "prior", "class"))
 
 
 def check_section[S: Section](schema: type[S], content: dict[str, Any], path: Path, text: str) -> S:

@@ -219,7 +219,8 @@ def _import(location: str, folder: Path | None) -> ModuleType:
     path = (folder / location).resolve()
     if not path.is_file():
         raise InputError(f"{path}: no such file, expected a Python module")
-    name = f"{_FILE_MODULE}{path.stem}_{zlib.crc32(str(path).encode()):08x}"
+    content = zlib.crc32(path.read_bytes(), zlib.crc32(str(path).encode()))  # a file that was changed is another module
+    name = f"{_FILE_MODULE}{path.stem}_{content:08x}"
     if name in sys.modules:
         return sys.modules[name]
     specification = importlib.util.spec_from_file_location(name, path)

@@ -139,11 +139,11 @@ class ContinuousChoiceConfig(ChoiceConfig):
         return start
 
 
-class OwnChoiceConfig(OwnSection, ChoiceConfig):
+class OwnChoiceConfig(ChoiceConfig, OwnSection):
     """A method of somebody else's class, with its options."""
 
     chooses = "method"
-    method: Annotated[str, ClassMark("METHODS")]
+    method: Annotated[str, ClassMark("METHODS", beside=True)]
 
 
 BUILT_IN = ("random", "detmax", "tabu", "exchange", "continuous")

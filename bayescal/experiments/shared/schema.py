@@ -68,7 +68,7 @@ class TargetSensorConfig(Section):
 class OwnSensorConfig(OwnSection):
     """An instrument of somebody else's class, with its options."""
 
-    kind: Annotated[str, ClassMark("SENSORS")]
+    kind: Annotated[str, ClassMark("SENSORS", beside=True)]
 
 
 def _tag_sensor(section: Any) -> str:
