@@ -136,7 +136,7 @@ free = ["l"]
 [[variants]]
 model = "six_pus"
 deformation = "own.py:Halved"
-free = ["l", "kappa"]
+free = ["kappa"]
 """
 
 SELECTION = """
