@@ -16,8 +16,10 @@ import studies
 
 from bayescal.config.files import find_files
 from bayescal.errors import InputError
+from bayescal.experiments.frame.identity import identify
 from bayescal.experiments.frame.load import load, load_experiment
 from bayescal.experiments.frame.run import compute_experiment
+from bayescal.experiments.frame.store import Store
 from bayescal.experiments.pose_selection.inputs import read_selection
 from bayescal.experiments.study.inputs import load_inputs
 from bayescal.machines.read import load_mechanism
@@ -76,8 +78,6 @@ def test_a_study_of_an_own_model_and_deformation(call, tmp_path):
     code, _, complaint = call("run", path, "--out", tmp_path / "out1", "--quiet")
     assert code == 2
     assert "holds results of another config" in complaint
-    (tmp_path / "own.py").unlink()
-    assert call("report", tmp_path / "out1")[0] == 0  # results need no code but the library's
 
 
 def test_a_changed_file_is_another_class(tmp_path):
@@ -165,6 +165,17 @@ def test_an_own_criterion_and_method(call, tmp_path):
     assert call("report", tmp_path / "out1")[0] == 0
     assert page.read_text() == before
     assert all(text in before for text in ("Information, weighted", "Nobody 2026", "The first candidates"))
+
+
+def test_a_run_of_other_code_is_not_resumed(call, tmp_path):
+    path = own_classes.write_selection(tmp_path)
+    experiment, config = load(path)
+    assert experiment.modules(config, tmp_path) == {}  # the file stands among the files
+    Store(tmp_path / "out").begin(identify(config, tmp_path, experiment.files(config, tmp_path)), resume=False)
+    studies.edit(tmp_path / "own.py", "with a twist", "with another twist")
+    code, _, complaint = call("run", path, "--out", tmp_path / "out", "--resume")
+    assert (code, complaint.count("\n")) == (2, 1)
+    assert "cannot resume, the config differs: files.own.py" in complaint
 
 
 @pytest.mark.parametrize(
