@@ -201,8 +201,7 @@ def choose[T](
     known = isinstance(name, ClassName) and name.found is not None and issubclass(name.found, base)
     found = name.found if known else find_class(what, name, base, field, where, where)  # type: ignore[attr-defined]
     given = dict(name.options) if options is None and isinstance(name, ClassName) else dict(options or {})
-    content = check_section(_schema_of(found), given, where / field, "") if given else check_options(found, given)
-    return Choice(found, content)
+    return Choice(found, check_section(_schema_of(found), given, where / field, ""))
 
 
 @contextmanager
