@@ -139,6 +139,13 @@ deformation = "own.py:Halved"
 free = ["kappa"]
 """
 
+ONE_VARIANT = """
+[[variants]]
+model = { class = "own.py:Longer", longer_mm = 0.5 }
+deformation = "own.py:Halved"
+free = ["l"]
+"""
+
 SELECTION = """
 kind = "pose_selection"
 name = "own"
@@ -181,12 +188,12 @@ n_poses = [8]
 """
 
 
-def write_study(folder: Path) -> Path:
+def write_study(folder: Path, variants: str = VARIANTS) -> Path:
     """Write a tiny study whose variants are of own classes; return its config."""
     path = studies.write_tiny_study(folder)
     text = path.read_text()
     start, end = text.index("[[variants]]"), text.index("[sampler]")
-    path.write_text(text[:start] + VARIANTS + text[end:])
+    path.write_text(text[:start] + variants + text[end:])
     (folder / "own.py").write_text(OWN)
     return path
 
