@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from bayescal.config.classes import ClassMark
 from bayescal.config.sections import (
     ExperimentConfig,
     InputFile,
@@ -86,7 +87,7 @@ class SimulationConfig(ExperimentConfig):
     kind: Literal["simulation"]
     origin: str
     mechanism: InputFile
-    model: str
+    model: Annotated[str, ClassMark("MODELS")]
     truth: TruthConfig
     poses: PosesConfig
     noise: NoiseConfig

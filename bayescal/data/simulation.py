@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.config.classes import name_failures
 from bayescal.config.load import look_up
 from bayescal.data.photogrammetry.survey import BODIES, REFERENCE_COLUMNS, TARGET_COLUMNS, BodyTargets, Survey
 from bayescal.data.schema import SimulationConfig, TargetRingConfig, TruthConfig
@@ -28,10 +29,9 @@ from bayescal.data.truth import (
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_matrix
 from bayescal.machines.deformations import MatrixDeformation
-from bayescal.machines.kinematics import Machine, build_machine, check_home_pose, solve_forward_kinematics
+from bayescal.machines.kinematics import Machine, check_home_pose, solve_forward_kinematics
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.models import MODELS
-from bayescal.machines.read import load_mechanism
+from bayescal.machines.read import build_chosen_machine, choose_model, load_mechanism
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
 from bayescal.numerics.units import MICROMETRE
 
@@ -78,8 +78,9 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     n_legs = mechanism.n_legs
     name = config.truth.deformation_matrix
     matrix = np.zeros((n_legs, n_legs)) if name is None else 1e-3 * read_matrix(folder / name, n_legs)
-    model = look_up(MODELS, config.model, "model", folder)
-    machine = build_machine(model, mechanism, MatrixDeformation(matrix))
+    chosen = choose_model(config.model, "model", folder)
+    with name_failures(chosen.found, "model", folder):
+        machine = build_chosen_machine(chosen, mechanism, MatrixDeformation(matrix))
     check_home_pose(machine)
     calibration, verification = (
         config.poses.unit_mm * read_matrix(folder / name, n_legs)

@@ -7,14 +7,15 @@ from pathlib import Path
 import numpy as np
 from pydantic import create_model
 
-from bayescal.config.load import check_section, find_line, look_up, read_toml
-from bayescal.config.registry import find_class, list_references, list_sources
+from bayescal.config.classes import Choice, choose, name_failures
+from bayescal.config.load import check_section, find_line, read_toml
+from bayescal.config.registry import find_class, is_own, list_references, list_sources
 from bayescal.config.sections import Section
 from bayescal.errors import BayescalError, InputError, name_faults
-from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
-from bayescal.machines.kinematics import Machine, build_machine
+from bayescal.machines.deformations import Deformation, NominalDeformation
+from bayescal.machines.kinematics import Machine, check_drive, check_home_pose
 from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mechanism, section_of_rod
-from bayescal.machines.models import MODELS
+from bayescal.machines.models import KinematicModel
 from bayescal.machines.parameters import HomeStart
 from bayescal.machines.readings import FunctionModel, ReadingMachine, ReadingModel, SlidingPlatform
 from bayescal.machines.readings.schema import MachineFileConfig, SlidingPlatformConfig
@@ -169,21 +170,38 @@ def build_named_machine(
     file : Path
         Its own, for the message that it is not one for the model.
     model, deformation : str
+        As a config names them, with their options.
     nominal : NominalDeformation
         What the deformation takes its nominal values from.
     field, where : str, Path
-        Where the names stand, for the message.
+        Where the names stand, for the message; names of files start there.
 
     Raises
     ------
     InputError
-        For an unknown name, and a mechanism that is not one for the model.
+        For an unknown name, a mechanism that is not one for the model, and somebody else's class that fails.
     """
-    found = look_up(MODELS, model, f"{field}.model", where)
-    kind = look_up(DEFORMATIONS, deformation, f"{field}.deformation", where)
-    seen = kind.from_nominal(nominal)
-    with name_faults(file):
-        return build_machine(found, mechanism, seen)
+    chosen = choose_model(model, f"{field}.model", where)
+    kind: Choice[Deformation] = choose("DEFORMATIONS", deformation, Deformation, f"{field}.deformation", where)  # type: ignore[type-abstract]
+    with name_failures(kind.found, f"{field}.deformation", where):
+        seen = kind.found.from_config(kind.options, nominal)
+        seen.blocks(mechanism.n_legs)
+    with name_failures(chosen.found, f"{field}.model", where), name_faults(file):
+        return build_chosen_machine(chosen, mechanism, seen)
+
+
+def choose_model(model: str, field: str, where: Path) -> Choice[KinematicModel]:
+    """Return the kinematic model that a config names, with its options."""
+    return choose("MODELS", model, KinematicModel, field, where)  # type: ignore[type-abstract]
+
+
+def build_chosen_machine(chosen: Choice[KinematicModel], mechanism: Mechanism, deformation: Deformation) -> Machine:
+    """Return a mechanism seen through a model with its options; InputError where it is not one for the model."""
+    check_drive(chosen.found, mechanism)
+    machine = Machine(mechanism, chosen.found.from_config(chosen.options, mechanism), deformation)
+    if is_own(chosen.found):
+        check_home_pose(machine)  # here, where a failure of somebody else's model becomes one line
+    return machine
 
 
 def read_reading_model(path: Path) -> ReadingModel:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.config.classes import label_class
 from bayescal.density.posterior import Posterior
 from bayescal.errors import InputError
 from bayescal.experiments.audit.schema import AuditConfig
@@ -71,7 +72,9 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredVariant:
     experiment, study = load(where)
     if not isinstance(experiment, Measuring):
         raise InputError(f"{where}: kind: found {study.kind!r}, expected 'study', since an audit's data are a study's")
-    choice = VariantChoice(config.variant.model, config.variant.deformation, config.data.variant)
+    choice = VariantChoice(
+        label_class(config.variant.model), label_class(config.variant.deformation), config.data.variant
+    )
     found = experiment.measure(study, where, choice, config.data.with_model_error)
     free = config.variant.free
     if free is not None and set(free) != set(found.free):

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
-from bayescal.config.registry import list_sources
+from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
 from bayescal.experiments.frame.identity import describe_provenance, identify
@@ -102,7 +102,8 @@ def run_experiment(
     experiment, store = find_kind(config.kind, folder, folder), Store(out)
     with threadpool_limits(1):
         inputs = experiment.read(config, folder)
-        identity = identify(config, folder, _list_files(experiment, config, folder))
+        modules = hash_modules([type(experiment)]) | experiment.modules(config, folder)
+        identity = identify(config, folder, _list_files(experiment, config, folder), modules)
         store.check(identity, resume)
         with hold_lock(store.lock, out):
             store.begin(identity, resume)

@@ -8,6 +8,7 @@ from typing import Any
 
 import xarray as xr
 
+from bayescal.config.classes import label_class
 from bayescal.density.least_squares import LeastSquaresFit
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
@@ -84,7 +85,7 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dic
         else:
             variants[task.variant]["without_model_error"] = fit
     config, held = inputs.config, inputs.survey.verification
-    models = {variant.model: inputs.machine(variant).model.title for variant in config.variants}
+    models = {label_class(variant.model): inputs.machine(variant).model.title for variant in config.variants}
     summary = {
         "experiment": config.name,
         "title": config.title,

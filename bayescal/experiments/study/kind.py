@@ -120,7 +120,7 @@ def choose_variant(config: StudyConfig, path: Path, choice: VariantChoice) -> Va
         Where there is none, or where several share model and deformation and none is named.
     """
     wanted = name_variant(choice.model, choice.deformation)
-    alike = [one for one in config.variants if (one.model, one.deformation) == (choice.model, choice.deformation)]
+    alike = [one for one in config.variants if name_variant(one.model, one.deformation) == wanted]
     if not alike:
         known = ", ".join(dict.fromkeys(name_variant(one.model, one.deformation) for one in config.variants))
         raise InputError(f"{path}: variants: found no {wanted}, expected one of {known}")

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from bayescal.config.classes import ClassMark, label_class
 from bayescal.config.sections import ExperimentConfig, InputFile, NotNegative, Positive, Section
 from bayescal.density.schema import FixedConfig, ModelErrorConfig, PriorConfig
 from bayescal.experiments.shared.schema import DeformationConfig
@@ -34,8 +35,8 @@ class VariantConfig(Section):
     one model and deformation need names. A name has no slash, so that nobody takes it for the other kind.
     """
 
-    model: str
-    deformation: str
+    model: Annotated[str, ClassMark("MODELS")]
+    deformation: Annotated[str, ClassMark("DEFORMATIONS")]
     name: VariantName = Field(default_factory=lambda known: name_variant(known.get("model"), known.get("deformation")))
     free: Annotated[list[str], Field(min_length=1)]
     published: InputFile | None = None
@@ -46,9 +47,11 @@ class VariantConfig(Section):
         return self.name != name_variant(self.model, self.deformation)
 
 
-def name_variant(model: object, deformation: object) -> str:
-    """Return what a variant without a name of its own is called."""
-    return f"{model}/{deformation}"
+def name_variant(model: str | None, deformation: str | None) -> str:
+    """Return what a variant without a name of its own is called; of somebody else's classes their own names."""
+    if model is None or deformation is None:  # at fault themselves, which is said elsewhere
+        return "nameless"
+    return f"{label_class(model)}/{label_class(deformation)}"
 
 
 def stem_of(variant: str) -> str:
@@ -77,7 +80,7 @@ class StudyConfig(ExperimentConfig):
 
     kind: Literal["study"]
     mechanism: InputFile
-    claims: str | None = None
+    claims: Annotated[str, ClassMark("CLAIMS")] | None = None
     data: DataConfig
     deformation: DeformationConfig = DeformationConfig()
     parameters: dict[str, PriorConfig]
