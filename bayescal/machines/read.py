@@ -222,7 +222,7 @@ def read_reading_model(path: Path) -> ReadingModel:
     if not isinstance(kind, str):
         names = ", ".join(sorted(["sliding_platform", *list_references("MACHINES")]))
         raise InputError(f"{path}: kind: found {kind!r}, expected one of {names}, or file.py:Class")
-    found = find_class("MACHINES", kind, ReadingMachine, "kind", path, path.parent)  # type: ignore[type-abstract]
+    found = _find(kind, path)
     schema = create_model("MachineFile", __base__=MachineFileConfig, machine=(found.Config, ...))
     config = check_section(schema, {"machine": {}, **content}, path, text)
     with name_faults(path):
@@ -238,6 +238,16 @@ def _make(found: type[ReadingMachine], section: Section) -> ReadingMachine:
     except Exception as error:
         text = " ".join(str(error).split())
         raise InputError(f"class {found.__name__}: failed with {type(error).__name__}: {text}") from error
+
+
+def _find(kind: str, path: Path) -> type[ReadingMachine]:
+    return find_class("MACHINES", kind, ReadingMachine, "kind", path, path.parent)  # type: ignore[type-abstract]
+
+
+def find_machine_class(path: Path) -> type[ReadingMachine] | None:
+    """Return the class of a machine of one function by its file; None for other kinds."""
+    kind = read_toml(path)[0].get("kind")
+    return None if kind == "sliding_platform" or not isinstance(kind, str) else _find(kind, path)
 
 
 def list_machine_sources(path: Path) -> list[str]:

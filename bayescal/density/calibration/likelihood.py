@@ -31,7 +31,7 @@ CLOSE = 0.03  # deviations of a reading, below which a step is taken to first or
 NEAR = 0.3  # deviations of a reading, within which H is taken for constant
 CHORD = 0.01  # of a pose's deviations, where chords end
 MAX_STEPS, MAX_CHORDS = 30, 8
-SINGULAR = 1e-16  # of the determinant of HᵀH with unit diagonal
+SINGULAR = 1e-14  # of a column's square, below which the others leave nothing of it
 GAUSSIAN = np.inf
 
 
@@ -46,6 +46,11 @@ class Whitening:
     diagonal: Array | None
     matrix: Array | None
     log_det: Array
+
+    def pick(self, some: np.ndarray) -> Whitening:
+        """Return that of some of the machines."""
+        diagonal = None if self.diagonal is None else self.diagonal[some]
+        return Whitening(diagonal, None if self.matrix is None else self.matrix[some], self.log_det[some])
 
     def vector(self, error: Array) -> Array:
         """Return white errors (C, P, K)."""
@@ -194,17 +199,34 @@ class CalibrationLikelihood:
             return Stand(pose, error, slope)
         if self.anchor is not None and start is None:
             pose = self._follow_chords(theta, pose)
+        found = Stand(pose, *(np.empty((*pose.shape[:2], *shape)) for shape in self._shapes))
+        going = np.arange(len(theta))
         for _ in range(MAX_STEPS):
-            error, slope, _ = self.linearise(theta, pose, white)
-            step, left = _step(slope, error)
-            pose, size = pose + step, np.abs(error - left).max(axis=-1)
-            if not np.any(size > CLOSE):
-                return Stand(pose, left, slope)
-            if not np.any(size > NEAR):  # H is as good as that of the new pose
-                step, left = _step(slope, self._errors(theta, pose, white))
-                return Stand(pose + step, left, slope)
-        lost = size > 1.0  # wandering still: no pose of this machine
-        return Stand(pose, np.where(lost[..., None], np.nan, left), slope)
+            size = self._improve(found, going, theta, white)
+            going = going[~(size <= NEAR)]  # where it is not a number, too
+            if not len(going):
+                return found
+        found.error[going] = np.nan  # wandering still: no pose of these machines
+        return found
+
+    @property
+    def _shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        n, q = len(self.model.channels), len(self.model.coordinates)
+        return (n,), (n, q)
+
+    def _improve(self, found: Stand, going: np.ndarray, theta: Array, white: Whitening) -> Array:
+        """Move some of the machines by a step, or two where H is as good as that of the next pose; return its size."""
+        theta, white = theta[going], white.pick(going)
+        error, slope, _ = self.linearise(theta, found.pose[going], white)
+        step, left = _step(slope, error)
+        pose, size = found.pose[going] + step, np.abs(error - left).max(axis=(-1, -2))
+        near = np.flatnonzero((size > CLOSE) & (size <= NEAR))
+        if len(near):
+            again = self._errors(theta[near], pose[near], white.pick(near))
+            step, left[near] = _step(slope[near], again)
+            pose[near] += step
+        found.pose[going], found.error[going], found.slope[going] = pose, left, slope
+        return np.asarray(size)
 
     def _errors(self, theta: Array, pose: Array, white: Whitening) -> Array:
         """Return white errors (C, P, K) of machines (C, D) at poses (C, P, q)."""
@@ -285,7 +307,27 @@ def half_log_volume(slope: Array) -> Array:
     if not slope.shape[-1]:
         return np.zeros(slope.shape[:-2])
     with np.errstate(all="ignore"):
-        return np.asarray(0.5 * np.linalg.slogdet(np.swapaxes(slope, -1, -2) @ slope)[1])
+        factor = _factorise(slope)
+        return np.asarray(sum(np.log(factor[k][k]) for k in range(slope.shape[-1])))
+
+
+def _factorise(slope: Array) -> list[list[Array]]:
+    """Return the Cholesky factor L of HᵀH for H (..., K, q), L[i][j] of shape (...); NaN where there is none.
+
+    By entries, for q is small: a few passes over whole batches, where LAPACK would be called for each pose.
+    """
+    columns = [np.ascontiguousarray(slope[..., k]) for k in range(slope.shape[-1])]
+    factor: list[list[Array]] = []
+    for i, column in enumerate(columns):
+        row: list[Array] = []
+        for j in range(i):
+            rest = np.einsum("...k,...k->...", column, columns[j]) - sum(row[k] * factor[j][k] for k in range(j))
+            row.append(rest / factor[j][j])
+        square = np.einsum("...k,...k->...", column, column)
+        rest = square - sum(one * one for one in row)
+        row.append(np.sqrt(np.where(rest > SINGULAR * square, rest, np.nan)))
+        factor.append(row)
+    return factor
 
 
 def _step(slope: Array, error: Array) -> tuple[Array, Array]:
@@ -293,15 +335,13 @@ def _step(slope: Array, error: Array) -> tuple[Array, Array]:
 
     NaN where H (..., K, q) is singular.
     """
-    across = np.swapaxes(slope, -1, -2)
-    normal = across @ slope
-    size = np.sqrt(np.einsum("...ii->...i", normal))
-    scaled = normal / (size[..., :, None] * size[..., None, :])
-    good = np.isfinite(scaled).all(axis=(-1, -2))
-    scaled = np.where(good[..., None, None], scaled, np.eye(slope.shape[-1]))
-    good &= np.linalg.det(scaled) > SINGULAR
-    scaled = np.where(good[..., None, None], scaled, np.eye(slope.shape[-1]))
-    side = (across @ error[..., None])[..., 0] / size
-    step = np.linalg.solve(scaled, np.nan_to_num(side)[..., None])[..., 0] / size
-    step = np.where(good[..., None], step, np.nan)
-    return step, error - (slope @ step[..., None])[..., 0]
+    with np.errstate(all="ignore"):
+        factor, q = _factorise(slope), slope.shape[-1]
+        solved: list[Array] = []
+        for i in range(q):
+            side = np.einsum("...k,...k->...", slope[..., i], error) - sum(factor[i][k] * solved[k] for k in range(i))
+            solved.append(side / factor[i][i])
+        for i in reversed(range(q)):
+            solved[i] = (solved[i] - sum(factor[k][i] * solved[k] for k in range(i + 1, q))) / factor[i][i]
+        left = error - sum(slope[..., i] * solved[i][..., None] for i in range(q))
+    return np.stack(solved, axis=-1), np.asarray(left)

@@ -112,7 +112,7 @@ def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
     given = list(dict.fromkeys(name for one in models.values() for name in one.given))
     files = [(folder / table.file, table.channels, table.hold_back) for table in config.data]
     readings = read_tables(files, model.channels, given)
-    deviations = stated_noise(config.sensors, readings, model, files[0][0])
+    deviations = stated_noise(config.sensors, readings, model)
     variants = {}
     for one in config.variants:
         with name_faults(f"variant {one.name!r}"):
@@ -139,7 +139,7 @@ def _build(
     if not len(chosen):
         raise InputError("sensors: found no reading of any, expected some")
     whole, model = model, model.pick(chosen)
-    priors, fixed, common = choose_priors(config, section, model)
+    priors, fixed, common = choose_priors(config, section.free, section.common, model)
     data = Measurements(
         readings.poses,
         readings.values[:, chosen],

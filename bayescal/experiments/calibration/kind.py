@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from bayescal.config.registry import hash_modules
 from bayescal.experiments.calibration.compute import compute_calibration
 from bayescal.experiments.calibration.inputs import CalibrationInputs, list_machines, read_inputs
 from bayescal.experiments.calibration.page.build import build_page, list_variants
@@ -14,7 +15,7 @@ from bayescal.experiments.calibration.schema import CalibrationConfig
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.machines.read import list_machine_sources
+from bayescal.machines.read import find_machine_class, list_machine_sources
 from bayescal.report.blocks import Page
 
 
@@ -30,6 +31,11 @@ class Calibration(Experiment[CalibrationConfig, CalibrationInputs]):
             beside = Path(machine).parent
             names += [os.path.normpath(beside / one) for one in list_machine_sources(folder / machine)]
         return names
+
+    def modules(self, config: CalibrationConfig, folder: Path) -> dict[str, str]:
+        """Return the hashes of installed modules that the machines' classes stand in."""
+        own = [find_machine_class(folder / machine) for machine in list_machines(config)]
+        return super().modules(config, folder) | hash_modules([one for one in own if one is not None])
 
     def read(self, config: CalibrationConfig, folder: Path) -> CalibrationInputs:
         """Return machine, readings and variants."""

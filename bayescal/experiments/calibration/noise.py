@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
@@ -21,9 +20,7 @@ from bayescal.machines.readings import Channel, ReadingModel
 from bayescal.numerics.geometry import Array
 
 
-def stated_noise(
-    sensors: Mapping[str, ChannelConfig], readings: PoseReadings, model: ReadingModel, path: Path
-) -> Array:
+def stated_noise(sensors: Mapping[str, ChannelConfig], readings: PoseReadings, model: ReadingModel) -> Array:
     """Return the deviations of all readings, (P, K), in the channels' units: their own, or those of the config.
 
     Raises
@@ -31,7 +28,6 @@ def stated_noise(
     InputError
         For an unknown channel, a noise in a unit of another kind, or a list of another length.
     """
-    del path
     result = readings.sd.copy()
     for name, section in sensors.items():
         places = model.select([name])

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.schema import FixedConfig, NormalConfig, PriorConfig
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
+from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationSimulationConfig
 from bayescal.experiments.shared.per_leg import spread_over_legs
 from bayescal.identifiability.units import Units
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
@@ -16,8 +16,22 @@ from bayescal.machines.readings import ReadingModel
 type Chosen = tuple[dict[str, Prior], dict[str, float], dict[str, tuple[str, ...]]]
 
 
-def choose_priors(config: CalibrationConfig, section: CalibrationVariantConfig, model: ReadingModel) -> Chosen:
-    """Return the priors of a variant's free parameters, the values of fixed ones, and what deviates alike.
+def choose_priors(
+    config: CalibrationConfig | CalibrationSimulationConfig,
+    wanted: list[str] | None,
+    alike: list[str | list[str]],
+    model: ReadingModel,
+) -> Chosen:
+    """Return the priors of the free parameters, the values of fixed ones, and what deviates alike.
+
+    Parameters
+    ----------
+    config : CalibrationConfig or CalibrationSimulationConfig
+    wanted : list of str or None
+        Symbols or parameters that are free; None for all with a prior.
+    alike : list of str or list of str
+        What deviates alike, each entry by itself.
+    model : ReadingModel
 
     Raises
     ------
@@ -29,7 +43,7 @@ def choose_priors(config: CalibrationConfig, section: CalibrationVariantConfig, 
     for symbol in config.parameters:
         if symbol not in layout.symbols:
             raise InputError(f"parameters: found {symbol!r}, expected some of {', '.join(layout.symbols)}")
-    free = _choose_free(config.parameters, section, layout)
+    free = _choose_free(config.parameters, wanted, layout)
     priors: dict[str, Prior] = {}
     fixed: dict[str, float] = {}
     for block in layout.blocks:
@@ -44,23 +58,21 @@ def choose_priors(config: CalibrationConfig, section: CalibrationVariantConfig, 
             priors |= {name: one for name, one in _priors_of(block, prior, factor).items() if name in free}
     for name, one in priors.items():
         _check_range(name, one, layout)
-    common = _list_common(section.common, priors, layout)
+    common = _list_common(alike, priors, layout)
     return _join(priors, common), fixed, common
 
 
-def _choose_free(
-    parameters: Mapping[str, PriorConfig], section: CalibrationVariantConfig, layout: ParameterLayout
-) -> set[str]:
+def _choose_free(parameters: Mapping[str, PriorConfig], wanted: list[str] | None, layout: ParameterLayout) -> set[str]:
     with_prior = {
         name
         for block in layout.blocks
         if not isinstance(parameters.get(block.symbol, FixedConfig(prior="fixed")), FixedConfig)
         for name in block.names
     }
-    if section.free is None:
+    if wanted is None:
         return with_prior
     free: set[str] = set()
-    for entry in section.free:
+    for entry in wanted:
         named = set(expand(entry, layout, "free"))
         if not named <= with_prior:
             raise InputError(f"free: found {entry!r} without a prior in [parameters], expected a normal or uniform one")

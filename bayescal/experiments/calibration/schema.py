@@ -145,3 +145,30 @@ class CalibrationConfig(ExperimentConfig):
             if not low < high:
                 raise ValueError(f"workspace.{name}: found {low:g} to {high:g}, expected the smaller number first")
         return self
+
+
+class TrueParametersConfig(Section):
+    """A CSV file of true parameters, as simulations write it."""
+
+    parameters: InputFile
+
+
+class CalibrationSimulationConfig(ExperimentConfig):
+    """Readings of any machine drawn within its priors; those of an entry of ``common`` deviate alike.
+
+    ``given`` are the smallest and the largest value of what the machine has to know of each row. A truth from a file
+    stands in for what is drawn.
+    """
+
+    kind: Literal["calibration_simulation"]
+    origin: str
+    machine: InputFile
+    sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
+    units: UnitsConfig = UnitsConfig()
+    parameters: dict[str, PriorConfig] = Field(default={})
+    common: list[str | list[str]] = Field(default=[])
+    truth: TrueParametersConfig | None = None
+    workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    given: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    n_poses: Annotated[int, Field(ge=1, le=100_000)]
+    verification_poses: Annotated[int, Field(ge=0, le=100_000)] = 0
