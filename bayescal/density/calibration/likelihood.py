@@ -30,7 +30,7 @@ ROWS = 4096  # poses of machines that are looked at together
 CLOSE = 0.03  # deviations of a reading, below which a step is taken to first order: what that leaves enters squared
 NEAR = 0.3  # deviations of a reading, within which H is taken for constant
 CHORD = 0.01  # of a pose's deviations, where chords end
-MAX_STEPS, MAX_CHORDS = 30, 8
+MAX_STEPS, MAX_CHORDS, MAX_SEARCH, PATIENCE = 30, 8, 60, 4
 SINGULAR = 1e-14  # of a column's square, below which the others leave nothing of it
 GAUSSIAN = np.inf
 
@@ -203,10 +203,11 @@ class CalibrationLikelihood:
         going = np.arange(len(theta))
         for _ in range(MAX_STEPS):
             size = self._improve(found, going, theta, white)
-            going = going[~(size <= NEAR)]  # where it is not a number, too
-            if not len(going):
+            still = np.any(size > NEAR, axis=1)  # where it is not a number the machine cannot stand
+            if not still.any():
                 return found
-        found.error[going] = np.nan  # wandering still: no pose of these machines
+            going, size = going[still], size[still]
+        found.error[going] = np.where((size > NEAR)[..., None], np.nan, found.error[going])  # wandering: no pose
         return found
 
     @property
@@ -215,12 +216,13 @@ class CalibrationLikelihood:
         return (n,), (n, q)
 
     def _improve(self, found: Stand, going: np.ndarray, theta: Array, white: Whitening) -> Array:
-        """Move some of the machines by a step, or two where H is as good as that of the next pose; return its size."""
+        """Move some of the machines by a step, or two where H is as good as that of the next pose; return the sizes."""
         theta, white = theta[going], white.pick(going)
         error, slope, _ = self.linearise(theta, found.pose[going], white)
         step, left = _step(slope, error)
-        pose, size = found.pose[going] + step, np.abs(error - left).max(axis=(-1, -2))
-        near = np.flatnonzero((size > CLOSE) & (size <= NEAR))
+        pose, size = found.pose[going] + step, np.abs(error - left).max(axis=-1)
+        largest = np.nanmax(size, axis=1, initial=0.0)
+        near = np.flatnonzero((largest > CLOSE) & (largest <= NEAR))
         if len(near):
             again = self._errors(theta[near], pose[near], white.pick(near))
             step, left[near] = _step(slope[near], again)
@@ -345,3 +347,31 @@ def _step(slope: Array, error: Array) -> tuple[Array, Array]:
             solved[i] = (solved[i] - sum(factor[k][i] * solved[k] for k in range(i + 1, q))) / factor[i][i]
         left = error - sum(slope[..., i] * solved[i][..., None] for i in range(q))
     return np.stack(solved, axis=-1), np.asarray(left)
+
+
+def search_poses(
+    likelihood: CalibrationLikelihood, theta: Array, white: Whitening, start: Array
+) -> tuple[Array, Array]:
+    """Return poses (C, P, q) that explain readings better, and what they leave, r² (C, P), by damped steps of their own.
+
+    Slower than `CalibrationLikelihood.stand`, it finds the way from starts (C, P, q) that are far off.
+    """
+    pose, damping, idle = start.copy(), np.full(start.shape[:2], 1e-3), 0
+    error, slope, _ = likelihood.linearise(theta, pose, white)
+    square = np.einsum("cpk,cpk->cp", error, error)
+    for _ in range(MAX_SEARCH):
+        # damping as further readings, of each coordinate by itself, that say it stays
+        size = np.sqrt(damping)[..., None] * np.linalg.norm(slope, axis=-2)
+        rows = np.concatenate([slope, size[..., None] * np.eye(slope.shape[-1])], axis=-2)
+        step, _ = _step(rows, np.concatenate([error, np.zeros_like(size)], axis=-1))
+        moved = np.where(np.isfinite(step), pose + step, pose)
+        other, there, _ = likelihood.linearise(theta, moved, white)
+        found = np.einsum("cpk,cpk->cp", other, other)
+        better = (found < square) | (np.isnan(square) & np.isfinite(found))
+        idle = 0 if np.any(better & ~(square - found < 1e-4 * square)) else idle + 1
+        damping = np.where(better, damping / 10.0, damping * 10.0)
+        pose, error = (np.where(better[..., None], new, old) for new, old in ((moved, pose), (other, error)))
+        slope, square = np.where(better[..., None, None], there, slope), np.where(better, found, square)
+        if idle == PATIENCE:
+            break
+    return pose, square

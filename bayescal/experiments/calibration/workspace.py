@@ -9,6 +9,7 @@ from itertools import product
 
 import numpy as np
 
+from bayescal.density.calibration.likelihood import search_poses
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.shared.schema import UnitsConfig
@@ -89,14 +90,14 @@ def find_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: int
     white = likelihood.whiten(*posterior.deviations(np.zeros((len(starts), posterior.n_parameters))))
     theta = np.tile(posterior.centre, (len(starts), 1))
     every = np.broadcast_to(starts[:, None], (len(starts), n, starts.shape[1]))
-    with np.errstate(all="ignore"):
-        there = likelihood.linearise(theta, every, white)[0]
-        found = likelihood.stand(theta, white, every)
-    squares = np.stack([np.einsum("cpk,cpk->cp", one, one) for one in (there, found.error)])
-    squares[np.isnan(squares)] = np.inf
-    poses = np.stack([every, np.nan_to_num(found.pose)])
-    best = squares.reshape(-1, n).argmin(axis=0)
-    pose = poses.reshape(-1, *every.shape[1:])[best, np.arange(n)]
+    pose = np.array(every)
+    if pose.shape[-1]:
+        with np.errstate(all="ignore"):
+            found, square = search_poses(likelihood, theta, white, pose)
+        best = np.where(np.isnan(square), np.inf, square).argmin(axis=0)
+        pose = found[best, np.arange(n)]
+    else:
+        pose = pose[0]
     _check(posterior, pose, workspace)
     return np.asarray(pose)
 

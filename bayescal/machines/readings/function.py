@@ -23,6 +23,7 @@ from bayescal.machines.readings.colours import colour, find_pattern
 from bayescal.numerics.geometry import Array
 
 STEP = 1e-30
+LARGEST_STEP = 1e-10  # what no derivative makes of a step, but a function that leaves the reals does
 
 
 class ReadingMachine(ABC):
@@ -201,7 +202,9 @@ class FunctionModel(ReadingModel):
             found = np.asarray(
                 self.evaluate(theta + along[:, :n].reshape(*rounds, n), pose + along[:, n:].reshape(*rounds, -1), given)
             )
-        return found[0].real, found.imag / STEP
+        # where a real argument has no value, a complex one has: the root of a negative number is imaginary
+        nowhere = (np.abs(found.imag) > LARGEST_STEP).any(axis=0)
+        return np.where(nowhere, np.nan, found[0].real), np.where(nowhere, np.nan, found.imag / STEP)
 
     def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
         """Return the readings with their derivatives; see `ReadingModel.linearise`."""
