@@ -4,10 +4,11 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: study audits test test-slow check data benchmark clean help
+.PHONY: study real audits test test-slow check data benchmark clean help
 
 help:
 	@echo "make study      the telescope study: environment, run, ranking, report (about a minute)"
+	@echo "make real       a real machine, really measured: the Hangprinter HP4 (about two minutes)"
 	@echo "make audits     all shipped identifiability audits"
 	@echo "make test       environment and the test suite"
 	@echo "make test-slow  the slow statistical suites"
@@ -17,6 +18,9 @@ help:
 
 study: $(STAMP)
 	$(THREADS) $(BIN)/bayescal run experiments/telescope/study.toml
+
+real: $(STAMP)
+	$(THREADS) $(BIN)/bayescal run experiments/hangprinter/study.toml
 
 audits: $(STAMP)
 	@for design in $(filter-out %_mechanism.toml,$(wildcard experiments/audit/*.toml)); do \
