@@ -110,8 +110,7 @@ def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
         if other.names != model.names:
             raise InputError(f"{folder / name}: found other channels than {config.machine} has, expected the same")
     given = list(dict.fromkeys(name for one in models.values() for name in one.given))
-    files = [(folder / table.file, table.channels, table.hold_back) for table in config.data]
-    readings = read_tables(files, model.channels, given)
+    readings = read_tables(config.data, folder, model.channels, given)
     deviations = stated_noise(config.sensors, readings, model)
     variants = {}
     for one in config.variants:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.errors import InputError
+from bayescal.experiments.calibration.schema import DataTableConfig
 from bayescal.files.csv_tables import Table, read_table
 from bayescal.identifiability.units import ANGLES, LENGTHS
 from bayescal.machines.readings import Channel
@@ -68,14 +69,16 @@ class _Column:
 
 
 def read_tables(
-    files: Sequence[tuple[Path, Sequence[str], Sequence[str]]], channels: Sequence[Channel], given: Sequence[str]
+    sections: Sequence[DataTableConfig], folder: Path, channels: Sequence[Channel], given: Sequence[str]
 ) -> PoseReadings:
     """Return the readings of several tables.
 
     Parameters
     ----------
-    files : sequence of (Path, sequence of str, sequence of str)
-        A table each, the channels it must have, the poses to hold back.
+    sections : sequence of DataTableConfig
+        A table each.
+    folder : Path
+        Where their files start.
     channels : sequence of Channel
         All of the machine.
     given : sequence of str
@@ -87,7 +90,7 @@ def read_tables(
         Names file, line and column.
     """
     known = _list_columns(channels, given)
-    tables = [_check(read_table(path, None), known, channels, needed) for path, needed, _ in files]
+    tables = [_check(read_table(folder / one.file, None), known, channels, one) for one in sections]
     poses = list(dict.fromkeys(name for table in tables for name in table.text("pose")))
     n, k = len(poses), len(channels)
     found = PoseReadings(
@@ -98,9 +101,9 @@ def read_tables(
         np.tile(np.eye(k), (n, 1, 1)) if any(c.startswith("corr_") for t in tables for c in t.columns) else None,
         {name: np.full(n, np.nan) for name in given},
     )
-    for table, (_, _, held) in zip(tables, files, strict=True):
-        _fill(found, table, known, channels, [poses.index(name) for name in _names(table)], held)
-    _check_poses(found, files[0][0])
+    for table, one in zip(tables, sections, strict=True):
+        _fill(found, table, known, channels, [poses.index(name) for name in _names(table)], one)
+    _check_poses(found, folder / sections[0].file)
     return found
 
 
@@ -115,23 +118,25 @@ def _list_columns(channels: Sequence[Channel], given: Sequence[str]) -> dict[str
     return columns
 
 
-def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channel], needed: Sequence[str]) -> Table:
+def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channel], section: DataTableConfig) -> Table:
     if "pose" not in table.columns:
         raise InputError(f"{table.path}: found no column 'pose', expected the poses' names")
     taken: dict[tuple[str, tuple[int, ...]], str] = {}
     for name in table.columns:
-        if name in ("pose", "use"):
+        if name in ("pose", "use", *section.ignore):
             continue
         if name not in known:
             expected = ", ".join(f"{stem_of(one.name)}_{one.unit}" for one in channels)
             close = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
             hint = f", did you mean {close[0]!r}?" if close else ""
-            raise InputError(f"{table.path}: found column {name!r}{hint}, expected pose, use, {expected}")
+            raise InputError(
+                f"{table.path}: found column {name!r}{hint}, expected pose, use, {expected}, or its name in data.ignore"
+            )
         column = known[name]
         if column.places and (other := taken.setdefault((column.role, column.places), name)) != name:
             raise InputError(f"{table.path}: found columns {other!r} and {name!r}, expected one of them")
     read = {channels[c.places[0]].name for n in table.columns if (c := known.get(n)) and c.role == "values"}
-    for name in needed:
+    for name in section.channels:
         if not any(name in (one, one.partition("[")[0]) for one in read):
             raise InputError(f"{table.path}: found no column of channel {name!r}, which data.channels asks for")
     return table
@@ -153,8 +158,9 @@ def _fill(
     known: Mapping[str, _Column],
     channels: Sequence[Channel],
     rows: list[int],
-    held: Sequence[str],
+    section: DataTableConfig,
 ) -> None:
+    held, ignored = section.hold_back, section.ignore
     for name in held:
         if name not in found.poses:
             raise InputError(f"{table.path}: hold_back: found {name!r}, expected the name of a pose")
@@ -165,7 +171,7 @@ def _fill(
                 raise InputError(f"{table.where(row)}: use: found {use!r}, expected {' or '.join(USES)}")
             found.verification[rows[row]] |= use == "verification"
     for name in table.columns:
-        if name not in known:
+        if name not in known or name in ignored:
             continue
         column, values = known[name], table.optional_numbers(name)
         if column.role == "given":

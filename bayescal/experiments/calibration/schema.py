@@ -32,11 +32,13 @@ class OriginConfig(Section):
 class DataTableConfig(Section):
     """A CSV table of readings, a row a pose; rows of the same pose in several tables belong together.
 
-    ``channels`` must be there, all others are optional; poses in ``hold_back`` are kept for verification.
+    ``channels`` must be there, all others are optional; columns in ``ignore`` may be there and are not read; poses in
+    ``hold_back`` are kept for verification.
     """
 
     file: InputFile
     channels: list[str] = Field(default=[])
+    ignore: list[str] = Field(default=[])
     hold_back: list[str] = Field(default=[])
 
 
