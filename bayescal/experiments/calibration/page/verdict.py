@@ -24,6 +24,8 @@ EQUAL = 1.0  # nats; less tells nothing
 WEAK = 0.75  # contraction below which a tolerance is not even halved
 GOOD_COVERAGE = (0.85, 0.95)
 MANY = 8
+FEW = 40  # held-back readings, from which little can be said of coverage
+TELLING = 0.01  # of the mean squared error; what promises less is no advice
 SHOWN = {"mm": (1.0, "mm"), "rad": (1e3, "mrad")}
 """Factor and unit in which values of a unit are shown."""
 
@@ -214,7 +216,7 @@ def _state_next(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
     found = []
     for sensors, rows in mine.groupby("sensors", sort=False):
         first = list_rows(rows)[0]
-        if first["gain"] <= 0.0:
+        if first["gain"] < TELLING:
             continue
         coordinates = [
             _place(name, value) for name, value in first.items() if name not in ("variant", "sensors", "gain")
