@@ -22,7 +22,7 @@ type Row = dict[str, Any]
 DECISIVE = 5.0  # nats
 EQUAL = 1.0  # nats; less tells nothing
 WEAK = 0.75  # contraction below which a tolerance is not even halved
-GOOD_COVERAGE = (0.85, 0.95)
+COVERAGE, DOUBT = 0.90, 2.5  # what intervals should hold, and binomial deviations from it that are no chance
 MANY = 8
 FEW = 40  # held-back readings, from which little can be said of coverage
 TELLING = 0.01  # of the mean squared error; what promises less is no advice
@@ -147,15 +147,10 @@ def _state_coverage(tables: dict[str, pd.DataFrame], best: str) -> list[Statemen
     words = (
         f"{int(mine['inside'].sum())} of {n} held-back readings of the machine's own sensors ({format_percent(share)})"
     )
-    spread = 2.0 * math.sqrt(0.09 / n)
-    low, high = GOOD_COVERAGE
-    if low - spread <= share <= high + spread:
-        return [
-            Statement(
-                f"{words} lie in their 90 % intervals: the stated uncertainty is the true one.", "good", "Prediction"
-            )
-        ]
-    tendency = "too small" if share < low else "too large"
+    if abs(share - COVERAGE) <= DOUBT * math.sqrt(COVERAGE * (1.0 - COVERAGE) / n):
+        sure = "as should be" if n >= FEW else "as should be, though they are few"
+        return [Statement(f"{words} lie in their 90 % intervals, {sure}.", "good", "Prediction")]
+    tendency = "too small" if share < COVERAGE else "too large"
     return [
         Statement(
             f"{words} lie in their 90 % intervals: the stated uncertainty is {tendency}.", "warning", "Prediction"
