@@ -27,7 +27,6 @@ from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study import compute
 from bayescal.files.csv_tables import read_table
-from bayescal.inference import exploration
 from bayescal.machines.kinematics import solve_forward_kinematics
 
 COMMANDS = ("run", "audit", "simulate", "poses-from-targets", "report", "compare")
@@ -499,9 +498,7 @@ STUDIES = [
 
 
 @pytest.mark.parametrize(("name", "n_variants"), STUDIES)
-def test_shipped_study_runs_tiny(call, tmp_path, monkeypatch, quick, name, n_variants):
-    for effort in ("MAX_PILOTS", "MAX_ROUNDS"):  # they would take most of the time
-        monkeypatch.setattr(exploration, effort, 0)
+def test_shipped_study_runs_tiny(call, tmp_path, quick, search_little, name, n_variants):
     path = studies.copy_small(studies.EXPERIMENTS / f"{name}.toml", tmp_path / "copy")
     shutil.copytree(studies.EXPERIMENTS / "audit", tmp_path / "audit")  # has a mechanism that a study refers to
     kept = {f"C{k:02d}" for k in range(1, 16)} | {"V01"}
