@@ -62,6 +62,17 @@ def quick(monkeypatch) -> None:
     monkeypatch.setattr(frame, "write_page", lambda page, folder, more: folder)
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    """Return the results of a tiny study, without a page, of which tests take copies."""
+    folder = tmp_path_factory.mktemp("finished")
+    path = studies.write_tiny_study(folder)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(frame, "write_page", lambda page, folder, more: folder)
+        frame.run_experiment(load_experiment(path), folder, folder / "out")
+    return folder / "out"
+
+
 def start(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
     """Start the command line as a process of its own, in pipes."""
     command = [sys.executable, "-m", "bayescal.cli", *map(str, arguments)]
@@ -210,8 +221,8 @@ def test_full_disk_is_one_line(call, study, monkeypatch, quick):
     assert "No space left on device" in err
 
 
-def test_results_of_another_config(call, refuse, study, quick):
-    assert call("run", study, "--out", "out", "--workers", 1)[0] == 3
+def test_results_of_another_config(refuse, study, finished):
+    shutil.copytree(finished, "out")
     assert "holds results of another config" in refuse("run", study, "--out", "out", "--seed", 3)
     assert "holds results of another config" in refuse("run", study, "--out", "out", "--seed", 3, "--resume")
     assert "found no interrupted run" in refuse("run", study, "--out", "out", "--resume")
@@ -220,7 +231,7 @@ def test_results_of_another_config(call, refuse, study, quick):
 # --- run -------------------------------------------------------------------------------------------------------------
 
 
-def test_not_converged_is_3_with_the_results_written(call, study, quick):
+def test_not_converged_is_3_with_the_results_written(call, study, quick, search_little):
     code, out, err = call("run", study, "--out", "out", "--workers", 1)
     assert code == 3
     assert "sampling: 4 of 4 done" in err
@@ -233,15 +244,11 @@ def test_not_converged_is_3_with_the_results_written(call, study, quick):
     assert not list(Path().glob("*.partial"))
 
 
-def test_quiet_prints_nothing_but_the_error(call, study, quick):
-    code, out, err = call("run", study, "--out", "out", "--workers", 1, "--quiet")
+def test_quiet_prints_nothing_but_the_error_and_results_have_a_place_of_their_own(call, study, quick, search_little):
+    code, out, err = call("run", study, "--seed", 5, "--workers", 1, "--quiet")
     assert (code, out) == (3, "")
-    assert err.startswith("bayescal: out: not everything converged")
+    assert err.startswith("bayescal: results/tiny: not everything converged")
     assert err.count("\n") == 1
-
-
-def test_default_out_and_seed(call, study, quick):
-    assert call("run", study, "--seed", 5, "--workers", 1)[0] == 3
     assert json.loads(Path("results/tiny/summary.json").read_text())["seed"] == 5
 
 
@@ -442,10 +449,8 @@ def test_report_of_results_that_no_experiment_wrote(refuse, tmp_path, provenance
     assert expected in refuse("report", tmp_path)
 
 
-def test_report_is_written_anew(call, study, monkeypatch, no_pictures):
-    with monkeypatch.context() as patched:
-        patched.setattr(frame, "write_page", lambda page, folder, more: folder)
-        call("run", study, "--out", "out", "--workers", 1)
+def test_report_is_written_anew(call, study, finished, no_pictures):
+    shutil.copytree(finished, "out")
     assert not Path("out/report.html").exists()
     code, out, err = call("report", "out")
     assert (code, err) == (0, "")
@@ -453,8 +458,8 @@ def test_report_is_written_anew(call, study, monkeypatch, no_pictures):
     assert "six_pus/matrix" in Path("out/report.html").read_text()
 
 
-def test_compare_ranks_studies_of_the_same_data(call, refuse, study, quick):
-    call("run", study, "--out", "first", "--workers", 1)
+def test_compare_ranks_studies_of_the_same_data(call, refuse, study, finished, quick):
+    shutil.copytree(finished, "first")
     call("run", study, "--out", "second", "--workers", 1, "--seed", 12)
     code, out, err = call("compare", "first", "second")
     assert (code, err) == (0, "")

@@ -22,7 +22,7 @@ KEYS = {"contraction", "nats", "kind", "loadings", "sentence"}
 
 @pytest.mark.parametrize("name", problems.SHIPPED)
 def test_shipped_design(name, monkeypatch):
-    """Whole audits of the hexapods and of each of the telescope's models; without sweeps and profiles where it bends."""
+    """Whole audits of the hexapods and of each model of the telescope; without sweeps and profiles where that bends."""
     path = problems.DESIGNS / f"{name}.toml"
     changes = {"simulated_calibrations": 0, "expected_over_draws": 0}
     if name.endswith(("_linear", "_matrix")):
