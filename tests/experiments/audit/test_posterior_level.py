@@ -48,13 +48,13 @@ def _level(inputs):
 @pytest.fixture(scope="module")
 def straight():
     """Return audit and posterior level of the telescope with few parameters free, on no ridge that bends."""
-    return _level(_inputs(TELESCOPE, 8000, {"free": ["a_x", "b_x", "l"]}))
+    return _level(_inputs(TELESCOPE, 4000, {"free": ["a_x", "b_x", "l"]}))
 
 
 @pytest.fixture(scope="module")
 def bent():
     """Return audit and posterior level of the telescope with everything free."""
-    return _level(_inputs(TELESCOPE, 8000))
+    return _level(_inputs(TELESCOPE, 4000))
 
 
 def test_contractions_are_those_of_the_information(straight):
