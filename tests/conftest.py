@@ -48,6 +48,14 @@ def no_pictures(monkeypatch):
 
 
 @pytest.fixture
+def search_little(monkeypatch):
+    """Let runs in this process sample from Laplace's approximation as it is: for tests of what a run writes."""
+    monkeypatch.setattr("bayescal.inference.exploration.MAX_PILOTS", 0)
+    monkeypatch.setattr("bayescal.inference.exploration.MAX_ROUNDS", 0)
+    monkeypatch.setattr("bayescal.inference.exploration.TRIAL_DRAWS", 100)
+
+
+@pytest.fixture
 def proposes():
     """Let audits of this test propose poses: that takes longer than all the rest of them."""
 

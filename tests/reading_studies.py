@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from bayescal.experiments.self_calibration.schema import ReadingSimulationConfig
 from bayescal.experiments.self_calibration.simulate import simulate_readings
 from bayescal.machines.read import read_sliding_platform
 
-SMALL = {"walkers": 56, "burn_in": 5, "steps": 12, "draws": 1000, "max_draws": 1000}
+SMALL = {"walkers": 46, "burn_in": 2, "steps": 6, "draws": 1000, "max_draws": 1000}
 SHORT_WORKSPACE = {"n_poses": 20}
 
 SIMULATION = """
@@ -117,12 +118,24 @@ def load_small(path: Path) -> ReadingInputs:
     return read_inputs(load_experiment(path), path.parent)
 
 
-def copy_shipped(folder: Path) -> Path:
-    """Copy the shipped experiment with little to do; return its config."""
+def copy_shipped(folder: Path, variants: Collection[str], n_poses: int = 24, effort: Mapping[str, int] = SMALL) -> Path:
+    """Copy the shipped experiment with some of its variants and poses, and little to do; return its config."""
     shutil.copytree(EXPERIMENT, folder)
     path = folder / "study.toml"
     text = path.read_text()
-    for key, value in (SMALL | SHORT_WORKSPACE).items():
+    for key, value in (effort | SHORT_WORKSPACE).items():
         text = re.sub(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)
-    path.write_text(text)
+    head, *parts = text.partition("[sampler]")[0].split("[[variants]]")
+    kept = [part for part in parts if re.search(r'name = "(\w+)"', part)[1] in variants]
+    path.write_text("[[variants]]".join([head, *kept]) + "[sampler]" + text.partition("[sampler]")[2])
+    _keep_poses(folder / "data", n_poses)
     return path
+
+
+def _keep_poses(data: Path, n_poses: int) -> None:
+    """Leave so many calibration poses in the shipped data, and six for verification."""
+    for name in ("readings", "true_poses"):
+        lines = (data / f"{name}.csv").read_text().splitlines()
+        calibration, verification = ([line for line in lines[3:] if line[0] == use] for use in "CV")
+        rows = [*lines[:3], *calibration[:n_poses], *verification[:6]]
+        (data / f"{name}.csv").write_text("\n".join(rows) + "\n")

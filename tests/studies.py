@@ -180,7 +180,7 @@ def load_study(path: Path) -> StudyInputs:
 def copy_small(config: Path, folder: Path) -> Path:
     """Copy an experiment's folder and shrink the sampler of one of its configs; return the copy."""
     shutil.copytree(config.parent, folder, dirs_exist_ok=True)
-    small = {"walkers": 8, "burn_in": 5, "steps": 10, "draws": 1000, "max_draws": 1000, "repeats": 2}
+    small = {"walkers": 8, "burn_in": 1, "steps": 4, "draws": 1000, "max_draws": 1000, "repeats": 2}
     lists = {"factor": "[1.0]", "n_targets": "[6, 8]"}
     text = config.read_text()
     for key, value in (small | lists).items():

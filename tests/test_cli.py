@@ -27,7 +27,6 @@ from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study import compute
 from bayescal.files.csv_tables import read_table
-from bayescal.inference import exploration
 from bayescal.machines.kinematics import solve_forward_kinematics
 
 COMMANDS = ("run", "audit", "simulate", "poses-from-targets", "report", "compare")
@@ -61,6 +60,17 @@ def study(tmp_path, monkeypatch) -> Path:
 def quick(monkeypatch) -> None:
     """Leave the page out of the results: its figures take most of a tiny study's time."""
     monkeypatch.setattr(frame, "write_page", lambda page, folder, more: folder)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    """Return the results of a tiny study, without a page, of which tests take copies."""
+    folder = tmp_path_factory.mktemp("finished")
+    path = studies.write_tiny_study(folder)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(frame, "write_page", lambda page, folder, more: folder)
+        frame.run_experiment(load_experiment(path), folder, folder / "out")
+    return folder / "out"
 
 
 def start(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
@@ -211,8 +221,8 @@ def test_full_disk_is_one_line(call, study, monkeypatch, quick):
     assert "No space left on device" in err
 
 
-def test_results_of_another_config(call, refuse, study, quick):
-    assert call("run", study, "--out", "out", "--workers", 1)[0] == 3
+def test_results_of_another_config(refuse, study, finished):
+    shutil.copytree(finished, "out")
     assert "holds results of another config" in refuse("run", study, "--out", "out", "--seed", 3)
     assert "holds results of another config" in refuse("run", study, "--out", "out", "--seed", 3, "--resume")
     assert "found no interrupted run" in refuse("run", study, "--out", "out", "--resume")
@@ -221,7 +231,7 @@ def test_results_of_another_config(call, refuse, study, quick):
 # --- run -------------------------------------------------------------------------------------------------------------
 
 
-def test_not_converged_is_3_with_the_results_written(call, study, quick):
+def test_not_converged_is_3_with_the_results_written(call, study, quick, search_little):
     code, out, err = call("run", study, "--out", "out", "--workers", 1)
     assert code == 3
     assert "sampling: 4 of 4 done" in err
@@ -234,15 +244,11 @@ def test_not_converged_is_3_with_the_results_written(call, study, quick):
     assert not list(Path().glob("*.partial"))
 
 
-def test_quiet_prints_nothing_but_the_error(call, study, quick):
-    code, out, err = call("run", study, "--out", "out", "--workers", 1, "--quiet")
+def test_quiet_prints_nothing_but_the_error_and_results_have_a_place_of_their_own(call, study, quick, search_little):
+    code, out, err = call("run", study, "--seed", 5, "--workers", 1, "--quiet")
     assert (code, out) == (3, "")
-    assert err.startswith("bayescal: out: not everything converged")
+    assert err.startswith("bayescal: results/tiny: not everything converged")
     assert err.count("\n") == 1
-
-
-def test_default_out_and_seed(call, study, quick):
-    assert call("run", study, "--seed", 5, "--workers", 1)[0] == 3
     assert json.loads(Path("results/tiny/summary.json").read_text())["seed"] == 5
 
 
@@ -443,10 +449,8 @@ def test_report_of_results_that_no_experiment_wrote(refuse, tmp_path, provenance
     assert expected in refuse("report", tmp_path)
 
 
-def test_report_is_written_anew(call, study, monkeypatch, no_pictures):
-    with monkeypatch.context() as patched:
-        patched.setattr(frame, "write_page", lambda page, folder, more: folder)
-        call("run", study, "--out", "out", "--workers", 1)
+def test_report_is_written_anew(call, study, finished, no_pictures):
+    shutil.copytree(finished, "out")
     assert not Path("out/report.html").exists()
     code, out, err = call("report", "out")
     assert (code, err) == (0, "")
@@ -454,8 +458,8 @@ def test_report_is_written_anew(call, study, monkeypatch, no_pictures):
     assert "six_pus/matrix" in Path("out/report.html").read_text()
 
 
-def test_compare_ranks_studies_of_the_same_data(call, refuse, study, quick):
-    call("run", study, "--out", "first", "--workers", 1)
+def test_compare_ranks_studies_of_the_same_data(call, refuse, study, finished, quick):
+    shutil.copytree(finished, "first")
     call("run", study, "--out", "second", "--workers", 1, "--seed", 12)
     code, out, err = call("compare", "first", "second")
     assert (code, err) == (0, "")
@@ -499,9 +503,7 @@ STUDIES = [
 
 
 @pytest.mark.parametrize(("name", "n_variants"), STUDIES)
-def test_shipped_study_runs_tiny(call, tmp_path, monkeypatch, quick, name, n_variants):
-    for effort in ("MAX_PILOTS", "MAX_ROUNDS"):  # they would take most of the time
-        monkeypatch.setattr(exploration, effort, 0)
+def test_shipped_study_runs_tiny(call, tmp_path, quick, search_little, name, n_variants):
     path = studies.copy_small(studies.EXPERIMENTS / f"{name}.toml", tmp_path / "copy")
     shutil.copytree(studies.EXPERIMENTS / "audit", tmp_path / "audit")  # has a mechanism that a study refers to
     kept = {f"C{k:02d}" for k in range(1, 16)} | {"V01"}

@@ -105,7 +105,7 @@ def test_evidence_has_the_closed_form_where_tolerances_are_tiny(names):
     expected = gaussian_log_evidence(
         likelihood.sensors, likelihood.measured, pose[0], posterior.moves, workspace_volume(WORKSPACE)
     )
-    _, importance, bridge = sample(posterior, 3, steps=40)
+    _, importance, bridge = sample(posterior, 3, steps=25)
     assert importance == pytest.approx(expected, abs=0.02)
     assert bridge == pytest.approx(expected, abs=0.02)
 

@@ -41,7 +41,7 @@ def design(tmp_path):
     return path
 
 
-def test_an_audit_writes_results_and_report(call, design, tmp_path):
+def test_an_audit_writes_results_and_report(call, design, tmp_path, no_pictures):
     out = tmp_path / "out"
     code, said, complaint = call("audit", design, "--out", out, "--workers", 1)
     assert (code, studies.list_errors(complaint)) == (0, [])

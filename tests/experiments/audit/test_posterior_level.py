@@ -13,6 +13,7 @@ from bayescal.experiments.audit.audit import run_audit
 from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.audit.posterior import LeftOut, PosteriorLevel, audit_posterior, compare_spaces
+from bayescal.experiments.audit.schema import SweepConfig
 from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.requirements import Requirement
@@ -28,10 +29,14 @@ VARIANTS = [
 
 
 def _inputs(path, draws, variant=(), **changes):
-    """Return the inputs of a shipped design with some of its fields replaced."""
+    """Return the inputs of a shipped design with some of its fields replaced, and next to nothing swept."""
     config = load_audit(path)
     posterior = config.posterior.model_copy(update={"draws": draws})
-    changes |= {"posterior": posterior, "variant": config.variant.model_copy(update=dict(variant))}
+    changes |= {
+        "sweep": SweepConfig(noise=[1.0], poses=[40], workspace=[1.0]),
+        "posterior": posterior,
+        "variant": config.variant.model_copy(update=dict(variant)),
+    }
     return read_inputs(config.model_copy(update=changes), path.parent)
 
 
@@ -43,13 +48,13 @@ def _level(inputs):
 @pytest.fixture(scope="module")
 def straight():
     """Return audit and posterior level of the telescope with few parameters free, on no ridge that bends."""
-    return _level(_inputs(TELESCOPE, 8000, {"free": ["a_x", "b_x", "l"]}))
+    return _level(_inputs(TELESCOPE, 4000, {"free": ["a_x", "b_x", "l"]}))
 
 
 @pytest.fixture(scope="module")
 def bent():
     """Return audit and posterior level of the telescope with everything free."""
-    return _level(_inputs(TELESCOPE, 8000))
+    return _level(_inputs(TELESCOPE, 4000))
 
 
 def test_contractions_are_those_of_the_information(straight):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
@@ -21,8 +22,8 @@ from bayescal.experiments.frame.run import run_experiment, write_report
 from bayescal.experiments.frame.store import Store
 
 AUDIT = 'extends = "camera_hexapod.toml"\nname = "small"\nsimulated_calibrations = 4\nprofiles = ["l[1]"]\n'
-AUDIT += '[poses]\ncount = 12\n[[what_if]]\nname = "twice"\nposes_factor = 2.0\n'
-AUDIT += "[workspace]\nposes = 20\n[posterior]\ndraws = 500\n[sweep]\nnoise = [1.0]\nposes = [40]\nworkspace = [1.0]\n"
+AUDIT += 'expected_over_draws = 3\n[poses]\ncount = 12\n[[what_if]]\nname = "twice"\nposes_factor = 2.0\n'
+AUDIT += "[workspace]\nposes = 20\n[posterior]\ndraws = 200\n[sweep]\nnoise = [1.0]\nposes = [40]\nworkspace = [1.0]\n"
 
 
 def write_audit(folder: Path) -> Path:
@@ -71,10 +72,12 @@ def test_every_kind_is_here():
 
 @pytest.fixture(scope="module", params=sorted(MAKE))
 def finished(request, tmp_path_factory):
-    """Return a kind, its config and the results of a run with one worker."""
+    """Return a kind, its config and the results of a run with one worker, pictures not drawn."""
     folder = tmp_path_factory.mktemp(request.param)
     path = MAKE[request.param](folder)
-    run(path, folder / "out")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("bayescal.report.page.render_png", lambda draw: b"not drawn")
+        run(path, folder / "out")
     return request.param, path, folder / "out"
 
 
@@ -119,10 +122,7 @@ def leave_out_pictures(files: dict[str, bytes]) -> dict[str, bytes]:
 
 
 def test_an_interrupted_run_is_taken_up_by_another_number_of_workers(finished, monkeypatch, no_pictures):
-    """Interrupted with one worker and ended with two: the same bytes as uninterrupted with one.
-
-    Pictures aside: they are drawn from the other files, as the next test holds.
-    """
+    """Interrupted with one worker and ended with two: the same bytes as uninterrupted with one."""
     kind, path, out = finished
     again, save, kept = out.with_name("again"), Store.save_task, []
 
@@ -143,16 +143,23 @@ def test_an_interrupted_run_is_taken_up_by_another_number_of_workers(finished, m
     monkeypatch.setattr(Store, "save_task", lambda store, key, arrays: (kept.append(key), save(store, key, arrays)))
     run(path, again, workers=2, resume=True)
     assert len(kept) == len(set(kept))  # nothing that was kept is done again
-    assert leave_out_pictures(read_all(again)) == leave_out_pictures(read_all(out))
+    assert read_all(again) == read_all(out)
 
 
 def test_the_page_is_written_again_from_files_alone(finished, tmp_path):
+    """With its pictures, which the first one has not: all are drawn from the files of the results."""
     _, _, out = finished
     shutil.copytree(out, tmp_path / "moved")
     for path in [tmp_path / "moved/report.html", *(tmp_path / "moved").glob("figures/*")]:
         path.unlink()
     write_report(tmp_path / "moved")
-    assert read_all(tmp_path / "moved") == read_all(out)
+    again = read_all(tmp_path / "moved")
+    assert leave_out_pictures(again) == leave_out_pictures(read_all(out))
+    page = again["report.html"].decode()
+    for name, content in again.items():
+        if name.endswith(".png"):
+            assert content.startswith(b"\x89PNG"), name
+            assert base64.b64encode(content).decode() in page, name
 
 
 def test_results_of_another_config_are_refused(finished, call):

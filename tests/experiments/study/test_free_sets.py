@@ -99,7 +99,7 @@ def test_compare_ranks_named_variants_too(call, result, tmp_path):
     assert "joints" in out
 
 
-def test_claims_take_the_variants_without_names(result, tmp_path):
+def test_claims_take_the_variants_without_names(result, tmp_path, no_pictures):
     path = studies.write_tiny_study(tmp_path)
     studies.edit(path, "seed = 11", 'seed = 11\nclaims = "rr8096"')
     other = run_study(load_experiment(path), tmp_path, tmp_path / "out", 1)

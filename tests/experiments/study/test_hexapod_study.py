@@ -26,8 +26,10 @@ def folder(request, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def results(folder) -> Path:
-    """Return the results of the study."""
-    return run_study(load_experiment(folder / "study.toml"), folder, folder / "results", workers=1).out
+    """Return the results of the study, pictures not drawn."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("bayescal.report.page.render_png", lambda draw: b"not drawn")
+        return run_study(load_experiment(folder / "study.toml"), folder, folder / "results", workers=1).out
 
 
 @pytest.fixture(scope="module")

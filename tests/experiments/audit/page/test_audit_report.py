@@ -87,13 +87,16 @@ def say(results: AuditResults) -> dict[str, tuple[str, str]]:
 
 
 @pytest.mark.parametrize("checks", [False, True])
-def test_the_page_is_whole_and_the_verdict_comes_first(tmp_path, checks):
-    page = write_audit_report(write_audit_results(tmp_path, checks=checks))
+def test_the_page_is_whole_and_the_verdict_comes_first(tmp_path, checks, no_pictures):
+    check_page(write_audit_report(write_audit_results(tmp_path, checks=checks)), n_pictures=8 if checks else 5)
+
+
+def check_page(page: Path, n_pictures: int) -> None:
     text = page.read_text(encoding="utf-8")
     reader = Reader(text)
     assert page.name == "report.html"
     assert reader.open == []
-    assert reader.tags.count("img") == (8 if checks else 5)
+    assert reader.tags.count("img") == n_pictures
     assert all(r.startswith(("data:image/png;base64,", "#")) for r in reader.references)
     assert not {"script", "link", "iframe"} & set(reader.tags)
     places = [text.index(f'id="{name}"') for name in SECTIONS]
@@ -105,6 +108,7 @@ def test_the_page_is_whole_and_the_verdict_comes_first(tmp_path, checks):
 def test_the_same_audit_gives_the_same_bytes(tmp_path):
     pages = [write_audit_report(write_audit_results(tmp_path, checks=True, name=name)) for name in ("one", "other")]
     assert pages[0].read_bytes() == pages[1].read_bytes()
+    check_page(pages[0], n_pictures=8)
 
 
 def test_what_is_missing_is_said_to_be_left_out(tmp_path):
@@ -122,7 +126,7 @@ def test_what_is_missing_is_said_to_be_left_out(tmp_path):
     assert Reader(text).tags.count("img") == 4
 
 
-def test_without_requirements_and_changes_the_page_says_so(tmp_path):
+def test_without_requirements_and_changes_the_page_says_so(tmp_path, no_pictures):
     def change(summary):
         summary |= {"requirements": {}, "what_if": [], "selection": []}
         for direction in summary["directions"]:
@@ -155,7 +159,7 @@ def test_text_from_the_design_is_escaped(tmp_path):
     assert text.count("&lt;script&gt;") >= 8
 
 
-def test_ridges_of_a_kind_stand_together_and_are_open_in_print(tmp_path):
+def test_ridges_of_a_kind_stand_together_and_are_open_in_print(tmp_path, no_pictures):
     blocks = build_ridges(make())
     assert [(b.symbol, b.where, len(b.more)) for b in blocks] == [
         *(("k1_d", "machine", 0), ("rho0", "legs 1, 2", 1), ("l", "leg 1", 0)),
@@ -243,7 +247,7 @@ def fail_x(summary):
     summary["requirements"]["x"] |= {"probability": 0.4, "predicted_sd": 0.08, "geometry_sd": 0.02}
 
 
-def test_a_requirement_at_risk_is_bad_news_and_names_its_cause(tmp_path):
+def test_a_requirement_at_risk_is_bad_news_and_names_its_cause(tmp_path, no_pictures):
     level, text = say(make(fail_x))["Requirements"]
     assert level == "bad"
     assert "will not reliably keep x (probability 40 %)" in text
@@ -283,7 +287,7 @@ def test_help_is_ranked_by_nats_and_by_the_requirement_at_risk():
     assert say(make(useless))["What would help most"][1] == "None of the changes looked at would help noticeably."
 
 
-def test_doubt_about_rank_and_draws_opens_the_page(tmp_path):
+def test_doubt_about_rank_and_draws_opens_the_page(tmp_path, no_pictures):
     def change(summary):
         summary |= {"structural_rank_is_clear": False, "structural_gap": 3.0}
         summary["posterior"]["converged"] = False
@@ -573,7 +577,7 @@ def test_without_a_summary_the_fault_names_the_file(tmp_path):
         write_audit_report(folder)
 
 
-def test_the_report_command_knows_an_audit(tmp_path, monkeypatch, capsys):
+def test_the_report_command_knows_an_audit(tmp_path, monkeypatch, capsys, no_pictures):
     from bayescal import cli
 
     folder = write_audit_results(tmp_path)
