@@ -17,6 +17,8 @@ from bayescal.files.atomic import read_text
 
 EXTENDS = "extends"
 MAX_DEPTH = 8
+MEASURED = "measured-"
+"""Begins the tags of unions whose branches are told apart by more than a key that has to be there."""
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
@@ -92,7 +94,8 @@ def _describe(error: ValidationError, schema: type[Section], path: Path, text: s
     if fault["type"] == "union_tag_not_found":
         return f"{where}: found no key {fault['ctx']['discriminator']}, expected a value"
     if fault["type"] == "union_tag_invalid":
-        return f"{where}: found {fault['ctx']['tag']!r}, expected one of {fault['ctx']['expected_tags']}"
+        text = f"{where}: found {fault['ctx']['tag']!r}, expected one of {fault['ctx']['expected_tags']}"
+        return text.replace(MEASURED, "")
     if message.startswith("Input should be "):
         return f"{where}: found {_short(fault['input'])}, expected {message.removeprefix('Input should be ')}"
     return f"{where}: found {_short(fault['input'])}, expected: {message[0].lower()}{message[1:]}"
@@ -101,7 +104,8 @@ def _describe(error: ValidationError, schema: type[Section], path: Path, text: s
 def _keys_of(location: tuple[int | str, ...]) -> list[int | str]:
     """Return a fault's location without the parts that name a branch of a union."""
     branches = {"normal", "uniform", "fixed", "float", "constrained-float", "observability", "accuracy", "numbers"}
-    return [part for part in location if part not in branches and not str(part).startswith(("function-", "list["))]
+    marks = ("function-", "list[", MEASURED)
+    return [part for part in location if part not in branches and not str(part).startswith(marks)]
 
 
 def _short(value: object) -> str:

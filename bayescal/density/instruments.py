@@ -129,7 +129,7 @@ class InstrumentLikelihood(Likelihood):
         return closure(position, rotation, self.machine.basis(actuators), with_parameters=False)
 
     def error_jacobian(self, theta: Array) -> tuple[Array, Array]:
-        """Return the rows (P, K) and their derivative (P, K, D) for one parameter vector (D,), at the predicted pose."""
+        """Return the rows (P, K) and their derivative (P, K, D) for one parameter vector (D,)."""
         size = self.machine.layout.size
         position, rotation, left, _ = self._predict(theta[None, :size])
         rows = np.concatenate([self._read(theta[None, size:], position, rotation), left], axis=-1)[0]
@@ -179,7 +179,7 @@ class InstrumentLikelihood(Likelihood):
         return np.einsum("pki,pk...->pi...", self._rows_from_legs, rows)
 
     def pose_covariance(self, model_error: Array) -> Array:
-        """Return the covariance of `pose_errors`, (..., P, 6, 6), for model errors (..., N); unit where not measured."""
+        """Return the covariance of `pose_errors`, (..., P, 6, 6), for τ (..., N); unit where not measured."""
         rows = self.instrument.rows
         n_own = rows.covariance.shape[-1]
         covariance = self.error_covariance(model_error)[..., :n_own, :n_own]

@@ -67,8 +67,8 @@ def test_shipped_studies_build_every_variant():
     inputs = studies.load_study(studies.TELESCOPE / "study.toml")
     models, deformations = ("six_pus", "jacobian", "beam", "stiffness"), ("none", "linear", "matrix")
     assert [v.name for v in inputs.config.variants] == [f"{m}/{d}" for m in models for d in deformations]
-    assert inputs.extraction.poses.n_poses == 46
-    assert int(inputs.survey.verification.sum()) == 6
+    assert inputs.targets.extraction.poses.n_poses == 46
+    assert int(inputs.targets.survey.verification.sum()) == 6
 
 
 def test_kind_chooses_the_schema():

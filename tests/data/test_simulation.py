@@ -117,11 +117,11 @@ def test_shipped_headers_say_reconstructed_and_state_units(name):
 
 
 def test_shipped_twin_is_the_one_described(shipped):
-    assert shipped.extraction.poses.n_poses == 46
-    assert shipped.survey.actuators.shape == (46, 6)
+    assert shipped.targets.extraction.poses.n_poses == 46
+    assert shipped.targets.survey.actuators.shape == (46, 6)
     np.testing.assert_allclose(np.unique(np.abs(shipped.displacement[:40])), [0, 1.3])
-    dof = int(shipped.extraction.base.dof.sum() + shipped.extraction.platform.dof.sum())
-    check_chi_square(shipped.extraction.chi2_per_dof * dof, dof)
+    dof = int(shipped.targets.extraction.base.dof.sum() + shipped.targets.extraction.platform.dof.sum())
+    check_chi_square(shipped.targets.extraction.chi2_per_dof * dof, dof)
 
 
 # --- the ring follows eq. (4) ----------------------------------------------------------------------------------------
@@ -147,7 +147,7 @@ def test_another_matrix_fails_the_same_check(shipped, true_matrix):
 
 
 def test_ring_gives_the_kappa_that_the_matrix_implies(shipped, true_matrix):
-    travel = shipped.displacement[~shipped.survey.verification]
+    travel = shipped.displacement[~shipped.targets.survey.verification]
     implied = np.sum(travel * (travel @ true_matrix.T), axis=0) / np.sum(travel**2, axis=0)
     np.testing.assert_allclose(shipped.measured_kappa.kappa, implied, atol=1.5e-3)
     # the report's nominal value is 0.011; what K does beyond its diagonal is scatter to a linear ring

@@ -40,7 +40,7 @@ class PoseReadings(Instrument):
     values : ndarray, shape (P, 6)
         Position (mm) and rotation vector (rad) of the tool in the instrument's frame; NaN where not measured.
     covariance : ndarray, shape (P, 6, 6)
-        Of position (mm) and of the rotation vector of the error (rad), instrument's axes; only what was measured counts.
+        Of position (mm) and of the error's rotation vector (rad), instrument's axes; only what was measured counts.
     """
 
     names: tuple[str, ...]

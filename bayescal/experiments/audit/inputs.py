@@ -13,7 +13,6 @@ from bayescal.experiments.audit.schema import (
     ActuatorPlanConfig,
     AuditConfig,
     FilePlanConfig,
-    FramesConfig,
     PlanConfig,
     WorkspacePlanConfig,
 )
@@ -28,6 +27,7 @@ from bayescal.experiments.shared.design import (
     read_workspace,
 )
 from bayescal.experiments.shared.measured import MeasuredVariant
+from bayescal.experiments.shared.schema import FramesConfig
 from bayescal.files.csv_tables import read_matrix
 from bayescal.identifiability.design import Knowledge, Plan, predict_poses
 from bayescal.identifiability.pose_volume import PoseVolume, draw_displacements, find_workspace_actuators

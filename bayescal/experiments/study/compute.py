@@ -82,7 +82,7 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dic
             files[f"posterior/{task.variant.replace('/', '-')}.nc"] = partial(_write_tree, tree)
         else:
             variants[task.variant]["without_model_error"] = fit
-    config, held = inputs.config, inputs.survey.verification
+    config, held = inputs.config, inputs.verification
     models = {variant.model: inputs.machine(variant).model.title for variant in config.variants}
     summary = {
         "experiment": config.name,
@@ -92,11 +92,7 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dic
         "models": models,
         "drive": inputs.mechanism.drive,
         "n_poses": {"calibration": int((~held).sum()), "verification": int(held.sum())},
-        "pose_extraction": {
-            "method": config.data.pose_method,
-            "chi2_per_dof": inputs.extraction.chi2_per_dof,
-            "rejected_targets": ["/".join(target) for target in inputs.extraction.rejected],
-        },
+        **inputs.measured.describe(),
         "variants": variants,
         "ranking": rank_variants(variants),
     }

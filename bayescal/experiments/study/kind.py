@@ -26,9 +26,6 @@ from bayescal.experiments.study.terminal import show_comparison, show_ranking
 from bayescal.numerics.units import MICROMETRE
 from bayescal.report.blocks import Page
 
-DATA_KEYS = ("targets", "actuators", "reference", "target_noise_um", "actuator_noise_um", "pose_method")
-"""What makes two data sets the same: contents of the files and what is assumed of the noise."""
-
 
 @dataclass(frozen=True, eq=False)
 class StudyTask:
@@ -112,8 +109,9 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring):
 
 
 def _identify_data(provenance: Mapping[str, Any]) -> dict[str, object]:
+    """Return what makes two data sets the same: contents of the files and what is assumed of the noise."""
     config, files = provenance["config"], provenance["files"]
-    data = {key: config["data"][key] for key in DATA_KEYS}
+    data = {key: value for key, value in config["data"].items() if key != "origin"}
     return {key: files.get(value, value) if isinstance(value, str) else value for key, value in data.items()}
 
 
