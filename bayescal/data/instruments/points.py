@@ -230,7 +230,7 @@ class PointReadings(Instrument):
             "points": list(self.points),
             "n_seen": int(self.seen.sum()),
             "n_missed": int((~self.seen).sum()),
-            "chi2_per_dof": sum(fit.square for fit in fits) / dof if dof else float("nan"),
+            "chi2_per_dof": sum(fit.square for fit in fits) / dof if dof else None,
         }
 
 

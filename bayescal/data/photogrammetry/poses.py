@@ -9,12 +9,16 @@ import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.line_fit import fit_line
-from bayescal.data.photogrammetry.rigid_fit import RigidFit, fit_rigid_body
+from bayescal.data.photogrammetry.rigid_fit import RigidFit, fit_least_squares, fit_rigid_body
 from bayescal.data.photogrammetry.survey import BodyTargets, Survey
 from bayescal.errors import InputError, PoseInputError
 from bayescal.numerics.geometry import compute_relative_pose
 
-METHODS: dict[str, Callable[..., RigidFit]] = {"robust": fit_rigid_body, "line": fit_line}
+METHODS: dict[str, Callable[..., RigidFit]] = {
+    "robust": fit_rigid_body,
+    "line": fit_line,
+    "least_squares": fit_least_squares,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +57,7 @@ def extract_poses(survey: Survey, noise: float, method: str = "robust") -> PoseE
     noise : float
         Standard deviation of a target coordinate, mm.
     method : str
-        ``robust`` (Haralick et al. 1989) or ``line``; both of RR-8096 section 3.1.
+        ``robust`` (Haralick et al. 1989) or ``line``, both of RR-8096 section 3.1, or ``least_squares``.
     """
     fits = {}
     rejected: list[tuple[str, str, str]] = []
