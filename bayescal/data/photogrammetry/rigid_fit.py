@@ -15,11 +15,9 @@ from math import comb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammainc, poch
-from scipy.stats import chi2
 
 from bayescal.errors import InputError, PoseInputError
 from bayescal.numerics.geometry import Array, skew_matrix
-from bayescal.numerics.units import MICROMETRE
 
 TUNING_CONSTANT = 5.49024920842936
 """c for which ``compute_efficiency(c)`` is 0.95."""
@@ -28,8 +26,6 @@ MAX_ITERATIONS = 200
 WEIGHT_TOLERANCE = 1e-10
 MIN_SPREAD = 10.0
 """Smallest distance of targets from their own line, in units of σ, that still fixes the rotation about that line."""
-INCOMPATIBLE = 1e-9
-"""Probability of residuals so large at the stated noise, below which plain least squares is refused."""
 CHUNK = 1_000_000
 _PLASTIC = 1.2207440846057596  # root of x⁴ = x + 1; its powers give an evenly spread sequence in three dimensions
 
@@ -289,7 +285,7 @@ def _reweight(reference: Array, measured: Array, start: Array, noise: float) -> 
     weights, active = start.copy(), np.arange(len(start))
     for _ in range(MAX_ITERATIONS):
         fit = weighted_rigid_transform(reference, measured[active], weights[active])
-        square = _compute_square(compute_rigid_residuals(reference, measured[active], *fit), noise)
+        square = compute_square(compute_rigid_residuals(reference, measured[active], *fit), noise)
         updated = np.maximum(1 - square / TUNING_CONSTANT**2, 0.0) ** 2
         change = np.max(np.abs(updated - weights[active]), axis=-1)
         weights[active] = updated
@@ -300,59 +296,9 @@ def _reweight(reference: Array, measured: Array, start: Array, noise: float) -> 
     return weights, ~np.isin(np.arange(len(start)), active)
 
 
-def _compute_square(residuals: Array, noise: float) -> Array:
+def compute_square(residuals: Array, noise: float) -> Array:
     """Return squared norms in units of σ², infinite where not seen, shape (..., n, 3) to (..., n)."""
     return np.sum((np.nan_to_num(residuals, nan=np.inf) / noise) ** 2, axis=-1)
-
-
-def _fit_plain(reference: Array, measured: Array, seen: NDArray[np.bool_], noise: float) -> RigidFit:
-    """Return the fits (P, ...) of least squares to all targets seen."""
-    position, rotation = weighted_rigid_transform(reference, measured, seen)
-    square = _compute_square(compute_rigid_residuals(reference, measured, position, rotation), noise)
-    return RigidFit(
-        position=position,
-        rotation=rotation,
-        covariance=compute_rigid_covariance(reference, rotation, seen, noise),
-        weights=seen.astype(float),
-        chi2=np.sum(np.where(seen, square, 0.0), axis=-1),
-        dof=3 * seen.sum(axis=-1) - 6,
-        converged=np.ones(len(measured), dtype=bool),
-    )
-
-
-def _compare_noise(plain: RigidFit, pose: int, noise: float) -> str:
-    """Return the noise stated and the noise that least squares sees at a pose, in words."""
-    seen = noise * float(np.sqrt(plain.chi2[pose] / plain.dof[pose]))
-    return f"the noise stated is {noise / MICROMETRE:.3g} µm, the noise seen {seen / MICROMETRE:.3g} µm"
-
-
-def fit_least_squares(reference: ArrayLike, measured: ArrayLike, noise: float) -> RigidFit:
-    """Return the pose of a rigid body by plain least squares over all targets seen; three are enough.
-
-    Under Gaussian noise no fit is better, and one wrong target is enough to spoil it. Its residuals tell: where they are
-    larger than the stated noise allows with a probability of `INCOMPATIBLE`, the fit is refused.
-
-    Parameters
-    ----------
-    reference, measured, noise
-        As in `fit_rigid_body`.
-
-    Raises
-    ------
-    InputError
-        As `check_targets`, or where residuals are incompatible with the stated noise.
-    """
-    reference, flat, seen = check_targets(reference, measured, noise)
-    fit = _fit_plain(reference, flat, seen, noise)
-    excess = fit.chi2 - chi2.isf(INCOMPATIBLE, fit.dof)
-    if (excess > 0.0).any():
-        pose = int(np.argmax(excess))
-        raise PoseInputError(
-            pose,
-            f"found residuals incompatible with the stated noise, {_compare_noise(fit, pose, noise)}; expected both "
-            "alike, or the robust fit where some targets are wrong",
-        )
-    return fit.with_batch(np.shape(measured)[:-2])
 
 
 def fit_rigid_body(reference: ArrayLike, measured: ArrayLike, noise: float) -> RigidFit:
@@ -380,14 +326,10 @@ def fit_rigid_body(reference: ArrayLike, measured: ArrayLike, noise: float) -> R
     """
     reference, flat, seen = check_targets(reference, measured, noise)
     batch = np.shape(measured)[:-2]
-    try:
-        start = _robust_start(reference, flat, seen, noise)
-        weights, converged = _reweight(reference, flat, start, noise)
-    except PoseInputError as error:
-        plain = _fit_plain(reference, flat, seen, noise)
-        raise PoseInputError(error.index, f"{error.fault}; {_compare_noise(plain, error.index, noise)}") from error
+    start = _robust_start(reference, flat, seen, noise)
+    weights, converged = _reweight(reference, flat, start, noise)
     position, rotation = weighted_rigid_transform(reference, flat, weights)
-    square = _compute_square(compute_rigid_residuals(reference, flat, position, rotation), noise)
+    square = compute_square(compute_rigid_residuals(reference, flat, position, rotation), noise)
     used = weights > 0
     count = used.sum(axis=-1)
     covariance = compute_rigid_covariance(reference, rotation, used, noise)
