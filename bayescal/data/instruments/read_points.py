@@ -241,11 +241,15 @@ def _read_polar_noise(table: Table, noise: PointNoise, distance: Array) -> Array
     elif not noise.is_polar:
         raise InputError(f"{table.path}: found ranges and angles and point_um, expected {keys}")
     else:
-        along = noise.range_um + noise.range_ppm * distance * 1e-6 / MICROMETRE
-        sd = np.stack(
-            [along, *(np.full_like(along, x) for x in (noise.azimuth_arcsec, noise.elevation_arcsec))], axis=1
-        )
+        return spread_polar(noise, distance)
     return sd * np.array([MICROMETRE, ARCSECOND, ARCSECOND])
+
+
+def spread_polar(noise: PointNoise, distance: Array) -> Array:
+    """Return standard deviations of range (mm), azimuth and elevation (rad) at ranges (...) in mm, shape (..., 3)."""
+    along = noise.range_um * MICROMETRE + 1e-6 * noise.range_ppm * distance
+    angles = (np.full_like(along, ARCSECOND * x) for x in (noise.azimuth_arcsec, noise.elevation_arcsec))
+    return np.stack([along, *angles], axis=-1)
 
 
 def _check_deviations(table: Table, sd: Array, names: tuple[str, ...]) -> None:
