@@ -18,6 +18,7 @@ from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
 from bayescal.numerics.geometry import Array
 
+SHOWN = 12  # columns that may be there, listed in a message
 LARGEST = 1e9
 """Numbers beyond this size are taken for slips: as millimetres, a thousand kilometres."""
 
@@ -122,15 +123,22 @@ def _check_header(
     if columns is None:
         return
     known = (*columns, *optional)
-    expected = ", ".join(columns) + (f", and maybe {', '.join(optional)}" if optional else "")
+    more = ", ".join(optional[:SHOWN]) + (" …" if len(optional) > SHOWN else "")
+    expected = ", ".join(columns) + (f", and maybe {more}" if optional else "")
     for name in header:
         if name not in known:
-            close = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
+            close = [one for one in known if _stem(one) == _stem(name)]
+            close = close or difflib.get_close_matches(name, known, n=1, cutoff=0.4)
             hint = f", did you mean {close[0]!r}?" if close else ""
             raise InputError(f"{path}, line {line}: found column {name!r}{hint}, expected {expected}")
     for name in columns:
         if name not in header:
             raise InputError(f"{path}, line {line}: found no column {name!r}, expected {expected}")
+
+
+def _stem(name: str) -> str:
+    """Return a column's name without its unit."""
+    return name.rpartition("_")[0] or name
 
 
 def read_matrix(path: Path, n_columns: int) -> Array:
