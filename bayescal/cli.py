@@ -85,7 +85,7 @@ def simulate(
     out: Annotated[Path, typer.Option(help="Directory for the CSV files.")],
     seed: Seed = None,
 ) -> None:
-    """Simulate the photogrammetry of a machine whose truth the config states, or readings of its own sensors."""
+    """Simulate photogrammetry, an instrument's or a machine's own readings; the config states the truth."""
     from bayescal.experiments.frame.load import load
     from bayescal.experiments.frame.run import compute_experiment
     from bayescal.experiments.shared.simulated_data import SimulatedData

@@ -10,8 +10,8 @@ R_n the noise of the rows, D_n = diag(σ_ρ² + τ_i² + v_ni) in terms of the l
 depend on the parameters. Rows are only what was measured: axes or points that are missing are not there at all.
 
 The predicted pose is exact. From the nominal machine's pose the bound closure leads to the pose of a machine within the
-tolerances but for second orders, a micrometre or so; one Newton step of the whole closure there leaves 10 pm and 0.2 nrad.
-Redundant legs add their N - 6 conditions, the closure along what no pose moves.
+tolerances but for second orders, a micrometre or so; one Newton step of the whole closure there leaves 10 pm and
+0.2 nrad. Redundant legs add their N - 6 conditions, the closure along what no pose moves.
 """
 
 from __future__ import annotations

@@ -254,6 +254,18 @@ class Posterior:
         return self.likelihood.error_jacobian(theta)[1] @ change, self._prior_slope(change)
 
     def groups(self) -> list[np.ndarray]:
+        """Return which geometric coordinates a model error makes uncertain together: each leg's.
+
+        Frames that are free tie the legs together; with one model error for all legs everything is one group then.
+        """
+        return [np.arange(self.n_geometry)] if self._ties_legs and self.model_error.shared else self._legs()
+
+    @property
+    def _ties_legs(self) -> bool:
+        """Whether parameters are free that no leg has, those of frames."""
+        return bool((self.coordinates.free >= self.likelihood.machine.layout.size).any())
+
+    def _legs(self) -> list[np.ndarray]:
         """Return which geometric coordinates belong to each leg."""
         layout, free = self._layout, self.coordinates.free
         per_leg = [block.symbol for block in layout.blocks if block.per_leg]
@@ -368,11 +380,14 @@ class Posterior:
         Where κ is fixed the actuator gain is a quadratic of u_x that the other parameters of the leg have to follow.
         """
         tilted = np.array([name.startswith(("u_x[", "u_y[")) for name in self.names], dtype=bool)
-        return [(int(k), index[~tilted[index]]) for index in self.groups() for k in index[tilted[index]]]
+        return [(int(k), index[~tilted[index]]) for index in self._legs() for k in index[tilted[index]]]
 
     def funnel(self, y: Array) -> Funnel | None:
-        """Return how the geometry depends on the model errors at y, shape (n,); None where there are none."""
-        if self.model_error.scale is None:
+        """Return how the geometry depends on the model errors at y, shape (n,); None where there are none.
+
+        None, too, where free frames tie legs together that each have an error: no leg is uncertain by itself then.
+        """
+        if self.model_error.scale is None or (self._ties_legs and not self.model_error.shared):
             return None
         likelihood = self.likelihood
         tau = np.broadcast_to(self.tau(y[None]), (1, likelihood.n_legs))[0]

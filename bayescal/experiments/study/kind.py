@@ -47,7 +47,10 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring):
         if config.claims is not None:
             kind: type[Claims] = Claims  # type: ignore[type-abstract]  # only subclasses of it are found
             claims = find_class("CLAIMS", config.claims, kind, "claims", folder, folder)()
-        return StudyTask(load_inputs(config, folder), claims)
+        inputs = load_inputs(config, folder)
+        if claims is not None and inputs.targets is None:
+            raise InputError(f"{folder}: claims: found {config.claims!r} without targets, expected measured targets")
+        return StudyTask(inputs, claims)
 
     def compute(self, inputs: StudyTask, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""
@@ -74,6 +77,11 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring):
         if variant not in by_name:
             raise InputError(f"{path}: variants: found no {variant}, expected one of {', '.join(by_name)}")
         chosen, inputs = by_name[variant], load_inputs(config, path.parent)
+        if not inputs.measured.has_poses:
+            raise InputError(
+                f"{path}: data: found poses measured in part, points, or frames to be found, expected whole poses in "
+                "known frames, since an audit of data starts from these"
+            )
         left = inputs.matrix_variance(chosen, verification=False)
         priors, fixed = inputs.priors(chosen)
         return MeasuredVariant(
