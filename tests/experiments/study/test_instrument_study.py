@@ -1,6 +1,7 @@
 """Studies by an instrument: poses fed back from targets, tracked points, and every fault of their tables."""
 
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -93,8 +94,6 @@ def pointed(tmp_path_factory):
 
 @pytest.fixture
 def copied(fed, tmp_path):
-    import shutil
-
     shutil.copytree(fed, tmp_path, dirs_exist_ok=True)
     return tmp_path
 
@@ -121,12 +120,8 @@ def test_poses_fed_back_are_the_targets(fed):
 @pytest.mark.slow
 def test_poses_of_the_telescope_fed_back_give_its_evidence(tmp_path):
     """By sampling, as the study itself does; κ free in place of K, which targets alone tell."""
-    import shutil
-
-    from bayescal.experiments.frame.parallel import Run
     from bayescal.experiments.study.fit import Task, run_task
 
-    del Run
     shutil.copytree(studies.TELESCOPE, tmp_path, dirs_exist_ok=True)
     config = tmp_path / "study.toml"
     (tmp_path / "data" / "poses.csv").write_text(format_poses(studies.load_study(config)))
@@ -304,8 +299,6 @@ POINT_FAULTS = {
 
 @pytest.mark.parametrize("name", POINT_FAULTS)
 def test_faults_of_point_tables_are_one_line(pointed, tmp_path, call, name):
-    import shutil
-
     shutil.copytree(pointed.parent, tmp_path, dirs_exist_ok=True)
     file, change, expected = POINT_FAULTS[name]
     before = (tmp_path / file).read_text()
