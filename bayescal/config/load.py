@@ -84,7 +84,7 @@ def _describe(error: ValidationError, schema: type[Section], path: Path, text: s
     line = find_line(text, location[:-1] if fault["type"] == "missing" else location)
     where = f"{path}, line {line}: {field}" if line else f"{path}: {field}"
     if fault["type"] == "extra_forbidden":
-        known = _known_keys(schema, location[:-1])
+        known = _known_keys(schema, _keys_of(fault["loc"], tags=True)[:-1])
         return f"{where}: unknown key{_suggest(str(location[-1]), known)}, expected {_one_of(known)}"
     message = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "missing":
@@ -101,10 +101,10 @@ def _describe(error: ValidationError, schema: type[Section], path: Path, text: s
     return f"{where}: found {_short(fault['input'])}, expected: {message[0].lower()}{message[1:]}"
 
 
-def _keys_of(location: tuple[int | str, ...]) -> list[int | str]:
-    """Return a fault's location without the parts that name a branch of a union."""
+def _keys_of(location: tuple[int | str, ...], tags: bool = False) -> list[int | str]:
+    """Return a fault's location without the parts that name a branch of a union, but for tags where they are wanted."""
     branches = {"normal", "uniform", "fixed", "float", "constrained-float", "observability", "accuracy", "numbers"}
-    marks = ("function-", "list[", MEASURED)
+    marks = ("function-", "list[", *(() if tags else (MEASURED,)))
     return [part for part in location if part not in branches and not str(part).startswith(marks)]
 
 
@@ -123,9 +123,19 @@ def _known_keys(schema: Any, location: list[Any]) -> list[str]:
 
 
 def _step(kind: Any, part: Any) -> list[Any]:
+    if str(part).startswith(MEASURED):
+        return _find_tagged(kind, part)
     models = _models(kind)
     hits = [m.model_fields[part].annotation for m in models if part in m.model_fields]
     return hits or models
+
+
+def _find_tagged(kind: Any, tag: str) -> list[Any]:
+    """Return the branch of a union that has a tag."""
+    inner = get_args(getattr(kind, "__value__", kind))
+    if any(getattr(one, "tag", None) == tag for one in inner):
+        return [inner[0]]
+    return [hit for one in inner for hit in _find_tagged(one, tag)]
 
 
 def _models(kind: Any) -> list[type[BaseModel]]:

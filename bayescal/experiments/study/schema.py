@@ -12,12 +12,26 @@ from bayescal.density.schema import FixedConfig, ModelErrorConfig, PriorConfig
 from bayescal.experiments.shared.schema import DeformationConfig, FramesConfig
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 
+TABLES = ("targets", "poses", "points")
+"""Kinds of measurement, and the keys of their tables."""
+
 
 class MeasuredConfig(Section):
     """What all kinds of measurement have."""
 
     origin: str
     actuator_noise_um: NotNegative
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_tables(cls, value: Any) -> Any:
+        """Refuse the table of another measurement, before it is an unknown key."""
+        if isinstance(value, dict):
+            own = value.get("measurement", TABLES[0])
+            for other in TABLES:
+                if other in value and other != own and own in TABLES:
+                    raise ValueError(f"found a table of {other} beside measurement {own!r}, expected its own alone")
+        return value
 
 
 class TargetDataConfig(MeasuredConfig):

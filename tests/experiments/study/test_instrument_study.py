@@ -241,7 +241,12 @@ POSE_FAULTS = {
     "beside targets": (
         "poses.toml",
         swap_column('poses = "data/poses.csv"', 'poses = "data/poses.csv"\ntargets = "data/targets.csv"'),
-        "data.targets: unknown key",
+        "found a table of targets beside measurement 'poses'",
+    ),
+    "key of another measurement": (
+        "poses.toml",
+        swap_column("actuator_noise_um", "target_noise_um = 3.0\nactuator_noise_um"),
+        "data.target_noise_um: unknown key, did you mean 'actuator_noise_um'?, expected one of actuator_noise_um, actu",
     ),
     "noise twice": (
         "poses.toml",
