@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import studies
 
+from bayescal.experiments.frame.run import compute_experiment
+from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.tables import format_poses
 from bayescal.inference.mode import find_modes
 
@@ -70,9 +72,6 @@ def fed(tmp_path_factory):
 
 def write_points(folder):
     """Write the tiny twin's points as two stations see them, and its study."""
-    from bayescal.experiments.frame.run import compute_experiment
-    from bayescal.experiments.simulation.load import load_simulation
-
     config = studies.write_tiny_study(folder)
     studies.edit(config, 'deformation = "matrix"', 'deformation = "linear"')
     studies.write_texts(folder, {"probe.csv": PROBE, "stations.csv": STATIONS})
@@ -310,3 +309,30 @@ def test_faults_of_point_tables_are_one_line(pointed, tmp_path, call, name):
     (tmp_path / file).write_text(change(before))
     assert (tmp_path / file).read_text() != before
     check_refused(call, tmp_path / ("study.toml" if file == "study.toml" else "points.toml"), expected)
+
+
+# --- the shipped example -----------------------------------------------------------------------------------------
+
+CAMERA = studies.EXPERIMENTS / "camera_hexapod"
+
+
+def test_shipped_readings_are_those_of_the_documented_command():
+    made = compute_experiment(load_simulation(CAMERA / "simulate.toml"), CAMERA).files
+    assert set(made) == {path.name for path in (CAMERA / "data").iterdir()}
+    for name, text in made.items():
+        assert (CAMERA / "data" / name).read_text() == str(text)
+
+
+def test_shipped_example_finds_its_machine_and_frames():
+    """The 54 errors in posterior sds: their mean square is one within four standard errors of independent ones."""
+    inputs = studies.load_study(CAMERA / "study.toml")
+    posterior = inputs.posterior(inputs.config.variants[0], with_model_error=False)
+    mode = find_modes(posterior)[0]
+    truth = compute_experiment(load_simulation(CAMERA / "simulate.toml"), CAMERA).tables["truth"]
+    true = truth.set_index("parameter")["true"]
+    assert set(true.index) == set(posterior.names)
+    sd = np.array([posterior.priors[name].sd for name in posterior.names]) * np.sqrt(np.diagonal(mode.covariance))
+    z = (posterior.natural(mode.y[None])[0] - true[list(posterior.names)].to_numpy()) / sd
+    assert abs(np.mean(z**2) - 1.0) < 4.0 * np.sqrt(2.0 / len(z))
+    error = posterior.likelihood.pose_errors(posterior.theta(mode.y[None]))[0]
+    assert np.abs(error[:, :3]).max() < 0.06  # noise of 10 µm
