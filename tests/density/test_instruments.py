@@ -209,7 +209,9 @@ def test_points_derivatives_by_the_frames_of_every_station(rng):
     check_jacobian(likelihood, np.concatenate([theta, frames]))
 
 
-def test_gradient_of_the_posterior_with_frames_and_model_error(rng):
+@pytest.mark.parametrize("shared", [False, True])
+def test_gradient_of_the_posterior_with_frames_and_model_error(rng, shared):
+    """Free frames tie the legs: with one model error everything is one group, with one a leg nothing is stretched."""
     machine, theta, poses = place()
     readings = read_points(machine, theta, poses.actuators, FRAMES, rng, drop=[(0, 0, slice(1, 4))])
     likelihood = InstrumentLikelihood(machine, readings, NOISE)
@@ -218,13 +220,14 @@ def test_gradient_of_the_posterior_with_frames_and_model_error(rng):
     nominal = dict(zip(layout.names, layout.nominal, strict=True))
     sd = {name: 2e-3 if name[5:6] == "r" else 1.0 for name in free}
     priors = {name: NormalPrior(float(nominal[name]), sd[name]) for name in free}
-    posterior = Posterior(likelihood, priors, ModelError(0.01))
+    posterior = Posterior(likelihood, priors, ModelError(0.01, shared))
     y = posterior.polish(posterior.approach()) + 0.02 * rng.standard_normal(posterior.n_parameters)
     gradient, _ = posterior.gradient(y)
     steps = np.full(posterior.n_parameters, 1e-4)
     expected = machines.central_difference(lambda x: posterior.log_density(x[None])[0], y, steps)
     np.testing.assert_allclose(gradient, expected, rtol=1e-4, atol=1e-3 * np.abs(expected).max())
-    assert posterior.funnel(y) is not None
+    assert (posterior.funnel(y) is not None) == shared
+    assert [len(group) for group in posterior.groups()] == ([len(free)] if shared else [2] * 6)
 
 
 def test_points_of_a_wrong_probe_show_in_their_misfit(rng):
