@@ -93,7 +93,7 @@ def simulate(
 
     experiment, loaded = load(config)
     if not isinstance(experiment, SimulatedData):
-        raise InputError(f"{config}: kind: found {loaded.kind!r}, expected 'simulation' or 'reading_simulation'")
+        raise InputError(f"{config}: kind: found {loaded.kind!r}, expected a kind that simulates data")
     if seed is not None:
         loaded = loaded.model_copy(update={"seed": seed})
     with name_faults(config):

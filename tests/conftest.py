@@ -42,6 +42,12 @@ def call(monkeypatch, capsys):
 
 
 @pytest.fixture
+def no_pictures(monkeypatch):
+    """Leave a page's pictures undrawn, which take most of its time; text and files' names are what they are."""
+    monkeypatch.setattr("bayescal.report.page.render_png", lambda draw: b"not drawn")
+
+
+@pytest.fixture
 def proposes():
     """Let audits of this test propose poses: that takes longer than all the rest of them."""
 

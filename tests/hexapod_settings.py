@@ -27,6 +27,8 @@ SMALL = {
     "noise_draws": "4",
 }
 
+USUAL = ("candidates", "list_length", "iterations")
+
 
 def load_setting(name: str = "table8") -> Setup:
     """Return the setting of a shipped experiment."""
@@ -44,5 +46,7 @@ def copy_tiny(name: str, folder: Path) -> Path:
     for key, value in SMALL.items():
         text = re.sub(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)
     text = text.replace("poses = [20, 25, 30, 35, 40, 45, 50, 60, 80]", "poses = [12, 24]")
+    if "[selection]" not in text:  # then it would be the usual, long one
+        text += "\n[selection]\n" + "".join(f"{key} = {SMALL[key]}\n" for key in USUAL)
     path.write_text(text)
     return path

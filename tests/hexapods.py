@@ -103,7 +103,7 @@ draws = 1000
 max_draws = 1000
 
 [sensitivity]
-tolerance_mm = [1.0]
+factor = [1.0]
 """
 
 

@@ -18,7 +18,8 @@ from bayescal.density.readings.posterior import SelfCalibrationPosterior
 from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters, workspace_volume
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.read import read_sliding_platform
-from bayescal.machines.readings import Channel, ReadingModel, Readings, SlidingPlatform
+from bayescal.machines.readings import Channel, Coordinate, Given, ReadingModel, Readings, SlidingPlatform
+from bayescal.machines.readings.base import NOTHING
 from bayescal.machines.readings.schema import PlanarPosesConfig, ReadingSensorConfig, ReadingTolerancesConfig
 
 EXPERIMENT = Path(__file__).parents[1] / "experiments" / "sliding_star"
@@ -194,8 +195,8 @@ class LinearModel(ReadingModel):
         return tuple(Channel(f"s[{k + 1}]", "mm") for k in range(len(self.by_pose)))
 
     @property
-    def pose_units(self) -> tuple[str, ...]:
-        return ("mm",) * self.by_pose.shape[1]
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return tuple(Coordinate(f"v{k}", "mm") for k in range(self.by_pose.shape[1]))
 
     def frame_parameters(self) -> tuple[str, ...]:
         return ()
@@ -203,10 +204,12 @@ class LinearModel(ReadingModel):
     def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
         return self.layout.names
 
-    def read(self, theta: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    def read(self, theta: np.ndarray, pose: np.ndarray, given: Given = NOTHING) -> np.ndarray:
         return pose @ self.by_pose.T + theta @ self.by_parameters.T
 
-    def linearise(self, theta: np.ndarray, pose: np.ndarray, with_parameters: bool = True) -> Readings:
+    def linearise(
+        self, theta: np.ndarray, pose: np.ndarray, with_parameters: bool = True, given: Given = NOTHING
+    ) -> Readings:
         values = self.read(theta, pose)
         shapes = [np.broadcast_to(x, (*values.shape[:-1], *x.shape)) for x in (self.by_pose, self.by_parameters)]
         return Readings(values, *shapes)

@@ -108,7 +108,7 @@ draws = 1000
 max_draws = 1000
 
 [sensitivity]
-tolerance_mm = [2.0]
+factor = [1.0]
 """
 
 PUBLISHED = """# as if somebody had published it
@@ -181,7 +181,7 @@ def copy_small(config: Path, folder: Path) -> Path:
     """Copy an experiment's folder and shrink the sampler of one of its configs; return the copy."""
     shutil.copytree(config.parent, folder, dirs_exist_ok=True)
     small = {"walkers": 8, "burn_in": 5, "steps": 10, "draws": 1000, "max_draws": 1000, "repeats": 2}
-    lists = {"tolerance_mm": "[2.0]", "n_targets": "[6, 8]"}
+    lists = {"factor": "[1.0]", "n_targets": "[6, 8]"}
     text = config.read_text()
     for key, value in (small | lists).items():
         text = re.sub(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)

@@ -95,7 +95,7 @@ FREE_SYMBOLS = {
 }
 SIX_LEGS_ONLY = ("stiffness", "stiffness_fixed")  # six equations of equilibrium
 PERFECT_JOINTS = ("six_pus", "six_ups")  # nothing in these refers to the home pose
-PRIOR_SD = {"u_x": 0.05, "u_y": 0.05, "kappa": 0.01}
+PRIOR_SD = {"u_x": 0.05, "u_y": 0.05, "u_z": 0.05, "u_h": 0.05, "u_v": 0.05, "kappa": 0.01}
 
 
 def _polar(radius: float, azimuths: list[float]) -> np.ndarray:

@@ -19,11 +19,11 @@ import placement_problems
 import pytest
 import studies
 
+from bayescal.config.registry import list_references
 from bayescal.data.simulation import build_twin
 from bayescal.errors import NumericalError
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.registry import list_references
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study import compute
 from bayescal.files.csv_tables import read_table
@@ -279,6 +279,7 @@ def test_a_narrow_uniform_prior_is_no_failure(call, study, quick):
     assert Path("out/summary.json").exists()
 
 
+@pytest.mark.slow  # the toy kind's interrupts, and the contract of all kinds, have the same of small ones
 def test_interrupt_is_130_and_resume_completes(call, study, tmp_path, quick):
     call("run", study, "--out", "whole", "--workers", 1)
     process = start("run", study, "--out", "out", "--workers", 1, cwd=tmp_path)
@@ -352,8 +353,11 @@ def test_console_script_refuses_in_one_line(study, tmp_path):
 def test_simulate_writes_the_survey(call, study):
     code, out, err = call("simulate", "simulate.toml", "--out", "new/data")
     assert (code, err) == (0, "")
-    assert out.count("wrote new/data/") == 3
-    assert {f"data/{p.name}": p.read_text() for p in Path("new/data").iterdir()} == studies.tiny_survey_texts()
+    assert out.count("wrote new/data/") == 5
+    written = {f"data/{p.name}": p.read_text() for p in Path("new/data").iterdir()}
+    truth = {f"data/true_{what}.csv" for what in ("parameters", "poses")}
+    assert {name: text for name, text in written.items() if name not in truth} == studies.tiny_survey_texts()
+    assert truth < written.keys()
     assert call("simulate", "simulate.toml", "--out", "other", "--seed", 7)[0] == 0
     assert Path("other/targets.csv").read_text() != Path("new/data/targets.csv").read_text()
 
@@ -439,7 +443,7 @@ def test_report_of_results_that_no_experiment_wrote(refuse, tmp_path, provenance
     assert expected in refuse("report", tmp_path)
 
 
-def test_report_is_written_anew(call, study, monkeypatch):
+def test_report_is_written_anew(call, study, monkeypatch, no_pictures):
     with monkeypatch.context() as patched:
         patched.setattr(frame, "write_page", lambda page, folder, more: folder)
         call("run", study, "--out", "out", "--workers", 1)
@@ -491,6 +495,7 @@ STUDIES = [
     ("m2_hexapod/study", 3),
     ("m2_hexapod/lengths", 1),
     ("camera_hexapod/study", 1),
+    ("hexaglide/study", 2),
 ]
 
 
@@ -528,6 +533,7 @@ def test_every_shipped_experiment_is_run_here():
         *(f"sliding_star/{name}.toml" for name in ("machine", "simulate", "study")),  # in reading_study
         "camera_hexapod/simulate.toml",
         "m2_hexapod/simulate.toml",
+        *(f"hexaglide/{name}.toml" for name in ("mechanism", "simulate", "audit")),  # in test_hexaglide
         "telescope/mechanism.toml",
         "telescope/simulate.toml",
         *(f"{name}.toml" for name in names),

@@ -11,7 +11,7 @@ SHIPPED = Path(__file__).parents[1] / "experiments"
 
 SMALL = {
     "study": {"walkers": "8", "burn_in": "5", "steps": "10", "draws": "1000", "max_draws": "1000"}
-    | {"tolerance_mm": "[2.0]"},
+    | {"factor": "[1.0]"},
     "pose_methods": {"repeats": "2", "n_targets": "[6, 8]"},
     "hexapod_calibrations": {
         **{"candidates": "150", "list_length": "5", "iterations": "3", "verification_poses": "7", "repeats": "4"},
@@ -41,7 +41,10 @@ REPLACED: dict[str, tuple[tuple[str, str], ...]] = {
 }
 """What is replaced besides, as regular expressions."""
 
-ADDED = {"audit": "\n[sweep]\nnoise = [1.0]\nposes = [10, 40]\nworkspace = [1.0]\n"}
+ADDED = {
+    "audit": ("sweep", "noise = [1.0]\nposes = [10, 40]\nworkspace = [1.0]"),
+    "hexapod_calibrations": ("selection", "candidates = 150\nlist_length = 5\niterations = 3"),
+}
 """Sections that are shorter than what holds without them."""
 
 
@@ -56,8 +59,9 @@ def copy_tiny(folder: Path) -> Path:
             text = re.sub(rf"^{key} = (?!{{).*$", f"{key} = {value}", text, flags=re.MULTILINE)
         for old, new in REPLACED.get(kind, ()):
             text = re.sub(old, new, text)
-        if kind in ADDED and "extends" not in tomllib.loads(text):
-            text += ADDED[kind]
+        section, lines = ADDED.get(kind, ("", ""))
+        if section and not {"extends", section} & set(tomllib.loads(text)):
+            text += f"\n[{section}]\n{lines}\n"
         path.write_text(text, encoding="utf-8")
     return target
 

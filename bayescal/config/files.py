@@ -1,20 +1,44 @@
-"""Which input files a config names."""
+"""Which input files and classes a config names."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
+from bayescal.config.classes import ClassName
+from bayescal.config.registry import list_sources, load_class
 from bayescal.config.sections import FileMark, Section
 
 
 def find_files(section: Section) -> list[str]:
-    """Return the names in all fields of a config that are marked as `InputFile`."""
+    """Return the names in all fields of a config that are marked as `InputFile`, and the files of its classes."""
     return list(dict.fromkeys(_find(section)))
 
 
-def _find(value: Any) -> Iterator[str]:
+def find_classes(section: Section, folder: Path) -> list[type]:
+    """Return the classes that a config names, those in files relative to a folder."""
+    names = [one for one in _walk(section) if isinstance(one, ClassName)]
+    return [one.found or load_class(one.registry, one, folder) for one in names]
+
+
+def _walk(value: Any) -> Iterator[Any]:
+    """Yield everything in a section that holds nothing else."""
     if isinstance(value, Section):
+        inner: Any = [getattr(value, name) for name in type(value).model_fields]
+    elif isinstance(value, dict | list | tuple):
+        inner = value.values() if isinstance(value, dict) else value
+    else:
+        yield value
+        return
+    for one in inner:
+        yield from _walk(one)
+
+
+def _find(value: Any) -> Iterator[str]:
+    if isinstance(value, ClassName):
+        yield from list_sources(value.registry, value)
+    elif isinstance(value, Section):
         for name, field in type(value).model_fields.items():
             inner = getattr(value, name)
             marks = [*field.metadata, *_list_metadata(field.annotation)]

@@ -17,6 +17,10 @@ from bayescal.files.atomic import read_text
 
 EXTENDS = "extends"
 MAX_DEPTH = 8
+FOLDER = "folder"
+"""Where names of files start, in the context of a validation."""
+OWN = "a class of one's own"
+"""The branch of a union that is a section of somebody else's class."""
 MEASURED = "measured-"
 """Begins the tags of unions whose branches are told apart by more than a key that has to be there."""
 
@@ -60,13 +64,16 @@ def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
 
 
 def _differ(old: dict[str, Any], new: dict[str, Any]) -> bool:
-    return any(tag in new and old.get(tag) != new[tag] for tag in ("kind", "plan", "prior"))
+    return any(tag in new and old.get(tag) != new[tag] for tag in ("kind", "plan", "prior", "class"))
 
 
 def check_section[S: Section](schema: type[S], content: dict[str, Any], path: Path, text: str) -> S:
-    """Return content as a section; InputError with file, line, field, found and expected where it is none."""
+    """Return content as a section, the classes that it names looked up beside its file.
+
+    InputError with file, line, field, found and expected where it is none.
+    """
     try:
-        return schema.model_validate(content)
+        return schema.model_validate(content, context={FOLDER: path.parent})
     except ValidationError as error:
         raise InputError(_describe(error, schema, path, text)) from error
 
@@ -85,7 +92,7 @@ def _describe(error: ValidationError, schema: type[Section], path: Path, text: s
     where = f"{path}, line {line}: {field}" if line else f"{path}: {field}"
     if fault["type"] == "extra_forbidden":
         known = _known_keys(schema, _keys_of(fault["loc"], tags=True)[:-1])
-        return f"{where}: unknown key{_suggest(str(location[-1]), known)}, expected {_one_of(known)}"
+        return f"{where}: {describe_unknown_key(known, str(location[-1]))}"
     message = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "missing":
         return f"{where}: missing, expected a value"
@@ -103,7 +110,7 @@ def _describe(error: ValidationError, schema: type[Section], path: Path, text: s
 
 def _keys_of(location: tuple[int | str, ...], tags: bool = False) -> list[int | str]:
     """Return a fault's location without the parts that name a branch of a union, but for tags where they are wanted."""
-    branches = {"normal", "uniform", "fixed", "float", "constrained-float", "observability", "accuracy", "numbers"}
+    branches = {"normal", "uniform", "fixed", "float", "constrained-float", "observability", "accuracy", "numbers", OWN}
     marks = ("function-", "list[", *(() if tags else (MEASURED,)))
     return [part for part in location if part not in branches and not str(part).startswith(marks)]
 
@@ -170,8 +177,20 @@ def _one_of(names: Iterable[str]) -> str:
 def look_up[T](registry: Mapping[str, T], name: str, what: str, where: Path) -> T:
     """Return the entry of a registry; InputError with the nearest name where there is none."""
     if name not in registry:
-        raise InputError(f"{where}: {what}: found {name!r}{_suggest(name, registry)}, expected {_one_of(registry)}")
+        raise InputError(f"{where}: {what}: {describe_unknown(registry, name)}")
     return registry[name]
+
+
+def describe_unknown(known: Iterable[str], name: str) -> str:
+    """Return that a name is none of those known, with the nearest one."""
+    known = list(known)
+    return f"found {name!r}{_suggest(name, known)}, expected {_one_of(known)}"
+
+
+def describe_unknown_key(known: Iterable[str], key: str) -> str:
+    """Return that a key of a section is none of those known, with the nearest one."""
+    known = list(known)
+    return f"unknown key{_suggest(key, known)}, expected {_one_of(known) if known else 'none'}"
 
 
 def dump_config(config: Section) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from bayescal.config.classes import ClassMark
 from bayescal.config.sections import (
     ExperimentConfig,
     InputFile,
@@ -19,10 +20,20 @@ from bayescal.config.sections import (
 
 
 class TruthConfig(Section):
-    """The machine behind the simulated data: nominal plus offsets, and a deformation matrix; rigid without one."""
+    """The machine behind the simulated data, and a deformation matrix; rigid without one.
+
+    Its parameters are nominal plus offsets, or those of a file as a simulation writes it.
+    """
 
     deformation_matrix: InputFile | None = None
-    offsets: dict[str, PerLeg]
+    offsets: dict[str, PerLeg] | None = None
+    parameters: InputFile | None = None
+
+    @model_validator(mode="after")
+    def _check_one(self) -> Self:
+        if (self.offsets is None) == (self.parameters is None):
+            raise ValueError("expected either offsets or parameters")
+        return self
 
 
 class PosesConfig(Section):
@@ -117,7 +128,7 @@ class SimulationConfig(ExperimentConfig):
     kind: Literal["simulation"]
     origin: str
     mechanism: InputFile
-    model: str
+    model: Annotated[str, ClassMark("MODELS")]
     truth: TruthConfig
     poses: PosesConfig
     noise: NoiseConfig

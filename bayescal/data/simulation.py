@@ -8,32 +8,36 @@ deformation and which leaves the ring as it is. So targets give back K, and a ca
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from bayescal.config.classes import name_failures
 from bayescal.config.load import look_up
 from bayescal.data.actuators import name_actuators
 from bayescal.data.photogrammetry.survey import BODIES, REFERENCE_COLUMNS, TARGET_COLUMNS, BodyTargets, Survey
-from bayescal.data.schema import SimulationConfig, TargetRingConfig
+from bayescal.data.schema import SimulationConfig, TargetRingConfig, TruthConfig
+from bayescal.data.truth import (
+    PARAMETERS_FILE,
+    POSES_FILE,
+    format_true_parameters,
+    format_true_poses,
+    read_true_parameters,
+    round_as_written,
+)
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_matrix
 from bayescal.machines.deformations import MatrixDeformation
-from bayescal.machines.kinematics import (
-    ForwardKinematics,
-    Machine,
-    build_machine,
-    check_home_pose,
-    solve_forward_kinematics,
-)
+from bayescal.machines.kinematics import ForwardKinematics, Machine, check_home_pose, solve_forward_kinematics
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.models import MODELS
-from bayescal.machines.read import load_mechanism
-from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
+from bayescal.machines.read import build_chosen_machine, choose_model, load_mechanism
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
 from bayescal.numerics.units import MICROMETRE
 
 DECIMALS = 6
+POSE_COORDINATES = ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,25 +79,38 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     n_legs = mechanism.n_legs
     name = config.truth.deformation_matrix
     matrix = np.zeros((n_legs, n_legs)) if name is None else 1e-3 * read_matrix(folder / name, n_legs)
-    model = look_up(MODELS, config.model, "model", folder)
-    machine = build_machine(model, mechanism, MatrixDeformation(matrix))
+    chosen = choose_model(config.model, "model", folder)
+    with name_failures(chosen.found, "model", folder):
+        machine = build_chosen_machine(chosen, mechanism, MatrixDeformation(matrix))
     check_home_pose(machine)
+    calibration, verification = (
+        config.poses.unit_mm * read_matrix(folder / name, n_legs)
+        for name in (config.poses.calibration, config.poses.verification)
+    )
+    return Twin(machine, _read_truth(machine, config.truth, folder), config, calibration, verification)
+
+
+def _read_truth(machine: Machine, truth: TruthConfig, folder: Path) -> Array:
+    """Return the true parameters, shape (D,), with the digits that are written of them."""
+    if truth.parameters is not None:
+        return round_as_written(read_true_parameters(folder / truth.parameters, machine.layout))
     theta = machine.layout.nominal.copy()
-    for symbol, offset in config.truth.offsets.items():
+    for symbol, offset in (truth.offsets or {}).items():
         index = look_up(machine.layout.index, symbol, "truth.offsets", folder)
         values = np.atleast_1d(np.array(offset, dtype=np.float64))
         if len(values) not in (1, len(index)):
             raise InputError(f"truth.offsets.{symbol}: found {len(values)} values, expected 1 or {len(index)}")
         theta[index] += values
-    calibration, verification = (
-        config.poses.unit_mm * read_matrix(folder / name, n_legs)
-        for name in (config.poses.calibration, config.poses.verification)
-    )
-    return Twin(machine, theta, config, calibration, verification)
+    return round_as_written(theta)
 
 
 def simulate_survey(twin: Twin, rng: np.random.Generator, theta: Array | None = None) -> Survey:
-    """Return one survey of the twin, with noise of its own.
+    """Return one survey of the twin as `survey_twin` does, without the true poses."""
+    return survey_twin(twin, rng, theta)[0]
+
+
+def survey_twin(twin: Twin, rng: np.random.Generator, theta: Array | None = None) -> tuple[Survey, Array]:
+    """Return one survey of the twin, with noise of its own, and the true poses.
 
     Parameters
     ----------
@@ -103,6 +120,13 @@ def simulate_survey(twin: Twin, rng: np.random.Generator, theta: Array | None = 
         Source of all noise and of the measurement frames.
     theta : ndarray, shape (D,), optional
         Other true parameters than the twin's.
+
+    Returns
+    -------
+    survey : Survey
+    poses : ndarray, shape (P, 6)
+        Where the platform truly stood, the actuators' noise included: position in mm and rotation vector in rad, base
+        frame.
     """
     config, mechanism = twin.config, twin.mechanism
     assert config.measurement_frame is not None
@@ -122,12 +146,13 @@ def simulate_survey(twin: Twin, rng: np.random.Generator, theta: Array | None = 
     for points in (on_base, on_platform):
         seen = origin[:, None] + points @ np.swapaxes(rotation, -1, -2)
         measured.append(seen + rng.normal(0.0, config.noise.target_um * MICROMETRE, seen.shape))
-    return Survey(
+    survey = Survey(
         *name_poses(twin),
         commanded,
         BodyTargets(base.names, base.leg, base.reference, measured[0]),
         BodyTargets(platform.names, platform.leg, platform.reference, measured[1]),
     )
+    return survey, stack_poses(pose)
 
 
 def move(twin: Twin, rng: np.random.Generator, theta: Array) -> tuple[Array, Array, ForwardKinematics]:
@@ -136,6 +161,11 @@ def move(twin: Twin, rng: np.random.Generator, theta: Array) -> tuple[Array, Arr
     commanded = twin.mechanism.initial_actuator_positions + displacement
     actual = commanded + rng.normal(0.0, twin.config.noise.actuator_um * MICROMETRE, commanded.shape)
     return commanded, actual, solve_forward_kinematics(twin.machine, theta, actual)
+
+
+def stack_poses(found: ForwardKinematics) -> Array:
+    """Return poses as position in mm and rotation vector in rad, base frame, shape (P, 6)."""
+    return np.concatenate([found.position, rotation_vector_from_matrix(found.rotation)], axis=1)
 
 
 def name_poses(twin: Twin) -> tuple[tuple[str, ...], np.ndarray]:
@@ -194,6 +224,17 @@ def format_actuators(names: tuple[str, ...], verification: np.ndarray, actuators
     ]
     text = "Actuator positions rho in mm; displacements are counted from the initial positions of the mechanism."
     return format_table([origin, text], ("pose", "use", *name_actuators(actuators.shape[1])), rows)
+
+
+def format_truth(twin: Twin, names: Sequence[str], poses: Array) -> dict[str, str]:
+    """Return the texts of two CSV files by their names: the twin's true parameters, and true poses (P, 6)."""
+    origin = twin.config.origin
+    about_parameters = "True parameters of the machine that the survey is of."
+    about_poses = "True poses of the platform frame in the base frame at the survey: position, rotation vector."
+    return {
+        PARAMETERS_FILE: format_true_parameters([origin, about_parameters], twin.machine.layout, twin.theta),
+        POSES_FILE: format_true_poses([origin, about_poses], POSE_COORDINATES, names, poses),
+    }
 
 
 def format_survey(survey: Survey, origin: str) -> dict[str, str]:

@@ -25,7 +25,6 @@ from bayescal.errors import InputError
 from bayescal.machines.frames import frame_blocks, measured_pose_slopes, move_frames
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.models.base import Linearisation, newton_step
-from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 
 
@@ -53,7 +52,7 @@ class InstrumentLikelihood(Likelihood):
         self, machine: Machine, instrument: Instrument, actuator_noise: float, actuator_variance: Array | None = None
     ) -> None:
         self.machine, self.instrument = machine, instrument
-        self.layout = ParameterLayout(machine.layout.blocks + frame_blocks(instrument.n_stations))
+        self.layout = machine.layout.extend(frame_blocks(instrument.n_stations))
         self._legs = self._bind_legs(actuator_noise, actuator_variance)
         self.actuator_weight = self._legs.actuator_weight
         reference, nominal = self._legs.poses, machine.layout.nominal

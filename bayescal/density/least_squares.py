@@ -13,13 +13,13 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.machines.coordinates import mirror_direction
+from bayescal.machines.coordinates import line_slope, mirror_direction
 from bayescal.machines.kinematics import Machine, compute_home_legs
 from bayescal.machines.models import Linearisation, SixPus
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
-START_TILT = 0.1  # how far u_x starts at least from the leg's slope, at which its column vanishes
+START_TILT = 0.1  # how far a component of u starts at least from its leg's slope, at which its column vanishes
 TOLERANCE = 1e-12
 NULL = 1e-10  # singular value, as a share of the largest, below which a direction changes nothing
 MAX_EVALUATIONS = 1000
@@ -70,8 +70,9 @@ def identify(
 ) -> LeastSquaresFit:
     """Minimise the sum of squared W f over all legs' parameters of the given symbols.
 
-    With u_x free each leg has two solutions of nearly the same actuator gain. Which one is nearer is decided leg by leg
-    on the closure f itself, where a leg's residual is its own; an objective that mixes the legs then starts from there.
+    With a component of u free each leg has two solutions of nearly the same actuator gain. Which one is nearer is
+    decided leg by leg on the closure f itself, where a leg's residual is its own; an objective that mixes the legs then
+    starts from there.
 
     Parameters
     ----------
@@ -80,7 +81,7 @@ def identify(
     symbols : tuple of str
         What is free.
     start : ndarray, shape (D,), optional
-        Parameter vector to start from, nominal without it; u_x is moved off the slope of its leg.
+        Parameter vector to start from, nominal without it; u is moved off the direction of its leg.
     objective : ndarray, shape (N, N), optional
         W; without it the model's own (`KinematicModel.objective`).
     """
@@ -89,22 +90,28 @@ def identify(
     free = np.concatenate([layout.index[symbol] for symbol in list_identified(machine, symbols)])
     start = layout.nominal.copy() if start is None else start.copy()
     identity = np.eye(machine.mechanism.n_legs)
-    if "u_x" not in symbols:
+    component = next((k for k, symbol in enumerate(layout.direction_symbols) if symbol in symbols), None)
+    if component is None:
         best = minimise(machine, poses, free, start, identity)
     else:
-        best = _try_both_directions(machine, poses, free, start)
+        best = _try_both_directions(machine, poses, free, start, component)
     return best if np.array_equal(weight, identity) else minimise(machine, poses, free, best.theta, weight)
 
 
-def _try_both_directions(machine: Machine, poses: MeasuredPoses, free: np.ndarray, start: Array) -> LeastSquaresFit:
+def _try_both_directions(
+    machine: Machine, poses: MeasuredPoses, free: np.ndarray, start: Array, component: int
+) -> LeastSquaresFit:
     layout, identity, legs = machine.layout, np.eye(machine.mechanism.n_legs), compute_home_legs(machine)
-    slopes = legs[:, 0] / legs[:, 2]
-    start[layout.index["u_x"]] = _leave(start[layout.index["u_x"]], slopes)
+    turned = layout.index[layout.direction_symbols[component]]
+    slopes = np.array([line_slope(layout, k, component, leg) for k, leg in enumerate(legs)])
+    start[turned] = _leave(start[turned], slopes)
     best, improved = minimise(machine, poses, free, start, identity), True
     while improved:
         improved = False
-        for leg, slope in enumerate(slopes):
-            mirrored = mirror_direction(layout, best.theta, leg, slope, free)
+        for leg, line in enumerate(legs):
+            mirrored = mirror_direction(layout, best.theta, leg, component, line, free)
+            if mirrored is None:
+                continue
             other = minimise(machine, poses, free, mirrored, identity)
             if other.objective < (1.0 - BETTER) * best.objective:
                 best, improved = other, True
@@ -112,7 +119,7 @@ def _try_both_directions(machine: Machine, poses: MeasuredPoses, free: np.ndarra
 
 
 def _leave(direction: Array, slope: Array) -> Array:
-    """Return u_x moved away from the legs' slopes to a distance of `START_TILT` where they are closer."""
+    """Return components moved away from the legs' slopes to a distance of `START_TILT` where they are closer."""
     off = direction - slope
     return np.where(np.abs(off) < START_TILT, slope + np.where(off < 0, -START_TILT, START_TILT), direction)
 

@@ -15,7 +15,7 @@ from bayescal.density.priors import HalfNormalPrior, Prior, UniformPrior
 from bayescal.errors import InputError
 from bayescal.limits import FAR_AWAY
 from bayescal.machines.coordinates import Coordinates, mirror_direction
-from bayescal.machines.kinematics import compute_leg_slopes
+from bayescal.machines.kinematics import compute_leg_lines
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
@@ -129,11 +129,11 @@ class Posterior:
         free = np.array(sorted(position[name] for name in self.priors), dtype=int)
         ordered = [self.priors[layout.names[k]] for k in free]
         start[free] = [prior.mean for prior in ordered]
-        slopes = compute_leg_slopes(self.likelihood.machine)
+        lines = compute_leg_lines(self.likelihood.machine)
         bounds = [(p.lower, p.upper) if isinstance(p, UniformPrior) else (-np.inf, np.inf) for p in ordered]
         lower, upper = np.array(bounds).reshape(-1, 2).T
         scale = np.array([p.sd for p in ordered])
-        return Coordinates(layout, start, free, scale, slopes, lower, upper)
+        return Coordinates(layout, start, free, scale, lines, lower, upper)
 
     @cached_property
     def _ordered_priors(self) -> tuple[Prior, ...]:
@@ -355,31 +355,39 @@ class Posterior:
     def jumps(self, y: Array) -> list[tuple[int, Array]]:
         """Return legs, and coordinates with the leg's direction mirrored to the other solution of the same gain.
 
-        With u_x free and κ fixed the actuator gain u_z + (z_x / z_z) u_x has two solutions for u_x in every leg.
+        With one component of u free and κ fixed the actuator's gain along the leg, z · u, has two solutions in every
+        leg. With both components free a circle of equal gain joins the two.
         """
         coordinates, layout = self.coordinates, self._layout
-        if "u_x" not in layout.index:
-            return []
-        kappa_free = np.isin(layout.index["kappa"], coordinates.free) if "kappa" in layout.index else None
         images = []
-        for leg, position in enumerate(layout.index["u_x"]):
-            if position not in coordinates.free or (kappa_free is not None and kappa_free[leg]):
-                continue
-            if layout.index["u_y"][leg] in coordinates.free:
-                continue  # with both components free a circle of equal gain joins the two
+        for leg, component in self._lone_components():
             theta = coordinates.theta_from_y(y[None, : self.n_geometry])[0]
-            theta = mirror_direction(layout, theta, leg, coordinates.leg_slope[leg, 0], coordinates.free)
+            mirrored = mirror_direction(layout, theta, leg, component, coordinates.legs[leg], coordinates.free)
+            if mirrored is None:
+                continue
             image = y.copy()
-            image[: self.n_geometry] = coordinates.y_from_theta(theta)
+            image[: self.n_geometry] = coordinates.y_from_theta(mirrored)
             images.append((leg, image))
         return images
 
+    def _lone_components(self) -> list[tuple[int, int]]:
+        """Return the legs of which one component of u is free and κ is not, with that component, 0 or 1."""
+        layout, free = self._layout, self.coordinates.free
+        if not layout.direction_symbols:
+            return []
+        components = np.stack([np.isin(layout.index[symbol], free) for symbol in layout.direction_symbols])
+        alone = components.sum(axis=0) == 1
+        if "kappa" in layout.index:
+            alone &= ~np.isin(layout.index["kappa"], free)
+        return [(int(leg), int(np.argmax(components[:, leg]))) for leg in np.flatnonzero(alone)]
+
     def curved_ridges(self) -> list[tuple[int, np.ndarray]]:
-        """Return the coordinates of free directions u_x and u_y, each with the other coordinates of its leg.
+        """Return the coordinates of free directions' components, each with the other coordinates of its leg.
 
         Where κ is fixed the actuator gain is a quadratic of u_x that the other parameters of the leg have to follow.
         """
-        tilted = np.array([name.startswith(("u_x[", "u_y[")) for name in self.names], dtype=bool)
+        components = tuple(f"{symbol}[" for symbol in self._layout.direction_symbols)
+        tilted = np.array([name.startswith(components) for name in self.names], dtype=bool)
         return [(int(k), index[~tilted[index]]) for index in self._legs() for k in index[tilted[index]]]
 
     def funnel(self, y: Array) -> Funnel | None:

@@ -47,7 +47,7 @@ class Knowledge:
     @cached_property
     def layout(self) -> ParameterLayout:
         """The machine's parameters, then those of the measurement's frames."""
-        return ParameterLayout(self.machine.layout.blocks + FRAME_BLOCKS)
+        return self.machine.layout.extend(FRAME_BLOCKS)
 
     @cached_property
     def names(self) -> tuple[str, ...]:

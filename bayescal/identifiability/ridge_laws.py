@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from bayescal.identifiability.design import Knowledge
-from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.machines.directions import DirectionChart, Rows
+from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.mechanism import Drive
 from bayescal.machines.models.legs import compute_leg_vectors
 from bayescal.numerics.geometry import Array
@@ -30,13 +31,28 @@ CLOSED = 0.5  # steps from its start at which a curve has come round
 type Values = Mapping[str, float]
 type Pair = tuple[str, str]
 
+UPRIGHT = ("u_x", "u_y")
+AXES_OF_THE_BASE: Rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
 
 @dataclass(frozen=True)
 class Leg:
-    """A leg at home: its direction z in the base frame, and the same in the platform's, zᵀR."""
+    """A leg at home.
+
+    Attributes
+    ----------
+    base, platform : tuple of 3 floats
+        Its direction z in the base frame, and the same in the platform's, zᵀR.
+    symbols : tuple of str
+        Of the components of its actuator's direction.
+    frame : tuple, 3 x 3
+        What they are components along, and the pole, base frame (see `machines.directions`).
+    """
 
     base: tuple[float, float, float]
     platform: tuple[float, float, float]
+    symbols: tuple[str, ...] = UPRIGHT
+    frame: Rows = AXES_OF_THE_BASE
 
 
 @dataclass(frozen=True)
@@ -79,18 +95,22 @@ def _say(value: float) -> str:
 # --- invariants --------------------------------------------------------------------------------------------------
 
 
-def _direction(values: Values) -> tuple[float, float, float]:
-    """Return u, zero for struts; NaN where its components leave the unit sphere."""
-    if "u_x" not in values:
+def _direction(leg: Leg, values: Values) -> tuple[float, float, float]:
+    """Return u in the base frame, zero for struts; NaN where its components leave the unit sphere."""
+    if leg.symbols[0] not in values:
         return 0.0, 0.0, 0.0
-    x, y = values["u_x"], values["u_y"]
-    rest = 1.0 - x * x - y * y
-    return x, y, math.sqrt(rest) if rest >= 0.0 else math.nan
+    first, second = (values[symbol] for symbol in leg.symbols)
+    rest = 1.0 - first * first - second * second
+    parts = (first, second, math.sqrt(rest) if rest >= 0.0 else math.nan)
+    if leg.frame == AXES_OF_THE_BASE:
+        return parts
+    x, y, z = (sum(part * axis[k] for part, axis in zip(parts, leg.frame, strict=True)) for k in range(3))
+    return x, y, z
 
 
 def _length(leg: Leg, values: Values) -> float:
     """Return l + z·(a + ρ^0 u) - z·R b: what is left of the leg's length once its joints are where they are."""
-    total, rho0, u = values["l"], values.get("rho0", 0.0), _direction(values)
+    total, rho0, u = values["l"], values.get("rho0", 0.0), _direction(leg, values)
     for k, axis in enumerate("xyz"):
         total += leg.base[k] * (values[f"a_{axis}"] + rho0 * u[k]) - leg.platform[k] * values[f"b_{axis}"]
     return total
@@ -98,7 +118,7 @@ def _length(leg: Leg, values: Values) -> float:
 
 def _gain(leg: Leg, values: Values) -> float:
     """Return z·u - z_z κ: how far the joints move together along the leg when the actuator moves."""
-    u = _direction(values)
+    u = _direction(leg, values)
     return sum(leg.base[k] * u[k] for k in range(3)) - leg.base[2] * values.get("kappa", 0.0)
 
 
@@ -106,8 +126,7 @@ def _joint(axis: int) -> Callable[[Leg, Values], float]:
     """Return the invariant c = a + ρ^0 u along an axis: where the lower joint stands at home."""
 
     def invariant(leg: Leg, values: Values) -> float:
-        del leg
-        return values[f"a_{'xyz'[axis]}"] + values["rho0"] * _direction(values)[axis]
+        return values[f"a_{'xyz'[axis]}"] + values["rho0"] * _direction(leg, values)[axis]
 
     return invariant
 
@@ -156,6 +175,59 @@ LAWS: tuple[Law, ...] = (
 )
 
 
+def list_laws(machine: Machine) -> tuple[Law, ...]:
+    """Return the laws of a machine's legs.
+
+    The published ones are those of actuators told by u_x and u_y, which lean little. Where an actuator leans far or
+    is level, a shift of either joint along any axis may be taken up by the leg's length.
+    """
+    chart = machine.layout.directions
+    if chart is None or chart.upright:
+        return tuple(law for law in LAWS if machine.mechanism.drive in law.drives)
+    return _laws_of_any_direction(chart)
+
+
+def _laws_of_any_direction(chart: DirectionChart) -> tuple[Law, ...]:
+    first, second = chart.symbols
+    frames = np.array(chart.frames)
+    moved = {  # the axes along which some joint moves with a component
+        symbol: np.flatnonzero(np.abs(frames[:, k]).max(axis=0) > 0.0) for k, symbol in enumerate(chart.symbols)
+    }
+    return (
+        Law(
+            ("base",),
+            (*((point, "l") for point in _POINTS), *product(_POINTS[:3], _POINTS[3:])),
+            "l + z·(a + ρ0 u) − z·b, z = ({z_x}, {z_y}, {z_z})",
+            "the distance of the joints along the leg",
+            _length,
+        ),
+        Law(
+            ("base",),
+            (("kappa", first), ("kappa", second)),
+            "z·u − z_z κ, z = ({z_x}, {z_y}, {z_z})",
+            "the gain of the actuator along the leg",
+            _gain,
+        ),
+        Law(
+            ("base",),
+            ((first, second),),
+            "z·u, what the actuator moves along the leg, z = ({z_x}, {z_y}, {z_z})",
+            "the direction of the actuator against the leg",
+            _gain,
+        ),
+        *(
+            Law(
+                ("base",),
+                (("rho0", f"a_{axis}"), *((symbol, f"a_{axis}") for symbol, axes in moved.items() if k in axes)),
+                f"a_{axis} + ρ0 u_{axis}, the lower joint at home",
+                "the place of the joint at home",
+                _joint(k),
+            )
+            for k, axis in enumerate("xyz")
+        ),
+    )
+
+
 def find_legs(knowledge: Knowledge) -> list[Leg]:
     """Return the legs at the home pose of the expected machine."""
     machine = knowledge.machine
@@ -164,7 +236,11 @@ def find_legs(knowledge: Knowledge) -> list[Leg]:
     home = solve_forward_kinematics(machine, theta, actuators)
     vectors = compute_leg_vectors(machine.layout, theta, home.position, home.rotation, machine.basis(actuators))
     turned = vectors.axis @ home.rotation
-    return [Leg(tuple(z), tuple(own)) for z, own in zip(vectors.axis.tolist(), turned.tolist(), strict=True)]
+    chart = machine.layout.directions
+    legs = [Leg(tuple(z), tuple(own)) for z, own in zip(vectors.axis.tolist(), turned.tolist(), strict=True)]
+    if chart is None:
+        return legs
+    return [replace(leg, symbols=chart.symbols, frame=frame) for leg, frame in zip(legs, chart.frames, strict=True)]
 
 
 # --- curves ------------------------------------------------------------------------------------------------------

@@ -157,7 +157,14 @@ def _phrase(knowledge: Knowledge, direction: Direction, move: Array, change: Arr
     return f"{text} changes no measured pose by more than {round_up(position)} µm and {round_up(rotation)} arcsec."
 
 
-def describe_move(names: Sequence[str], kinds: Sequence[str], direction: Direction, move: Array, units: Units) -> str:
+def describe_move(
+    names: Sequence[str],
+    kinds: Sequence[str],
+    direction: Direction,
+    move: Array,
+    units: Units,
+    member: str = "leg",
+) -> str:
     """Return a ridge's move in words, as the beginning of a sentence.
 
     Parameters
@@ -169,6 +176,8 @@ def describe_move(names: Sequence[str], kinds: Sequence[str], direction: Directi
         In inner units.
     units : Units
         Those of the sentence.
+    member : str
+        What one of many is called.
     """
     pivot = direction.pivot
     assert pivot is not None
@@ -178,7 +187,7 @@ def describe_move(names: Sequence[str], kinds: Sequence[str], direction: Directi
     legs = {_leg_of(names[k]) for k in (pivot, *order)}
     leg = next(iter(legs)) if len(legs) == 1 and None not in legs else None
     name = (lambda k: _symbol_of(names[k])) if leg else (lambda k: names[k])
-    where = f"Leg {leg}: " if leg else ""
+    where = f"{member.capitalize()} {leg}: " if leg else ""
     text = f"{where}changing {name(pivot)} by {_amount(kinds[pivot], move[pivot], units)}"
     text = text if leg else text[0].upper() + text[1:]
     if main:

@@ -24,6 +24,7 @@ TWIN_SHIFT = 4.0  # units in the last place
 REACH = 100.0  # how far above the rounding seen a value may lie and still be rounding
 CLEAR_GAP = 10.0  # a smaller ratio of neighbouring singular values leaves the rank open
 WIDE = 0.1  # displacements of the wide workspace as a share of the legs' lengths
+NARROW = 0.01  # of the shortest leg, that a workspace on long guides may be narrowed to
 NARROWER = 0.5
 MIN_WIDE_POSES = 40
 OFF = 0.1  # tolerances, of the other machine
@@ -131,7 +132,8 @@ def _draw_wide(knowledge: Knowledge, twins: Array, rng: np.random.Generator) -> 
     start = mechanism.initial_actuator_positions
     half = WIDE * float(mechanism.leg_lengths.min())
     theta = twins[:, None, : machine.layout.size]
-    while half > 0.1 * mechanism.actuator_range:
+    least = min(0.1 * mechanism.actuator_range, NARROW * float(mechanism.leg_lengths.min()))
+    while half > least:
         actuators = start + half * rng.uniform(-1.0, 1.0, (2 * wanted, mechanism.n_legs))
         found = solve_forward_kinematics(machine, theta, actuators, check=False)
         apart = np.abs(found.position - found.position[:1]).max(axis=(0, -1))  # twins that went to different places

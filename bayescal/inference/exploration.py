@@ -60,7 +60,9 @@ def count_walkers(n_parameters: int, n_walkers: int) -> int:
     return max(n_walkers, 2 * n_parameters + 2) // 2 * 2
 
 
-def explore(posterior: Target, seed: np.random.SeedSequence, n_walkers: int = 128) -> Exploration:
+def explore(
+    posterior: Target, seed: np.random.SeedSequence, n_walkers: int = 128, max_pilots: int = MAX_PILOTS
+) -> Exploration:
     """Find the modes, straighten the coordinates and fit a proposal.
 
     Laplace's approximation first; where a trial shows that it is not good enough, peaks refined over a posterior sd in
@@ -85,7 +87,7 @@ def explore(posterior: Target, seed: np.random.SeedSequence, n_walkers: int = 12
         best = found if found.efficiency > best.efficiency else best
     straight, proposal = best.straight, best.proposal
     walkers = count_walkers(posterior.n_parameters, n_walkers)
-    for pilot_seed in pilot_seeds:
+    for pilot_seed in pilot_seeds[:max_pilots]:
         if best.efficiency >= ACCEPTABLE:
             break
         pilot = run_ensemble(straight.log_density, proposal, pilot_seed, walkers, PILOT_BURN_IN, PILOT_STEPS)

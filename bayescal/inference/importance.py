@@ -75,3 +75,34 @@ def estimate_by_importance(
     _, pareto_k = array_stats.psislw(-finite)  # takes minus the log-weights, as log-likelihoods for LOO
     efficiency = 1.0 / np.mean(relative**2)
     return ImportanceEvidence(float(log_evidence), float(error), float(efficiency), float(pareto_k), len(log_weights))
+
+
+@dataclass(frozen=True, eq=False)
+class Resampled:
+    """Draws of a posterior by resampling those of a proposal.
+
+    Attributes
+    ----------
+    draws : ndarray, shape (T, n)
+    efficiency, pareto_k : float
+        As of `ImportanceEvidence`.
+    """
+
+    draws: Array
+    efficiency: float
+    pareto_k: float
+
+
+def resample(
+    log_density: LogDensity, proposal: MixtureProposal, rng: np.random.Generator, n_draws: int, n_kept: int
+) -> Resampled:
+    """Return n_kept draws out of n_draws of the proposal, by their Pareto-smoothed weights."""
+    draws = proposal.draw(n_draws, rng)
+    log_weights = evaluate_in_batches(log_density, draws) - proposal.log_density(draws)
+    finite = np.isfinite(log_weights)
+    if not finite.any():
+        raise NumericalError("importance sampling: no draw of the proposal has a finite density")
+    smoothed, pareto_k = array_stats.psislw(-log_weights[finite])
+    weights = np.exp(smoothed - logsumexp(smoothed))
+    chosen = rng.choice(np.flatnonzero(finite), n_kept, p=weights / weights.sum())
+    return Resampled(draws[chosen], float(1.0 / (n_draws * np.sum(weights**2))), float(pareto_k))

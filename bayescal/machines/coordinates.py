@@ -1,13 +1,15 @@
 """Coordinates in which the ridges of the posterior are straight, so that simple proposals follow them.
 
-Two shears of unit Jacobian take the curvature u_z = sqrt(1 - u_x² - u_y²) out of the ridges:
+Two shears of unit Jacobian take the curvature of the unit sphere, on which u has two components t1 and t2 and a third
+that follows (see `directions`), out of the ridges:
 
 - in place of the attachment point a, the joint at the initial actuator position, c = a + ρ^0 u, which is what the poses
   determine;
 - in place of κ, the gain of the actuator along the leg, κ' = κ - u_z - (z_x u_x + z_y u_y) / z_z with z the nominal leg
-  direction (RR-8096 eqs. 38 to 40), which is what κ and u together can tell.
+  direction (RR-8096 eqs. 38 to 40), which is what κ and u together can tell. Along a level leg κ does nothing.
 
-Where κ is not free, both components of a direction are replaced by its gain and its azimuth about the leg (`circles`).
+Where κ is not free, both components of a direction are replaced by its gain and its azimuth about the leg (`circles`),
+in the local frame of u.
 Struts have neither u nor ρ^0, and ridges that are straight as they stand.
 
 Every coordinate is then scaled by the prior's standard deviation. A parameter between bounds is not sheared; its
@@ -24,7 +26,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from bayescal.machines.circles import DirectionCircles, find_circles
-from bayescal.machines.models.legs import actuator_directions
+from bayescal.machines.models.legs import actuator_directions, chart_of, differentiate_directions, local_directions
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
@@ -43,8 +45,8 @@ class Coordinates:
         Positions of the free parameters in θ.
     scale : ndarray, shape (n,)
         Unit of each coordinate.
-    leg_slope : ndarray, shape (N, 2)
-        z_x / z_z and z_y / z_z of the nominal legs; not used without actuator directions.
+    legs : ndarray, shape (N, 3)
+        The nominal legs' lines, as `compute_leg_lines` gives them; not used without actuator directions.
     lower, upper : ndarray, shape (n,)
         Bounds of each free parameter, infinite where there are none.
     """
@@ -53,7 +55,7 @@ class Coordinates:
     start: Array
     free: np.ndarray
     scale: Array
-    leg_slope: Array
+    legs: Array
     lower: Array
     upper: Array
 
@@ -71,18 +73,19 @@ class Coordinates:
     @cached_property
     def _circles(self) -> tuple[np.ndarray, DirectionCircles] | None:
         """Legs with both components of u free, without bounds, and κ not; their circles."""
-        index = self.layout.index
-        if "u_x" not in index:
+        index, symbols = self.layout.index, self.layout.direction_symbols
+        if not symbols:
             return None
-        both = self._mask[index["u_x"]] & self._mask[index["u_y"]]
+        first, second = (index[symbol] for symbol in symbols)
+        both = self._mask[first] & self._mask[second]
         if "kappa" in index:
             both &= ~np.isin(index["kappa"], self.free)
         legs = np.flatnonzero(both)
         if not len(legs):
             return None
-        sd = np.maximum(*(self.scale[np.searchsorted(self.free, index[s][legs])] for s in ("u_x", "u_y")))
-        vectors = np.concatenate([self.leg_slope[legs], np.ones((len(legs), 1))], axis=1)
-        clear, circles = find_circles(actuator_directions(self.layout, self.start)[legs], vectors, sd)
+        sd = np.maximum(*(self.scale[np.searchsorted(self.free, index[s][legs])] for s in symbols))
+        vectors = chart_of(self.layout).to_local(self.legs)[legs]
+        clear, circles = find_circles(local_directions(self.layout, self.start)[legs], vectors, sd)
         return (legs[clear], circles) if clear.any() else None
 
     @cached_property
@@ -90,7 +93,7 @@ class Coordinates:
         """Where the coordinates of gain and azimuth stand in y."""
         assert self._circles is not None
         legs, _ = self._circles
-        gain, azimuth = (np.searchsorted(self.free, self.layout.index[s][legs]) for s in ("u_x", "u_y"))
+        gain, azimuth = (np.searchsorted(self.free, self.layout.index[s][legs]) for s in self.layout.direction_symbols)
         return gain, azimuth
 
     @cached_property
@@ -102,16 +105,16 @@ class Coordinates:
         """Return the part of log |dθ/dy| of the parameters without bounds that varies, shape (..., D) to (...)."""
         if self._circles is None:
             return 0.0
-        u_z = actuator_directions(self.layout, theta)[..., self._circles[0], 2]
-        return np.asarray(np.log(u_z).sum(axis=-1))
+        third = local_directions(self.layout, theta)[..., self._circles[0], 2]
+        return np.asarray(np.log(third).sum(axis=-1))
 
     def log_volume_slope(self, theta: Array) -> Array:
         """Return the derivative of `log_volume` by θ, shape (D,), at one vector (D,)."""
         slope = np.zeros(self.layout.size)
         if self._circles is not None:
             legs, _ = self._circles
-            u = actuator_directions(self.layout, theta)[legs]
-            for k, symbol in enumerate(("u_x", "u_y")):
+            u = local_directions(self.layout, theta)[legs]
+            for k, symbol in enumerate(self.layout.direction_symbols):
                 slope[self.layout.index[symbol][legs]] = -u[:, k] / u[:, 2] ** 2
         return slope
 
@@ -123,8 +126,14 @@ class Coordinates:
         rho0 = self.layout.take(theta, "rho0")
         shifts = {f"a_{axis}": rho0 * direction[..., k] for k, axis in enumerate("xyz")}
         if "kappa" in self.layout.index:
-            shifts["kappa"] = -direction[..., 2] - np.sum(self.leg_slope * direction[..., :2], axis=-1)
+            along = -direction[..., 2] - np.sum(self.legs[:, :2] * direction[..., :2], axis=-1)
+            shifts["kappa"] = np.where(self._rising, along, 0.0)
         return shifts
+
+    @cached_property
+    def _rising(self) -> np.ndarray:
+        """Legs that are not level, shape (N,): along these a deflection of the platform counts."""
+        return self.legs[:, 2] == 1.0
 
     @cached_property
     def _origin(self) -> Array:
@@ -150,8 +159,9 @@ class Coordinates:
             legs, circles = self._circles
             gain, azimuth = self._on_circles
             w = circles.gain + y[..., gain] * self.scale[gain] * circles.sine
-            u_x, u_y = circles.directions(w, y[..., azimuth] * self.scale[azimuth] / circles.sine)
-            theta[..., self.layout.index["u_x"][legs]], theta[..., self.layout.index["u_y"][legs]] = u_x, u_y
+            found = circles.directions(w, y[..., azimuth] * self.scale[azimuth] / circles.sine)
+            for symbol, component in zip(self.layout.direction_symbols, found, strict=True):
+                theta[..., self.layout.index[symbol][legs]] = component
         return self._shear(theta, theta, -1.0)
 
     def y_from_theta(self, theta: Array) -> Array:
@@ -161,7 +171,7 @@ class Coordinates:
         if self._circles is not None:
             legs, circles = self._circles
             gain, azimuth = self._on_circles
-            w, psi = circles.polar(actuator_directions(self.layout, theta)[..., legs, :])
+            w, psi = circles.polar(local_directions(self.layout, theta)[..., legs, :])
             y[..., gain] = (w - circles.gain) / (self.scale[gain] * circles.sine)
             y[..., azimuth] = psi * circles.sine / self.scale[azimuth]
         return y
@@ -178,37 +188,41 @@ class Coordinates:
         if "rho0" in index:
             direction = actuator_directions(self.layout, theta)
             rho0 = self.layout.take(theta, "rho0")
-            fall = direction[:, :2] / direction[:, 2:]  # -du_z / du_x, -du_z / du_y
+            slopes = differentiate_directions(self.layout, theta)
             for k, axis in enumerate("xyz"):
                 rows = index[f"a_{axis}"]
                 change[rows, index["rho0"]] -= direction[:, k]
-                for m, other in enumerate("xy"):
-                    slope = -fall[:, m] if k == 2 else np.full(len(rows), float(k == m))
-                    change[rows, index[f"u_{other}"]] -= rho0 * slope
+                for m, symbol in enumerate(self.layout.direction_symbols):
+                    change[rows, index[symbol]] -= rho0 * slopes[:, m, k]
             if "kappa" in index:
-                for m, other in enumerate("xy"):
-                    change[index["kappa"], index[f"u_{other}"]] += self.leg_slope[:, m] - fall[:, m]
+                for m, symbol in enumerate(self.layout.direction_symbols):
+                    along = np.sum(self.legs * slopes[:, m], axis=-1)
+                    change[index["kappa"], index[symbol]] += np.where(self._rising, along, 0.0)
             sheared = np.concatenate([index[s] for s in ("a_x", "a_y", "a_z", "kappa") if s in index])
             fixed = sheared[~self._mask[sheared]]
             change[fixed] = np.eye(self.layout.size)[fixed]
         if self._circles is not None:
             legs, circles = self._circles
-            x, y = (change[:, index[s][legs]].copy() for s in ("u_x", "u_y"))
-            by_gain, by_azimuth = circles.slopes(actuator_directions(self.layout, theta)[legs])
+            first, second = (index[symbol][legs] for symbol in self.layout.direction_symbols)
+            x, y = change[:, first].copy(), change[:, second].copy()
+            by_gain, by_azimuth = circles.slopes(local_directions(self.layout, theta)[legs])
             by_gain, by_azimuth = by_gain * circles.sine[:, None], by_azimuth / circles.sine[:, None]
-            change[:, index["u_x"][legs]] = x * by_gain[:, 0] + y * by_gain[:, 1]
-            change[:, index["u_y"][legs]] = x * by_azimuth[:, 0] + y * by_azimuth[:, 1]
+            change[:, first] = x * by_gain[:, 0] + y * by_gain[:, 1]
+            change[:, second] = x * by_azimuth[:, 0] + y * by_azimuth[:, 1]
         scale = self.scale.copy()
         normal_density = np.exp(-0.5 * ndtri(self._share(theta)) ** 2) / np.sqrt(2 * np.pi)
         scale[self.bounded] = (self.upper - self.lower)[self.bounded] * normal_density
         return change[:, self.free] * scale
 
 
-def mirror_direction(layout: ParameterLayout, theta: Array, leg: int, slope: float, free: np.ndarray) -> Array:
+def mirror_direction(
+    layout: ParameterLayout, theta: Array, leg: int, component: int, line: Array, free: np.ndarray
+) -> Array | None:
     """Return θ with one leg's actuator turned to the other direction of the same gain, its home joint kept in place.
 
-    The gain u_z + (z_x / z_z) u_x is that of an angle in the plane of x and z; it is even about arctan(z_x / z_z). Only
-    the free ones of the attachment point's coordinates follow.
+    With one component of u free, the actuator turns in the plane of e1 or e2 and the pole (see `directions`). The gain
+    along the leg is even about the leg's line in that plane. Only the free ones of the attachment point's coordinates
+    follow. None where the other direction is further from the pole than the components tell.
 
     Parameters
     ----------
@@ -216,18 +230,31 @@ def mirror_direction(layout: ParameterLayout, theta: Array, leg: int, slope: flo
     theta : ndarray, shape (D,)
     leg : int
         Counted from zero.
-    slope : float
-        z_x / z_z of the nominal leg.
+    component : int
+        Which one of the direction's two turns.
+    line : ndarray, shape (3,)
+        Along the nominal leg, base frame, of any length and sense.
     free : ndarray of int
         Positions of the free parameters in θ.
     """
     mirrored = theta.copy()
-    before = actuator_directions(layout, theta)[leg]
-    angle = 2 * np.arctan(slope) - np.arctan2(before[0], before[2])
-    mirrored[layout.index["u_x"][leg]] = np.hypot(before[0], before[2]) * np.sin(angle)
+    before, local = actuator_directions(layout, theta)[leg], local_directions(layout, theta)[leg]
+    slope = line_slope(layout, leg, component, line)
+    angle = 2 * np.arctan(slope) - np.arctan2(local[component], local[2])
+    if not np.cos(angle) > 0.0:
+        return None
+    symbol = layout.direction_symbols[component]
+    mirrored[layout.index[symbol][leg]] = np.hypot(local[component], local[2]) * np.sin(angle)
     moved = layout.take(theta, "rho0")[leg] * (before - actuator_directions(layout, mirrored)[leg])
     for shift, axis in zip(moved, "xyz", strict=True):
         position = layout.index[f"a_{axis}"][leg]
         if position in free:
             mirrored[position] += shift
     return mirrored
+
+
+def line_slope(layout: ParameterLayout, leg: int, component: int, line: Array) -> float:
+    """Return a line's part along e1 or e2 of a leg over that along its pole; infinite across the pole."""
+    local = chart_of(layout).to_local(np.broadcast_to(line, (len(layout.index["l"]), 3)))[leg]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.nan_to_num(local[component] / local[2], nan=0.0, posinf=np.inf, neginf=-np.inf))

@@ -11,13 +11,21 @@ from bayescal.errors import InputError, NumericalError
 from bayescal.machines.deformations.base import Deformation, DeformationBasis
 from bayescal.machines.mechanism import Drive, Mechanism
 from bayescal.machines.models import MODELS
-from bayescal.machines.models.base import KinematicModel, Linearisation, newton_step
+from bayescal.machines.models.base import Closure, KinematicModel, Linearisation, newton_step
 from bayescal.machines.models.home import guess_level_pose
-from bayescal.machines.parameters import ParameterLayout
+from bayescal.machines.models.legs import actuator_directions, dot
+from bayescal.machines.models.six_pus import SixPus
+from bayescal.machines.parameters import HomeStart, ParameterLayout
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 
 STEP_TOLERANCE = 1e-10
 SINGULAR_CONDITION = 1e8
+LEVEL = 1e-3  # of a leg's direction along z, below which it is level
+ACROSS = 1e-3  # of a leg's direction along its actuator, below which the actuator does not move it
+STRIDE = 0.25  # of the shortest leg, that actuators move from one pose of a path to the next one
+STEPS_ON_THE_WAY = 4  # of Newton's method at each pose of a path
+NEAR = 200.0  # mm from the initial positions, within which actuator positions are searched from there
+FURTHEST = 2.0  # actuator ranges, within which they are searched from where perfect joints want them
 DRIVEN: dict[Drive, str] = {"base": "actuators at the base", "strut": "struts"}
 
 
@@ -36,7 +44,21 @@ class Machine:
     @cached_property
     def layout(self) -> ParameterLayout:
         """Layout of the model's and the deformation's parameters."""
-        return ParameterLayout(self.model.blocks(self.mechanism) + self.deformation.blocks(self.mechanism.n_legs))
+        mechanism = self.mechanism
+        return mechanism.lay_out(self.model.blocks(mechanism) + self.deformation.blocks(mechanism.n_legs))
+
+    @cached_property
+    def sides(self) -> Array:
+        """On which side of its leg's foot each actuator stands at home, shape (N,): the sign of u · g, zero for struts.
+
+        Of the two positions from which a leg of given length reaches a point it has the one on the side of home.
+        """
+        mechanism = self.mechanism
+        home = solve_forward_kinematics(
+            self, self.layout.nominal, mechanism.initial_actuator_positions, check=False, follow=False
+        )
+        legs = home.position + mechanism.platform_points @ home.rotation.T - mechanism.home_joints
+        return np.asarray(np.sign(np.sum(mechanism.directions * legs, axis=1)))
 
     def basis(self, actuators: Array) -> DeformationBasis:
         """Return displacements from the nominal initial positions with their deflections, positions (..., N) in mm."""
@@ -74,19 +96,26 @@ class ForwardKinematics:
 
 
 def guess_home_pose(mechanism: Mechanism) -> tuple[Array, Array]:
-    """Return a level pose from which Newton's method finds the home pose: the stated one, or one above the base."""
-    if mechanism.home_position is not None:
-        return np.array(mechanism.home_position), np.eye(3)
+    """Return a level pose from which Newton's method finds the home pose, as stated or as the legs span."""
+    start = HomeStart(mechanism.home_position, mechanism.platform_below)
     try:
-        return guess_level_pose(mechanism.home_joints, mechanism.platform_points, mechanism.leg_lengths)
+        return guess_level_pose(mechanism.home_joints, mechanism.platform_points, mechanism.leg_lengths, start)
     except InputError as error:
         raise InputError(f"mechanism {mechanism.name!r}: {error}") from error
 
 
 def solve_forward_kinematics(
-    machine: Machine, theta: Array, actuators: Array, max_iterations: int = 30, check: bool = True
+    machine: Machine,
+    theta: Array,
+    actuators: Array,
+    max_iterations: int = 30,
+    check: bool = True,
+    follow: bool = True,
 ) -> ForwardKinematics:
     """Find the poses in which the closure vanishes.
+
+    Far from home they are found along the straight path of the actuators from there, since the legs of long guides
+    have other poses, too.
 
     Parameters
     ----------
@@ -100,6 +129,8 @@ def solve_forward_kinematics(
         Bound on the Newton steps.
     check : bool
         Raise where a pose is not found; otherwise the result's ``converged`` says so.
+    follow : bool
+        Go along the path; otherwise Newton's method starts at home however far that is.
 
     Returns
     -------
@@ -116,14 +147,15 @@ def solve_forward_kinematics(
     shape = np.broadcast_shapes(theta.shape[:-1], actuators.shape[:-1])
     position = np.broadcast_to(position, (*shape, 3))
     rotation = np.broadcast_to(rotation, (*shape, 3, 3))
-    basis = machine.basis(np.broadcast_to(actuators, (*shape, actuators.shape[-1])))
+    actuators = np.broadcast_to(actuators, (*shape, actuators.shape[-1]))
+    basis = machine.basis(actuators)
     closure = machine.model.prepare(machine.layout, theta)
+    if follow:
+        position, rotation = _follow_path(machine, theta, position, rotation, actuators)
     converged = np.zeros(shape, dtype=bool)
     iteration = 0
     while iteration < max_iterations and not converged.all():
-        step = newton_step(closure(position, rotation, basis, with_parameters=False))
-        position = position + step[..., :3]
-        rotation = matrix_from_rotation_vector(step[..., 3:]) @ rotation
+        position, rotation, step = _step_pose(closure, position, rotation, basis)
         converged = np.max(np.abs(step), axis=-1, initial=0.0) < STEP_TOLERANCE
         iteration += 1
     if check and not converged.all():
@@ -132,6 +164,33 @@ def solve_forward_kinematics(
             f"forward kinematics: pose {index + 1} of {converged.size} not found in {max_iterations} Newton steps"
         )
     return ForwardKinematics(position, rotation, converged, iteration)
+
+
+def _step_pose(
+    closure: Closure, position: Array, rotation: Array, basis: DeformationBasis
+) -> tuple[Array, Array, Array]:
+    """Return the poses after a Newton step, and the step."""
+    step = newton_step(closure(position, rotation, basis, with_parameters=False))
+    return position + step[..., :3], matrix_from_rotation_vector(step[..., 3:]) @ rotation, step
+
+
+def _follow_path(
+    machine: Machine, theta: Array, position: Array, rotation: Array, actuators: Array
+) -> tuple[Array, Array]:
+    """Return poses of perfect joints near those of actuators (..., N), from home poses.
+
+    Machines whose actuators travel little by design have theirs near enough to home: these poses are returned.
+    """
+    mechanism = machine.mechanism
+    n_strides = int(np.ceil(mechanism.actuator_range / (STRIDE * mechanism.leg_lengths.min())))
+    if mechanism.drive == "strut" or n_strides < 2:
+        return position, rotation
+    closure, start = SixPus().prepare(machine.layout, theta), mechanism.initial_actuator_positions
+    for share in np.arange(1, n_strides + 1) / n_strides:
+        basis = machine.basis(start + share * (actuators - start))
+        for _ in range(STEPS_ON_THE_WAY):
+            position, rotation, _ = _step_pose(closure, position, rotation, basis)
+    return position, rotation
 
 
 @dataclass(frozen=True)
@@ -157,7 +216,8 @@ def solve_inverse_kinematics(
     position, rotation : ndarray, shapes (..., 3) and (..., 3, 3)
         Poses of the platform frame in the base frame, mm.
     max_iterations : int
-        Bound on the Newton steps; they start at the initial positions, so of two solutions the near one is found.
+        Bound on the Newton steps. Of the two positions in which a leg reaches its joint, the one is found on that side
+        of the foot on which the actuator stands at home.
     check : bool
         Raise where no actuator positions are found; otherwise the result's ``converged`` says so.
 
@@ -168,7 +228,7 @@ def solve_inverse_kinematics(
     """
     layout, n_legs = machine.layout, machine.mechanism.n_legs
     shape = np.broadcast_shapes(theta.shape[:-1], position.shape[:-1])
-    actuators = np.broadcast_to(machine.mechanism.initial_actuator_positions, (*shape, n_legs))
+    actuators = _start_actuators(machine, theta, position, rotation, shape)
     closure = machine.model.prepare(layout, theta)
     step = np.full((*shape, n_legs), np.nan)
     iteration = 0
@@ -193,6 +253,30 @@ def solve_inverse_kinematics(
     return InverseKinematics(actuators, converged, iteration)
 
 
+def _start_actuators(machine: Machine, theta: Array, position: Array, rotation: Array, shape: tuple[int, ...]) -> Array:
+    """Return where Newton's method starts, shape (..., N): the initial positions where these lead to the right ones.
+
+    Where the pose has taken a leg to the other side of its initial foot, or far along a long guide, that is the
+    position on the side of home for perfect joints without deformation, ρ = u · d - s sqrt(l² - |d|² + (u · d)²) with
+    d = p + R b - a and s the side.
+    """
+    mechanism, layout = machine.mechanism, machine.layout
+    initial = np.broadcast_to(mechanism.initial_actuator_positions, (*shape, mechanism.n_legs))
+    if mechanism.drive == "strut":
+        return initial
+    u = actuator_directions(layout, theta)
+    reach = np.einsum("...jk,...ik->...ij", rotation, layout.take_vector(theta, "b")) + position[..., None, :]
+    reach = reach - layout.take_vector(theta, "a")
+    foot = dot(u, reach)
+    with np.errstate(invalid="ignore"):
+        beyond = np.sqrt(layout.take(theta, "l") ** 2 - dot(reach, reach) + foot**2)
+    direct = foot - machine.sides * beyond
+    travel = np.abs(direct - initial)
+    far = (travel > NEAR) & (travel < FURTHEST * mechanism.actuator_range)
+    astray = np.sign(foot - initial) != machine.sides
+    return np.where((astray | far) & np.isfinite(direct), direct, initial)
+
+
 def _actuator_step(here: Linearisation) -> Array:
     """Return the Newton step (..., N), bounded; NaN for a pose with a leg that has none."""
     good = np.isfinite(here.residual).all(axis=-1)
@@ -215,7 +299,8 @@ def check_home_pose(machine: Machine) -> ForwardKinematics:
         home = solve_forward_kinematics(machine, theta, actuators)
     except NumericalError as error:
         raise InputError(
-            f"mechanism {mechanism.name!r}: no home pose found, expected legs that close ({error})"
+            f"mechanism {mechanism.name!r}: no home pose found, expected legs that close{_name_widest_gap(mechanism)}; "
+            f"{error}"
         ) from error
     jacobian = machine.linearise(theta, home.position, home.rotation, actuators).pose
     size = float(np.linalg.norm(mechanism.platform_points, axis=1).max())
@@ -225,7 +310,34 @@ def check_home_pose(machine: Machine) -> ForwardKinematics:
             f"mechanism {mechanism.name!r}: singular geometry, the home pose Jacobian has condition {condition:.1e}, "
             f"expected below {SINGULAR_CONDITION:.0e}"
         )
+    _check_actuators(mechanism, home)
     return home
+
+
+def _name_widest_gap(mechanism: Mechanism) -> str:
+    """Return which leg is furthest from its length where the search for the home pose begins, for messages."""
+    position, _ = guess_home_pose(mechanism)
+    spans = np.linalg.norm(position + mechanism.platform_points - mechanism.home_joints, axis=1)
+    leg = int(np.argmax(np.abs(spans - mechanism.leg_lengths)))
+    x, y, z = position
+    return (
+        f" (leg {leg + 1} of {mechanism.leg_lengths[leg]:g} mm has its joints {spans[leg]:.4g} mm apart with the "
+        f"platform level at {x:.4g}, {y:.4g}, {z:.4g} mm, where the search began)"
+    )
+
+
+def _check_actuators(mechanism: Mechanism, home: ForwardKinematics) -> None:
+    """Raise InputError where a leg stands across its actuator at home, which then cannot move it."""
+    if mechanism.drive == "strut":
+        return
+    legs = home.position + mechanism.platform_points @ home.rotation.T - mechanism.home_joints
+    along = np.abs(np.sum(mechanism.directions * legs, axis=1)) / np.linalg.norm(legs, axis=1)
+    if not along.min() >= ACROSS:
+        leg = int(np.argmin(along))
+        raise InputError(
+            f"mechanism {mechanism.name!r}: leg {leg + 1} stands across its actuator at home, which cannot move it "
+            f"(cosine {along[leg]:.1e}), expected at least {ACROSS:g}"
+        )
 
 
 def compute_home_legs(machine: Machine) -> Array:
@@ -234,10 +346,14 @@ def compute_home_legs(machine: Machine) -> Array:
     return home.position + mechanism.platform_points @ home.rotation.T - mechanism.home_joints
 
 
-def compute_leg_slopes(machine: Machine) -> Array:
-    """Return z_x / z_z and z_y / z_z of the nominal legs at the home pose, shape (N, 2); zeros for struts.
+def compute_leg_lines(machine: Machine) -> Array:
+    """Return the lines of the nominal legs at the home pose, z / z_z, shape (N, 3).
 
-    They tell how an actuator's direction acts along its leg. A strut has none, and may be horizontal.
+    They tell how an actuator's direction acts along its leg. Of a level leg, whose z_z is next to nothing, the line is
+    its unit direction without that.
     """
     legs = compute_home_legs(machine)
-    return np.zeros((len(legs), 2)) if machine.mechanism.drive == "strut" else legs[:, :2] / legs[:, 2:]
+    level = np.abs(legs[:, 2:]) < LEVEL * np.linalg.norm(legs, axis=1, keepdims=True)
+    flat = legs * [1.0, 1.0, 0.0]
+    size = np.where(level, np.linalg.norm(flat, axis=1, keepdims=True), legs[:, 2:])
+    return np.asarray(np.where(level, flat, legs) / size)

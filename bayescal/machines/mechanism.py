@@ -6,15 +6,20 @@ spherical legs), or the length of a strut between two joints that stay where the
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from bayescal.errors import InputError
+from bayescal.machines.directions import DirectionChart, choose_chart
+from bayescal.machines.parameters import HomeStart, ParameterBlock, ParameterLayout
 from bayescal.numerics.geometry import Array
 
 MIN_LEGS = 6
+UNIT = 1e-9  # by which the length of a direction may differ from one
 
 type Drive = Literal["base", "strut"]
 
@@ -102,6 +107,8 @@ class Mechanism:
         Whether actuators move the joints at the base or change the lengths of struts.
     home_position : tuple of 3 floats, optional
         Where the platform's origin stands at home, level, base frame, mm; the start of the search for the home pose.
+    platform_below : bool
+        Without a home position, whether the platform stands below the lower joints at home and not above them.
     """
 
     name: str
@@ -115,21 +122,36 @@ class Mechanism:
     load: ExternalLoad = ExternalLoad()
     drive: Drive = "base"
     home_position: tuple[float, float, float] | None = None
+    platform_below: bool = False
 
     def __post_init__(self) -> None:
-        """Check the number of legs and that directions point upwards, as u_z = sqrt(1 - u_x² - u_y²) requires."""
+        """Check the number of legs and that the actuators' directions are unit vectors."""
         if self.n_legs < MIN_LEGS:
-            raise InputError(f"mechanism {self.name!r}: found {self.n_legs} legs, expected at least {MIN_LEGS}")
-        if self.drive == "base" and np.any(self.directions[:, 2] <= 0):
-            leg = int(np.argmin(self.directions[:, 2])) + 1
             raise InputError(
-                f"mechanism {self.name!r}: direction of leg {leg} has z <= 0, expected it to point upwards"
+                f"mechanism {self.name!r}: found {self.n_legs} legs, expected at least {MIN_LEGS}; machines with fewer "
+                "legs are described by what their sensors read"
+            )
+        sizes = np.linalg.norm(self.directions, axis=1)
+        if self.drive == "base" and not np.all(np.abs(sizes - 1.0) < UNIT):
+            leg = int(np.argmax(np.abs(sizes - 1.0)))
+            raise InputError(
+                f"mechanism {self.name!r}: direction of leg {leg + 1} has length {sizes[leg]:g}, expected a unit vector"
             )
 
     @property
     def n_legs(self) -> int:
         """Number of legs N."""
         return len(self.leg_lengths)
+
+    @cached_property
+    def chart(self) -> DirectionChart:
+        """Which components of the actuators' directions are parameters; for struts, that of vertical actuators."""
+        return choose_chart(self.directions if self.drive == "base" else np.tile([0.0, 0.0, 1.0], (self.n_legs, 1)))
+
+    def lay_out(self, blocks: Iterable[ParameterBlock]) -> ParameterLayout:
+        """Return blocks of parameters laid out for this machine."""
+        chart = self.chart if self.drive == "base" else None
+        return ParameterLayout(tuple(blocks), chart, HomeStart(self.home_position, self.platform_below))
 
     @property
     def home_joints(self) -> Array:

@@ -6,12 +6,13 @@ one flat vector ``theta`` of length D, so that batches of machines are plain arr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from bayescal.errors import InputError
+from bayescal.machines.directions import DirectionChart
 from bayescal.numerics.geometry import Array
 
 
@@ -49,10 +50,46 @@ class ParameterBlock:
 
 
 @dataclass(frozen=True)
+class HomeStart:
+    """Where the search for the home pose begins, always with the platform level.
+
+    Attributes
+    ----------
+    position : tuple of 3 floats, or None
+        Of the platform's origin, base frame, mm; None where it follows from the lengths of the legs.
+    below : bool
+        Then, whether the platform stands below the legs' lower joints and not above them.
+    """
+
+    position: tuple[float, float, float] | None = None
+    below: bool = False
+
+
+@dataclass(frozen=True)
 class ParameterLayout:
-    """Blocks of parameters laid out in one flat vector."""
+    """Blocks of parameters laid out in one flat vector.
+
+    Attributes
+    ----------
+    blocks : tuple of ParameterBlock
+    directions : DirectionChart or None
+        What the components of the actuators' directions mean; None for machines without any.
+    home : HomeStart
+        Where a search for the home pose of these parameters begins.
+    """
 
     blocks: tuple[ParameterBlock, ...]
+    directions: DirectionChart | None = None
+    home: HomeStart = HomeStart()
+
+    def extend(self, blocks: tuple[ParameterBlock, ...]) -> ParameterLayout:
+        """Return the same with more blocks after its own."""
+        return replace(self, blocks=self.blocks + blocks)
+
+    @property
+    def direction_symbols(self) -> tuple[str, ...]:
+        """Symbols of the two components of the actuators' directions, none where there are none."""
+        return self.directions.symbols if self.directions is not None else ()
 
     @cached_property
     def index(self) -> dict[str, np.ndarray]:
@@ -82,6 +119,14 @@ class ParameterLayout:
     def units(self) -> tuple[str, ...]:
         """Unit of each parameter, in order."""
         return tuple(block.unit for block in self.blocks for _ in block.nominal)
+
+    def block(self, symbol: str) -> ParameterBlock:
+        """Return the block of a symbol."""
+        return self._by_symbol[symbol]
+
+    @cached_property
+    def _by_symbol(self) -> dict[str, ParameterBlock]:
+        return {block.symbol: block for block in self.blocks}
 
     @property
     def symbols(self) -> tuple[str, ...]:

@@ -5,17 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from pydantic import create_model
 
-from bayescal.config.load import check_section, find_line, look_up, read_toml
-from bayescal.errors import InputError, name_faults
-from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
-from bayescal.machines.kinematics import Machine, build_machine
+from bayescal.config.classes import Choice, choose, name_failures
+from bayescal.config.load import check_section, find_line, read_toml
+from bayescal.config.registry import find_class, is_own, list_references, list_sources
+from bayescal.config.sections import Section
+from bayescal.errors import BayescalError, InputError, name_faults
+from bayescal.machines.deformations import Deformation, NominalDeformation
+from bayescal.machines.kinematics import Machine, check_drive, check_home_pose
 from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mechanism, section_of_rod
-from bayescal.machines.models import MODELS
-from bayescal.machines.readings import SlidingPlatform
-from bayescal.machines.readings.schema import SlidingPlatformConfig
+from bayescal.machines.models import KinematicModel
+from bayescal.machines.parameters import HomeStart
+from bayescal.machines.readings import FunctionModel, ReadingMachine, ReadingModel, SlidingPlatform
+from bayescal.machines.readings.schema import MachineFileConfig, SlidingPlatformConfig
 from bayescal.machines.readings.sliding_platform import matrix_of_angle
-from bayescal.machines.schema import BeamSectionConfig, LoadConfig, MechanismConfig, PointsConfig
+from bayescal.machines.schema import BeamSectionConfig, HomeConfig, LoadConfig, MechanismConfig, PointsConfig
 from bayescal.numerics.geometry import Array
 
 MPA_PER_GPA = 1e3
@@ -47,18 +52,17 @@ def load_mechanism(path: Path) -> Mechanism:
             flexures=_flexures(config, legs),
             load=_load(config.load),
             drive=config.legs.drive,
-            home_position=home,
+            home_position=home.position,
+            platform_below=home.below,
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
-def _legs(
-    config: MechanismConfig, base: Array, home: tuple[float, float, float] | None, path: Path
-) -> dict[str, Array]:
+def _legs(config: MechanismConfig, base: Array, home: HomeStart, path: Path) -> dict[str, Array]:
     """Return what there is of every leg, shapes (N, ...), by the names of the fields."""
     n_legs = len(base)
-    given = 0.0 if home is not None else config.legs.length_mm
+    given = 0.0 if home.position is not None else config.legs.length_mm
     columns = {
         "platform": points_of(config.platform),
         "legs.length_mm": np.atleast_1d(np.array(given, dtype=np.float64)),
@@ -71,8 +75,9 @@ def _legs(
     for field, values in columns.items():
         if len(values) not in ((1, n_legs) if field != "platform" else (n_legs,)):
             raise InputError(f"{path}: {field}: found {len(values)} legs, expected {n_legs} as in base")
-    if home is not None:
-        columns["legs.length_mm"] = _span(base, np.array(home) + columns["platform"], path)
+    if home.position is not None:
+        travel = columns["legs.initial_actuator_position_mm"][:, None] * columns["legs.direction"]
+        columns["legs.length_mm"] = _span(base + travel, np.array(home.position) + columns["platform"], path)
     if config.flexures is not None:
         lengths, flexures = np.broadcast_arrays(columns["legs.length_mm"], columns["flexures.length_mm"])
         if np.any(flexures >= lengths):
@@ -96,21 +101,19 @@ def _directions(config: MechanismConfig, path: Path) -> Array:
     return directions / norms
 
 
-def _home(config: MechanismConfig, path: Path, text: str) -> tuple[float, float, float] | None:
-    """Return the home position in mm, None where the legs' lengths are given instead."""
+def _home(config: MechanismConfig, path: Path, text: str) -> HomeStart:
+    """Return where the machine stands at home: by its position, or by the legs' lengths."""
     line = find_line(text, ["legs"])
-    legs = f"{path}, line {line}: legs" if line else f"{path}: legs"
-    if config.home is None:
+    field = f"{path}, line {line}: legs.length_mm" if line else f"{path}: legs.length_mm"
+    home = config.home or HomeConfig(platform="above")
+    if home.position_mm is None:
         if config.legs.length_mm is None:
-            instead = " or [home]" if config.legs.drive == "strut" else ""
-            raise InputError(f"{legs}.length_mm: missing, expected a value{instead}")
-        return None
-    if config.legs.drive == "base":
-        raise InputError(f"{legs}.drive: found 'base' with [home], expected 'strut', or no [home]")
+            raise InputError(f"{field}: missing, expected a value or [home] with position_mm")
+        return HomeStart(below=home.platform == "below")
     if config.legs.length_mm is not None:
-        raise InputError(f"{legs}.length_mm: found lengths beside [home], expected one of them, since home has them")
-    x, y, z = config.home.position_mm
-    return x, y, z
+        raise InputError(f"{field}: found lengths beside [home], expected one of them, since home has them")
+    x, y, z = home.position_mm
+    return HomeStart((x, y, z))
 
 
 def _span(lower: Array, upper: Array, path: Path) -> Array:
@@ -167,21 +170,90 @@ def build_named_machine(
     file : Path
         Its own, for the message that it is not one for the model.
     model, deformation : str
+        As a config names them, with their options.
     nominal : NominalDeformation
         What the deformation takes its nominal values from.
     field, where : str, Path
-        Where the names stand, for the message.
+        Where the names stand, for the message; names of files start there.
 
     Raises
     ------
     InputError
-        For an unknown name, and a mechanism that is not one for the model.
+        For an unknown name, a mechanism that is not one for the model, and somebody else's class that fails.
     """
-    found = look_up(MODELS, model, f"{field}.model", where)
-    kind = look_up(DEFORMATIONS, deformation, f"{field}.deformation", where)
-    seen = kind.from_nominal(nominal)
-    with name_faults(file):
-        return build_machine(found, mechanism, seen)
+    chosen = choose_model(model, f"{field}.model", where)
+    kind: Choice[Deformation] = choose("DEFORMATIONS", deformation, Deformation, f"{field}.deformation", where)  # type: ignore[type-abstract]
+    with name_failures(kind.found, f"{field}.deformation", where):
+        seen = kind.found.from_config(kind.options, nominal)
+        seen.blocks(mechanism.n_legs)
+    with name_failures(chosen.found, f"{field}.model", where), name_faults(file):
+        return build_chosen_machine(chosen, mechanism, seen)
+
+
+def choose_model(model: str, field: str, where: Path) -> Choice[KinematicModel]:
+    """Return the kinematic model that a config names, with its options."""
+    return choose("MODELS", model, KinematicModel, field, where)  # type: ignore[type-abstract]
+
+
+def build_chosen_machine(chosen: Choice[KinematicModel], mechanism: Mechanism, deformation: Deformation) -> Machine:
+    """Return a mechanism seen through a model with its options; InputError where it is not one for the model."""
+    check_drive(chosen.found, mechanism)
+    machine = Machine(mechanism, chosen.found.from_config(chosen.options, mechanism), deformation)
+    if is_own(chosen.found):
+        check_home_pose(machine)  # here, where a failure of somebody else's model becomes one line
+    return machine
+
+
+def read_reading_model(path: Path) -> ReadingModel:
+    """Return the machine of a TOML file seen by its sensors, whatever its kind.
+
+    Its ``kind`` is ``sliding_platform`` or a machine of one function: a built-in name, an installed package's, or
+    ``file.py:Class`` beside the file. The class's own section is ``[machine]``.
+
+    Raises
+    ------
+    InputError
+        Names file, line and key; or what is wrong with the class.
+    """
+    content, text = read_toml(path)
+    kind = content.get("kind")
+    if kind == "sliding_platform":
+        return read_sliding_platform(path)
+    if not isinstance(kind, str):
+        names = ", ".join(sorted(["sliding_platform", *list_references("MACHINES")]))
+        raise InputError(f"{path}: kind: found {kind!r}, expected one of {names}, or file.py:Class")
+    found = _find(kind, path)
+    schema = create_model("MachineFile", __base__=MachineFileConfig, machine=(found.Config, ...))
+    config = check_section(schema, {"machine": {}, **content}, path, text)
+    with name_faults(path):
+        return FunctionModel(config.name, _make(found, config.machine))  # type: ignore[attr-defined]
+
+
+def _make(found: type[ReadingMachine], section: Section) -> ReadingMachine:
+    """Return a machine of a class that may be somebody else's."""
+    try:
+        return found(section)
+    except BayescalError:
+        raise
+    except Exception as error:
+        text = " ".join(str(error).split())
+        raise InputError(f"class {found.__name__}: failed with {type(error).__name__}: {text}") from error
+
+
+def _find(kind: str, path: Path) -> type[ReadingMachine]:
+    return find_class("MACHINES", kind, ReadingMachine, "kind", path, path.parent)  # type: ignore[type-abstract]
+
+
+def find_machine_class(path: Path) -> type[ReadingMachine] | None:
+    """Return the class of a machine of one function by its file; None for other kinds."""
+    kind = read_toml(path)[0].get("kind")
+    return None if kind == "sliding_platform" or not isinstance(kind, str) else _find(kind, path)
+
+
+def list_machine_sources(path: Path) -> list[str]:
+    """Return the Python file that a machine's file takes its class from, relative to it; nothing for built-in ones."""
+    kind = read_toml(path)[0].get("kind")
+    return list_sources("MACHINES", kind) if isinstance(kind, str) else []
 
 
 def read_sliding_platform(path: Path) -> SlidingPlatform:

@@ -31,8 +31,8 @@ class PointsConfig(Section):
 class LegsConfig(Section):
     """Lengths, actuator directions and initial actuator positions: one value for all legs or one per leg.
 
-    Actuators drive the joints at the ``base`` along their directions, or each the length of a ``strut``; the lengths of
-    struts may follow from the home pose.
+    Actuators drive the joints at the ``base`` along their directions, or each the length of a ``strut``. Directions may
+    be of any length and sense; they are normalised. The lengths of legs may follow from the home pose.
     """
 
     drive: Literal["base", "strut"] = "base"
@@ -49,9 +49,19 @@ class LegsConfig(Section):
 
 
 class HomeConfig(Section):
-    """Where the platform's origin stands at home, base frame, with the platform level."""
+    """Where the platform's origin stands at home, base frame, with the platform level; it gives the legs' lengths.
 
-    position_mm: Vector
+    With lengths given, on which side of the legs' lower joints the platform stands, above where nothing is said.
+    """
+
+    position_mm: Vector | None = None
+    platform: Literal["above", "below"] | None = None
+
+    @model_validator(mode="after")
+    def _check_one_way(self) -> Self:
+        if (self.position_mm is None) == (self.platform is None):
+            raise ValueError("expected either position_mm, or platform with the legs' lengths")
+        return self
 
 
 class FlexuresConfig(Section):

@@ -25,6 +25,7 @@ def show_provenance(provenance: Mapping[str, Any]) -> Section:
     mappings = (
         _tabulate(provenance.get("versions"), "Versions.", "Package", "Version"),
         _tabulate(provenance.get("files"), "Input files.", "File", "SHA-256"),
+        _tabulate(provenance.get("modules"), "Modules of others' classes.", "Module", "SHA-256"),
     )
     side = Side(tuple(table for table in mappings if table.rows))
     config = Preformatted(format_config(provenance.get("config", {})))

@@ -40,7 +40,7 @@ def quote(text: str) -> str:
 def set_mathematics(symbol: str, before: str = "") -> str:
     """Return a symbol as mathematical text for figures, ``before`` put in front of it."""
     head, below, above = split_symbol(symbol)
-    if not re.fullmatch(r"\w+", head):
+    if not re.fullmatch(r"[^\W_]+", head):
         return f"{before}{quote(symbol)}"
     lower = f"_{{{below}}}" if below else ""
     upper = f"^{{{above}}}" if above else ""
@@ -51,7 +51,7 @@ def set_parameter(name: str) -> str:
     """Return a parameter as mathematical text for figures, its leg below the symbol."""
     symbol, leg = split_name(name)
     head, below, above = split_symbol(symbol)
-    if not re.fullmatch(r"\w+", head):
+    if not re.fullmatch(r"[^\W_]+", head):
         return quote(name)
     marks = ",".join(part for part in (below, str(leg) if leg else "") if part)
     return f"${head}{f'_{{{marks}}}' if marks else ''}{f'^{{{above}}}' if above else ''}$"

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 import studies
 
+from bayescal.config.registry import list_references
 from bayescal.data.schema import SimulationConfig
 from bayescal.errors import InputError
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.frame.load import load_experiment, load_kind
-from bayescal.experiments.frame.registry import list_references
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad
@@ -89,7 +89,7 @@ def test_kind_chooses_the_schema():
         ("target_noise_um", "target_noise_mm", "data.target_noise_mm", "target_noise_um"),
         ("actuator_noise_um", "actuator_noise", "data.actuator_noise", "actuator_noise_um"),
         ("scale_um", "scale_mm", "model_error.scale_mm", "scale_um"),
-        ("tolerance_mm", "tolerance_um", "sensitivity.tolerance_um", "tolerance_mm"),
+        ("factor = ", "factors = ", "sensitivity.factors", "factor"),
         ("walkers", "walker", "sampler.walker", "walkers"),
         ('free = ["l"]', 'fre = ["l"]', "variants.0.fre", "free"),
         ("published =", "publishd =", "variants.1.publishd", "published"),
@@ -148,9 +148,9 @@ def test_misspelt_key_of_a_simulation(study, old, new, field):
         ("ensembles = 4", "ensembles = 3", "sampler.ensembles", "3"),
         ("steps = 10", "steps = 1", "sampler.steps", "1"),
         ("draws = 1000", "draws = 10", "evidence.draws", "10"),
-        ("tolerance_mm = [2.0]", "tolerance_mm = 2.0", "sensitivity.tolerance_mm", "2.0"),
-        ("tolerance_mm = [2.0]", "tolerance_mm = []", "sensitivity.tolerance_mm", "[]"),
-        ("tolerance_mm = [2.0]", "tolerance_mm = [2.0, 0]", "sensitivity.tolerance_mm.1", "0"),
+        ("factor = [1.0]", "factor = 2.0", "sensitivity.factor", "2.0"),
+        ("factor = [1.0]", "factor = []", "sensitivity.factor", "[]"),
+        ("factor = [1.0]", "factor = [2.0, 0]", "sensitivity.factor.1", "0"),
         ('free = ["l"]', 'free = "l"', "variants.0.free", "'l'"),
         ('free = ["l"]', "free = []", "variants.0.free", "[]"),
         ('name = "tiny"', 'name = "../elsewhere"', "name", "'../elsewhere'"),
@@ -286,7 +286,7 @@ def test_byte_order_mark_and_windows_lines_are_fine(study):
         ("direction = [0.0, 0.0, 1.0]", "direction = [[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]", "legs.direction: found 2"),
         ("direction = [0.0, 0.0, 1.0]", "direction = [0.0, 0.0, 0.0]", "legs.direction: found a zero vector"),
         ("direction = [0.0, 0.0, 1.0]", "direction = [0.0, 1.0]", "legs.direction: found [0.0, 1.0]"),
-        ("direction = [0.0, 0.0, 1.0]", "direction = [0.0, 0.0, -1.0]", "direction of leg 1 has z <= 0"),
+        ("direction = [0.0, 0.0, 1.0]", "direction = [0.0, 0.0, nan]", "legs.direction.2: found nan, expected"),
         ("position_mm = 10.0", "position_mm = [1, 2, 3, 4, 5]", "legs.initial_actuator_position_mm: found 5 legs"),
         ("length_mm = 500.0", "length_mm = -500.0", "legs.length_mm: found -500.0, expected greater than"),
         ("length_mm = 500.0", 'length_mm = "0.5 m"', "legs.length_mm: found '0.5 m', expected a valid number"),

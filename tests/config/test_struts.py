@@ -9,6 +9,7 @@ import pytest
 import studies
 
 from bayescal.errors import InputError
+from bayescal.machines.kinematics import guess_home_pose
 from bayescal.machines.read import load_mechanism
 
 M2 = studies.EXPERIMENTS / "audit" / "m2_hexapod_mechanism.toml"
@@ -50,10 +51,20 @@ def test_drive_of_the_telescope_is_at_the_base():
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
+        (
+            "position_mm = [0.0, 0.0, -703.0]",
+            "",
+            "line 29: home: expected either position_mm, or platform with the legs'",
+        ),
+        (HOME, '[home]\nplatform = "below"\n', "line 32: legs.length_mm: missing, expected a value or [home] with pos"),
+        (
+            HOME,
+            '[home]\nplatform = "besides"\n',
+            "line 29: home.platform: found 'besides', expected 'above' or 'below'",
+        ),
         (STRUT, f"{STRUT}\ndirection = [0.0, 0.0, 1.0]", "line 32: legs: found direction with drive 'strut', expected"),
         (STRUT, f"{STRUT}\nlength_mm = 493.0", "line 32: legs.length_mm: found lengths beside [home], expected one of"),
         (HOME, "", "line 30: legs.length_mm: missing, expected a value or [home]"),
-        (STRUT, 'drive = "base"', "line 32: legs.drive: found 'base' with [home], expected 'strut', or no [home]"),
         (STRUT, 'drive = "strat"', "line 33: legs.drive: found 'strat', expected 'base' or 'strut'"),
         (STRUT, f"{STRUT}\ninitial_actuator_position_mm = [1, 2]", "legs.initial_actuator_position_mm: found 2 legs"),
         ("position_mm = [0.0, ", "position_mm = [", "line 30: home.position_mm: found [0.0, -703.0], expected: list"),
@@ -74,4 +85,26 @@ def test_legs_driven_at_the_base_need_their_lengths(tmp_path):
     path.write_text(TELESCOPE.read_text())
     studies.edit(path, "length_mm = 500.0\n", "")
     line = studies.find_line(path, "[legs]")
-    assert fail(path) == f"{path}, line {line}: legs.length_mm: missing, expected a value"
+    assert fail(path) == f"{path}, line {line}: legs.length_mm: missing, expected a value or [home] with position_mm"
+
+
+def test_hanging_machine_of_given_lengths(tmp_path):
+    """Directions are normalised; the platform stands where the file says."""
+    path = tmp_path / "mechanism.toml"
+    path.write_text(TELESCOPE.read_text() + '\n[home]\nplatform = "below"\n')
+    studies.edit(path, "direction = [0.0, 0.0, 1.0]", "direction = [0.0, 0.0, -2.0]")
+    hanging = load_mechanism(path)
+    np.testing.assert_array_equal(hanging.directions, np.tile([0.0, 0.0, -1.0], (6, 1)))
+    position, rotation = guess_home_pose(hanging)
+    assert position[2] == pytest.approx(-guess_home_pose(load_mechanism(TELESCOPE))[0][2])
+    np.testing.assert_array_equal(rotation, np.eye(3))
+
+
+def test_home_gives_the_lengths_of_legs_on_carriages(tmp_path):
+    """From the lower joints at the initial actuator positions to the platform's joints."""
+    path = tmp_path / "mechanism.toml"
+    path.write_text(TELESCOPE.read_text() + "\n[home]\nposition_mm = [0.0, 0.0, 497.41]\n")
+    studies.edit(path, "length_mm = 500.0\n", "")
+    machine = load_mechanism(path)
+    np.testing.assert_allclose(machine.leg_lengths, 500.0, atol=0.01)
+    assert machine.home_position == (0.0, 0.0, 497.41)

@@ -11,14 +11,16 @@ from scipy import stats
 
 from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.data.photogrammetry.survey import read_survey
-from bayescal.data.simulation import Twin, build_twin, format_survey, simulate_survey
+from bayescal.data.simulation import Twin, build_twin, format_survey, format_truth, simulate_survey, survey_twin
 from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.simulation.kind import Simulation
 from bayescal.experiments.simulation.load import load_simulation
-from bayescal.files.csv_tables import read_matrix
+from bayescal.files.csv_tables import read_matrix, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics
-from bayescal.numerics.geometry import rotation_vector_from_matrix
+from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
 FILES = ("targets.csv", "actuators.csv", "target_reference.csv")
+POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
 RARE = 1e-4
 
 
@@ -96,14 +98,16 @@ def test_measurement_frame_differs_from_pose_to_pose(config):
     assert np.ptp(first, axis=0).min() > 500
 
 
-def test_shipped_data_are_those_of_the_shipped_config():
-    path = studies.TELESCOPE / "simulate.toml"
+@pytest.mark.parametrize("folder", ["telescope", "m2_hexapod"])
+def test_shipped_data_are_those_of_the_shipped_config(folder):
+    path = studies.EXPERIMENTS / folder / "simulate.toml"
     config = load_simulation(path)
     twin = build_twin(config, path.parent)
-    texts = format_survey(simulate_survey(twin, np.random.default_rng(config.seed)), config.origin)
-    assert set(texts) == {file.name for file in (studies.TELESCOPE / "data").iterdir()}
+    survey, poses = survey_twin(twin, np.random.default_rng(config.seed))
+    texts = format_survey(survey, config.origin) | format_truth(twin, survey.poses, poses)
+    assert set(texts) == {file.name for file in (path.parent / "data").iterdir()}
     for name, text in texts.items():
-        assert (studies.TELESCOPE / "data" / name).read_bytes() == text.encode(), name
+        assert (path.parent / "data" / name).read_bytes() == text.encode(), name
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -122,6 +126,46 @@ def test_shipped_twin_is_the_one_described(shipped):
     np.testing.assert_allclose(np.unique(np.abs(shipped.displacement[:40])), [0, 1.3])
     dof = int(shipped.targets.extraction.base.dof.sum() + shipped.targets.extraction.platform.dof.sum())
     check_chi_square(shipped.targets.extraction.chi2_per_dof * dof, dof)
+
+
+# --- the truth beside the data ---------------------------------------------------------------------------------------
+
+
+def test_true_poses_are_those_that_the_targets_show(shipped):
+    """Extracted poses lie about them as their covariance says; those of the commanded actuators are others."""
+    table = read_table(studies.TELESCOPE / "data" / "true_poses.csv", ("pose", *POSE_COLUMNS))
+    assert table.text("pose") == list(shipped.targets.survey.poses)
+    true, found = table.numbers(POSE_COLUMNS), shipped.targets.extraction.poses
+    turn = rotation_vector_from_matrix(found.rotation @ np.swapaxes(matrix_from_rotation_vector(true[:, 3:]), -1, -2))
+    error = np.concatenate([found.position - true[:, :3], turn], axis=1)
+    check_chi_square(float(np.einsum("pi,pij,pj->", error, np.linalg.inv(found.covariance), error)), error.size)
+    twin = load_twin(studies.TELESCOPE / "simulate.toml")
+    commanded = solve_forward_kinematics(twin.machine, twin.theta, shipped.targets.survey.actuators)
+    off = commanded.position - true[:, :3]
+    assert 1e-4 < np.abs(off).max() < 0.05  # the actuators' 1 µm, some times over
+
+
+def test_truth_fed_back_gives_the_same_bytes(config, tmp_path):
+    def simulate(seed: int) -> dict[str, str]:
+        simulation = load_simulation(config).model_copy(update={"seed": seed})
+        task = Simulation()
+        inputs = task.read(simulation, config.parent)
+        return task.simulate(inputs, np.random.default_rng(task.seed(inputs))).files
+
+    first = simulate(4)
+    (tmp_path / "true_parameters.csv").write_text(first["true_parameters.csv"])
+    text = config.read_text()
+    start, end = text.index("[truth.offsets]"), text.index("[poses]")
+    named = text[:start].rstrip() + '\nparameters = "true_parameters.csv"\n\n'
+    config.write_text(named + text[end:])
+    assert simulate(4) == first
+    assert simulate(5)["targets.csv"] != first["targets.csv"]
+    lines = first["true_parameters.csv"].splitlines()
+    (tmp_path / "true_parameters.csv").write_text("\n".join([*lines[:3], *reversed(lines[3:])]))
+    assert simulate(4) == first  # in any order
+    line = next(line for line in lines if line.startswith("l[1],mm,"))
+    studies.edit(tmp_path / "true_parameters.csv", line, f"l[1],mm,{float(line.split(',')[2]) + 0.01:.12f}")
+    assert simulate(4)["targets.csv"] != first["targets.csv"]
 
 
 # --- the ring follows eq. (4) ----------------------------------------------------------------------------------------
@@ -184,6 +228,7 @@ def test_offset_of_kappa_leaves_the_ring_alone(config):
         ("l = [0.37, ", "l = [", "truth.offsets.l: found 5 values, expected 1 or 6"),
         ('calibration = "calib', 'calibration = "kalib', "no such file"),
         ('calibration = "calibration_conf', 'calibration = "deformation_conf', "no such file"),
+        ("[truth.offsets]", 'parameters = "t.csv"\n[truth.offsets]', "truth: expected either offsets or parameters"),
         ("pad_radius_mm = 12.0", "", "found per_pad 2 without pad_radius_mm, expected both"),
     ],
 )

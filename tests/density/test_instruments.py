@@ -1,5 +1,6 @@
 """The density of an instrument's readings: against measured poses, marginals, exact kinematics and full coordinates."""
 
+import guided_machines as guided
 import numpy as np
 import pytest
 import telescope_machines as machines
@@ -228,6 +229,23 @@ def test_gradient_of_the_posterior_with_frames_and_model_error(rng, shared):
     np.testing.assert_allclose(gradient, expected, rtol=1e-4, atol=1e-3 * np.abs(expected).max())
     assert (posterior.funnel(y) is not None) == shared
     assert [len(group) for group in posterior.groups()] == ([len(free)] if shared else [2] * 6)
+
+
+def test_directions_of_horizontal_guides_are_free_beside_the_frames(rng):
+    """The chart of the directions stays with the layout that the frames extend."""
+    machine = machines.build_machine("none", guided.build_hexaglide())
+    layout, start = machine.layout, machine.mechanism.initial_actuator_positions
+    actuators = start + rng.uniform(-20.0, 20.0, (N_POSES, 6))
+    poses = machines.simulate_poses(machine, layout.nominal, actuators, np.zeros(6), rng)
+    likelihood = InstrumentLikelihood(machine, read_poses(poses), NOISE)
+    free = [name for name in likelihood.layout.names if name.startswith(("l[", "u_", "base", "tool"))]
+    nominal = dict(zip(likelihood.layout.names, likelihood.layout.nominal.tolist(), strict=True))
+    sd = {name: 1.0 if name.startswith("l[") or name[-2] == "_" else 2e-3 for name in free}
+    posterior = Posterior(likelihood, {n: NormalPrior(nominal[n], sd[n]) for n in free}, ModelError(None))
+    y = posterior.polish(posterior.approach()) + 0.02 * rng.standard_normal(posterior.n_parameters)
+    expected = machines.central_difference(lambda x: posterior.log_density(x[None])[0], y, np.full(len(y), 1e-4))
+    np.testing.assert_allclose(posterior.gradient(y)[0], expected, rtol=1e-4, atol=1e-3 * np.abs(expected).max())
+    assert [len(rest) for _, rest in posterior.curved_ridges()] == [1] * 12  # of each leg l, for u_y and u_z
 
 
 def test_points_of_a_wrong_probe_show_in_their_misfit(rng):

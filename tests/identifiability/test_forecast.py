@@ -282,7 +282,7 @@ FAULTS = {
         '[[what_if]]\nname = "w"\nsensors = ["theodolite"]',
         "what_if 'w': sensors: found sensor 'theodolite'",
     ),
-    "unknown kind of sensor": ('[sensors.new]\nkind = "sextant"', "found 'sextant', expected one of 'pose', 'targets'"),
+    "unknown kind of sensor": ('[sensors.new]\nkind = "sextant"', "found 'sextant', expected one of pose, targets"),
     "pose out of reach": ("[poses]\nunit_mm = 2.0", "pose 1, leg 1: found a displacement of 2 mm, expected at most"),
     "workspace out of reach": (
         "[workspace]\nposition_mm = [1.0, 1.0, 3.0]",

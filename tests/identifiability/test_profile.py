@@ -13,7 +13,7 @@ from bayescal.errors import InputError
 from bayescal.identifiability.information import information_of_rows
 from bayescal.identifiability.profile import compute_profiles
 from bayescal.identifiability.sensitivity import compute_sensitivity
-from bayescal.machines.kinematics import compute_leg_slopes
+from bayescal.machines.kinematics import compute_leg_lines
 
 
 def scaled(knowledge, share):
@@ -51,7 +51,7 @@ def test_profile_along_a_gauge_is_flat():
 def test_path_of_kappa_against_the_direction_is_the_reports():
     """RR-8096 eqs. (38) to (40): κ = const + u_z + z_x / z_z u_x + z_y / z_z u_y, z the leg at home."""
     knowledge, plan = problems.build_telescope_problem("linear")
-    slope_x, slope_y = compute_leg_slopes(knowledge.machine)[0]
+    slope_x, slope_y, _ = compute_leg_lines(knowledge.machine)[0]
     (profile,) = compute_profiles(knowledge, plan, ["u_x[1]"], n_side=6)
     kappa, u_x, u_y = (profile.path[:, knowledge.names.index(f"{symbol}[1]")] for symbol in ("kappa", "u_x", "u_y"))
     gain = np.sqrt(1.0 - u_x**2 - u_y**2) + slope_x * u_x + slope_y * u_y

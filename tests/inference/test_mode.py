@@ -89,7 +89,7 @@ def mirrored():
         "none",
         machines.place_poses(machine, layout.nominal, machines.table_3_actuators(), np.zeros((40, 6))),
         ModelError(None),
-    ).coordinates.leg_slope[:, 0]
+    ).coordinates.legs[:, 0]
     theta = layout.nominal.copy()
     theta[layout.index["u_x"]] = np.sin(np.arctan(slope)) + 0.03 * np.array([1, -1, 1, -1, 1, -1])
     rng = np.random.default_rng(5)
@@ -100,7 +100,7 @@ def mirrored():
 def test_mirror_images_of_a_direction_are_found(mirrored):
     """With κ fixed the actuator gain u_z + s u_x has two solutions; seen from one of them, the other is found."""
     posterior, layout = mirrored, mirrored.likelihood.machine.layout
-    slope = posterior.coordinates.leg_slope[:, 0]
+    slope = posterior.coordinates.legs[:, 0]
     modes = find_modes(posterior)
     assert len(modes) > 1
     densities = [mode.log_density for mode in modes]

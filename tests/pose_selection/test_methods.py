@@ -55,7 +55,7 @@ def test_tabu_finds_the_best_of_all_subsets(name):
     for seed in range(4):
         problem = pose_problems.small_problem(name, seed=seed)
         _, subset = best_of_all(problem)
-        method = TabuDetmax(4, 60, leave=True)
+        method = TabuDetmax(4, 30, leave=True)
         found += any(
             set(select(problem, method, np.random.default_rng([seed, k])).index.tolist()) == subset
             for k in range(starts)

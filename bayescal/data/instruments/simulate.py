@@ -17,7 +17,7 @@ from bayescal.data.instruments.read_points import (
 )
 from bayescal.data.instruments.read_poses import MICRORADIAN, VALUES
 from bayescal.data.schema import FrameTruthConfig, InstrumentConfig, PointInstrumentConfig, PoseInstrumentConfig
-from bayescal.data.simulation import Twin, format_actuators, move, name_poses
+from bayescal.data.simulation import Twin, format_actuators, move, name_poses, stack_poses
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table
 from bayescal.machines.frames import move_frames
@@ -42,8 +42,10 @@ def count_stations(config: InstrumentConfig, folder: Path) -> int:
     return len(read_stations(folder / config.stations).names)
 
 
-def simulate_readings(twin: Twin, config: InstrumentConfig, folder: Path, rng: np.random.Generator) -> dict[str, str]:
-    """Return the texts of the tables that an instrument leaves of a twin, by their names."""
+def simulate_readings(
+    twin: Twin, config: InstrumentConfig, folder: Path, rng: np.random.Generator
+) -> tuple[dict[str, str], Array]:
+    """Return the texts of the tables that an instrument leaves of a twin, by their names, and the true poses (P, 6)."""
     commanded, _, found = move(twin, rng, twin.theta)
     frames = true_frames(config, count_stations(config, folder)).reshape(-1, 6)
     pairs = np.concatenate([frames[:-1], np.broadcast_to(frames[-1:], frames[:-1].shape)], axis=1)
@@ -55,7 +57,7 @@ def simulate_readings(twin: Twin, config: InstrumentConfig, folder: Path, rng: n
         files["poses.csv"] = _format_poses(names, (seen[0][0], seen[1][0]), config, origin, rng)
     else:
         files["points.csv"] = _format_points(names, seen, config, folder, origin, rng)
-    return files
+    return files, stack_poses(found)
 
 
 def _format_poses(

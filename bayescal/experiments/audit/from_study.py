@@ -16,12 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.config.classes import label_class
 from bayescal.density.posterior import Posterior
 from bayescal.errors import InputError
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.shared.measured import MeasuredVariant, Measuring
+from bayescal.experiments.shared.measured import MeasuredVariant, Measuring, VariantChoice
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.draws import Draws, draw_posterior
 from bayescal.inference.mode import find_modes
@@ -63,20 +64,22 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredVariant:
     Raises
     ------
     InputError
-        Where there is no such study, or it has no variant of the design's model, deformation and free parameters, or
-        another mechanism.
+        Where there is no such study, or it has no variant of the design's model, deformation, name and free parameters,
+        or several, or another mechanism.
     """
     assert config.data is not None
     where = folder / config.data.study
     experiment, study = load(where)
     if not isinstance(experiment, Measuring):
         raise InputError(f"{where}: kind: found {study.kind!r}, expected 'study', since an audit's data are a study's")
-    wanted = f"{config.variant.model}/{config.variant.deformation}"
-    found = experiment.measure(study, where, wanted, config.data.with_model_error)
+    choice = VariantChoice(
+        label_class(config.variant.model), label_class(config.variant.deformation), config.data.variant
+    )
+    found = experiment.measure(study, where, choice, config.data.with_model_error)
     free = config.variant.free
     if free is not None and set(free) != set(found.free):
         raise InputError(
-            f"variant.free: found {', '.join(free)}, expected none or those of the study's {wanted}: "
+            f"variant.free: found {', '.join(free)}, expected none or those of the study's {found.name}: "
             f"{', '.join(found.free)}"
         )
     if config.mechanism is not None and (folder / config.mechanism).resolve() != found.mechanism.resolve():

@@ -112,7 +112,7 @@ def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
     if config.data is not None:
         return AuditDesign(config, folder, None, read_measured(config, folder))
     units = Units(config.units.length, config.units.angle)
-    sensors = _read_sensors(config)
+    sensors = _read_sensors(config, folder)
     knowledge, plan = _plan_measurements(config, folder, units, sensors)
     return AuditDesign(config, folder, _complete(config, folder, knowledge, plan, None), None)
 
@@ -139,12 +139,12 @@ def _complete(
     predict_poses(knowledge.machine, knowledge.machine_centre, plan.actuators)
     at = find_actuators(knowledge, workspace, config.seed, plan.actuators)
     requirements = read_requirements(config.requirements, units)
-    sensors = _read_sensors(config)
+    sensors = _read_sensors(config, folder)
     return AuditInputs(config, folder, knowledge, plan, sensors, workspace, at, requirements, units, measured)
 
 
-def _read_sensors(config: AuditConfig) -> dict[str, Sensor]:
-    return {name: build_sensor(name, sensor) for name, sensor in config.sensors.items()}
+def _read_sensors(config: AuditConfig, folder: Path) -> dict[str, Sensor]:
+    return {name: build_sensor(name, sensor, folder) for name, sensor in config.sensors.items()}
 
 
 def _plan_measurements(

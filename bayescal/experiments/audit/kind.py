@@ -35,6 +35,14 @@ class Audit(Experiment[AuditConfig, AuditDesign]):
             names += [os.path.normpath(beside / name) for name in experiment.files(study, folder / beside)]
         return names
 
+    def modules(self, config: AuditConfig, folder: Path) -> dict[str, str]:
+        """Return the hashes of others' modules, those of a study's classes too."""
+        found = super().modules(config, folder)
+        if config.data is not None:
+            experiment, study = load(folder / config.data.study)
+            found |= experiment.modules(study, (folder / config.data.study).parent)
+        return found
+
     def read(self, config: AuditConfig, folder: Path) -> AuditDesign:
         """Return the design, read and checked."""
         return read_design(config, folder)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from bayescal.config.classes import label_class
 from bayescal.experiments.audit.audit import Audit
 from bayescal.experiments.audit.changes import ChangeEffect, contraction_along, contraction_of_symbols
 from bayescal.identifiability.directions import Direction
@@ -30,9 +31,9 @@ def summarise(audit: Audit) -> dict[str, Any]:
         "name": config.name,
         "title": config.title,
         "machine": knowledge.machine.mechanism.name,
-        "model": config.variant.model,
+        "model": label_class(config.variant.model),
         "model_title": knowledge.machine.model.title,
-        "deformation": config.variant.deformation,
+        "deformation": label_class(config.variant.deformation),
         "seed": config.seed,
         "units": {"length": inputs.units.length, "angle": inputs.units.angle},
         "plan": _summarise_plan(audit),

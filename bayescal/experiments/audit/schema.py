@@ -79,9 +79,13 @@ class SweepConfig(Section):
 
 
 class AuditDataConfig(Section):
-    """A study whose measured poses are audited in place of a plan, with its priors and its posterior."""
+    """A study whose measured poses are audited in place of a plan, with its priors and its posterior.
+
+    ``variant`` names one of the study's variants, needed where several have the design's model and deformation.
+    """
 
     study: InputFile
+    variant: str | None = None
     with_model_error: bool = True
 
 

@@ -16,7 +16,8 @@ from pydantic import ValidationError
 from rich.console import Console
 from rich.table import Table
 
-from bayescal.config.files import find_files
+from bayescal.config.files import find_classes, find_files
+from bayescal.config.registry import hash_modules
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
 from bayescal.experiments.frame.parallel import Run
@@ -45,10 +46,14 @@ class Experiment[C: ExperimentConfig, I](ABC):
     def files(self, config: C, folder: Path) -> list[str]:
         """Return the input files that belong to the experiment's identity, relative to the config's folder.
 
-        By default all that stand in its config as `bayescal.config.sections.InputFile`.
+        By default all that stand in its config as `bayescal.config.sections.InputFile`, and those of its classes.
         """
         del folder
         return find_files(config)
+
+    def modules(self, config: C, folder: Path) -> dict[str, str]:
+        """Return the SHA-256 of the installed modules that somebody else's classes of the config stand in, by name."""
+        return hash_modules(find_classes(config, folder))
 
     def config_of(self, results: Results) -> C:
         """Return the config that results were made with; titles within its sections are left out."""

@@ -1,4 +1,4 @@
-"""What determines results: the config without its titles, and the content of every input file."""
+"""What determines results: the config without its titles, the content of every input file, and others' classes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 import json
 import platform
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,9 @@ PACKAGES = ("bayescal", "numpy", "scipy", "emcee", "arviz", "arviz-stats", "pand
 COSMETIC = "title"
 
 
-def identify(config: ExperimentConfig, folder: Path, names: Iterable[str]) -> dict[str, Any]:
+def identify(
+    config: ExperimentConfig, folder: Path, names: Iterable[str], modules: Mapping[str, str] | None = None
+) -> dict[str, Any]:
     """Return what determines an experiment's results.
 
     Parameters
@@ -29,6 +31,8 @@ def identify(config: ExperimentConfig, folder: Path, names: Iterable[str]) -> di
         Where file names start.
     names : iterable of str
         The input files.
+    modules : mapping of str to str, optional
+        SHA-256 of the modules that somebody else's classes stand in.
 
     Raises
     ------
@@ -39,7 +43,8 @@ def identify(config: ExperimentConfig, folder: Path, names: Iterable[str]) -> di
     for name in sorted(set(names)):
         read_text(folder / name, "a file of the experiment")
         files[name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
-    return {"config": _without_titles(dump_config(config)), "files": files}
+    foreign = {"modules": dict(modules)} if modules else {}
+    return {"config": _without_titles(dump_config(config)), "files": files, **foreign}
 
 
 def _without_titles(value: Any) -> Any:

@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 
+from bayescal.experiments.frame.lock import remove_locks
+
 INTERRUPTED = 130
 WARNINGS = "PYTHONWARNINGS"
 UNSAID = "ignore::UserWarning:joblib.externals.loky.backend.resource_tracker"
@@ -23,9 +25,9 @@ def end_on_interrupt(message: str) -> Iterator[None]:
     """Let an interrupt or a SIGTERM end the process at once, with a message, and its workers with it.
 
     A KeyboardInterrupt would be printed with its traceback by emcee, or lost in a callback from C. Nothing needs to be
-    unwound: every file is written whole or not at all. A process that was started to ignore interrupts, in the
-    background of a script, goes on ignoring them; where another program has its own handler, or outside the main
-    thread, nothing is changed.
+    unwound but the lock: every other file is written whole or not at all. A process that was started to ignore
+    interrupts, in the background of a script, goes on ignoring them; where another program has its own handler, or
+    outside the main thread, nothing is changed.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -36,6 +38,7 @@ def end_on_interrupt(message: str) -> Iterator[None]:
             if worker.pid is not None:
                 with suppress(ProcessLookupError):
                     os.kill(worker.pid, signal.SIGKILL)
+        remove_locks()
         cursor = SHOW_CURSOR if sys.stderr.isatty() else ""
         os.write(2, f"{cursor}{message}\n".encode())
         os._exit(INTERRUPTED)

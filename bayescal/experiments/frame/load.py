@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from bayescal.config.load import check_section, read_extended
+from bayescal.config.registry import find_class, list_references
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
 from bayescal.experiments.frame.experiment import Experiment
-from bayescal.experiments.frame.registry import find_class, list_references
 
 type AnyExperiment = Experiment[Any, Any]
 

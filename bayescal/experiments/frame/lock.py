@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,9 @@ try:
     import fcntl
 except ImportError:  # Windows has no such locks; two runs on one directory are then the user's to avoid
     fcntl = None
+
+HELD: set[Path] = set()
+"""Lock files of this process, for what ends it at once to remove."""
 
 
 @contextmanager
@@ -31,13 +34,22 @@ def hold_lock(path: Path, out: Path) -> Iterator[None]:
         return
     path.parent.mkdir(parents=True, exist_ok=True)
     descriptor = _acquire(path, out)
+    HELD.add(path)
     try:
         os.ftruncate(descriptor, 0)
         os.write(descriptor, str(os.getpid()).encode())
         yield
     finally:
+        HELD.discard(path)  # first: once the file is gone, another run's may stand there
         path.unlink(missing_ok=True)
         os.close(descriptor)
+
+
+def remove_locks() -> None:
+    """Remove the lock files of this process, which is about to end without unwinding."""
+    for path in HELD:
+        with suppress(OSError):
+            path.unlink()
 
 
 def _acquire(path: Path, out: Path) -> int:

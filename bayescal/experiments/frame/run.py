@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
+from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
 from bayescal.experiments.frame.identity import describe_provenance, identify
@@ -18,7 +19,6 @@ from bayescal.experiments.frame.load import AnyExperiment, find_kind
 from bayescal.experiments.frame.lock import hold_lock
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.progress import Progress
-from bayescal.experiments.frame.registry import is_file
 from bayescal.experiments.frame.results import SUMMARY_FILE, Results, read_results, write_json, write_results
 from bayescal.experiments.frame.store import Store
 from bayescal.report.blocks import Page, Statement
@@ -102,7 +102,8 @@ def run_experiment(
     experiment, store = find_kind(config.kind, folder, folder), Store(out)
     with threadpool_limits(1):
         inputs = experiment.read(config, folder)
-        identity = identify(config, folder, _list_files(experiment, config, folder))
+        modules = hash_modules([type(experiment)]) | experiment.modules(config, folder)
+        identity = identify(config, folder, _list_files(experiment, config, folder), modules)
         store.check(identity, resume)
         with hold_lock(store.lock, out):
             store.begin(identity, resume)
@@ -120,8 +121,7 @@ def run_experiment(
 def _list_files(experiment: AnyExperiment, config: ExperimentConfig, folder: Path) -> Iterable[str]:
     """Return all files that belong to an experiment's identity, the source of its kind among them."""
     yield from experiment.files(config, folder)
-    if is_file(config.kind):
-        yield config.kind.partition(":")[0]
+    yield from list_sources("KINDS", config.kind)
 
 
 def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1) -> Results:

@@ -15,6 +15,7 @@ from bayescal.experiments.pose_selection.tables import (
     format_plans,
     summarise_errors,
     summarise_selections,
+    tabulate_classes,
     tabulate_errors,
     tabulate_poses,
     tabulate_random_sets,
@@ -47,8 +48,9 @@ def tabulate(inputs: SelectionInputs, chosen: list[JudgedPoses]) -> dict[str, pd
         errors.insert(0, "name", name_ways(errors))
         error_summary = summarise_errors(errors)
         error_summary.insert(0, "name", name_ways(error_summary))
-    published = compare_published(inputs, inputs.folder, summary)
+    published, classes = compare_published(inputs, inputs.folder, summary), tabulate_classes(inputs)
     return {
+        **({} if classes.empty else {"classes": classes}),
         "selections": selections,
         "selection_summary": summary,
         "poses": tabulate_poses(inputs, chosen),

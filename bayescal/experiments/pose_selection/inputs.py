@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from bayescal.config.classes import Choice, choose, name_failures
 from bayescal.errors import InputError
 from bayescal.experiments.pose_selection.schema import (
     ActuatorDomainConfig,
     ContinuousChoiceConfig,
+    OwnChoiceConfig,
     RandomChoiceConfig,
     SelectionChoice,
     SelectionConfig,
@@ -29,13 +32,12 @@ from bayescal.experiments.shared.design import (
     read_workspace,
 )
 from bayescal.files.csv_tables import read_matrix
-from bayescal.identifiability.design import Knowledge
+from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.requirements import find_limits
 from bayescal.identifiability.sensitivity import Sensitivity, compute_sensitivity
 from bayescal.identifiability.units import Units
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection import (
-    CRITERIA,
     METHODS,
     ActuatorBox,
     Candidates,
@@ -49,12 +51,12 @@ from bayescal.pose_selection import (
     identification_rows,
     random_candidates,
 )
-from bayescal.pose_selection.criteria import AOptimality, DOptimality, IOptimality
 from bayescal.pose_selection.methods import RandomSets
+from bayescal.pose_selection.observability import JacobianForm
 
 CANDIDATES = 1  # streams of random numbers
 SHARED = ("criteria", "n_poses", "repeats", "label", "method")
-BAYESIAN = ("D", "A", "I")
+CRITERIA_FIELD, METHOD_FIELD = "selections.criteria", "selections.method"
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,13 +101,29 @@ class SelectionInputs:
         return even_candidates(self.domain, section.count, scramble, section.levels)
 
     def criterion(self, name: str) -> Criterion:
-        """Return a criterion by name."""
-        if name == "I":
-            knowledge = self.design.knowledge
-            return IOptimality(self.design.plan, workspace=self.workspace, sd=knowledge.sd, limits=self.limits)
-        if name in BAYESIAN:
-            return {"D": DOptimality, "A": AOptimality}[name](self.design.plan)
-        return CRITERIA[name](form=self.config.jacobian)  # type: ignore[call-arg]  # all but the Bayesian ones
+        """Return a criterion by what tables call it."""
+        chosen = choose_criterion(self.config, name, self.folder)
+        with name_failures(chosen.found, CRITERIA_FIELD, self.folder):
+            return chosen.found.from_config(chosen.options, self)
+
+    def method(self, choice: SelectionChoice) -> SelectionMethod:
+        """Return the method of a choice with its options."""
+        return build_method(choice, self.folder)
+
+    @property
+    def knowledge(self) -> Knowledge:
+        """The machine and its tolerances."""
+        return self.design.knowledge
+
+    @property
+    def plan(self) -> Plan:
+        """Sensors and noise."""
+        return self.design.plan
+
+    @property
+    def form(self) -> JacobianForm:
+        """Which derivatives the indices are of."""
+        return self.config.jacobian
 
     @cached_property
     def workspace(self) -> Sensitivity:
@@ -146,18 +164,31 @@ def read_selection(config: SelectionConfig, folder: Path) -> SelectionInputs:
     return SelectionInputs(config, folder, design, domain, measured, designs)
 
 
-def build_method(choice: SelectionChoice) -> SelectionMethod:
-    """Return the method of a choice with its options."""
+def choose_criterion(config: SelectionConfig, label: str, folder: Path) -> Choice[Criterion]:
+    """Return a criterion's class by what tables call it."""
+    return choose("CRITERIA", config.criteria[label], Criterion, CRITERIA_FIELD, folder)  # type: ignore[type-abstract]
+
+
+def choose_method(name: str, field: str, folder: Path, options: dict[str, Any] | None) -> Choice[SelectionMethod]:
+    """Return a method's class by what the config calls it."""
+    return choose("METHODS", name, SelectionMethod, field, folder, options)  # type: ignore[type-abstract]
+
+
+def build_method(choice: SelectionChoice, folder: Path) -> SelectionMethod:
+    """Return the method of a choice with its options; a file of somebody else's stands in a folder."""
+    if isinstance(choice, OwnChoiceConfig):
+        return _make_method(choose_method(choice.method, METHOD_FIELD, folder, choice.options), METHOD_FIELD, folder)
     options = choice.model_dump(exclude=set(SHARED))
     if isinstance(choice, ContinuousChoiceConfig):
-        start = options.pop("start")
-        options["start"] = RandomSets(1) if start == "random" else METHODS[start]()
+        field = "selections.start"
+        start = choose_method(choice.start, field, folder, None)
+        options["start"] = RandomSets(1) if start.found is RandomSets else _make_method(start, field, folder)
     return METHODS[choice.method](**options)
 
 
-def label_of(choice: SelectionChoice) -> str:
-    """Return what a choice is called in tables and figures."""
-    return choice.label or choice.method
+def _make_method(chosen: Choice[SelectionMethod], field: str, folder: Path) -> SelectionMethod:
+    with name_failures(chosen.found, field, folder):
+        return chosen.found.from_config(chosen.options)
 
 
 def is_histogram(choice: SelectionChoice) -> bool:
@@ -171,7 +202,7 @@ def read_design(config: SelectionConfig, folder: Path) -> Design:
     machine = read_machine(folder / config.mechanism, config.variant, config.deformation, folder)
     tolerances = read_tolerances(machine, config.parameters, config.variant.free, units, Path(config.name))
     knowledge, workspace = Knowledge(machine, *tolerances), read_workspace(config.workspace)
-    sensors = {name: build_sensor(name, sensor) for name, sensor in config.sensors.items()}
+    sensors = {name: build_sensor(name, sensor, folder) for name, sensor in config.sensors.items()}
     start = machine.mechanism.initial_actuator_positions[None]
     plan = plan_sensors(start[:0], sensors, config.measured_by, config.noise)
     at = find_actuators(knowledge, workspace, config.seed, start)

@@ -21,7 +21,6 @@ from bayescal.experiments.pose_selection.figures import (
 from bayescal.experiments.pose_selection.schema import SelectionConfig
 from bayescal.experiments.pose_selection.tasks import DESIGN
 from bayescal.experiments.pose_selection.verdict import PRINTED, Tables, state_headline, state_verdict
-from bayescal.pose_selection import CRITERIA, METHODS
 from bayescal.report.blocks import Cell, Column, Figure, Page, Section, Statement, Table, make_section, make_table
 from bayescal.report.numbers import (
     MINUS,
@@ -328,13 +327,8 @@ def _chosen_section(tables: Tables) -> Section:
 
 
 def _method_section(n_parameters: int, tables: Tables) -> Section:
-    used = dict.fromkeys(c for choice in tables.config.selections for c in choice.criteria)
-    criteria = [[name, CRITERIA[name].title, CRITERIA[name].source] for name in used]
-    methods = [
-        [METHODS[name].title, METHODS[name].source]
-        for name in dict.fromkeys(tables.selections["method"])
-        if name in METHODS
-    ]
+    criteria = [[name, *tables.describe("criterion", name)] for name in tables.list_used("criterion")]
+    methods = [[*tables.describe("method", name)] for name in tables.list_used("method")]
     of = {
         "pose": "the measured pose, in mm and rad (rotation vector)",
         "angles": "the measured pose, in mm and rad (angles of R = R_z R_y R_x)",

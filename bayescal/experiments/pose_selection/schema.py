@@ -5,10 +5,13 @@ Tolerances and requirements are in the units of [units]; all other keys carry th
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
+from bayescal.config.classes import ClassMark, OwnSection, label_class
+from bayescal.config.load import OWN
 from bayescal.config.sections import ExperimentConfig, InputFile, Name, Positive, Section
 from bayescal.density.schema import FixedConfig, PriorConfig
 from bayescal.experiments.shared.schema import (
@@ -23,7 +26,7 @@ from bayescal.experiments.shared.schema import (
 )
 
 type Count = Annotated[int, Field(ge=1, le=100_000)]
-type CriterionName = Literal["O1", "O2", "O3", "O4", "O5", "D", "A", "I"]
+type CriterionName = Annotated[str, ClassMark("CRITERIA")]
 
 
 # --- where poses may be ------------------------------------------------------------------------------------------
@@ -125,13 +128,40 @@ class ContinuousChoiceConfig(ChoiceConfig):
     """All poses at once, from a random set or from what another method finds."""
 
     method: Literal["continuous"]
-    start: Literal["random", "detmax", "exchange", "tabu"] = "exchange"
+    start: Annotated[str, ClassMark("METHODS")] = "exchange"
     max_iterations: Count = 300
+
+    @field_validator("start")
+    @classmethod
+    def _check_start(cls, start: str) -> str:
+        if start == "continuous":
+            raise ValueError("found 'continuous', expected a method that selects from the candidates")
+        return start
+
+
+class OwnChoiceConfig(ChoiceConfig, OwnSection):
+    """A method of somebody else's class, with its options."""
+
+    chooses = "method"
+    method: Annotated[str, ClassMark("METHODS", beside=True)]
+
+
+BUILT_IN = ("random", "detmax", "tabu", "exchange", "continuous")
+
+
+def _tag_choice(section: Any) -> str:
+    method = section.get("method") if isinstance(section, dict) else getattr(section, "method", None)
+    return method if method in BUILT_IN else OWN
 
 
 type SelectionChoice = Annotated[
-    RandomChoiceConfig | DetmaxChoiceConfig | TabuChoiceConfig | ExchangeChoiceConfig | ContinuousChoiceConfig,
-    Field(discriminator="method"),
+    Annotated[RandomChoiceConfig, Tag("random")]
+    | Annotated[DetmaxChoiceConfig, Tag("detmax")]
+    | Annotated[TabuChoiceConfig, Tag("tabu")]
+    | Annotated[ExchangeChoiceConfig, Tag("exchange")]
+    | Annotated[ContinuousChoiceConfig, Tag("continuous")]
+    | Annotated[OwnChoiceConfig, Tag(OWN)],
+    Discriminator(_tag_choice),
 ]
 
 
@@ -198,11 +228,33 @@ class SelectionConfig(ExperimentConfig):
         if len(seen) < len(self.designs):
             raise ValueError("found two designs of one name, expected a name for each")
         for choice in self.selections:
-            label = choice.label or choice.method
-            for key in ((label, criterion, n) for criterion in choice.criteria for n in choice.n_poses):
+            label = label_of(choice)
+            for key in (
+                (label, criterion, n) for criterion in map(label_class, choice.criteria) for n in choice.n_poses
+            ):
                 if key in seen or label in seen:
                     raise ValueError(
                         f"found {label!r} twice for criterion {key[1]} and {key[2]} poses, expected a label for each"
                     )
                 seen.add(key)
+        list(self._named_criteria())
         return self
+
+    @property
+    def criteria(self) -> dict[str, str]:
+        """The criteria of all selections, as the config names them, by what tables call them."""
+        return dict(self._named_criteria())
+
+    def _named_criteria(self) -> Iterator[tuple[str, str]]:
+        """Yield criteria with their labels; ValueError where a label stands for two of them."""
+        found: dict[str, tuple[str, object]] = {}
+        for criterion in (one for choice in self.selections for one in choice.criteria):
+            label, what = label_class(criterion), (str(criterion), getattr(criterion, "options", None) or {})
+            if found.setdefault(label, what) != what:
+                raise ValueError(f"found two criteria of the name {label!r}, expected one")
+            yield label, criterion
+
+
+def label_of(choice: ChoiceConfig) -> str:
+    """Return what a choice is called in tables and figures."""
+    return choice.label or label_class(choice.method)  # type: ignore[attr-defined]  # of every kind of choice

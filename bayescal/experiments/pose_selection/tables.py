@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from bayescal.config.registry import is_own
 from bayescal.errors import InputError
 from bayescal.experiments.pose_selection.inputs import SelectionInputs
 from bayescal.experiments.pose_selection.tasks import DESIGN, JudgedPoses, Task
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.identifiability.pose_volume import AXES
+from bayescal.pose_selection import Criterion, SelectionMethod
 
 KEY = ["label", "criterion", "n_poses"]
 MICROMETRES = 1e3
@@ -40,6 +42,16 @@ def tabulate_selections(outcomes: list[JudgedPoses]) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(rows)
+
+
+def tabulate_classes(inputs: SelectionInputs) -> pd.DataFrame:
+    """Return what criteria and methods of somebody else's are; none for built-in ones, which every page knows."""
+    config = inputs.config
+    found: list[tuple[str, Criterion | SelectionMethod]] = []
+    found += [("criterion", inputs.criterion(label)) for label in config.criteria]
+    found += [("method", inputs.method(choice)) for choice in config.selections]
+    rows = {(what, one.name): (one.title, one.source) for what, one in found if is_own(type(one))}
+    return pd.DataFrame([(*key, *words) for key, words in rows.items()], columns=["what", "name", "title", "source"])
 
 
 def tabulate_timings(outcomes: list[JudgedPoses]) -> pd.DataFrame:

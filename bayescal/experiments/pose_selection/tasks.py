@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayescal.config.classes import label_class
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.pose_selection.accuracy import Accuracy, judge_poses
-from bayescal.experiments.pose_selection.inputs import SelectionInputs, build_method, is_histogram, label_of
+from bayescal.experiments.pose_selection.inputs import SelectionInputs, is_histogram
+from bayescal.experiments.pose_selection.schema import label_of
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection import Selection, SelectionProblem, select
 
@@ -70,7 +72,7 @@ def list_tasks(inputs: SelectionInputs) -> list[Task]:
     tasks = [
         Task(label_of(choice), criterion, n, repeat, place, is_histogram(choice))
         for place, choice in enumerate(inputs.config.selections)
-        for criterion in choice.criteria
+        for criterion in map(label_class, choice.criteria)
         for n in choice.n_poses
         for repeat in range(choice.repeats)
     ]
@@ -83,7 +85,8 @@ def check_problems(inputs: SelectionInputs) -> None:
     """Raise InputError where poses are too few or too many for the first repeat's candidates, or one is singular."""
     candidates = inputs.candidates(0)
     for choice in inputs.config.selections:
-        for criterion in choice.criteria:
+        inputs.method(choice)
+        for criterion in map(label_class, choice.criteria):
             for n in {min(choice.n_poses), max(choice.n_poses)}:
                 SelectionProblem(candidates, inputs.criterion(criterion), n, inputs.measured)
 
@@ -109,7 +112,7 @@ def run_one(inputs: SelectionInputs, task: Task) -> JudgedPoses:
             inputs.candidates(task.repeat), inputs.criterion(task.criterion), task.n_poses, inputs.measured
         )
         rng = np.random.default_rng([inputs.config.seed, SETS, task.n_poses, task.repeat])
-        selection = select(problem, build_method(inputs.config.selections[task.choice]), rng)
+        selection = select(problem, inputs.method(inputs.config.selections[task.choice]), rng)
         actuators, moves = selection.actuators, selection.placed.moves
     seconds = time.perf_counter() - began
     whole = actuators if inputs.measured is None else np.concatenate([inputs.measured, actuators])

@@ -42,12 +42,35 @@ class Tables:
     errors: pd.DataFrame
     error_summary: pd.DataFrame
     timings: pd.DataFrame
+    classes: pd.DataFrame
 
     @classmethod
     def of(cls, config: SelectionConfig, results: Results) -> Self:
         """Return the tables of an experiment's results."""
-        names = ("selection_summary", "published", "random_sets", "traces", "errors", "error_summary", "timings")
+        names = (
+            "selection_summary",
+            "published",
+            "random_sets",
+            "traces",
+            "errors",
+            "error_summary",
+            "timings",
+            "classes",
+        )
         return cls(config, results.table("selections"), *(results.table(name) for name in names))
+
+    def list_used(self, what: str) -> list[str]:
+        """Return the criteria or the methods of the selections, in their order."""
+        return [str(name) for name in dict.fromkeys(self.selections[what]) if name != DESIGN]
+
+    def describe(self, what: str, name: str) -> tuple[str, str]:
+        """Return title and source of a criterion or a method; one of somebody else's stands in the tables."""
+        built_in = (CRITERIA if what == "criterion" else METHODS).get(name)
+        if built_in is not None:
+            return built_in.title, built_in.source
+        rows = [] if self.classes.empty else self.classes[["what", "name", "title", "source"]].to_numpy().tolist()
+        told = [(str(title), str(source)) for sort, known, title, source in rows if (sort, known) == (what, name)]
+        return told[0] if told else (name, "")
 
     @property
     def metric(self) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.data.truth import read_true_parameters
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import Table, read_table
 from bayescal.machines.readings import Channel, ReadingModel
@@ -17,7 +18,6 @@ from bayescal.numerics.geometry import Array
 USES = ("calibration", "verification")
 LARGEST_ANGLE = 2.0 * float(np.pi)
 POSE_COLUMNS = ("pose", "x_mm", "y_mm", "phi_rad")
-PARAMETER_COLUMNS = ("parameter", "unit", "value")
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,12 +122,10 @@ def _read_uses(table: Table) -> np.ndarray:
 
 def read_truth(parameters: Path, poses: Path, model: ReadingModel, names: Sequence[str]) -> Truth:
     """Read what simulated readings were made from; InputError where parameters or poses are not those expected."""
-    table = read_table(parameters, PARAMETER_COLUMNS)
-    _check_same(table.text("parameter"), model.layout.names, f"{parameters}: parameters")
-    _check_same(table.text("unit"), model.layout.units, f"{parameters}: units")
+    theta = read_true_parameters(parameters, model.layout)
     stands = read_table(poses, POSE_COLUMNS)
     _check_same(stands.text("pose"), names, f"{poses}: poses")
-    return Truth(table.numbers(("value",))[:, 0], stands.numbers(POSE_COLUMNS[1:]))
+    return Truth(theta, stands.numbers(POSE_COLUMNS[1:]))
 
 
 def _check_same(found: Sequence[str], expected: Sequence[str], what: str) -> None:

@@ -71,8 +71,14 @@ class SelfCalibrationConfig(ExperimentConfig):
         return self
 
 
+class ReadingTruthConfig(Section):
+    """A file with all true parameters, as a simulation writes it."""
+
+    parameters: InputFile
+
+
 class ReadingSimulationConfig(ExperimentConfig):
-    """Readings of a machine drawn within its tolerances; legs of a ``common`` symbol deviate alike."""
+    """Readings of a machine drawn within its tolerances, or of a given one; legs of a ``common`` symbol are alike."""
 
     kind: Literal["reading_simulation"]
     origin: str
@@ -81,4 +87,5 @@ class ReadingSimulationConfig(ExperimentConfig):
     tolerances: ReadingTolerancesConfig
     poses: PlanarPosesConfig
     verification_poses: Count
+    truth: ReadingTruthConfig | None = None
     common: Names = Field(default_factory=list)

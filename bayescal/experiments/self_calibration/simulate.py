@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from bayescal.data.truth import (
+    PARAMETERS_FILE,
+    POSES_FILE,
+    format_true_parameters,
+    format_true_poses,
+    round_as_written,
+)
 from bayescal.errors import InputError
-from bayescal.experiments.self_calibration.reading_table import PARAMETER_COLUMNS, POSE_COLUMNS, USES, name_column
+from bayescal.experiments.self_calibration.reading_table import POSE_COLUMNS, USES, name_column
 from bayescal.experiments.self_calibration.schema import ReadingSimulationConfig
 from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters
 from bayescal.experiments.shared.simulated_data import Simulated, tabulate_truth
@@ -14,13 +21,15 @@ from bayescal.machines.readings import SlidingPlatform
 from bayescal.numerics.geometry import Array
 
 LENGTH_DECIMALS, ANGLE_DECIMALS = 6, 9
-TRUE_DECIMALS = 12
 
 
-def simulate_readings(config: ReadingSimulationConfig, model: SlidingPlatform, rng: np.random.Generator) -> Simulated:
+def simulate_readings(
+    config: ReadingSimulationConfig, model: SlidingPlatform, rng: np.random.Generator, truth: Array | None = None
+) -> Simulated:
     """Return ``readings.csv``, ``true_parameters.csv`` and ``true_poses.csv`` of a machine.
 
-    Everything that the sensors see, but for what defines the frames, deviates by its tolerance.
+    Everything that the sensors see, but for what defines the frames, deviates by its tolerance; true parameters (D,)
+    that are given stand in for what is drawn, while the random numbers that follow stay the same.
     """
     sensors = build_sensors(model, config.sensors)
     free = free_parameters(model, sensors.names, config.tolerances)
@@ -30,6 +39,7 @@ def simulate_readings(config: ReadingSimulationConfig, model: SlidingPlatform, r
             raise InputError(f"common: found {symbol!r}, expected one of {', '.join(model.layout.symbols)}")
         alike = np.intersect1d(model.layout.index[symbol], free.places)
         theta[alike] = (model.layout.nominal + (theta - model.layout.nominal)[alike[-1:]])[alike]
+    theta = round_as_written(theta if truth is None else truth)
     section = config.poses
     count = section.n_poses + config.verification_poses
     pose = draw_poses(model, section.model_copy(update={"n_poses": count}), rng)
@@ -50,24 +60,16 @@ def simulate_readings(config: ReadingSimulationConfig, model: SlidingPlatform, r
     comments = [config.origin, "Readings of carriages in mm, of angles in rad; columns end with their unit."]
     files = {"readings.csv": format_table(comments, columns, rows), **_format_truth(config, model, theta, names, pose)}
     layout = model.layout
-    truth = tabulate_truth(layout.names, layout.units, layout.nominal, theta)
-    return Simulated(files, truth, config.origin, section.n_poses, config.verification_poses)
+    off_nominal = tabulate_truth(layout.names, layout.units, layout.nominal, theta)
+    return Simulated(files, off_nominal, config.origin, section.n_poses, config.verification_poses)
 
 
 def _format_truth(
     config: ReadingSimulationConfig, model: SlidingPlatform, theta: Array, names: list[str], pose: Array
 ) -> dict[str, str]:
-    layout = model.layout
-    parameters = [
-        (name, unit, f"{value:.{TRUE_DECIMALS}f}")
-        for name, unit, value in zip(layout.names, layout.units, theta, strict=True)
-    ]
-    poses = [(name, *(f"{x:.{TRUE_DECIMALS}f}" for x in row)) for name, row in zip(names, pose, strict=True)]
+    about_parameters = "True parameters of the machine that the readings are of."
+    about_poses = "True poses of the platform's frame at the readings."
     return {
-        "true_parameters.csv": format_table(
-            [config.origin, "True parameters of the machine that the readings are of."], PARAMETER_COLUMNS, parameters
-        ),
-        "true_poses.csv": format_table(
-            [config.origin, "True poses of the platform's frame at the readings."], POSE_COLUMNS, poses
-        ),
+        PARAMETERS_FILE: format_true_parameters([config.origin, about_parameters], model.layout, theta),
+        POSES_FILE: format_true_poses([config.origin, about_poses], POSE_COLUMNS[1:], names, pose),
     }

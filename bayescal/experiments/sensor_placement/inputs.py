@@ -159,7 +159,7 @@ def build_model(config: PlacementMachineConfig, folder: Path) -> SlidingPlatform
         return read_sliding_platform(path)
     mechanism = load_mechanism(path)
     zero = NominalDeformation(0.0, lambda: np.zeros((mechanism.n_legs,) * 2))
-    machine = build_named_machine(mechanism, path, config.model, config.deformation, zero, "machine", path)
+    machine = build_named_machine(mechanism, path, config.model, config.deformation, zero, "machine", folder)
     if machine.deformation.uses_matrix:
         raise InputError(f"{path}: machine.deformation: found 'matrix', expected 'linear' or 'none'")
     check_home_pose(machine)

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from bayescal.config.classes import ClassMark
 from bayescal.config.sections import ExperimentConfig, InputFile, Positive, Section, Vector
 from bayescal.experiments.shared.schema import Extent
 from bayescal.machines.readings.schema import ReadingSensorConfig, ReadingTolerancesConfig
@@ -48,8 +49,8 @@ class PlacementMachineConfig(Section):
     """A machine's file: of a planar platform on sliding legs, or of a mechanism seen through a kinematic model."""
 
     file: InputFile
-    model: str | None = None
-    deformation: str = "none"
+    model: Annotated[str, ClassMark("MODELS")] | None = None
+    deformation: Annotated[str, ClassMark("DEFORMATIONS")] = "none"
     tool_mm: Vector | None = None
 
     @model_validator(mode="after")

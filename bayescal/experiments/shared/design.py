@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.config.classes import choose, name_failures
 from bayescal.config.load import look_up
 from bayescal.data.schema import TargetRingConfig
 from bayescal.data.simulation import make_rings
@@ -17,6 +18,7 @@ from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
     DeformationConfig,
     ModelConfig,
+    OwnSensorConfig,
     PoseSensorConfig,
     RequirementsConfig,
     SensorConfig,
@@ -104,7 +106,7 @@ def read_tolerances(
         For an unknown symbol, a free one without a tolerance, and lists without one entry per leg.
     """
     blocks = {block.symbol: block for block in machine.layout.blocks}
-    known = known_symbols(machine.mechanism)
+    known = known_symbols(machine.mechanism) | set(blocks)
     priors: dict[str, float] = {}
     fixed: dict[str, float] = {}
     for symbol in free or ():
@@ -167,8 +169,10 @@ def choose_sensors(sensors: dict[str, Sensor], names: list[str], field: str) -> 
     return tuple(sensors[name] for name in names)
 
 
-def build_sensor(name: str, config: SensorConfig) -> Sensor:
-    """Return a sensor of the design."""
+def build_sensor(name: str, config: SensorConfig, folder: Path) -> Sensor:
+    """Return a sensor of the design, whose file stands in a folder."""
+    if isinstance(config, OwnSensorConfig):
+        return _build_own_sensor(name, config, folder)
     if isinstance(config, PoseSensorConfig):
         position, angle = config.position_um, config.orientation_arcsec
         return PoseSensor(
@@ -181,6 +185,21 @@ def build_sensor(name: str, config: SensorConfig) -> Sensor:
     if base is not None and (len(base) < LEAST_TARGETS or np.linalg.matrix_rank(base - base.mean(axis=0)) < 2):
         raise InputError(f"sensors.{name}.base: found {len(base)} targets on a line, expected three or more off it")
     return PointSensor(platform, MICROMETRE * config.noise_um, base)
+
+
+def _build_own_sensor(name: str, config: OwnSensorConfig, folder: Path) -> Sensor:
+    field = f"sensors.{name}"
+    chosen = choose("SENSORS", config.kind, Sensor, f"{field}.kind", folder, config.options)  # type: ignore[type-abstract]
+    with name_failures(chosen.found, f"{field}.kind", folder):
+        sensor = chosen.found.from_config(chosen.options)
+        told = np.asarray(sensor.information(np.zeros((2, 3)), np.broadcast_to(np.eye(3), (2, 3, 3))))
+    fine = told.shape == (2, 6, 6) and np.isfinite(told).all() and np.allclose(told, np.swapaxes(told, -1, -2))
+    if not fine:
+        raise InputError(
+            f"{folder}: {field}: found information of shape {told.shape} from {config.kind}, expected "
+            "symmetric finite matrices of shape (2, 6, 6) for two poses"
+        )
+    return sensor
 
 
 def _targets(config: list[TargetRingConfig] | PointsConfig) -> Array:

@@ -20,6 +20,7 @@ class MeasuredVariant:
 
     Attributes
     ----------
+    name : str
     origin : str
         Of the data, in words.
     mechanism : Path
@@ -39,6 +40,7 @@ class MeasuredVariant:
         What the measured part of a deformation leaves, mean over legs and poses, mm².
     """
 
+    name: str
     origin: str
     mechanism: Path
     free: tuple[str, ...]
@@ -51,9 +53,24 @@ class MeasuredVariant:
     left_variance: float
 
 
+@dataclass(frozen=True)
+class VariantChoice:
+    """Which variant of an experiment is wanted: the only one of a model and deformation, or one of these by its name.
+
+    Attributes
+    ----------
+    model, deformation : str
+    name : str or None
+    """
+
+    model: str
+    deformation: str
+    name: str | None = None
+
+
 class Measuring(ABC):
     """A kind of experiment whose measurements an audit may take in place of a plan."""
 
     @abstractmethod
-    def measure(self, config: Any, path: Path, variant: str, with_model_error: bool) -> MeasuredVariant:
-        """Return a variant of the experiment in a file by its name; InputError where there is none."""
+    def measure(self, config: Any, path: Path, choice: VariantChoice, with_model_error: bool) -> MeasuredVariant:
+        """Return a variant of the experiment in a file; InputError where there is none such, or more than one."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
+from bayescal.config.classes import ClassMark, OwnSection
+from bayescal.config.load import OWN
 from bayescal.config.sections import FileMark, NotNegative, Number, Positive, Section
 from bayescal.data.schema import TargetRingConfig
 from bayescal.machines.schema import PointsConfig
@@ -34,8 +36,8 @@ class UnitsConfig(Section):
 class ModelConfig(Section):
     """A kinematic model with a deformation; without a list, every parameter that has a prior is free."""
 
-    model: str
-    deformation: str = "none"
+    model: Annotated[str, ClassMark("MODELS")]
+    deformation: Annotated[str, ClassMark("DEFORMATIONS")] = "none"
     free: Annotated[list[str], Field(min_length=1)] | None = None
 
 
@@ -63,7 +65,23 @@ class TargetSensorConfig(Section):
     base: Annotated[list[TargetRingConfig], Field(min_length=1)] | PointsConfig | None = None
 
 
-type SensorConfig = Annotated[PoseSensorConfig | TargetSensorConfig, Field(discriminator="kind")]
+class OwnSensorConfig(OwnSection):
+    """An instrument of somebody else's class, with its options."""
+
+    kind: Annotated[str, ClassMark("SENSORS", beside=True)]
+
+
+def _tag_sensor(section: Any) -> str:
+    kind = section.get("kind") if isinstance(section, dict) else getattr(section, "kind", None)
+    return kind if kind in ("pose", "targets") else OWN
+
+
+type SensorConfig = Annotated[
+    Annotated[PoseSensorConfig, Tag("pose")]
+    | Annotated[TargetSensorConfig, Tag("targets")]
+    | Annotated[OwnSensorConfig, Tag(OWN)],
+    Discriminator(_tag_sensor),
+]
 
 
 class ActuatorNoiseConfig(Section):

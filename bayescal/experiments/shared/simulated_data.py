@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.config.sections import ExperimentConfig
+from bayescal.data.truth import round_as_written
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
@@ -92,6 +93,6 @@ class SimulatedData[C: ExperimentConfig, I](Experiment[C, I]):
 def tabulate_truth(
     names: tuple[str, ...], units: tuple[str, ...], nominal: np.ndarray, true: np.ndarray
 ) -> pd.DataFrame:
-    """Return the parameters that are off their nominal values."""
+    """Return the parameters that are off their nominal values, as far as files of the truth have digits."""
     table = pd.DataFrame({"parameter": names, "unit": units, "nominal": nominal, "true": true})
-    return table[table["nominal"] != table["true"]].reset_index(drop=True)
+    return table[round_as_written(nominal) != true].reset_index(drop=True)

@@ -9,10 +9,9 @@ import numpy as np
 
 from bayescal.data.instruments.simulate import count_stations, simulate_readings, true_frames
 from bayescal.data.schema import SimulationConfig
-from bayescal.data.simulation import Twin, build_twin, format_survey, simulate_survey
+from bayescal.data.simulation import Twin, build_twin, format_survey, format_truth, name_poses, survey_twin
 from bayescal.experiments.shared.simulated_data import Simulated, SimulatedData, tabulate_truth
 from bayescal.machines.frames import frame_blocks
-from bayescal.machines.parameters import ParameterLayout
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,15 +38,17 @@ class Simulation(SimulatedData[SimulationConfig, PlacedTwin]):
         return inputs.twin.config.seed
 
     def simulate(self, inputs: PlacedTwin, rng: np.random.Generator) -> Simulated:
-        """Return the files of the survey or of the instrument."""
+        """Return the files of the survey or of the instrument, true parameters and true poses."""
         twin, layout = inputs.twin, inputs.twin.machine.layout
         config, theta = twin.config, twin.theta
         if config.instrument is None:
-            files = format_survey(simulate_survey(twin, rng), config.origin)
+            survey, poses = survey_twin(twin, rng)
+            files = format_survey(survey, config.origin)
         else:
-            files = simulate_readings(twin, config.instrument, inputs.folder, rng)
+            files, poses = simulate_readings(twin, config.instrument, inputs.folder, rng)
             n_stations = count_stations(config.instrument, inputs.folder)
-            layout = ParameterLayout(layout.blocks + frame_blocks(n_stations))
+            layout = layout.extend(frame_blocks(n_stations))
             theta = np.concatenate([theta, true_frames(config.instrument, n_stations)])
         truth = tabulate_truth(layout.names, layout.units, layout.nominal, theta)
+        files |= format_truth(twin, name_poses(twin)[0], poses)
         return Simulated(files, truth, config.origin, len(twin.calibration), len(twin.verification))

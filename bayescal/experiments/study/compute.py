@@ -8,12 +8,14 @@ from typing import Any
 
 import xarray as xr
 
+from bayescal.config.classes import label_class
 from bayescal.density.least_squares import LeastSquaresFit
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.schema import stem_of
 from bayescal.experiments.study.summary import build_tree, compute_loo, rank_variants, summarise_fit
 from bayescal.experiments.study.tables import (
     identify_variants,
@@ -39,7 +41,7 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
     run : Run
     """
     fits = compute_posteriors(inputs, run)
-    posteriors = {task: arrays for task, arrays in fits.items() if task.tolerance is None}
+    posteriors = {task: arrays for task, arrays in fits.items() if task.is_fit}
     identified = run.once("least squares", identify_variants, inputs, (LeastSquaresFit,))
     summary, files = _summarise(inputs, posteriors)
     tables = {
@@ -79,11 +81,11 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dic
         fit = summarise_fit(inputs, task.variant, task.with_model_error, arrays, compute_loo(tree))
         if task.with_model_error:
             variants[task.variant] = fit
-            files[f"posterior/{task.variant.replace('/', '-')}.nc"] = partial(_write_tree, tree)
+            files[f"posterior/{stem_of(task.variant)}.nc"] = partial(_write_tree, tree)
         else:
             variants[task.variant]["without_model_error"] = fit
     config, held = inputs.config, inputs.verification
-    models = {variant.model: inputs.machine(variant).model.title for variant in config.variants}
+    models = {label_class(variant.model): inputs.machine(variant).model.title for variant in config.variants}
     summary = {
         "experiment": config.name,
         "title": config.title,

@@ -12,7 +12,7 @@ from bayescal.density.likelihood import Likelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import Prediction, predict
 from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.schema import StudyConfig
+from bayescal.experiments.study.schema import StudyConfig, stem_of
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.exploration import Exploration, count_walkers, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
@@ -27,42 +27,43 @@ type Arrays = dict[str, Array]
 
 @dataclass(frozen=True)
 class Task:
-    """A unit of work: a posterior of a variant, or only its evidence under another tolerance of the lengths."""
+    """A unit of work: a posterior of a variant, or only its evidence with priors wider or narrower by a factor."""
 
     variant: str
     with_model_error: bool
-    tolerance: float | None = None
+    factor: float = 1.0
 
     @property
     def key(self) -> str:
         """A name that is also a file name."""
         setting = "free" if self.with_model_error else "zero"
-        end = "" if self.tolerance is None else f"-tolerance-{self.tolerance:g}mm"
-        return f"{self.variant.replace('/', '-')}-tau-{setting}{end}"
+        end = "" if self.is_fit else f"-factor-{self.factor!r}"
+        return f"{stem_of(self.variant)}-tau-{setting}{end}"
+
+    @property
+    def is_fit(self) -> bool:
+        """Whether the priors are the study's own, so that there is a posterior to be sampled."""
+        return self.factor == 1.0
 
 
 def list_tasks(inputs: StudyInputs) -> list[Task]:
     """Return all tasks of a study, the long ones first."""
     names = [variant.name for variant in inputs.config.variants]
     fits = [Task(name, with_model_error) for with_model_error in (True, False) for name in names]
-    return fits + [task for task in list_sensitivity(inputs).values() if task.tolerance is not None]
+    return fits + [task for task in list_sensitivity(inputs).values() if not task.is_fit]
 
 
 def list_sensitivity(inputs: StudyInputs) -> dict[tuple[float, str], Task]:
-    """Return the task that has the evidence of each tolerance and variant: the fit itself where it has those priors."""
-    tasks = {}
-    for tolerance in inputs.config.sensitivity.tolerance_mm:
-        for variant in inputs.config.variants:
-            own = inputs.priors(variant, tolerance) == inputs.priors(variant)
-            tasks[tolerance, variant.name] = Task(variant.name, True, None if own else tolerance)
-    return tasks
+    """Return the task that has the evidence of each factor on the priors and variant: at one the fit itself."""
+    factors, variants = inputs.config.sensitivity.factor, inputs.config.variants
+    return {(factor, v.name): Task(v.name, True, factor) for factor in factors for v in variants}
 
 
 def run_task(inputs: StudyInputs, task: Task) -> Arrays:
     """Compute one task; all numbers depend on the inputs, the config's seed and the task's key alone."""
     began = time.perf_counter()
     variant = inputs.variant(task.variant)
-    posterior = inputs.posterior(variant, task.with_model_error, task.tolerance)
+    posterior = inputs.posterior(variant, task.with_model_error, task.factor)
     seed = np.random.SeedSequence([inputs.config.seed, zlib.crc32(task.key.encode())])
     explore_seed, importance_seed, ensemble_seed, bridge_seed, predict_seed = seed.spawn(5)
     exploration = explore(posterior, explore_seed, inputs.config.sampler.walkers)
@@ -72,7 +73,7 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
         "importance_quality": np.array([importance.efficiency, importance.pareto_k, importance.n_draws]),
         "modes_converged": np.array(all(mode.converged for mode in exploration.modes), dtype=float),
     }
-    if task.tolerance is None:
+    if task.is_fit:
         arrays |= _sample(inputs, task, posterior, exploration, ensemble_seed, bridge_seed, predict_seed)
     arrays["wall_seconds"] = np.array(time.perf_counter() - began)
     return arrays

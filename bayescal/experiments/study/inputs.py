@@ -41,8 +41,6 @@ from bayescal.machines.read import build_named_machine, load_mechanism
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
-LENGTHS = "mm"
-
 
 @dataclass(frozen=True, eq=False)
 class StudyInputs:
@@ -197,19 +195,21 @@ class StudyInputs:
             variance[:, leg] = np.einsum("pj,jk,pk->p", travel, blocks[leg, :, leg, :], travel)
         return variance
 
-    def posterior(self, variant: VariantConfig, with_model_error: bool, tolerance: float | None = None) -> Posterior:
-        """Return the posterior of a variant; ``tolerance`` replaces the sd of all lengths, mm."""
-        priors, fixed = self.priors(variant, tolerance)
+    def posterior(self, variant: VariantConfig, with_model_error: bool, factor: float = 1.0) -> Posterior:
+        """Return the posterior of a variant; ``factor`` multiplies the widths of all parameters' priors."""
+        priors, fixed = self.priors(variant, factor)
         error = ModelError(None)
         if with_model_error:
             scale = self.config.model_error.scale_um * MICROMETRE
             error = ModelError(scale, shared=not self.config.model_error.per_leg)
         return Posterior(self.likelihood(variant, verification=False), priors, error, fixed)
 
-    def priors(
-        self, variant: VariantConfig, tolerance: float | None = None
-    ) -> tuple[dict[str, Prior], dict[str, float]]:
-        """Return the priors of a variant's free parameters and frames, and what is fixed off nominal."""
+    def priors(self, variant: VariantConfig, factor: float = 1.0) -> tuple[dict[str, Prior], dict[str, float]]:
+        """Return the priors of a variant's free parameters and frames, and what is fixed off nominal.
+
+        A ``factor`` multiplies the width of every prior: the standard deviation of a normal, the half width of a
+        uniform one.
+        """
         priors: dict[str, Prior] = {}
         fixed: dict[str, float] = {}
         blocks = {block.symbol: block for block in self.machine(variant).layout.blocks}
@@ -224,13 +224,11 @@ class StudyInputs:
                 fixed |= {n: v + o for n, v, o in zip(block.names, block.nominal, offsets, strict=True)}
             elif symbol in variant.free:
                 widths = config.sd if isinstance(config, NormalConfig) else config.half_width
-                if tolerance is not None and block.unit == LENGTHS and isinstance(config, NormalConfig):
-                    widths = tolerance
-                spread = spread_over_legs(widths, len(block.nominal), symbol)
+                spread = [factor * width for width in spread_over_legs(widths, len(block.nominal), symbol)]
                 normal = isinstance(config, NormalConfig)
                 for name, value, width in zip(block.names, block.nominal, spread, strict=True):
                     priors[name] = NormalPrior(value, width) if normal else UniformPrior(value - width, value + width)
-        return priors | self.measured.frame_priors, fixed
+        return priors | self.measured.frame_priors(factor), fixed
 
 
 def _measure_deflection(inputs: StudyInputs) -> None:
@@ -239,6 +237,13 @@ def _measure_deflection(inputs: StudyInputs) -> None:
         _ = inputs.deflection, inputs.measured_matrix, inputs.measured_kappa
     except PoseInputError as error:
         raise InputError(f"pose {inputs.names[error.index]!r}: {error.fault}") from error
+
+
+def _check_widths(inputs: StudyInputs, variant: VariantConfig) -> None:
+    """Raise InputError for a factor that takes a uniform prior beyond what a parameter may be."""
+    for factor in inputs.config.sensitivity.factor:
+        with name_faults(f"sensitivity.factor {factor:g}"):
+            inputs.posterior(variant, True, factor).check_machine()
 
 
 def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
@@ -260,6 +265,7 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
         check_measurement(inputs.measured, machine, config.data, folder)
         with name_faults(f"variant {variant.name!r}"):
             inputs.posterior(variant, with_model_error=True).check_machine()
+            _check_widths(inputs, variant)
         if variant.published is not None:
             read_published(folder / variant.published, mechanism.n_legs)
     known = {block.symbol for variant in config.variants for block in inputs.machine(variant).layout.blocks}

@@ -11,17 +11,17 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
+from bayescal.config.registry import find_class
 from bayescal.errors import InputError
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.registry import find_class
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.shared.measured import MeasuredVariant, Measuring
+from bayescal.experiments.shared.measured import MeasuredVariant, Measuring, VariantChoice
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.compute import compute_study
 from bayescal.experiments.study.inputs import StudyInputs, load_inputs
 from bayescal.experiments.study.page.build import build_page
-from bayescal.experiments.study.schema import StudyConfig
+from bayescal.experiments.study.schema import StudyConfig, VariantConfig, name_variant
 from bayescal.experiments.study.terminal import show_comparison, show_ranking
 from bayescal.numerics.units import MICROMETRE
 from bayescal.report.blocks import Page
@@ -71,12 +71,11 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring):
         fine = all(v["converged"] and v["without_model_error"]["converged"] for v in variants)
         return [] if fine else ["not everything converged"]
 
-    def measure(self, config: StudyConfig, path: Path, variant: str, with_model_error: bool) -> MeasuredVariant:
-        """Return a variant of the study in a file by its name."""
-        by_name = {one.name: one for one in config.variants}
-        if variant not in by_name:
-            raise InputError(f"{path}: variants: found no {variant}, expected one of {', '.join(by_name)}")
-        chosen, inputs = by_name[variant], load_inputs(config, path.parent)
+    def measure(
+        self, config: StudyConfig, path: Path, choice: VariantChoice, with_model_error: bool
+    ) -> MeasuredVariant:
+        """Return a variant of the study in a file; InputError where no whole poses were measured."""
+        chosen, inputs = choose_variant(config, path, choice), load_inputs(config, path.parent)
         if not inputs.measured.has_poses:
             raise InputError(
                 f"{path}: data: found poses measured in part, points, or frames to be found, expected whole poses in "
@@ -85,7 +84,8 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring):
         left = inputs.matrix_variance(chosen, verification=False)
         priors, fixed = inputs.priors(chosen)
         return MeasuredVariant(
-            origin=f"{config.data.origin}: study {config.name}, variant {variant}",
+            name=chosen.name,
+            origin=f"{config.data.origin}: study {config.name}, variant {chosen.name}",
             mechanism=path.parent / config.mechanism,
             free=tuple(chosen.free),
             machine=inputs.machine(chosen),
@@ -114,6 +114,28 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring):
         table = pd.DataFrame(rows).sort_values("log_evidence", ascending=False, ignore_index=True)
         table.insert(4, "difference", table["log_evidence"] - table["log_evidence"].max())
         return table
+
+
+def choose_variant(config: StudyConfig, path: Path, choice: VariantChoice) -> VariantConfig:
+    """Return the variant of a study that is wanted.
+
+    Raises
+    ------
+    InputError
+        Where there is none, or where several share model and deformation and none is named.
+    """
+    wanted = name_variant(choice.model, choice.deformation)
+    alike = [one for one in config.variants if name_variant(one.model, one.deformation) == wanted]
+    if not alike:
+        known = ", ".join(dict.fromkeys(name_variant(one.model, one.deformation) for one in config.variants))
+        raise InputError(f"{path}: variants: found no {wanted}, expected one of {known}")
+    named = [one for one in alike if choice.name in (None, one.name)]
+    names = ", ".join(repr(one.name) for one in alike)
+    if not named:
+        raise InputError(f"{path}: variants: found no {choice.name!r} of {wanted}, expected {names}")
+    if len(named) > 1:
+        raise InputError(f"{path}: variants: found {wanted} as {names}, expected data.variant with one of these names")
+    return named[0]
 
 
 def _identify_data(provenance: Mapping[str, Any]) -> dict[str, object]:

@@ -60,9 +60,9 @@ class Measurement(ABC):
         """Actuator positions, shape (P, N), mm."""
         return self.poses.actuators
 
-    @property
-    def frame_priors(self) -> dict[str, Prior]:
-        """Priors of the frames that the calibration has to find; none by default."""
+    def frame_priors(self, factor: float = 1.0) -> dict[str, Prior]:
+        """Return the priors of the frames that the calibration has to find, wider by a factor; none by default."""
+        del factor
         return {}
 
     @property
@@ -131,22 +131,21 @@ class InstrumentMeasurement(Measurement):
         object.__setattr__(self, "names", self.instrument.names)
         object.__setattr__(self, "poses", self.instrument.poses)
 
-    @property
-    def frame_priors(self) -> dict[str, Prior]:
-        """Normal priors about zero, mm and rad."""
+    def frame_priors(self, factor: float = 1.0) -> dict[str, Prior]:
+        """Return normal priors about zero, mm and rad, wider by a factor."""
         priors: dict[str, Prior] = {}
         for name in name_frames(self.instrument.n_stations):
             section = self.frames.tool if name == "tool" else self.frames.base
             if section is not None:
                 moved, turned = frame_symbols(name)
-                priors |= dict.fromkeys(moved, NormalPrior(0.0, section.position))
-                priors |= dict.fromkeys(turned, NormalPrior(0.0, float(np.radians(section.rotation))))
+                priors |= dict.fromkeys(moved, NormalPrior(0.0, factor * section.position))
+                priors |= dict.fromkeys(turned, NormalPrior(0.0, factor * float(np.radians(section.rotation))))
         return priors
 
     @property
     def has_poses(self) -> bool:
         """Where all coordinates are measured and all frames known."""
-        return self.instrument.is_whole() and not self.frame_priors
+        return self.instrument.is_whole() and not self.frame_priors()
 
     def likelihood(
         self, machine: Machine, verification: bool, actuator_noise: float, variance: Array | None

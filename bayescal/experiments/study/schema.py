@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from bayescal.config.classes import ClassMark, label_class
 from bayescal.config.load import MEASURED
 from bayescal.config.sections import ExperimentConfig, InputFile, NotNegative, Positive, Section
 from bayescal.density.schema import FixedConfig, ModelErrorConfig, PriorConfig
@@ -96,24 +97,54 @@ type DataConfig = Annotated[
 ]
 
 
-class VariantConfig(Section):
-    """A kinematic model with a deformation and its free parameters; all others stay at their nominal values."""
+type VariantName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+( [A-Za-z0-9_-]+)*$")]
 
-    model: str
-    deformation: str
+
+class VariantConfig(Section):
+    """A kinematic model with a deformation and its free parameters; all others stay at their nominal values.
+
+    Without a name of its own a variant is called after model and deformation, ``six_pus/none``; several free sets of
+    one model and deformation need names. A name has no slash, so that nobody takes it for the other kind.
+    """
+
+    model: Annotated[str, ClassMark("MODELS")]
+    deformation: Annotated[str, ClassMark("DEFORMATIONS")]
+    name: VariantName = Field(default_factory=lambda known: name_variant(known.get("model"), known.get("deformation")))
     free: Annotated[list[str], Field(min_length=1)]
     published: InputFile | None = None
 
     @property
-    def name(self) -> str:
-        """For example ``six_pus/none``."""
-        return f"{self.model}/{self.deformation}"
+    def has_own_name(self) -> bool:
+        """Whether the config names it."""
+        return self.name != name_variant(self.model, self.deformation)
+
+
+def name_variant(model: str | None, deformation: str | None) -> str:
+    """Return what a variant without a name of its own is called; of somebody else's classes their own names."""
+    if model is None or deformation is None:  # at fault themselves, which is said elsewhere
+        return "nameless"
+    return f"{label_class(model)}/{label_class(deformation)}"
+
+
+def stem_of(variant: str) -> str:
+    """Return a variant's name as a part of file names."""
+    return variant.replace("/", "-").replace(" ", "_")
 
 
 class SensitivityConfig(Section):
-    """Tolerances of the lengths for which the evidence is computed anew."""
+    """Factors on the widths of all priors, sd or half width, for which the evidence is computed anew."""
 
-    tolerance_mm: Annotated[list[Positive], Field(min_length=1)] = Field(default=[0.5, 1.0, 2.0, 5.0])
+    factor: Annotated[list[Positive], Field(min_length=1)] = Field(default=[0.5, 1.0, 2.0, 5.0])
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_tolerance(cls, content: Any) -> Any:
+        if isinstance(content, dict) and "tolerance_mm" in content:
+            raise ValueError(
+                "tolerance_mm: replaced by factor, which multiplies the width of every prior, expected for example "
+                "factor = [0.5, 1.0, 2.0, 5.0]"
+            )
+        return content
 
 
 class StudyConfig(ExperimentConfig):
@@ -121,7 +152,7 @@ class StudyConfig(ExperimentConfig):
 
     kind: Literal["study"]
     mechanism: InputFile
-    claims: str | None = None
+    claims: Annotated[str, ClassMark("CLAIMS")] | None = None
     data: DataConfig
     deformation: DeformationConfig = DeformationConfig()
     parameters: dict[str, PriorConfig]
@@ -136,10 +167,7 @@ class StudyConfig(ExperimentConfig):
     def _check_variants(self) -> Self:
         if isinstance(self.data, TargetDataConfig) and self.frames != FramesConfig():
             raise ValueError("found [frames] beside targets on the base, which stand for it, expected no [frames]")
-        names = [variant.name for variant in self.variants]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"variant {name!r} stands twice, expected each variant once")
+        _check_names([variant.name for variant in self.variants])
         for variant in self.variants:
             for symbol in variant.free:
                 if variant.free.count(symbol) > 1:
@@ -152,3 +180,16 @@ class StudyConfig(ExperimentConfig):
                         "expected a normal or uniform prior"
                     )
         return self
+
+
+def _check_names(names: list[str]) -> None:
+    """Raise ValueError for variants of one name, or of names that no file system need tell apart."""
+    first: dict[str, str] = {}
+    for name in names:
+        other = first.setdefault(stem_of(name).lower(), name)
+        if names.count(name) > 1:
+            raise ValueError(
+                f"variant {name!r} stands twice, expected each variant once, or a name of its own for each free set"
+            )
+        if other != name:
+            raise ValueError(f"variants {other!r} and {name!r} would share their files, expected other names")

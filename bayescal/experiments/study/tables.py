@@ -97,21 +97,21 @@ def tabulate_predictions(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.Da
 
 
 def tabulate_sensitivity(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.DataFrame:
-    """Return the log-evidence of every variant for every tolerance of the lengths."""
+    """Return the log-evidence of every variant for every factor on the widths of the priors."""
     rows = []
-    for (tolerance, name), task in list_sensitivity(inputs).items():
+    for (factor, name), task in list_sensitivity(inputs).items():
         arrays = fits[task]
         rows.append(
             {
                 "variant": name,
-                "tolerance_mm": tolerance,
+                "factor": factor,
                 "log_evidence": arrays["importance"][0],
                 "log_evidence_se": arrays["importance"][1],
                 "efficiency": arrays["importance_quality"][0],
                 "pareto_k": arrays["importance_quality"][1],
             }
         )
-    return pd.DataFrame(rows).sort_values(["tolerance_mm", "log_evidence"], ascending=[True, False], ignore_index=True)
+    return pd.DataFrame(rows).sort_values(["factor", "log_evidence"], ascending=[True, False], ignore_index=True)
 
 
 def identify_variants(inputs: StudyInputs) -> dict[str, LeastSquaresFit]:

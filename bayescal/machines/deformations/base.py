@@ -10,10 +10,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from bayescal.config.sections import Section
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.numerics.geometry import Array
 
@@ -64,11 +65,22 @@ class NominalDeformation:
 
 
 class Deformation(ABC):
-    """A platform deformation: a name, its parameters and its basis."""
+    """A platform deformation: a name, its parameters and its basis.
+
+    One of somebody else's is named in a config, ``deformation = "own.py:Own"``; where it has options, these are checked
+    by its ``Config`` and handed to `from_config`.
+    """
 
     name: ClassVar[str]
+    Config: ClassVar[type[Section]] = Section
     uses_matrix: ClassVar[bool] = False
     """Whether K enters, so that the uncertainty of a measured K counts."""
+
+    @classmethod
+    def from_config(cls, config: Any, nominal: NominalDeformation) -> Self:
+        """Return the deformation with its nominal values, and options of a config, which it has none of by default."""
+        del config
+        return cls.from_nominal(nominal)
 
     @classmethod
     def from_nominal(cls, nominal: NominalDeformation) -> Self:

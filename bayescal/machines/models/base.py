@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
+from bayescal.config.sections import Section
 from bayescal.errors import NumericalError
 from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.mechanism import Drive, Mechanism
@@ -82,11 +83,22 @@ class BoundClosure(ABC):
 
 
 class KinematicModel(ABC):
-    """A kinematic model: a name, the drive of the machines it takes, its parameters and its closure."""
+    """A kinematic model: a name, the drive of the machines it takes, its parameters and its closure.
+
+    One of somebody else's is named in a config, ``model = "own_model.py:OwnModel"``; where it has options, these are
+    checked by its ``Config`` and handed to `from_config`.
+    """
 
     name: ClassVar[str]
     title: ClassVar[str]
     drive: ClassVar[Drive] = "base"
+    Config: ClassVar[type[Section]] = Section
+
+    @classmethod
+    def from_config(cls, config: Any, mechanism: Mechanism) -> Self:
+        """Return the model of a mechanism, with the options of a config, which it has none of by default."""
+        del config
+        return cls.from_mechanism(mechanism)
 
     @classmethod
     def from_mechanism(cls, mechanism: Mechanism) -> Self:

@@ -15,9 +15,9 @@ import numpy as np
 from bayescal.errors import InputError, NumericalError
 from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.models.base import newton_step
-from bayescal.machines.models.legs import LegVectors, compute_leg_vectors, cross_first_axis, scatter
+from bayescal.machines.models.legs import LegVectors, chart_of, compute_leg_vectors, cross_first_axis, scatter
 from bayescal.machines.models.six_pus import SixPus
-from bayescal.machines.parameters import ParameterLayout
+from bayescal.machines.parameters import HomeStart, ParameterLayout
 from bayescal.numerics.geometry import (
     DEGREES_OF_FREEDOM,
     Array,
@@ -27,6 +27,7 @@ from bayescal.numerics.geometry import (
 )
 from bayescal.numerics.scratch import Scratch
 
+ABOVE = HomeStart()
 MAX_STEPS = 30
 STEP_TOLERANCE = 1e-11
 CLOSED = 2e-14  # largest closure at a home pose by the machine's size: 1e-11 mm for half a metre
@@ -36,15 +37,39 @@ SMALLEST_VERSINE = 2.0**-53  # for which angle and sine are not yet zero
 SKEW = skew_matrix(np.eye(3)).reshape(3, 9).T  # w to the entries of its skew matrix
 
 
-def guess_level_pose(lower: Array, platform_points: Array, leg_lengths: Array) -> tuple[Array, Array]:
-    """Return a level pose above lower joints (N, 3) from which Newton's method finds the home pose."""
+def guess_level_pose(
+    lower: Array, platform_points: Array, leg_lengths: Array, start: HomeStart = ABOVE
+) -> tuple[Array, Array]:
+    """Return a level pose from which Newton's method finds the home pose: the stated one, or one that the legs span.
+
+    Parameters
+    ----------
+    lower, platform_points : ndarray, shape (N, 3)
+        Lower joints in the base frame and joints on the platform in its own, mm.
+    leg_lengths : ndarray, shape (N,)
+        mm.
+    start : HomeStart
+        The platform's position, or on which side of the lower joints it stands.
+
+    Raises
+    ------
+    InputError
+        Where the platform would have to stand beside its legs' reach, naming the leg that is furthest from it.
+    """
+    if start.position is not None:
+        return np.array(start.position), np.eye(3)
     horizontal = (lower - platform_points)[:, :2]
     centre = horizontal.mean(axis=0)
     reach = leg_lengths**2 - np.sum((horizontal - centre) ** 2, axis=1)
     if np.any(reach <= 0):
         leg = int(np.argmin(reach))
-        raise InputError(f"leg {leg + 1} of {leg_lengths[leg]:g} mm cannot span its joints")
-    height = np.mean(lower[:, 2] + np.sqrt(reach) - platform_points[:, 2])
+        apart = float(np.linalg.norm(horizontal[leg] - centre))
+        raise InputError(
+            f"leg {leg + 1} of {leg_lengths[leg]:g} mm cannot span its joints, which are {apart:.4g} mm apart "
+            f"horizontally with the platform level over the middle of its legs, expected longer legs or [home]"
+        )
+    heights = lower[:, 2] - np.sqrt(reach) if start.below else lower[:, 2] + np.sqrt(reach)
+    height = np.mean(heights - platform_points[:, 2])
     return np.array([*centre, height]), np.eye(3)
 
 
@@ -95,8 +120,8 @@ class HomeSolver:
 
     @cached_property
     def _points(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where a, b and (u_x, u_y) stand in a parameter vector, shapes (3, N), (3, N) and (2, N)."""
-        names = (("a_x", "a_y", "a_z"), ("b_x", "b_y", "b_z"), ("u_x", "u_y"))
+        """Where a, b and u's two components stand in a parameter vector, shapes (3, N), (3, N) and (2, N)."""
+        names = (("a_x", "a_y", "a_z"), ("b_x", "b_y", "b_z"), chart_of(self.layout).symbols)
         a, b, u = (np.stack([self.layout.index[symbol] for symbol in group]) for group in names)
         return a, b, u
 
@@ -122,7 +147,7 @@ class HomeSolver:
         leg_length, n_legs = parameters[index["l"]], joint.shape[1]
         direction = np.empty_like(joint)
         direction[:2] = u
-        np.sqrt(1.0 - u[0] * u[0] - u[1] * u[1], out=direction[2])
+        chart_of(self.layout).complete(direction)
         lower = base + parameters[index["rho0"]] * direction
         step = self.slope @ parameters - self._offset
         position = self.position[:, None] + step[:3]
@@ -188,7 +213,7 @@ def home_solver(layout: ParameterLayout) -> HomeSolver:
     closure, basis = SixPus().prepare(layout, theta), no_displacement(n_legs)
     start = compute_leg_vectors(layout, theta, np.zeros(3), np.eye(3), basis)
     joint = layout.take_vector(theta, "b")
-    position, rotation = guess_level_pose(joint - start.vector, joint, layout.take(theta, "l"))
+    position, rotation = guess_level_pose(joint - start.vector, joint, layout.take(theta, "l"), layout.home)
     step = np.full(6, np.nan)
     for _ in range(MAX_STEPS):
         step = newton_step(closure(position, rotation, basis, with_parameters=False))

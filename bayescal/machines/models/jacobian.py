@@ -79,9 +79,8 @@ class Jacobian(KinematicModel):
         on_home = np.concatenate([np.broadcast_to(g, on_turn.shape), on_turn], axis=-1)
         parameters = home.pull_back(on_vector / size[..., None], on_home / size[..., None])
         local = across @ home.rotation
-        slope = legs.direction[..., :2] / legs.direction[..., 2:]
         columns = {f"b_{name}": -local[..., k] / size for k, name in enumerate("xyz")}
-        columns |= {f"u_{name}": share / size * (g[..., k] - g[..., 2] * slope[..., k]) for k, name in enumerate("xy")}
+        columns |= {symbol: share / size * across for symbol, across in legs.pull_back_direction(g).items()}
         columns["l"] = legs.length / size
         columns |= {symbol: -gain * c for symbol, c in basis.coefficients.items()}
         return Linearisation(residual, pose, actuators, parameters + scatter(layout, columns))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayescal.machines.deformations.base import DeformationBasis
+from bayescal.machines.directions import DirectionChart, complete_components
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
@@ -20,12 +21,31 @@ def lower_joints_travel(layout: ParameterLayout) -> bool:
     return "rho0" in layout.index
 
 
+def chart_of(layout: ParameterLayout) -> DirectionChart:
+    """Return which components of the actuators' directions the parameters are, for machines that have directions."""
+    assert layout.directions is not None
+    return layout.directions
+
+
+def local_directions(layout: ParameterLayout, theta: Array) -> Array:
+    """Return t1, t2 and sqrt(1 - t1² - t2²) of every leg, shape (..., N, 3); NaN where that is not real."""
+    first, second = (layout.take(theta, symbol) for symbol in chart_of(layout).symbols)
+    return complete_components(first, second)
+
+
 def actuator_directions(layout: ParameterLayout, theta: Array) -> Array:
-    """Return the unit vectors u, shape (..., N, 3), with u_z = sqrt(1 - u_x² - u_y²); NaN where that is not real."""
-    u_x, u_y = layout.take(theta, "u_x"), layout.take(theta, "u_y")
-    with np.errstate(invalid="ignore", over="ignore"):
-        u_z = np.sqrt(1.0 - u_x * u_x - u_y * u_y)
-    return np.stack([u_x, u_y, u_z], axis=-1)
+    """Return the unit vectors u, shape (..., N, 3), base frame; NaN where the components leave the unit sphere."""
+    return chart_of(layout).to_base(local_directions(layout, theta))
+
+
+def differentiate_directions(layout: ParameterLayout, theta: Array) -> Array:
+    """Return the derivatives of u by its two components, shape (..., N, 2, 3), base frame."""
+    local, chart = local_directions(layout, theta), chart_of(layout)
+    slopes = np.zeros((*local.shape[:-1], 2, 3))
+    for k in range(2):
+        slopes[..., k, k] = 1.0
+        slopes[..., k, 2] = -(local[..., k] / local[..., 2])
+    return np.stack([chart.to_base(slopes[..., k, :]) for k in range(2)], axis=-2)
 
 
 def dot(first: Array, second: Array) -> Array:
@@ -111,13 +131,19 @@ class LegVectors:
         """Return the derivatives by the legs' parameters, those by b* with covectors of their own, (..., N, 3)."""
         columns = {f"a_{name}": -covector[..., k] for k, name in enumerate("xyz")}
         if lower_joints_travel(self.layout):
-            slope = self.direction[..., :2] / self.direction[..., 2:]
-            for k, name in enumerate("xy"):
-                columns[f"u_{name}"] = -self.travel * (covector[..., k] - covector[..., 2] * slope[..., k])
+            for symbol, by_component in self.pull_back_direction(covector).items():
+                columns[symbol] = -self.travel * by_component
             columns["rho0"] = -dot(covector, self.direction)
         local, along_z = joint_covector @ self.rotation, dot(joint_covector, self.platform_z)
         columns |= {f"b_{name}": local[..., k] for k, name in enumerate("xyz")}
         return columns | {symbol: along_z * c for symbol, c in self.basis.coefficients.items()}
+
+    def pull_back_direction(self, covector: Array) -> dict[str, Array]:
+        """Return the derivatives of w · u by the components of u for covectors w, shapes (..., N, 3), held fixed."""
+        chart = chart_of(self.layout)
+        local, along = chart.to_local(self.direction), chart.to_local(covector)
+        slope = local[..., :2] / local[..., 2:]
+        return {s: along[..., k] - along[..., 2] * slope[..., k] for k, s in enumerate(chart.symbols)}
 
     def with_rows(self) -> LegVectors:
         """Return the same with an axis before the legs', for closures whose every row depends on all legs."""

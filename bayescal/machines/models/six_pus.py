@@ -13,6 +13,7 @@ from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.models.base import BoundClosure
 from bayescal.machines.models.leg_distance import LegDistance, LegDistanceClosure, list_point_blocks
+from bayescal.machines.models.legs import chart_of
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.numerics.geometry import Array
 
@@ -24,11 +25,15 @@ class SixPus(LegDistance):
     title: ClassVar[str] = "6-PUS"
 
     def blocks(self, mechanism: Mechanism) -> tuple[ParameterBlock, ...]:
-        """Return a, b, u (its x and y), l and ρ^0 of each leg."""
-        directions = [(f"u_{axis}", mechanism.directions[:, k]) for k, axis in enumerate("xy")]
+        """Return a, b, u (two components, see `directions`), l and ρ^0 of each leg."""
+        chart = mechanism.chart
+        components = chart.to_local(mechanism.directions)[:, :2].T
         return (
             *list_point_blocks(mechanism),
-            *(ParameterBlock(symbol, tuple(v.tolist()), "1", lower=-1.0, upper=1.0) for symbol, v in directions),
+            *(
+                ParameterBlock(symbol, tuple(v.tolist()), "1", lower=-1.0, upper=1.0)
+                for symbol, v in zip(chart.symbols, components, strict=True)
+            ),
             ParameterBlock("l", tuple(mechanism.leg_lengths.tolist()), lower=0.0),
             ParameterBlock("rho0", tuple(mechanism.initial_actuator_positions.tolist())),
         )
@@ -47,13 +52,13 @@ class SixPusClosure(LegDistanceClosure):
         super().__init__(layout, position, rotation, basis)
         for k in range(3):
             self._design[k, :, :, k - 3] = basis.displacement.T
-        self._direction = np.stack([layout.index[symbol] for symbol in ("u_x", "u_y")])
+        self._chart = chart_of(layout)
+        self._direction = np.stack([layout.index[symbol] for symbol in self._chart.symbols])
 
     def _fill_lower(self, parameters: Array, lower: Array) -> None:
         """Write c and u, shapes (3, N, B)."""
         home, direction = lower[:3], lower[3:]
         np.take(parameters, self._direction, axis=0, out=direction[:2], mode="clip")
-        with np.errstate(invalid="ignore"):
-            np.sqrt(1.0 - direction[0] * direction[0] - direction[1] * direction[1], out=direction[2])
+        self._chart.complete(direction)
         np.multiply(parameters[self._layout.index["rho0"]], direction, out=home)
         home += parameters[self._base]

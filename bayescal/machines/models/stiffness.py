@@ -157,7 +157,7 @@ class Stiffness(KinematicModel):
     @cached_property
     def to_elongation(self) -> Array:
         """Q, shape (6, 6): mm of elongation that restore the equilibrium of a wrench in N and N mm."""
-        layout = ParameterLayout(self.blocks(self.mechanism))
+        layout = self.mechanism.lay_out(self.blocks(self.mechanism))
         home = solve_home(layout, layout.nominal)
         spread = np.concatenate([home.legs.axis, cross(home.legs.arm, home.legs.axis)], axis=-1)
         axial = compute_chain_stiffness(*(layout.take(layout.nominal, symbol) for symbol in SYMBOLS)).axial

@@ -1,7 +1,23 @@
 """Internal and external sensors as functions of the pose and of the machine's parameters."""
 
-from bayescal.machines.readings.base import Channel, ReadingModel, Readings
+from bayescal.machines.readings.base import Channel, Coordinate, Given, ReadingModel, Readings
+from bayescal.machines.readings.function import FunctionModel, Parameters, ReadingMachine
 from bayescal.machines.readings.sliding_platform import SlidingPlatform
 from bayescal.machines.readings.spatial import SpatialMachine
 
-__all__ = ["Channel", "ReadingModel", "Readings", "SlidingPlatform", "SpatialMachine"]
+MACHINES = {"line_machine": "bayescal.machines.readings.line_machine:LineMachine"}
+"""Built-in machines of one function, by the ``kind`` of their files."""
+
+__all__ = [
+    "MACHINES",
+    "Channel",
+    "Coordinate",
+    "FunctionModel",
+    "Given",
+    "Parameters",
+    "ReadingMachine",
+    "ReadingModel",
+    "Readings",
+    "SlidingPlatform",
+    "SpatialMachine",
+]

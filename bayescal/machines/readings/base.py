@@ -9,15 +9,42 @@ of it, is one more reading, so that calibration with and without such an instrum
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
+
+type Given = Mapping[str, Array]
+"""What is known of each row of the data, by name, shaped as the poses' leading axes: a temperature, a command."""
+NOTHING: Given = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One of the q numbers that say where a machine stands.
+
+    Attributes
+    ----------
+    name : str
+        For example ``x``.
+    unit : str
+        ``mm``, ``rad``, or another one that its readings have.
+    home : float
+        Where the workspace has its middle.
+    reach : float
+        Half the workspace's width: it holds what is between home - reach and home + reach.
+    """
+
+    name: str
+    unit: str
+    home: float = 0.0
+    reach: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -29,14 +56,26 @@ class Channel:
     name : str
         For example ``s[2]``: what it reads, on which leg.
     unit : str
-        ``mm`` or ``rad``.
+        ``mm`` or ``rad``, or another one, which then is that of its noise and of its column too.
     external : bool
         Whether it stands beside the machine, for the calibration only.
+    period : float or None
+        Of a reading on a circle, such as 2π: two readings are compared the short way round.
+    rotation : str
+        Name of the rotation vector of which this is a component, where the readings are one: three channels in a row
+        that have the same are compared as the rotation from one to the other.
     """
 
     name: str
     unit: str
     external: bool = False
+    period: float | None = None
+    rotation: str = ""
+
+    @property
+    def kind(self) -> str:
+        """Its name without the number of its leg."""
+        return self.name.partition("[")[0]
 
 
 @dataclass(frozen=True)
@@ -73,8 +112,23 @@ class ReadingModel(ABC):
 
     @property
     @abstractmethod
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The pose's q coordinates."""
+
+    @property
     def pose_units(self) -> tuple[str, ...]:
-        """Units of the pose's q coordinates, ``mm`` or ``rad``."""
+        """Units of the pose's q coordinates."""
+        return tuple(one.unit for one in self.coordinates)
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of what has to be known of each row of the data beside its readings."""
+        return ()
+
+    @property
+    def member(self) -> str:
+        """What one of many is called: that ``l[2]`` is of leg, line, joint or belt 2."""
+        return "leg"
 
     @abstractmethod
     def frame_parameters(self) -> tuple[str, ...]:
@@ -85,7 +139,7 @@ class ReadingModel(ABC):
         """Return the names of the parameters that some sensors depend on, in the layout's order."""
 
     @abstractmethod
-    def read(self, theta: Array, pose: Array) -> Array:
+    def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
         """Return the readings h.
 
         Parameters
@@ -94,6 +148,8 @@ class ReadingModel(ABC):
             Parameters, broadcast against the leading axes of the poses.
         pose : ndarray, shape (..., q)
             Poses v.
+        given : mapping of str to ndarray, shape (...)
+            What `given` names.
 
         Returns
         -------
@@ -102,7 +158,7 @@ class ReadingModel(ABC):
         """
 
     @abstractmethod
-    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True) -> Readings:
+    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
         """Return the readings with their derivatives; arguments as in `read`."""
 
     @abstractmethod
@@ -117,9 +173,13 @@ class ReadingModel(ABC):
         by_parameters : ndarray, shape (..., m, D)
         """
 
-    @abstractmethod
     def rotation(self, pose: Array) -> Array:
-        """Return how the platform is turned at poses (..., q), from its frame to the base's, shape (..., m, m)."""
+        """Return how the platform is turned at poses (..., q), from its frame to the base's, shape (..., m, m).
+
+        By default it is not: a point, or a machine whose coordinates do not say.
+        """
+        m = max(1, self.pose_units.count("mm"))
+        return np.broadcast_to(np.eye(m), (*pose.shape[:-1], m, m))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -141,3 +201,66 @@ class ReadingModel(ABC):
                 raise InputError(f"sensor {name!r}: unknown here, expected some of {', '.join(self.names)}")
             wanted |= found
         return np.array([k for k, name in enumerate(self.names) if name in wanted], dtype=int)
+
+    def pick(self, channels: np.ndarray) -> ReadingModel:
+        """Return the same machine with some of its sensors, by their places."""
+        return _Picked(self, tuple(int(k) for k in channels))
+
+
+@dataclass(frozen=True, eq=False)
+class _Picked(ReadingModel):
+    """A machine with some of its sensors."""
+
+    whole: ReadingModel
+    places: tuple[int, ...]
+
+    @property
+    def layout(self) -> ParameterLayout:
+        """The whole machine's."""
+        return self.whole.layout
+
+    @cached_property
+    def channels(self) -> tuple[Channel, ...]:
+        """The sensors it has left."""
+        return tuple(self.whole.channels[k] for k in self.places)
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The whole machine's."""
+        return self.whole.coordinates
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """What the whole machine has to know."""
+        return self.whole.given
+
+    @property
+    def member(self) -> str:
+        """What the whole machine says."""
+        return self.whole.member
+
+    def frame_parameters(self) -> tuple[str, ...]:
+        """Return what the whole machine says."""
+        return self.whole.frame_parameters()
+
+    def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
+        """Return what the whole machine says."""
+        return self.whole.seen_parameters(channels)
+
+    def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
+        """Return the readings of the sensors left."""
+        return self.whole.read(theta, pose, given)[..., self.places]
+
+    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
+        """Return the readings of the sensors left, with their derivatives."""
+        found = self.whole.linearise(theta, pose, with_parameters, given)
+        by_parameters = found.by_parameters[..., self.places, :] if with_parameters else found.by_parameters
+        return Readings(found.values[..., self.places], found.by_pose[..., self.places, :], by_parameters)
+
+    def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+        """Return the whole machine's tool."""
+        return self.whole.tool(theta, pose)
+
+    def rotation(self, pose: Array) -> Array:
+        """Return the whole machine's rotation."""
+        return self.whole.rotation(pose)

@@ -54,6 +54,15 @@ class SlidingPlatformConfig(Section):
     home: PlanarHomeConfig
 
 
+class MachineFileConfig(Section):
+    """What the file of a machine of one function says beside the machine's own section ``[machine]``."""
+
+    kind: str
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
+    title: str = ""
+    source: str = ""
+
+
 class ReadingSensorConfig(Section):
     """A sensor, or one on every leg: its noise, in µm or arcsec, and its price."""
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
-from bayescal.machines.readings.base import Channel, ReadingModel, Readings
+from bayescal.machines.readings.base import NOTHING, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.numerics.geometry import Array
 
 KINDS = ("s", "phi", "psi")
@@ -119,9 +119,10 @@ class SlidingPlatform(ReadingModel):
         return (*internal, *outside)
 
     @property
-    def pose_units(self) -> tuple[str, ...]:
-        """mm, mm, rad."""
-        return ("mm", "mm", "rad")
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """x, y and φ of the platform's frame."""
+        kinds = zip(("x", "y", "phi"), ("mm", "mm", "rad"), self.home, strict=True)
+        return tuple(Coordinate(name, unit, float(home)) for name, unit, home in kinds)
 
     def frame_parameters(self) -> tuple[str, ...]:
         """Return x_P1, y_P1 and β_1, which place the base frame, and ξ_B1, η_B1, η_B2, which place the platform's."""
@@ -156,8 +157,9 @@ class SlidingPlatform(ReadingModel):
             along = np.where(self.forward, 1.0, -1.0) * np.sqrt(length**2 - across**2)
         return _Legs(e_x * w_x + e_y * w_y, across, along, arm_x, arm_y, e_x, e_y)
 
-    def read(self, theta: Array, pose: Array) -> Array:
+    def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
         """Return the readings; see `ReadingModel.read`."""
+        del given
         return self._values(theta, pose, self._legs_from(pose, *self._points(theta)))
 
     def _values(self, theta: Array, pose: Array, legs: _Legs) -> Array:
@@ -168,8 +170,9 @@ class SlidingPlatform(ReadingModel):
         turned = np.broadcast_to(pose[..., 2:], (*position.shape[:-1], 1))
         return np.concatenate([legs.reach - legs.along, phi, psi, position, turned], axis=-1)
 
-    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True) -> Readings:
+    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
         """Return the readings with their derivatives; see `ReadingModel.linearise`."""
+        del given
         legs, n = self._legs_from(pose, *self._points(theta)), self.n_legs
         values = self._values(theta, pose, legs)
         _, tool_by_pose, tool_by_parameters = self.tool(theta, pose)

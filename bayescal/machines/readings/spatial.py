@@ -27,7 +27,7 @@ from bayescal.errors import InputError
 from bayescal.machines.kinematics import Machine, check_home_pose, compute_home_legs, solve_inverse_kinematics
 from bayescal.machines.models.legs import compute_leg_vectors, scatter
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
-from bayescal.machines.readings.base import Channel, ReadingModel, Readings
+from bayescal.machines.readings.base import NOTHING, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.numerics.geometry import (
     Array,
     compute_left_inverse_jacobian,
@@ -75,8 +75,9 @@ class SpatialMachine(ReadingModel):
     @cached_property
     def layout(self) -> ParameterLayout:
         """The machine's parameters, then the zeros of the inclinometers; nominally they read zero at home."""
-        zeros = [ParameterBlock(f"{kind}0", (0.0,) * self.n_legs, "rad") for kind in TILTS]
-        return ParameterLayout((*self.machine.layout.blocks, *zeros))
+        return self.machine.layout.extend(
+            tuple(ParameterBlock(f"{kind}0", (0.0,) * self.n_legs, "rad") for kind in TILTS)
+        )
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
@@ -84,6 +85,12 @@ class SpatialMachine(ReadingModel):
         kinds = (("rho", "mm"), *((kind, "rad") for kind in TILTS))
         internal = [Channel(f"{kind}[{leg}]", unit) for kind, unit in kinds for leg in range(1, self.n_legs + 1)]
         return (*internal, *(Channel(n, u, external=True) for n, u in zip(POSE, self.pose_units, strict=True)))
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """Position and rotation vector of the platform's frame."""
+        kinds = zip(POSE, ("mm",) * 3 + ("rad",) * 3, self.home, strict=True)
+        return tuple(Coordinate(name, unit, float(home)) for name, unit, home in kinds)
 
     @property
     def pose_units(self) -> tuple[str, ...]:
@@ -151,15 +158,17 @@ class SpatialMachine(ReadingModel):
         seen = np.broadcast_to(pose, (*actuators.shape[:-1], len(POSE)))
         return np.concatenate([actuators, *tilts, seen], axis=-1)
 
-    def read(self, theta: Array, pose: Array) -> Array:
+    def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
         """Return the readings; see `ReadingModel.read`."""
+        del given
         position, rotation, actuators = self._stand(theta, pose)
         own = theta[..., : self.machine.layout.size]
         legs = compute_leg_vectors(self.machine.layout, own, position, rotation, self.machine.basis(actuators))
         return self._values(theta, pose, actuators, legs.vector)
 
-    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True) -> Readings:
+    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
         """Return the readings with their derivatives; see `ReadingModel.linearise`."""
+        del given
         machine, n, own = self.machine, self.n_legs, theta[..., : self.machine.layout.size]
         position, rotation, actuators = self._stand(theta, pose)
         basis = machine.basis(actuators)

@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Any, ClassVar, Self
 
+from bayescal.config.sections import Section
 from bayescal.numerics.geometry import Array
 
 
 class Sensor(ABC):
-    """An instrument that measures the platform in the base frame, or a part of its pose."""
+    """An instrument that measures the platform in the base frame, or a part of its pose.
+
+    One of somebody else's is named in a config, ``kind = "own_sensor.py:OwnSensor"``; the other keys of its section are
+    checked by its ``Config`` and become its fields.
+    """
+
+    Config: ClassVar[type[Section]] = Section
+
+    @classmethod
+    def from_config(cls, config: Any) -> Self:
+        """Return the sensor of a section of a config."""
+        return cls(**dict(config))
 
     @abstractmethod
     def information(self, position: Array, rotation: Array) -> Array:

@@ -10,12 +10,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
+from bayescal.config.sections import Section
 from bayescal.errors import InputError
-from bayescal.identifiability.design import Knowledge
+from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.sensitivity import Sensitivity
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.observability import JacobianForm, identification_rows
@@ -23,13 +24,48 @@ from bayescal.pose_selection.observability import JacobianForm, identification_r
 RANK_TOLERANCE = 1e-11
 
 
+class Purpose(Protocol):
+    """What poses are selected for: what a criterion may be made from."""
+
+    @property
+    def knowledge(self) -> Knowledge:
+        """The machine and its tolerances."""
+
+    @property
+    def plan(self) -> Plan:
+        """Sensors and noise; it has no poses yet."""
+
+    @property
+    def form(self) -> JacobianForm:
+        """Which derivatives observability indices are of; see `identification_rows`."""
+
+    @property
+    def workspace(self) -> Sensitivity:
+        """Derivatives at the poses that stand for the workspace."""
+
+    @property
+    def limits(self) -> Array:
+        """What errors of a pose are measured by, shape (6,), mm and rad."""
+
+
 class Criterion(ABC):
-    """An objective of pose selection."""
+    """An objective of pose selection.
+
+    One of somebody else's is named in a config, ``criteria = ["own.py:Own"]``; where it has options, these are checked
+    by its ``Config`` and handed to `from_config`.
+    """
 
     name: ClassVar[str]
     title: ClassVar[str]
     source: ClassVar[str]
     """Author, year and equation."""
+    Config: ClassVar[type[Section]] = Section
+
+    @classmethod
+    def from_config(cls, config: Any, purpose: Purpose) -> Self:
+        """Return the criterion for a purpose, with options of a config; by default it takes neither."""
+        del config, purpose
+        return cls()
 
     @abstractmethod
     def rows(self, knowledge: Knowledge, sensitivity: Sensitivity) -> Array:
@@ -76,6 +112,12 @@ class ObservabilityCriterion(Criterion):
     """
 
     form: JacobianForm = "pose"
+
+    @classmethod
+    def from_config(cls, config: Any, purpose: Purpose) -> Self:
+        """Return the index of the purpose's derivatives."""
+        del config
+        return cls(form=purpose.form)
 
     def rows(self, knowledge: Knowledge, sensitivity: Sensitivity) -> Array:
         """Return J_b, shape (P, 6, L), mm and rad by the parameters' units, or J_2, shape (P, N, L)."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.sensitivity import Sensitivity
 from bayescal.numerics.geometry import Array
-from bayescal.pose_selection.criteria.base import Criterion, ObservabilityCriterion, Scorer
+from bayescal.pose_selection.criteria.base import Criterion, ObservabilityCriterion, Purpose, Scorer
 from bayescal.pose_selection.criteria.updates import UpdateScorer
 from bayescal.pose_selection.observability import singular_values
 
@@ -105,6 +105,12 @@ class DOptimality(LogDet):
     name: ClassVar[str] = "D"
     title: ClassVar[str] = "Information gained, nats"
     source: ClassVar[str] = "Lindley 1956; Chaloner and Verdinelli 1995: Bayesian D-optimality"
+
+    @classmethod
+    def from_config(cls, config: Any, purpose: Purpose) -> Self:
+        """Return the criterion of the purpose's sensors and noise."""
+        del config
+        return cls(purpose.plan)
 
     def rows(self, knowledge: Knowledge, sensitivity: Sensitivity) -> Array:
         """Return J_b in units of noise and tolerances, shape (P, k, L)."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.sensitivity import Sensitivity
 from bayescal.numerics.geometry import Array
-from bayescal.pose_selection.criteria.base import Criterion, Scorer
+from bayescal.pose_selection.criteria.base import Criterion, Purpose, Scorer
 from bayescal.pose_selection.criteria.updates import UpdateScorer, solve_last
 
 
@@ -28,6 +28,12 @@ class BayesianTrace(Criterion):
     """
 
     plan: Plan
+
+    @classmethod
+    def from_config(cls, config: Any, purpose: Purpose) -> Self:
+        """Return the criterion of the purpose's sensors and noise."""
+        del config
+        return cls(purpose.plan)
 
     @abstractmethod
     def weight_root(self, n_parameters: int) -> Array:
@@ -130,6 +136,12 @@ class IOptimality(BayesianTrace):
     name: ClassVar[str] = "I"
     title: ClassVar[str] = "Mean variance of the predicted pose in units of the limits, negative"
     source: ClassVar[str] = "Box and Draper 1959 (mean variance of the response); Chaloner 1984 (prior)"
+
+    @classmethod
+    def from_config(cls, config: Any, purpose: Purpose) -> Self:
+        """Return the criterion of the purpose's workspace and limits."""
+        del config
+        return cls(purpose.plan, workspace=purpose.workspace, sd=purpose.knowledge.sd, limits=purpose.limits)
 
     def __post_init__(self) -> None:
         """Check the limits."""

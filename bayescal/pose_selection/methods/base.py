@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from bayescal.config.sections import Section
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.criteria import Scorer
@@ -63,11 +64,21 @@ class Selection:
 
 
 class SelectionMethod(ABC):
-    """A method of pose selection; its options are its fields."""
+    """A method of pose selection; its options are its fields.
+
+    One of somebody else's is named in a config, ``method = "own.py:Own"``; what its table says beside the keys of every
+    choice is checked by its ``Config``.
+    """
 
     name: ClassVar[str]
     title: ClassVar[str]
     source: ClassVar[str]
+    Config: ClassVar[type[Section]] = Section
+
+    @classmethod
+    def from_config(cls, config: Any) -> Self:
+        """Return the method with the options of a section of a config."""
+        return cls(**dict(config))
 
     @abstractmethod
     def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:

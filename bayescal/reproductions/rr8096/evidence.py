@@ -66,8 +66,13 @@ class ClaimEvidence:
 
     @classmethod
     def from_study(cls, inputs: StudyInputs, summary: Mapping[str, Any], fits: Mapping[str, LeastSquaresFit]) -> Self:
-        """Return the evidence of a study whose posteriors are summarised and whose least squares is done."""
+        """Return the evidence of a study whose posteriors are summarised and whose least squares is done.
+
+        The report has one free set for each model and deformation: variants with names of their own are none of its.
+        """
         config = inputs.config
+        variants = [v for v in config.variants if not v.has_own_name]
+        others = {v.name for v in config.variants if v.has_own_name}
         return cls(
             mechanism=inputs.mechanism,
             nominal=NominalDeformation(config.deformation.kappa, lambda: inputs.matrix),
@@ -76,12 +81,12 @@ class ClaimEvidence:
             target_noise=inputs.target_noise,
             actuator_noise=1e-3 * config.data.actuator_noise_um,
             origin=config.data.origin,
-            free={v.name: tuple(v.free) for v in config.variants},
-            fits=fits,
-            variants=summary["variants"],
+            free={v.name: tuple(v.free) for v in variants},
+            fits={name: fit for name, fit in fits.items() if name not in others},
+            variants={name: fit for name, fit in summary["variants"].items() if name not in others},
             published={
                 v.name: _by_symbol(read_published(inputs.folder / v.published, inputs.mechanism.n_legs))
-                for v in config.variants
+                for v in variants
                 if v.published is not None
             },
         )

@@ -94,7 +94,7 @@ def test_scatter_is_the_stated_one(n_sensors):
     expected = len(pose) * sensors.redundancy  # chi square of readings and priors, the parameters taken off
     assert found.square.mean() == pytest.approx(expected, abs=4.5 * np.sqrt(2 * expected / n))
     # negative control: readings twice as noisy as stated
-    _, worse = measure(sensors, free, pose, n, noise=2.0)
+    _, worse = measure(sensors, free, pose, 40, noise=2.0)
     wrong = calibrate(sensors, free, worse, pose, True)
     assert wrong.square.mean() > 1.5 * expected
 

@@ -98,7 +98,8 @@ def test_the_joint_density_of_the_tests_has_its_gradient():
 
 @pytest.mark.parametrize("names", SETS.values(), ids=[f"{n} sensors" for n in SETS])
 def test_evidence_has_the_closed_form_where_tolerances_are_tiny(names):
-    posterior = small_posterior(names, 26, 7, tolerances=TINY)
+    n_poses = 20 if names == SETS[4] else 10  # just enough equations
+    posterior = small_posterior(names, n_poses, 7, tolerances=TINY)
     likelihood = posterior.likelihood
     pose, _ = likelihood.find_poses(posterior.centre[None])
     expected = gaussian_log_evidence(
@@ -110,7 +111,7 @@ def test_evidence_has_the_closed_form_where_tolerances_are_tiny(names):
 
 
 def test_covariance_is_that_of_the_draws():
-    posterior = small_posterior(SETS[8], 20, 9)
+    posterior = small_posterior(SETS[8], 10, 9)
     draws, _, _ = sample(posterior, 4, steps=40)
     mode = posterior.approach()
     factor = np.linalg.cholesky(posterior.covariance(mode))

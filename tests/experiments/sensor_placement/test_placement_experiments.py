@@ -60,13 +60,11 @@ def test_fronts_hold_exactly_what_nothing_beats(result, front, against):
     _, out, _ = result
     sets, found = read(out, "sets"), read(out, front)
     good = sets[sets["reason"] == ""]
-    for _, row in good.iterrows():
-        no_dearer = good[good[against] <= row[against]]
-        beaten = ((no_dearer["rms_um"] < row["rms_um"]) | (no_dearer[against] < row[against])) & (
-            no_dearer["rms_um"] <= row["rms_um"]
-        )
-        on_front = row["sensors"] in set(found["sensors"])
-        assert on_front == (not beaten.any()), row["sensors"]
+    error, price = good["rms_um"].to_numpy(), good[against].to_numpy()
+    on_front = good["sensors"].isin(found["sensors"])
+    for name, mine, paid, shown in zip(good["sensors"], error, price, on_front, strict=True):
+        beaten = (price <= paid) & (error <= mine) & ((price < paid) | (error < mine))
+        assert shown == (not beaten.any()), name
     assert (found["reason"] == "").all()
 
 

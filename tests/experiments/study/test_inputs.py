@@ -101,7 +101,7 @@ def test_faulty_published_table(folder, old, new, expected):
         ("study.toml", "target_noise_um = 3.0", "target_noise_um = 1e-300", "data.target_noise_um: found 1e-300"),
         ("study.toml", "actuator_noise_um = 1.0", "actuator_noise_um = 1e200", "data.actuator_noise_um: found 1e+200"),
         ("study.toml", "sd = 2.0", "sd = 1e300", "parameters.l.sd: found 1e+300"),
-        ("study.toml", "tolerance_mm = [2.0]", "tolerance_mm = [1e-300]", "sensitivity.tolerance_mm.0: found 1e-300"),
+        ("study.toml", "factor = [1.0]", "factor = [1e-300]", "sensitivity.factor.0: found 1e-300"),
         ("study.toml", "offset = 0.0", "offset = 1e300", "parameters.b_z.offset: found 1e+300"),
         ("study.toml", 'free = ["l"]', 'free = ["l", "l"]', "frees 'l' twice, expected each symbol once"),
         ("study.toml", "draws = 1000", "draws = 5000", "max_draws 1000 below draws 5000"),

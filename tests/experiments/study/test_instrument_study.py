@@ -7,10 +7,14 @@ import numpy as np
 import pytest
 import studies
 
+from bayescal.data.simulation import POSE_COORDINATES, build_twin
+from bayescal.data.truth import PARAMETER_COLUMNS
 from bayescal.experiments.frame.run import compute_experiment
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.tables import format_poses
+from bayescal.files.csv_tables import read_table
 from bayescal.inference.mode import find_modes
+from bayescal.machines.kinematics import solve_forward_kinematics
 
 FRAMES = "[frames]\nbase = { position = 0.5, rotation = 0.05 }\ntool = { position = 0.5, rotation = 0.05 }\n\n"
 TARGETS = """targets = "data/targets.csv"
@@ -180,6 +184,35 @@ def test_positions_alone_are_a_study_with_a_page(fed, tmp_path, call):
     assert "noise of the instrument and actuators" in page
     assert "Rejected targets" not in page
     assert "base" in (tmp_path / "out" / "tables" / "parameters.csv").read_text()
+
+
+def test_a_factor_widens_the_priors_of_frames_too(pointed):
+    inputs = studies.load_study(pointed)
+    own, wide = (inputs.priors(inputs.config.variants[0], factor)[0] for factor in (1.0, 2.5))
+    assert {name[:4] for name in own} == {"l[1]", "l[2]", "l[3]", "l[4]", "l[5]", "l[6]", "base", "tool"}
+    assert {name: prior.sd for name, prior in wide.items()} == {name: 2.5 * prior.sd for name, prior in own.items()}
+
+
+def test_the_truth_stands_beside_simulated_readings(pointed):
+    """Of machine and platform, not of frames, which the config states; fed back it is the same machine."""
+    folder = pointed.parent
+    inputs = studies.load_study(pointed)
+    twin = build_twin(load_simulation(folder / "simulate.toml"), folder)
+    parameters = read_table(folder / "data" / "true_parameters.csv", PARAMETER_COLUMNS)
+    assert parameters.text("parameter") == list(twin.machine.layout.names)
+    poses = read_table(folder / "data" / "true_poses.csv", ("pose", *POSE_COORDINATES))
+    assert poses.text("pose") == list(inputs.names)
+    commanded = solve_forward_kinematics(twin.machine, twin.theta, inputs.measured.actuators)
+    off = np.abs(commanded.position - poses.numbers(POSE_COORDINATES[:3]))
+    assert 1e-4 < off.max() < 0.05  # the actuators' 1 µm, some times over
+    text = (folder / "simulate.toml").read_text()
+    fed = folder / "fed_back.toml"
+    truth = re.sub(
+        r"\[truth.*?(?=\n\[poses\])", '[truth]\nparameters = "data/true_parameters.csv"\n', text, flags=re.DOTALL
+    )
+    fed.write_text(truth)
+    made = compute_experiment(load_simulation(fed), folder).files
+    assert {name: (folder / "data" / name).read_text() for name in made} == made
 
 
 # --- faults ------------------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from bayescal.machines.kinematics import (
     Machine,
     check_home_pose,
     compute_home_legs,
-    compute_leg_slopes,
+    compute_leg_lines,
     guess_home_pose,
     solve_forward_kinematics,
     solve_inverse_kinematics,
@@ -111,12 +111,16 @@ def test_lateral_struts_need_the_stated_home():
         check_home_pose(machines.build_machine("none", replace(other, home_position=None), "six_ups"))
 
 
-def test_struts_have_no_slopes(machine):
-    """Of legs driven at the base they tell how a direction acts; horizontal struts have none that are finite."""
-    assert compute_leg_slopes(machine).tolist() == [[0.0, 0.0]] * 6
+def test_lines_of_level_legs_are_finite(machine):
+    """Lines of rising legs have z = 1; those of level ones, as of M2's lateral struts, are unit vectors."""
+    legs, lines = compute_home_legs(machine), compute_leg_lines(machine)
+    level = np.abs(legs[:, 2]) < 1e-9
+    np.testing.assert_array_equal(lines[:, 2], np.where(level, 0.0, 1.0))
+    np.testing.assert_allclose(np.linalg.norm(lines[level], axis=1), 1.0, rtol=1e-15)
+    np.testing.assert_allclose(np.cross(lines, legs), 0.0, atol=1e-9)
     telescope = machines.build_machine("none")
     legs = compute_home_legs(telescope)
-    np.testing.assert_array_equal(compute_leg_slopes(telescope), legs[:, :2] / legs[:, 2:])
+    np.testing.assert_array_equal(compute_leg_lines(telescope), legs / legs[:, 2:])
     assert np.abs(legs[:, :2]).max() > 10.0
 
 

@@ -11,9 +11,9 @@ import pytest
 import studies
 import telescope_machines as machines
 
+from bayescal.config.registry import find_class
 from bayescal.density.least_squares import LeastSquaresFit, identify
 from bayescal.errors import NumericalError
-from bayescal.experiments.frame.registry import find_class
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.tables import identify_variants
 from bayescal.machines.deformations import NominalDeformation

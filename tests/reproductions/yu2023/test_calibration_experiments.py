@@ -59,6 +59,7 @@ def test_page_comes_from_the_files_alone(tiny):
     assert studies.snapshot(out) == before
 
 
+@pytest.mark.slow  # the contract of all kinds has the same of this very experiment
 @pytest.mark.parametrize("tiny", ["figure10"], indirect=True)  # all three select their poses by the same function
 def test_two_workers_change_nothing(tiny, tmp_path):
     _, path, out, _ = tiny

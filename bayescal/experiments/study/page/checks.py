@@ -87,12 +87,17 @@ def state_convergence(results: StudyResults) -> Statement:
 # --- stability -------------------------------------------------------------------------------------------------------
 
 
+def format_factor(factor: float) -> str:
+    """Return a factor on the widths of the priors: ``0.5 ×``."""
+    return f"{format_plain(factor)} ×"
+
+
 def state_stability(results: StudyResults) -> list[Statement]:
-    """Say whether the same variants lead under every tolerance of the lengths."""
+    """Say whether the same variants lead with wider and narrower priors."""
     wide = results.sensitivity_grid
     if len(results.ranking) == 1 or len(wide) == 1:
         return []
-    statements = [_compare_tolerances(results, wide)]
+    statements = [_compare_widths(results, wide)]
     doubtful = int((results.sensitivity["pareto_k"] > PARETO_K_LIMIT).sum())
     if doubtful:
         text = f"{doubtful} of {wide.size} of these evidences are doubtful (importance sampling, Pareto k)."
@@ -100,10 +105,10 @@ def state_stability(results: StudyResults) -> list[Statement]:
     return statements
 
 
-def _compare_tolerances(results: StudyResults, wide: pd.DataFrame) -> Statement:
+def _compare_widths(results: StudyResults, wide: pd.DataFrame) -> Statement:
     leaders = find_leaders(results)
     names = name_variants(results, leaders)
-    span = f"tolerances of the lengths from {format_plain(wide.index[0])} to {format_plain(wide.index[-1])} mm"
+    span = f"priors {format_plain(wide.index[0])} to {format_plain(wide.index[-1])} times as wide as the study's"
     rivals = wide.drop(columns=leaders)
     if rivals.empty:
         largest = format_fixed(float((wide.max(axis=1) - wide.min(axis=1)).max()), 1)
@@ -111,13 +116,13 @@ def _compare_tolerances(results: StudyResults, wide: pd.DataFrame) -> Statement:
     lead = wide[leaders].min(axis=1) - rivals.max(axis=1)
     lost = lead[lead < -NOT_DISTINGUISHABLE].index
     if len(lost):
-        where = [f"{label_variant(results, str(rivals.loc[t].idxmax()))} at {format_plain(t)} mm" for t in lost]
+        where = [f"{label_variant(results, str(rivals.loc[t].idxmax()))} at {format_factor(t)}" for t in lost]
         text = f"The ranking is not stable over {span}: not {name_variants(results, leaders, 'or')} comes first but "
         return Statement(f"{text}{join_words(where)}.", "bad", "Stability")
     stay = "stays" if len(leaders) == 1 else "stay"
     if lead.min() > NOT_DISTINGUISHABLE:
         where_least = float(lead.index[int(lead.argmin())])
-        least = f"never by less than {format_fixed(lead.min(), 1)} nat (at {format_plain(where_least)} mm)"
+        least = f"never by less than {format_fixed(lead.min(), 1)} nat (at {format_factor(where_least)})"
         text = f"{names} {stay} first, {least}"
     else:
         text = f"no other variant gets ahead of {names} by more than {format_plain(NOT_DISTINGUISHABLE)} nat"
@@ -138,17 +143,15 @@ def list_reversals(results: StudyResults, values: Mapping[str, float], limit: fl
 
 
 def _describe_reversals(results: StudyResults, wide: pd.DataFrame) -> str:
-    """Name who passes whom at which tolerance, beyond what is not told apart anyway."""
+    """Name who passes whom at which factor on the priors, beyond what is not told apart anyway."""
     passes: dict[str, list[str]] = {}
-    for tolerance, (_, row) in zip(wide.index, wide.iterrows(), strict=True):
+    for factor, (_, row) in zip(wide.index, wide.iterrows(), strict=True):
         values = {str(name): float(value) for name, value in row.items()}
         passed: dict[str, int] = {}
         for low, _ in list_reversals(results, values, NOT_DISTINGUISHABLE):
             passed[low] = passed.get(low, 0) + 1
         for low, n in passed.items():
-            passes.setdefault(low, []).append(
-                f"{n} {'variant' if n == 1 else 'variants'} at {format_plain(tolerance)} mm"
-            )
+            passes.setdefault(low, []).append(f"{n} {'variant' if n == 1 else 'variants'} at {format_factor(factor)}")
     if not passes:
         return "the whole order stays"
     words = [f"{label_variant(results, name)} passes {join_words(where)}" for name, where in passes.items()]

@@ -1,13 +1,13 @@
-"""Tables of the evidence: its two estimators, other tolerances, and the convergence of the posteriors."""
+"""Tables of the evidence: its two estimators, other priors, and the convergence of the posteriors."""
 
 from __future__ import annotations
 
-from bayescal.experiments.study.page.checks import measure_gap
+from bayescal.experiments.study.page.checks import format_factor, measure_gap
 from bayescal.experiments.study.page.results import SHORT_SETTINGS, StudyResults
 from bayescal.experiments.study.page.variants import VARIANT, label_variant
 from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
 from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
-from bayescal.report.numbers import count_decimals, format_count, format_estimate, format_fixed, format_plain
+from bayescal.report.numbers import count_decimals, format_count, format_estimate, format_fixed
 
 
 def format_evidence(value: float, se: float) -> str:
@@ -52,14 +52,14 @@ def _limited(value: float, fine: bool, decimals: int) -> Cell:
 
 
 def tabulate_sensitivity(results: StudyResults) -> Table:
-    """Return the log-evidence and rank of every variant at every tolerance."""
+    """Return the log-evidence and rank of every variant at every factor on the priors."""
     wide = results.sensitivity_grid
     ranks = wide.rank(axis=1, ascending=False, method="min")
     columns = [
         VARIANT,
-        *(Column(f"{format_plain(t)} mm", "nat (rank)", "Tolerance of the lengths, prior sd") for t in wide.index),
+        *(Column(format_factor(factor), "nat (rank)", "Widths of all priors") for factor in wide.index),
     ]
-    doubtful = results.sensitivity.pivot(index="tolerance_mm", columns="variant", values="pareto_k") > PARETO_K_LIMIT
+    doubtful = results.sensitivity.pivot(index="factor", columns="variant", values="pareto_k") > PARETO_K_LIMIT
     rows: list[list[str | Cell]] = []
     for name in results.ranking:
         texts = [
@@ -74,7 +74,7 @@ def tabulate_sensitivity(results: StudyResults) -> Table:
         )
     note = Statement(f"Marked where Pareto k exceeds {PARETO_K_LIMIT}.", "warning")
     notes = [note] if doubtful.to_numpy().any() else []
-    return make_table("Log-evidence with model error for other tolerances of the lengths.", columns, rows, notes)
+    return make_table("Log-evidence with model error for wider and narrower priors.", columns, rows, notes)
 
 
 def tabulate_diagnostics(results: StudyResults) -> Table:

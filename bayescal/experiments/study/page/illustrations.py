@@ -189,11 +189,12 @@ def illustrate_model_error(results: StudyResults) -> Figure:
 
 
 def illustrate_sensitivity(results: StudyResults) -> Figure:
-    """Return the evidence against the tolerance of the lengths."""
+    """Return the evidence against the widths of the priors."""
     caption = (
-        "Log-evidence with model error against the prior tolerance of the lengths, one for all parameters in mm. Left: "
-        "each variant below its own largest value; right: each variant below the best one at the same tolerance, "
-        "logarithmic beyond 1 nat. Models stand a little side by side at each tolerance, so that equal ones are seen. "
+        "Log-evidence with model error against a factor on the widths of all parameters' priors, which keep their "
+        "ratios. Left: each variant below its own largest value; right: each variant below the best one at the same "
+        "factor, logarithmic beyond 1 nat. Models stand a little side by side at each factor, so that equal ones are "
+        "seen. "
         "The ranking is stable where no lines cross on the right (ranks: table below)."
     )
     return Figure("sensitivity", caption, partial(draw_sensitivity, results.sensitivity_grid, assign_styles(results)))

@@ -17,6 +17,7 @@ from bayescal.experiments.study.page.variants import (
     list_models,
     split_variant,
 )
+from bayescal.experiments.study.schema import name_variant
 from bayescal.report.blocks import Column, Statement, Table, make_table
 from bayescal.report.numbers import NOTHING, PER_MILLE, format_significant, format_span
 from bayescal.report.symbols import scale_of, write_symbol
@@ -77,7 +78,7 @@ def measure_rms(values: pd.Series) -> float:
 def name_table(results: StudyResults, variant: str) -> str:
     """Return which published table belongs to a variant, ``table 5(a)``; empty where the config names none."""
     for entry in results.config.get("variants", []):
-        if f"{entry.get('model')}/{entry.get('deformation')}" == variant:
+        if entry.get("name", name_variant(entry.get("model"), entry.get("deformation"))) == variant:
             name = re.split(r"[/\\]", str(entry.get("published") or ""))[-1].removesuffix(".csv")
             return re.sub(r"^table_?(\d+)_?([a-z])$", r"table \1(\2)", name)
     return ""
@@ -133,7 +134,7 @@ def list_remarks(results: StudyResults) -> list[Statement]:
     sizes = {(str(name), str(symbol)): measure_rms(values) for (name, symbol), values in grouped}
     remarks = []
     for (name, symbol), size in sizes.items():
-        same = find_variants(results, deformation=split_variant(name)[1])
+        same = find_variants(results, deformation=split_variant(results, name)[1])
         others = [sizes[other, symbol] for other in same if other != name and (other, symbol) in sizes]
         if len(others) > 1 and 0 < size < ODD * min(others):
             rows = frame[(frame["variant"] == name) & (frame["parameter"] == symbol)]

@@ -8,7 +8,8 @@ from bayescal.experiments.study.page.evidence import format_evidence
 from bayescal.experiments.study.page.results import USES, StudyResults, get_number
 from bayescal.experiments.study.page.variants import (
     VARIANT,
-    find_variants,
+    find_best,
+    find_free_sets,
     group_variants,
     label_model,
     label_variant,
@@ -92,7 +93,9 @@ def _state_names(results: StudyResults) -> list[Statement]:
     ]
     if not other:
         return []
-    example = next(name for name in results.ranking if label_variant(results, name) != name)
+    example = next((name for name in results.ranking if label_variant(results, name) != name), None)
+    if example is None:  # all have names of their own
+        return [Statement(f"In the config {join_words(other)}.")]
     return [Statement(f"In config and results {join_words(other)}: {label_variant(results, example)} is {example}.")]
 
 
@@ -106,7 +109,7 @@ def tabulate_effects(results: StudyResults) -> Table | None:
         for k, group in enumerate(group_variants(results, results.ranking))
         for name in group
     }
-    best = split_variant(results.ranking[0])[1]
+    best = split_variant(results, results.ranking[0])[1]
     columns = [
         Column("Model", kind="text"),
         *(Column(d, "nat", "Below the best variant") for d in deformations),
@@ -116,9 +119,9 @@ def tabulate_effects(results: StudyResults) -> Table | None:
     top = read_evidence(results, results.ranking[0])
     rows = []
     for model in models:
-        own = {d: name for d in deformations for name in find_variants(results, model, d)}
+        own = {d: name for d in deformations if (name := find_best(results, model, d)) is not None}
         value = {d: read_evidence(results, name) for d, name in own.items()}
-        other = {d: read_evidence(results, n) for d in deformations for n in find_variants(results, models[0], d)}
+        other = {d: read_evidence(results, n) for d in deformations if (n := find_best(results, models[0], d))}
         row = [label_model(results, model)]
         row += [f"{format_fixed(value[d] - top, 1)} {letters[own[d]]}" if d in own else NOTHING for d in deformations]
         row += [_format_difference(value, best, value, d) for d in deformations if d != best]
@@ -128,6 +131,8 @@ def tabulate_effects(results: StudyResults) -> Table | None:
         "Variants of one letter are not told apart: within 1 nat, or within twice the error of the estimates, of the "
         "best of their letter."
     )
+    if find_free_sets(results):
+        note += " Of several free sets of one model and deformation the best one stands here."
     return make_table("Log-evidence by model and deformation, with model error.", columns, rows, [Statement(note)])
 
 

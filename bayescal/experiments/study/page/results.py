@@ -18,6 +18,7 @@ import pandas as pd
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import SUMMARY_FILE, Results
 from bayescal.experiments.study.page.publication import Publication, read_publication
+from bayescal.experiments.study.schema import name_variant, stem_of
 from bayescal.report.reading import NUMBER, Kinds, check_keys
 from bayescal.report.symbols import split_name
 
@@ -78,7 +79,7 @@ TABLE_COLUMNS = {
         "orientation_error_deg",
         "orientation_bound_95_deg",
     ),
-    "sensitivity": ("variant", "tolerance_mm", "log_evidence", "log_evidence_se", "efficiency", "pareto_k"),
+    "sensitivity": ("variant", "factor", "log_evidence", "log_evidence_se", "efficiency", "pareto_k"),
     "least_squares": (
         "variant",
         "parameter",
@@ -167,6 +168,18 @@ class StudyResults:
         draws = {} if results.folder is None else _read_posteriors(results.folder / "posterior", summary["ranking"])
         return cls(summary, results.config, **tables, publication=publication, draws=draws)
 
+    @cached_property
+    def own_names(self) -> dict[str, tuple[str, str]]:
+        """Model and deformation of the variants that have names of their own."""
+        entries = [
+            (one.get("name"), one.get("model"), one.get("deformation")) for one in self.config.get("variants", [])
+        ]
+        return {
+            str(name): (str(model), str(deformation))
+            for name, model, deformation in entries
+            if name not in (None, name_variant(model, deformation))
+        }
+
     @property
     def ranking(self) -> list[str]:
         """Names of the variants, the largest log-evidence first."""
@@ -229,8 +242,8 @@ class StudyResults:
 
     @cached_property
     def sensitivity_grid(self) -> pd.DataFrame:
-        """Log-evidence with a row per tolerance (mm) and a column per variant, in the order of the ranking."""
-        wide = self.sensitivity.pivot(index="tolerance_mm", columns="variant", values="log_evidence")
+        """Log-evidence with a row per factor on the priors and a column per variant, in the order of the ranking."""
+        wide = self.sensitivity.pivot(index="factor", columns="variant", values="log_evidence")
         return wide.sort_index()[self.ranking]
 
     @property
@@ -276,10 +289,10 @@ def _check_settings(predictions: pd.DataFrame, variants: list[str], path: Path) 
 
 
 def _check_grid(sensitivity: pd.DataFrame, path: Path) -> None:
-    counts = sensitivity.groupby(["variant", "tolerance_mm"])["log_evidence"].count()
-    expected = sensitivity["variant"].nunique() * sensitivity["tolerance_mm"].nunique()
+    counts = sensitivity.groupby(["variant", "factor"])["log_evidence"].count()
+    expected = sensitivity["variant"].nunique() * sensitivity["factor"].nunique()
     if len(counts) != expected or (counts != 1).any():
-        raise InputError(f"{path}: found {len(sensitivity)} rows, expected each variant once at each tolerance")
+        raise InputError(f"{path}: found {len(sensitivity)} rows, expected each variant once at each factor")
 
 
 def _check_claims(claims: pd.DataFrame, path: Path) -> None:
@@ -331,7 +344,7 @@ def _check_fit(fit: dict[str, Any], uses: list[str], path: Path, where: str) -> 
 
 def _read_posteriors(folder: Path, variants: list[str]) -> dict[str, dict[str, Array]]:
     """Return the draws of each variant whose file is there."""
-    paths = {variant: folder / f"{variant.replace('/', '-')}.nc" for variant in variants}
+    paths = {variant: folder / f"{stem_of(variant)}.nc" for variant in variants}
     return {variant: _read_draws(path) for variant, path in paths.items() if path.is_file()}
 
 

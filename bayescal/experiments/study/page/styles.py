@@ -1,4 +1,4 @@
-"""How variants are drawn: one colour per deformation, one marker per model."""
+"""How variants are drawn: one colour per deformation, one marker per model; one of its own for a name of its own."""
 
 from __future__ import annotations
 
@@ -26,13 +26,14 @@ FEW = 4  # variants to name one by one in a legend
 
 @dataclass(frozen=True)
 class VariantStyle:
-    """How a variant is drawn: colour by deformation, marker by model."""
+    """How a variant is drawn: colour by deformation, marker by ``model``, a model's title or a variant's own name."""
 
     colour: str
     marker: str
     label: str
     model: str
     deformation: str
+    has_own_name: bool = False
 
 
 type Styles = Mapping[str, VariantStyle]
@@ -40,19 +41,27 @@ type Styles = Mapping[str, VariantStyle]
 
 def assign_styles(results: StudyResults) -> dict[str, VariantStyle]:
     """Return the style of each variant of a study, the same in all figures."""
-    marker = dict(zip(list_models(results), cycle(MARKERS), strict=False))
+    kinds = {name: _kind_of(results, name) for name in results.summary["variants"]}
+    models = [label_model(results, model) for model in list_models(results)]
+    marker = dict(zip(dict.fromkeys([*models, *kinds.values()]), cycle(MARKERS), strict=False))
     others = cycle(OTHER_COLOURS)
     colour = {name: DEFORMATION_COLOURS.get(name) or next(others) for name in list_deformations(results)}
     return {
         name: VariantStyle(
             colour[deformation],
-            marker[model],
+            marker[kind],
             quote(label_variant(results, name)),
-            quote(label_model(results, model)),
+            quote(kind),
             quote(deformation),
+            name in results.own_names,
         )
-        for name, (model, deformation) in ((name, split_variant(name)) for name in results.summary["variants"])
+        for name, kind, deformation in ((n, kind, split_variant(results, n)[1]) for n, kind in kinds.items())
     }
+
+
+def _kind_of(results: StudyResults, name: str) -> str:
+    """Return the title of a variant's model, with whose variants it shares its marker; its own name if it has one."""
+    return name if name in results.own_names else label_model(results, split_variant(results, name)[0])
 
 
 def list_keys(styles: Styles, linewidth: float = 0.0) -> list[Line2D]:

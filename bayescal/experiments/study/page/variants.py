@@ -15,8 +15,10 @@ NOT_DISTINGUISHABLE = 1.0  # nats
 VARIANT = Column("Variant", kind="name")
 
 
-def split_variant(name: str) -> tuple[str, str]:
-    """Return model and deformation of a variant's name."""
+def split_variant(results: StudyResults, name: str) -> tuple[str, str]:
+    """Return a variant's model and deformation; its name says them unless it has one of its own."""
+    if name in results.own_names:
+        return results.own_names[name]
     model, _, deformation = name.rpartition("/")
     return model, deformation
 
@@ -27,15 +29,18 @@ def label_model(results: StudyResults, model: str) -> str:
 
 
 def label_variant(results: StudyResults, name: str) -> str:
-    """Return a variant's name with its model's title: ``six_pus/matrix`` is 6-PUS/matrix."""
-    model, deformation = split_variant(name)
+    """Return a variant's own name, or that with its model's title: ``six_pus/matrix`` is 6-PUS/matrix."""
+    if name in results.own_names:
+        return name
+    model, deformation = split_variant(results, name)
     return f"{label_model(results, model)}/{deformation}" if model else deformation
 
 
 def name_variants(results: StudyResults, names: Sequence[str], between: str = "and") -> str:
-    """Return variants as words; those of one deformation as its models."""
-    models, deformations = zip(*map(split_variant, names), strict=True)
-    if len(set(deformations)) == 1 and len(names) > 1 and all(models):
+    """Return variants as words; those of one deformation as its models, unless some have names of their own."""
+    models, deformations = zip(*(split_variant(results, name) for name in names), strict=True)
+    own = any(name in results.own_names for name in names)
+    if len(set(deformations)) == 1 and len(names) > 1 and all(models) and not own:
         words = [label_model(results, model) for model in models]
         return f"{join_words(words, between)} {describe_deformation(deformations[0])}"
     return join_words([label_variant(results, name) for name in names], between)
@@ -43,12 +48,12 @@ def name_variants(results: StudyResults, names: Sequence[str], between: str = "a
 
 def list_models(results: StudyResults) -> list[str]:
     """Return the kinematic models in the order of the study."""
-    return list(dict.fromkeys(split_variant(name)[0] for name in results.summary["variants"]))
+    return list(dict.fromkeys(split_variant(results, name)[0] for name in results.summary["variants"]))
 
 
 def list_deformations(results: StudyResults) -> list[str]:
     """Return the deformations in the order of the study."""
-    return list(dict.fromkeys(split_variant(name)[1] for name in results.summary["variants"]))
+    return list(dict.fromkeys(split_variant(results, name)[1] for name in results.summary["variants"]))
 
 
 def find_variants(results: StudyResults, model: str | None = None, deformation: str | None = None) -> list[str]:
@@ -56,8 +61,26 @@ def find_variants(results: StudyResults, model: str | None = None, deformation: 
     return [
         name
         for name in results.summary["variants"]
-        if model in (None, split_variant(name)[0]) and deformation in (None, split_variant(name)[1])
+        if model in (None, split_variant(results, name)[0]) and deformation in (None, split_variant(results, name)[1])
     ]
+
+
+def find_best(results: StudyResults, model: str, deformation: str) -> str | None:
+    """Return the variant of a model and deformation with the largest log-evidence; None where there is none."""
+    return max(find_variants(results, model, deformation), key=lambda name: read_evidence(results, name), default=None)
+
+
+def list_best(results: StudyResults, deformation: str) -> list[str]:
+    """Return the best variant of every model that has a deformation, in the order of the study."""
+    found = (find_best(results, model, deformation) for model in list_models(results))
+    return [name for name in found if name is not None]
+
+
+def find_free_sets(results: StudyResults) -> dict[tuple[str, str], list[str]]:
+    """Return the variants of each model and deformation that has several, in the order of the study."""
+    pairs = dict.fromkeys(split_variant(results, name) for name in results.summary["variants"])
+    alike = {pair: find_variants(results, *pair) for pair in pairs}
+    return {pair: names for pair, names in alike.items() if len(names) > 1}
 
 
 def read_evidence(results: StudyResults, name: str, setting: str = "free") -> float:
@@ -94,7 +117,7 @@ def find_leaders(results: StudyResults, setting: str = "free") -> list[str]:
 
 def choose_model(results: StudyResults) -> str:
     """Return the model to show where one must do: the study's first among the leaders."""
-    return split_variant(find_leaders(results)[0])[0]
+    return split_variant(results, find_leaders(results)[0])[0]
 
 
 def measure_spread(results: StudyResults, names: Sequence[str], setting: str = "free") -> float:

@@ -10,11 +10,13 @@ from bayescal.experiments.study.page import checks, claims
 from bayescal.experiments.study.page.results import StudyResults, get_number
 from bayescal.experiments.study.page.variants import (
     NOT_DISTINGUISHABLE,
+    find_best,
+    find_free_sets,
     find_leaders,
-    find_variants,
     group_variants,
     label_model,
     label_variant,
+    list_best,
     list_deformations,
     list_models,
     measure_spread,
@@ -76,6 +78,7 @@ def state_verdict(results: StudyResults) -> list[Statement]:
     return [
         *_state_deformations(results),
         *_state_models(results),
+        *_state_free_sets(results),
         *_state_pairs(results),
         _state_accuracy(results),
         *_state_prediction(results),
@@ -90,14 +93,14 @@ def state_verdict(results: StudyResults) -> list[Statement]:
 
 def _state_deformations(results: StudyResults) -> list[Statement]:
     """Say what the best variant's deformation is worth against the others, model by model."""
-    best = split_variant(results.ranking[0])[1]
+    best = split_variant(results, results.ranking[0])[1]
     parts = {}
     for other in (d for d in list_deformations(results) if d != best):
         gaps = {}
         for model in list_models(results):
-            pair = find_variants(results, model, best) + find_variants(results, model, other)
-            if len(pair) == 2:
-                gaps[label_model(results, model)] = read_evidence(results, pair[0]) - read_evidence(results, pair[1])
+            one, two = (find_best(results, model, deformation) for deformation in (best, other))
+            if one is not None and two is not None:
+                gaps[label_model(results, model)] = read_evidence(results, one) - read_evidence(results, two)
         if gaps:
             parts[other] = (max(gaps.values()), f"of {other} by {_describe_gaps(gaps)}")
     if not parts or len(results.ranking) < 3:
@@ -126,8 +129,8 @@ def _describe_gaps(gaps: Mapping[str, float]) -> str:
 def _state_models(results: StudyResults) -> list[Statement]:
     """Say which models the evidence tells apart, deformation by deformation, the best first."""
     parts = []
-    for deformation in dict.fromkeys(split_variant(name)[1] for name in results.ranking):
-        names = find_variants(results, deformation=deformation)
+    for deformation in dict.fromkeys(split_variant(results, name)[1] for name in results.ranking):
+        names = list_best(results, deformation)
         if len(names) > 1:
             groups = group_variants(results, names)
             parts.append(f"{describe_deformation(deformation)}, {_describe_groups(results, groups)}")
@@ -137,16 +140,32 @@ def _state_models(results: StudyResults) -> list[Statement]:
     return [Statement(f"{text[0].upper()}{text[1:]}.", lead="Model")]
 
 
+def _state_free_sets(results: StudyResults) -> list[Statement]:
+    """Say which free sets of one model and deformation the evidence tells apart."""
+    parts = []
+    for (model, deformation), names in find_free_sets(results).items():
+        first, *rest = group_variants(results, names)
+        lead = join_words([label_variant(results, name) for name in first])
+        spread = format_fixed(measure_spread(results, first), 1)
+        words = [f"{lead} are not told apart ({spread} nat)" if len(first) > 1 else f"{lead} leads"]
+        best = max(read_evidence(results, name) for name in first)
+        for group in rest:
+            below = format_span([best - read_evidence(results, name) for name in group])
+            words.append(f"{join_words([label_variant(results, name) for name in group])} {below} nat below")
+        parts.append(f"{label_model(results, model)} {describe_deformation(deformation)}: {', '.join(words)}")
+    return [Statement(f"{'; '.join(parts)}.", lead="Free parameters")] if parts else []
+
+
 def _describe_groups(results: StudyResults, groups: Sequence[Sequence[str]]) -> str:
     first, *rest = groups
-    lead = join_words([label_model(results, split_variant(name)[0]) for name in first])
+    lead = join_words([label_model(results, split_variant(results, name)[0]) for name in first])
     spread = format_fixed(measure_spread(results, first), 1)
     words = [f"{lead} are not told apart ({spread} nat)" if len(first) > 1 else f"{lead} leads"]
     reference = read_evidence(results, first[0])
     for group in rest:
-        models = join_words([label_model(results, split_variant(name)[0]) for name in group])
+        models = join_words([label_model(results, split_variant(results, name)[0]) for name in group])
         below = format_span([reference - read_evidence(results, name) for name in group])
-        of = f" {label_model(results, split_variant(first[0])[0])}" if len(first) > 1 else ""
+        of = f" {label_model(results, split_variant(results, first[0])[0])}" if len(first) > 1 else ""
         words.append(f"{models} {below} nat below{of}")
     return ", ".join(words)
 

@@ -368,7 +368,7 @@ def test_draws_that_break_a_requirement_are_bad_news(tmp_path):
     ]
 
 
-def test_data_show_their_origin_and_draws_left_out_their_reason(tmp_path):
+def test_data_show_their_origin_and_draws_left_out_their_reason(tmp_path, no_pictures):
     def change(summary):
         summary["plan"]["sensors"] = []
 

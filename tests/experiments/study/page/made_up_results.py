@@ -37,7 +37,7 @@ PUBLICATION = {
 SYMBOLS = ("a_x", "a_y", "b_x", "b_y", "l", "kappa")
 LEGS = (1, 2)
 USES = {"calibration": 4, "verification": 2}
-TOLERANCES = (0.5, 2.0)
+FACTORS = (0.5, 2.0)
 
 
 def describe_parameters(shift: float, with_model_error: bool) -> dict:
@@ -161,13 +161,13 @@ def tabulate_sensitivity(summary: dict) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "variant": variant,
-            "tolerance_mm": tolerance,
-            "log_evidence": fit["log_evidence"] - tolerance,
+            "factor": factor,
+            "log_evidence": fit["log_evidence"] - factor,
             "log_evidence_se": 0.01,
             "efficiency": 0.4,
             "pareto_k": 0.3,
         }
-        for tolerance in TOLERANCES
+        for factor in FACTORS
         for variant, fit in summary["variants"].items()
     )
 

@@ -83,12 +83,12 @@ def test_unstable_ranking_names_where_another_variant_leads(make_results):
     folder = make_results()
 
     def change(table):
-        table.loc[(table["variant"] == "pus/none") & (table["tolerance_mm"] == 0.5), "log_evidence"] = 200.0
+        table.loc[(table["variant"] == "pus/none") & (table["factor"] == 0.5), "log_evidence"] = 200.0
 
     edit_table(folder, "sensitivity", change)
     text = state(folder)
-    assert "ranking is not stable over tolerances of the lengths from 0.5 to 2 mm" in text
-    assert "pus/none at 0.5 mm" in text
+    assert "ranking is not stable over priors 0.5 to 2 times as wide as the study's" in text
+    assert "pus/none at 0.5 ×" in text
     assert "ranking is stable" not in text
 
 

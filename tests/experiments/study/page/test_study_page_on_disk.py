@@ -102,7 +102,7 @@ def test_nothing_is_written_where_the_results_are_at_fault(make_results):
     assert sorted(folder.rglob("*")) == before
 
 
-def test_twelve_variants_make_one_page_with_long_tables_folded(make_results):
+def test_twelve_variants_make_one_page_with_long_tables_folded(make_results, no_pictures):
     folder = make_results(variants=TWELVE, claims=True, flexure=True)
     text = write_report(folder).read_text(encoding="utf-8")
     reader = Reader(text)
@@ -153,7 +153,7 @@ def test_failed_convergence_opens_the_diagnostics(make_results):
     assert re.search(r"<details open>\s*<summary>Convergence", text)
 
 
-def test_figures_of_deformations_that_are_gone_are_removed(make_results):
+def test_figures_of_deformations_that_are_gone_are_removed(make_results, no_pictures):
     folder = make_results(variants=TWELVE)
     (folder / "figures").mkdir()
     for name in ("errors_quadratic", "flexure"):
@@ -164,7 +164,7 @@ def test_figures_of_deformations_that_are_gone_are_removed(make_results):
     assert not {"errors_quadratic", "flexure"} & names
 
 
-def test_the_provenance_shows_the_config(make_results):
+def test_the_provenance_shows_the_config(make_results, no_pictures):
     folder = make_results()
     edit_config(folder, lambda config: config.update(b={"c": [{"d": "x [ y ]"}, 0.5]}))
     text = write_report(folder).read_text(encoding="utf-8")

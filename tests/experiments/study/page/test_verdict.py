@@ -132,12 +132,12 @@ def test_who_passes_whom_at_another_tolerance_is_named(make_results):
     folder = make_results(variants=TWELVE)
 
     def change(table):
-        table.loc[(table["variant"] == "jacobian/none") & (table["tolerance_mm"] == 0.5), "log_evidence"] = 1205.0
+        table.loc[(table["variant"] == "jacobian/none") & (table["factor"] == 0.5), "log_evidence"] = 1205.0
 
     edit_table(folder, "sensitivity", change)
     text = find_statement(read_study(folder), "Stability")
     assert "6-PUS, beam and stiffness with the matrix deformation stay first, never by less than 149.6 nat" in text
-    assert "Jacobian/none passes 4 variants at 0.5 mm" in text
+    assert "Jacobian/none passes 4 variants at 0.5 ×" in text
 
 
 def test_of_a_single_tolerance_no_stability_is_claimed(make_results):

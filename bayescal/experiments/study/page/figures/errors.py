@@ -42,8 +42,9 @@ def draw_error_bars(predictions: pd.DataFrame, variants: Sequence[str], styles: 
     uses = [use for use in SHADES if (frame["use"] == use).any()]
     quantities = list_quantities(predictions)
     panels = figure.subplots(1, len(quantities), gridspec_kw=MARGINS, squeeze=False)[0]
-    several = len({styles[name].model for name in variants}) > 1
-    labels = [styles[name].model if several else styles[name].label for name in variants]
+    models, deformations = ({getattr(styles[name], what) for name in variants} for what in ("model", "deformation"))
+    by_model = len(models) > 1 and len(deformations) == 1
+    labels = [styles[name].model if by_model else styles[name].label for name in variants]
     for axes, (column, factor, label) in zip(panels, quantities, strict=True):
         errors = factor * frame.groupby(["variant", "use"])[column].agg(["mean", "max"])
         for k, name in enumerate(variants):

@@ -116,7 +116,7 @@ def draw_joints(joints: pd.DataFrame, models: Mapping[str, Sequence[str]], style
 def _assign_markers(styles: Styles) -> dict[str, str]:
     others = cycle(OTHER_MARKERS)
     found = {s.deformation: DEFORMATION_MARKERS.get(s.deformation) or next(others) for s in styles.values()}
-    return {name: found[style.deformation] for name, style in styles.items()}
+    return {name: s.marker if s.has_own_name else found[s.deformation] for name, s in styles.items()}
 
 
 def _mark(style: VariantStyle, marker: str) -> dict[str, Any]:
@@ -140,9 +140,10 @@ def _legend(
 ) -> list[Line2D]:
     handles = []
     for name in (name for name in names if name in moves):
-        word = f"{styles[name].deformation}: " if with_name else ""
+        style = styles[name]
+        word = f"{style.label}: " if style.has_own_name else f"{style.deformation}: " if with_name else ""
         label = f"{word}{format_significant(moves[name], 2)} mm"
-        handles.append(Line2D([], [], markersize=6, label=label, **_mark(styles[name], marks[name])))
+        handles.append(Line2D([], [], markersize=6, label=label, **_mark(style, marks[name])))
     return handles
 
 

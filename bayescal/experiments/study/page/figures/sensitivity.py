@@ -1,4 +1,4 @@
-"""How the evidence moves with the tolerance of the lengths."""
+"""How the evidence moves with the widths of the priors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from bayescal.experiments.study.page.styles import Styles, list_keys
 from bayescal.report.numbers import format_plain
 
-SPREAD = 0.08  # of the axis between the first and the last model at one tolerance
+SPREAD = 0.08  # of the axis between the first and the last model at one factor
 
 
 def draw_sensitivity(wide: pd.DataFrame, styles: Styles) -> Figure:
@@ -20,14 +20,14 @@ def draw_sensitivity(wide: pd.DataFrame, styles: Styles) -> Figure:
     Parameters
     ----------
     wide : DataFrame
-        Log-evidence with a row per tolerance (mm) and a column per variant.
+        Log-evidence with a row per factor on the priors and a column per variant.
     styles : mapping
     """
     figure = Figure(figsize=(9.4, 3.3))
     left, right = figure.subplots(1, 2)
     _draw_lines(left, wide - wide.max(axis=0), styles)
     left.set_ylabel("below its own largest (nat)")
-    left.set_title("What the tolerance costs each variant")
+    left.set_title("What the width costs each variant")
     _draw_lines(right, wide.sub(wide.max(axis=1), axis=0), styles)
     right.set_yscale("symlog", linthresh=1.0, linscale=0.6)
     right.set_ylim(min(-1.0, 1.6 * float(right.dataLim.y0)), 0.5)
@@ -58,5 +58,5 @@ def _draw_lines(axes: Axes, wide: pd.DataFrame, styles: Styles) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.minorticks_off()
-    axes.set_xlabel("Tolerance of the lengths, prior sd (mm)")
+    axes.set_xlabel("Factor on the widths of all priors")
     axes.grid()

@@ -1,0 +1,221 @@
+"""Fields of a config that name a class, which brings options of its own.
+
+A class stands in a config by its name, or as a table of its name and its options,
+``model = { class = "own_model.py:OwnModel", depth_mm = 3.0 }``; where a section is nothing but the choice of a class,
+such as an instrument's, its options are the section's other keys. The class's own ``Config`` checks the options.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, model_validator
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
+
+from bayescal.config.load import FOLDER, check_section, describe_unknown_key
+from bayescal.config.registry import find_class, is_own, load_class
+from bayescal.config.sections import Section
+from bayescal.errors import BayescalError, InputError
+
+CLASS = "class"
+UNFIT = re.compile(r"[^A-Za-z0-9_.-]")
+
+
+class ClassName(str):
+    """A class's name as a config gives it, with its options; and the class where the config was read from a file.
+
+    Attributes
+    ----------
+    registry : str
+    options : mapping of str to object
+        As they stand in the config.
+    found : type or None
+    """
+
+    registry: str
+    options: Mapping[str, Any]
+    found: type | None
+
+    def __new__(
+        cls, name: str, registry: str = "", options: Mapping[str, Any] | None = None, found: type | None = None
+    ) -> Self:
+        """Make a name that knows its class."""
+        self = super().__new__(cls, name)
+        self.registry, self.options, self.found = registry, options or {}, found
+        return self
+
+    @property
+    def label(self) -> str:
+        """What tables and files call it: the class's own name where the config's says where it stands."""
+        own = getattr(self.found, "name", None)
+        return own if ":" in self and isinstance(own, str) else UNFIT.sub("-", self)
+
+
+@dataclass(frozen=True)
+class ClassMark:
+    """Marks a text that names a class of a registry: the field holds a `ClassName`.
+
+    Attributes
+    ----------
+    registry : str
+    beside : bool
+        Whether options stand beside the name, in its section (see `OwnSection`).
+    """
+
+    registry: str
+    beside: bool = False
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        """Return the schema of a name, or of a table with a name and options."""
+        del source, handler
+        return core_schema.with_info_plain_validator_function(
+            self._read, serialization=core_schema.plain_serializer_function_ser_schema(_write)
+        )
+
+    def _read(self, value: object, info: ValidationInfo) -> ClassName:
+        name, options = _split(value)
+        if options and self.beside:
+            raise ValueError(f"found a table of {', '.join(options)}, expected a name with the options beside it")
+        folder = (info.context or {}).get(FOLDER)
+        if folder is None:
+            return ClassName(name, self.registry, options, getattr(value, "found", None))
+        try:
+            found = load_class(self.registry, name, folder)
+        except InputError as error:
+            raise ValueError(str(error)) from error
+        if not self.beside:
+            check_options(found, options)
+        return ClassName(name, self.registry, options, found)
+
+
+def _split(value: object) -> tuple[str, Mapping[str, Any]]:
+    """Return name and options of what stands in a config."""
+    if isinstance(value, ClassName):
+        return str(value), value.options
+    if isinstance(value, str):
+        return value, {}
+    name = value.get(CLASS) if isinstance(value, dict) else None
+    if not isinstance(value, dict) or not isinstance(name, str):
+        raise PydanticCustomError("class_type", "Input should be a name, or a table of a class and its options")
+    return name, {key: one for key, one in value.items() if key != CLASS}
+
+
+def _write(value: str) -> str | dict[str, Any]:
+    options = value.options if isinstance(value, ClassName) else {}
+    return {CLASS: str(value), **options} if options else str(value)
+
+
+def label_class(name: str) -> str:
+    """Return what tables and files call a class that a config names."""
+    return name.label if isinstance(name, ClassName) else ClassName(name).label
+
+
+class OwnSection(Section):
+    """A section that chooses a class, whose options are all keys that stand beside the section's own.
+
+    Attributes
+    ----------
+    chooses : str
+        The field that names the class.
+    """
+
+    model_config = ConfigDict(extra="allow")
+    chooses: ClassVar[str] = "kind"
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The class's options."""
+        return dict(self.model_extra or {})
+
+    @model_validator(mode="after")
+    def _check_options(self) -> Self:
+        found = getattr(getattr(self, self.chooses), "found", None)
+        if found is not None:
+            check_options(found, self.options)
+        return self
+
+
+def check_options(found: type, options: Mapping[str, Any]) -> Section:
+    """Return options as the section of their class.
+
+    Raises
+    ------
+    ValidationError
+        Where they are none; an unknown key is told those that the class knows.
+    """
+    schema = _schema_of(found)
+    try:
+        return schema.model_validate(dict(options))
+    except ValidationError as error:
+        raise _name_unknown_keys(error, schema) from error
+
+
+def _schema_of(found: type) -> type[Section]:
+    schema = getattr(found, "Config", Section)
+    if not (isinstance(schema, type) and issubclass(schema, BaseModel)):
+        raise ValueError(f"found class {found.__name__} whose Config is {schema!r}, expected a subclass of Section")
+    return schema  # type: ignore[return-value]  # a plain pydantic model does as well
+
+
+def _name_unknown_keys(error: ValidationError, schema: type[Section]) -> ValidationError:
+    unknown = [fault for fault in error.errors() if fault["type"] == "extra_forbidden" and len(fault["loc"]) == 1]
+    if not unknown:
+        return error
+    key = str(unknown[0]["loc"][0])
+    words = describe_unknown_key(schema.model_fields, key).replace("{", "{{").replace("}", "}}")
+    fault = InitErrorDetails(type=PydanticCustomError("value_error", words), loc=(key,), input=unknown[0]["input"])
+    return ValidationError.from_exception_data(schema.__name__, [fault])
+
+
+@dataclass(frozen=True)
+class Choice[T]:
+    """A class that a config names, with its checked options."""
+
+    found: type[T]
+    options: Any
+
+
+def choose[T](
+    what: str, name: str, base: type[T], field: str, where: Path, options: Mapping[str, Any] | None = None
+) -> Choice[T]:
+    """Return the class that a config names, and its options.
+
+    Parameters
+    ----------
+    what : str
+        The registry.
+    name : str
+        A `ClassName`, or a plain name.
+    base : type
+        What it must be a subclass of.
+    field, where : str, Path
+        Where the name stands, for the message; names of files start there.
+    options : mapping, optional
+        Where they stand beside the name, and not with it.
+    """
+    known = isinstance(name, ClassName) and name.found is not None and issubclass(name.found, base)
+    found = name.found if known else find_class(what, name, base, field, where, where)  # type: ignore[attr-defined]
+    given = dict(name.options) if options is None and isinstance(name, ClassName) else dict(options or {})
+    return Choice(found, check_section(_schema_of(found), given, where / field, ""))
+
+
+@contextmanager
+def name_failures(found: type, field: str, where: Path) -> Iterator[None]:
+    """Make one line of whatever somebody else's class raises while it is made, with where its name stands."""
+    try:
+        yield
+    except BayescalError:
+        raise
+    except Exception as error:
+        if not is_own(found):
+            raise
+        text = " ".join(str(error).split())
+        raise InputError(
+            f"{where}: {field}: found class {found.__name__} that fails with {type(error).__name__}: {text}, "
+            "expected one that can be made"
+        ) from error

@@ -1,0 +1,242 @@
+"""Classes by name: built-in ones, those of installed packages, and classes beside a config.
+
+One look-up serves all: kinds of experiment, claims, machines, models, deformations, sensors, criteria and methods of
+pose selection. Nothing is imported that nobody named: a class's module is loaded when a config or a command asks for
+it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import re
+import sys
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import cloudpickle
+
+from bayescal.config.load import describe_unknown
+from bayescal.errors import InputError
+
+
+@dataclass(frozen=True)
+class Registry:
+    """Where classes of a sort are listed.
+
+    Attributes
+    ----------
+    modules : tuple of str
+        Packages that list what is theirs in a mapping of the registry's name: a class, or ``module:Class``, by name.
+    group : str
+        Entry points under which installed packages offer the same.
+    base : str
+        ``module:Class`` of what all of them are.
+    members : tuple of str
+        Texts that each of them has as attributes, beside its methods. A ``name`` is what tables and files call it.
+    """
+
+    modules: tuple[str, ...]
+    group: str
+    base: str
+    members: tuple[str, ...] = ()
+
+
+_EXPERIMENTS = ("bayescal.experiments", "bayescal.reproductions")
+_MACHINES, _POSES = "bayescal.machines", "bayescal.pose_selection"
+REGISTRIES = {
+    "KINDS": Registry(_EXPERIMENTS, "bayescal.kinds", "bayescal.experiments.frame.experiment:Experiment"),
+    "CLAIMS": Registry(_EXPERIMENTS, "bayescal.claims", "bayescal.experiments.study.claims:Claims"),
+    "MACHINES": Registry((f"{_MACHINES}.readings",), "bayescal.machines", f"{_MACHINES}.readings:ReadingMachine"),
+    "MODELS": Registry(
+        (f"{_MACHINES}.models",), "bayescal.models", f"{_MACHINES}.models:KinematicModel", ("name", "title")
+    ),
+    "DEFORMATIONS": Registry(
+        (f"{_MACHINES}.deformations",), "bayescal.deformations", f"{_MACHINES}.deformations:Deformation", ("name",)
+    ),
+    "SENSORS": Registry((f"{_MACHINES}.sensors",), "bayescal.sensors", f"{_MACHINES}.sensors:Sensor"),
+    "CRITERIA": Registry(
+        (f"{_POSES}.criteria",), "bayescal.criteria", f"{_POSES}.criteria:Criterion", ("name", "title", "source")
+    ),
+    "METHODS": Registry(
+        (f"{_POSES}.methods",), "bayescal.methods", f"{_POSES}.methods:SelectionMethod", ("name", "title", "source")
+    ),
+}
+NAME = re.compile(r"[A-Za-z0-9_.-]+")
+_FILE_MODULE = "bayescal_file_"
+
+
+def list_references(what: str) -> Mapping[str, str]:
+    """Return ``module:Class`` by name, built-in ones and those of installed packages."""
+    built_in = {name: one if isinstance(one, str) else _refer(one) for name, one in _list_built_in(what).items()}
+    return _list_entry_points(REGISTRIES[what].group) | built_in
+
+
+def _list_built_in(what: str) -> dict[str, Any]:
+    """Return classes, or ``module:Class``, by name, as they are listed now."""
+    found: dict[str, Any] = {}
+    for module in REGISTRIES[what].modules:
+        found |= getattr(importlib.import_module(module), what, {})
+    return found
+
+
+@cache
+def _list_entry_points(group: str) -> dict[str, str]:
+    return {one.name: one.value for one in entry_points(group=group)}
+
+
+def _refer(found: type) -> str:
+    return f"{found.__module__}:{found.__qualname__}"
+
+
+def find_class[T](what: str, name: str, base: type[T], field: str, where: Path, folder: Path | None) -> type[T]:
+    """Return a class by its name, or by ``module:Class`` or ``file.py:Class``.
+
+    Parameters
+    ----------
+    what : str
+        One of `REGISTRIES`.
+    name : str
+    base : type
+        What it must be a subclass of.
+    field : str
+        Where the name stands, for the message.
+    where : Path
+        The file it stands in.
+    folder : Path or None
+        Where a file's name starts; None where only known names may be given.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, a module that fails to import, and what is no such class.
+    """
+    try:
+        found = load_class(what, name, folder)
+    except InputError as error:
+        raise InputError(f"{where}: {field}: {error}") from error
+    if not issubclass(found, base):
+        raise InputError(f"{where}: {field}: found {name!r}, which is no {base.__name__}, expected a subclass of it")
+    return found
+
+
+def load_class(what: str, name: str, folder: Path | None) -> type:
+    """Return a class as `find_class` does; InputError says what was found and expected, but not where."""
+    built_in, references = _list_built_in(what), list_references(what)
+    if isinstance(listed := built_in.get(name), type):
+        return listed
+    if name not in references and (":" not in name or folder is None):
+        raise InputError(describe_unknown(references, name))
+    location, _, attribute = references.get(name, name).partition(":")
+    try:
+        module = _import(location, folder)
+    except InputError as error:
+        raise InputError(f"found {name!r}: {error}") from error
+    except Exception as error:
+        raise InputError(
+            f"found {name!r}, whose module fails to import ({type(error).__name__}: {' '.join(str(error).split())}), "
+            "expected one that can be imported"
+        ) from error
+    found = getattr(module, attribute, None)
+    base = _load_base(what)
+    if not (isinstance(found, type) and issubclass(found, base)):
+        raise InputError(f"found {name!r}, which is no {base.__name__}, expected a subclass of it")
+    _check_members(what, name, found, built_in)
+    return found
+
+
+def _load_base(what: str) -> type:
+    module, _, attribute = REGISTRIES[what].base.partition(":")
+    base: type = getattr(importlib.import_module(module), attribute)
+    return base
+
+
+def _check_members(what: str, name: str, found: type, built_in: Mapping[str, Any]) -> None:
+    """Raise InputError where a class lacks a method or a text, or would be taken for a built-in one."""
+    members = REGISTRIES[what].members
+    texts = [one for one in members if not isinstance(getattr(found, one, None), str)]
+    missing = [*sorted(getattr(found, "__abstractmethods__", ())), *texts]
+    if missing:
+        raise InputError(f"found {name!r}, a class without {', '.join(missing)}, expected a class that has them")
+    own = getattr(found, "name", "") if "name" in members else "any"
+    if not NAME.fullmatch(own):
+        raise InputError(f"found {name!r}, whose name is {own!r}, expected a name of letters, digits and _.-")
+    if own in built_in and built_in[own] not in (found, _refer(found)):
+        raise InputError(f"found {name!r}, whose name is {own!r} as a built-in one's, expected a name of its own")
+
+
+def is_file(name: str) -> bool:
+    """Whether a name is that of a class in a file beside the config."""
+    return name.partition(":")[0].endswith(".py")
+
+
+def list_sources(what: str, name: str) -> list[str]:
+    """Return the file of a class beside the config, relative to it: a part of what determines results; else nothing."""
+    return [name.partition(":")[0]] if is_file(name) and name not in list_references(what) else []
+
+
+def hash_modules(classes: Iterable[type]) -> dict[str, str]:
+    """Return the SHA-256 of the modules that somebody else's classes and their bases stand in, by module.
+
+    Files beside a config are none of them: they belong to its files.
+
+    Raises
+    ------
+    InputError
+        Where a module is no file.
+    """
+    names = {base.__module__ for found in classes for base in found.__mro__}
+    return {name: _hash_module(name) for name in sorted(names) if _is_foreign(name)}
+
+
+def is_own(found: type) -> bool:
+    """Whether a class is somebody else's, and not the library's."""
+    return found.__module__.partition(".")[0] != "bayescal"
+
+
+def _is_foreign(module: str) -> bool:
+    top = module.partition(".")[0]
+    return not (top == "bayescal" or top in sys.stdlib_module_names or top.startswith(_FILE_MODULE))
+
+
+def _hash_module(name: str) -> str:
+    file = getattr(sys.modules.get(name), "__file__", None)
+    if file is None or not Path(file).is_file():
+        raise InputError(f"module {name}: found no file of it, expected one, for results depend on it")
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
+
+
+def _import(location: str, folder: Path | None) -> ModuleType:
+    if not location.endswith(".py") or folder is None:
+        return importlib.import_module(location)
+    path = (folder / location).resolve()
+    if not path.is_file():
+        raise InputError(f"{path}: no such file, expected a Python module")
+    content = zlib.crc32(path.read_bytes(), zlib.crc32(str(path).encode()))  # a file that was changed is another module
+    name = f"{_FILE_MODULE}{path.stem}_{content:08x}"
+    if name in sys.modules:
+        return sys.modules[name]
+    specification = importlib.util.spec_from_file_location(name, path)
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    sys.modules[name] = module
+    try:
+        specification.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    _send_by_value(module)
+    return module
+
+
+def _send_by_value(module: ModuleType) -> None:
+    """Let worker processes, which cannot import a file's module by name, be sent its functions and classes whole."""
+    cloudpickle.register_pickle_by_value(module)  # between a run and its own workers, never to or from a file

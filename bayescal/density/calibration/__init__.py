@@ -1,0 +1,1 @@
+"""Calibration of any machine from any readings: several tables, missing readings, unknown noise, poses eliminated."""

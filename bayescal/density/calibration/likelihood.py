@@ -1,0 +1,347 @@
+"""The density of readings, some of them not taken, the poses at which they were taken unknown and eliminated.
+
+With a pose that may lie anywhere in a workspace of volume V, n readings of covariance Σ have to first order about the
+pose v̂ that explains them best the density
+
+    p(s | d) = (2π)^(-m/2) |Σ|^(-1/2) |HᵀΣ⁻¹H|^(-1/2) exp(-½ r²) / V,   r² = r̂ᵀ Σ⁻¹ r̂,   r̂ = s - h(v̂, d),
+
+with m = n - q. A robust one lets each pose have a precision w of its own, Gamma(ν/2, ν/2) distributed, that all its
+readings share: what went wrong at a pose spoils it as a whole. Integrated over w,
+
+    p(s | d) = Γ((ν + m)/2) / Γ(ν/2) (νπ)^(-m/2) |Σ|^(-1/2) |HᵀΣ⁻¹H|^(-1/2) (1 + r²/ν)^(-(ν + m)/2) / V,
+
+and (ν + m) / (ν + r²), the mean of w, says how far a pose is to be trusted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.special import gammaln
+
+from bayescal.density.calibration.measurements import Comparison, Measurements
+from bayescal.machines.readings import Given, ReadingModel
+from bayescal.numerics.geometry import Array
+
+ROWS = 4096  # poses of machines that are looked at together
+CLOSE = 0.03  # deviations of a reading, below which a step is taken to first order: what that leaves enters squared
+NEAR = 0.3  # deviations of a reading, within which H is taken for constant
+CHORD = 0.01  # of a pose's deviations, where chords end
+MAX_STEPS, MAX_CHORDS = 30, 8
+SINGULAR = 1e-14  # of a column's square, below which the others leave nothing of it
+GAUSSIAN = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """What makes readings of C machines at P poses independent and of unit noise, those not taken zero.
+
+    ``diagonal`` (C, P, K), or ``matrix`` (C, P, K, K) where the noise is correlated; ``log_det`` (C, P) is that of the
+    whitening, of the readings taken.
+    """
+
+    diagonal: Array | None
+    matrix: Array | None
+    log_det: Array
+
+    def pick(self, some: np.ndarray) -> Whitening:
+        """Return that of some of the machines."""
+        diagonal = None if self.diagonal is None else self.diagonal[some]
+        return Whitening(diagonal, None if self.matrix is None else self.matrix[some], self.log_det[some])
+
+    def vector(self, error: Array) -> Array:
+        """Return white errors (C, P, K)."""
+        if self.diagonal is not None:
+            return np.asarray(self.diagonal * error)
+        assert self.matrix is not None
+        return np.asarray((self.matrix @ error[..., None])[..., 0])
+
+    def rows(self, slope: Array) -> Array:
+        """Return white derivatives (C, P, K, n)."""
+        if self.diagonal is not None:
+            return np.asarray(self.diagonal[..., None] * slope)
+        assert self.matrix is not None
+        return np.asarray(self.matrix @ slope)
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """C machines where they explain the readings best.
+
+    Attributes
+    ----------
+    pose : ndarray, shape (C, P, q)
+    error : ndarray, shape (C, P, K)
+        What is left, white.
+    slope : ndarray, shape (C, P, K, q)
+        H, white.
+    """
+
+    pose: Array
+    error: Array
+    slope: Array
+
+    @property
+    def square(self) -> Array:
+        """r², shape (C, P)."""
+        return np.einsum("...k,...k->...", self.error, self.error)
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationLikelihood:
+    """Log-density of the readings of P poses for batches of machines and of deviations.
+
+    Attributes
+    ----------
+    model : ReadingModel
+    data : Measurements
+    volume : float
+        V, in the units of the coordinates.
+    start : ndarray, shape (P, q)
+        Poses from which the best ones are looked for.
+    freedom : float
+        ν of a robust density; infinite for a normal one.
+    anchor : ndarray, shape (D,), or None
+        A machine near those that are asked for, which explains the readings at ``start``.
+    """
+
+    model: ReadingModel
+    data: Measurements
+    volume: float
+    start: Array
+    freedom: float = GAUSSIAN
+    anchor: Array | None = None
+
+    @cached_property
+    def n_readings(self) -> np.ndarray:
+        """Number n of readings at each pose, shape (P,)."""
+        return np.asarray(self.data.present.sum(axis=1))
+
+    @cached_property
+    def comparison(self) -> Comparison:
+        """How readings are compared."""
+        return Comparison(self.model.channels)
+
+    @cached_property
+    def _known(self) -> Measurements:
+        return self.data.with_constraints()
+
+    @cached_property
+    def sd(self) -> Array:
+        """Stated deviations, shape (P, K), a constraint's being tiny, those of no reading one."""
+        return np.where(self.data.present, self._known.sd, 1.0)
+
+    @cached_property
+    def correlation(self) -> Array:
+        """Of the noise, (P, K, K) or (1, K, K), readings not taken being nobody's."""
+        n, there = len(self.model.channels), self.data.present
+        if self.data.correlation is None:
+            return np.eye(n)[None]
+        both = there[:, :, None] & there[:, None, :]
+        return np.where(both, self.data.correlation, np.eye(n))
+
+    @cached_property
+    def _given(self) -> Given:
+        return {name: value[None] for name, value in self.data.given.items()}
+
+    def pick(self, which: np.ndarray) -> CalibrationLikelihood:
+        """Return the density of the readings of some poses."""
+        return replace(self, data=self.data.pick(which), start=self.start[which])
+
+    def anchored(self, pose: Array, theta: Array) -> CalibrationLikelihood:
+        """Return the same density that starts at those poses (P, q) which a machine (D,) explains readings with."""
+        return replace(self, start=pose, anchor=theta)
+
+    # --- poses ---------------------------------------------------------------------------------------------------
+
+    def whiten(self, own: Array, tau: Array) -> Whitening:
+        """Return the whitening for deviations s σ (C, P, K) and τ (C, 1, K)."""
+        there = self.data.present
+        if self.data.correlation is None:
+            weight = np.where(there, 1.0 / np.sqrt(own**2 + tau**2), 0.0)
+            return Whitening(weight, None, np.log(np.where(there, weight, 1.0)).sum(axis=-1))
+        own, tau = np.where(there, own, 1.0), np.where(there, tau, 0.0)
+        covariance = own[..., :, None] * self.correlation * own[..., None, :]
+        factor = np.linalg.cholesky(covariance + tau[..., None] ** 2 * np.eye(own.shape[-1]))
+        log_det = -np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+        return Whitening(None, np.linalg.inv(factor), log_det)
+
+    def linearise(
+        self, theta: Array, pose: Array, white: Whitening, with_parameters: bool = False
+    ) -> tuple[Array, Array, Array]:
+        """Return white errors (C, P, K), H (C, P, K, q) and A (C, P, K, D) of machines (C, D) at poses (C, P, q)."""
+        here = self.model.linearise(theta[:, None], pose, with_parameters, self._given)
+        error = self.comparison.subtract(self.data.values, here.values)
+        there = self.data.present
+        by_pose = self._pull_back(error, here.values, here.by_pose)
+        rows = white.rows(by_pose)
+        left = white.vector(np.where(there, error, 0.0))
+        if not with_parameters:
+            return left, rows, here.by_parameters
+        return left, rows, white.rows(self._pull_back(error, here.values, here.by_parameters))
+
+    def _pull_back(self, error: Array, values: Array, slope: Array) -> Array:
+        there = self.data.present[..., None]
+        return np.where(there, self.comparison.pull_back(error, values, slope), 0.0)
+
+    def stand(self, theta: Array, white: Whitening, start: Array | None = None) -> Stand:
+        """Return machines (C, D) where they explain the readings best, by Gauss and Newton's method.
+
+        It starts with chords where the density is anchored: H changes so little from machine to machine that a fixed
+        inverse gains two digits a step, without any derivative. The last step is taken to first order.
+        """
+        pose = np.broadcast_to(self.start if start is None else start, (len(theta), *self.start.shape)).copy()
+        if not pose.shape[-1]:
+            error, slope, _ = self.linearise(theta, pose, white)
+            return Stand(pose, error, slope)
+        if self.anchor is not None and start is None:
+            pose = self._follow_chords(theta, pose)
+        found = Stand(pose, *(np.empty((*pose.shape[:2], *shape)) for shape in self._shapes))
+        going = np.arange(len(theta))
+        for _ in range(MAX_STEPS):
+            size = self._improve(found, going, theta, white)
+            going = going[~(size <= NEAR)]  # where it is not a number, too
+            if not len(going):
+                return found
+        found.error[going] = np.nan  # wandering still: no pose of these machines
+        return found
+
+    @property
+    def _shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        n, q = len(self.model.channels), len(self.model.coordinates)
+        return (n,), (n, q)
+
+    def _improve(self, found: Stand, going: np.ndarray, theta: Array, white: Whitening) -> Array:
+        """Move some of the machines by a step, or two where H is as good as that of the next pose; return its size."""
+        theta, white = theta[going], white.pick(going)
+        error, slope, _ = self.linearise(theta, found.pose[going], white)
+        step, left = _step(slope, error)
+        pose, size = found.pose[going] + step, np.abs(error - left).max(axis=(-1, -2))
+        near = np.flatnonzero((size > CLOSE) & (size <= NEAR))
+        if len(near):
+            again = self._errors(theta[near], pose[near], white.pick(near))
+            step, left[near] = _step(slope[near], again)
+            pose[near] += step
+        found.pose[going], found.error[going], found.slope[going] = pose, left, slope
+        return np.asarray(size)
+
+    def _errors(self, theta: Array, pose: Array, white: Whitening) -> Array:
+        """Return white errors (C, P, K) of machines (C, D) at poses (C, P, q)."""
+        read = self.model.read(theta[:, None], pose, self._given)
+        error = self.comparison.subtract(self.data.values, read)
+        return white.vector(np.where(self.data.present, error, 0.0))
+
+    def _follow_chords(self, theta: Array, pose: Array) -> Array:
+        """Return poses (C, P, q) close to where machines explain the readings; where they start if chords go astray."""
+        gain, size = self._chord
+        first, machines = pose, theta[:, None]
+        for _ in range(MAX_CHORDS):
+            read = self.model.read(machines, pose, self._given)
+            error = np.where(self.data.present, self.comparison.subtract(self.data.values, read), 0.0)
+            step = np.einsum("pqk,cpk->cpq", gain, error)
+            pose = pose + step
+            if not np.any(np.abs(step) > CHORD * size):
+                return pose
+        return np.where(np.isfinite(pose) & (np.abs(step) < size), pose, first)
+
+    @cached_property
+    def _chord(self) -> tuple[Array, Array]:
+        """Return the inverse of H at the anchor, of raw readings, (P, q, K), and the poses' deviations (P, q)."""
+        assert self.anchor is not None
+        white = self.whiten(self.sd[None], np.zeros((1, 1, self.sd.shape[1])))
+        _, slope, _ = self.linearise(self.anchor[None], self.start[None], white)
+        inverse = np.linalg.pinv(slope[0])
+        size = np.sqrt(np.einsum("pqk,pqk->pq", inverse, inverse))
+        if white.diagonal is not None:
+            return inverse * white.diagonal[0][:, None], size
+        assert white.matrix is not None
+        return inverse @ white.matrix[0], size
+
+    # --- density -------------------------------------------------------------------------------------------------
+
+    def batches(self, n: int) -> Iterator[slice]:
+        """Yield slices of n machines that are looked at together."""
+        size = max(1, ROWS // self.data.n_poses)
+        yield from (slice(k, k + size) for k in range(0, n, size))
+
+    def pointwise(self, theta: Array, own: Array, tau: Array) -> Array:
+        """Return the log-density of each pose's readings, (C, P), -inf where a machine cannot stand.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (C, D)
+        own : ndarray, shape (C, P, K)
+            s σ.
+        tau : ndarray, shape (C, 1, K)
+        """
+        result = np.empty((len(theta), self.data.n_poses))
+        for part in self.batches(len(theta)):
+            white = self.whiten(own[part], tau[part])
+            at = self.stand(theta[part], white)
+            result[part] = self.weigh(at.square) + white.log_det - half_log_volume(at.slope)
+        result[~np.isfinite(result)] = -np.inf
+        return result
+
+    def weigh(self, square: Array) -> Array:
+        """Return the log-density of what is left, of unit covariance, from r² (C, P), and the pose's prior."""
+        m, nu = self.n_readings - len(self.model.coordinates), self.freedom
+        flat = -np.log(self.volume)
+        if not np.isfinite(nu):
+            return np.asarray(flat - 0.5 * square - 0.5 * m * np.log(2.0 * np.pi))
+        constant = gammaln(0.5 * (nu + m)) - gammaln(0.5 * nu) - 0.5 * m * np.log(nu * np.pi)
+        return np.asarray(flat + constant - 0.5 * (nu + m) * np.log1p(square / nu))
+
+    def trust(self, square: Array) -> Array:
+        """Return the mean of each pose's precision w, (C, P); one where the density is normal."""
+        if not np.isfinite(self.freedom):
+            return np.ones_like(square)
+        m = self.n_readings - len(self.model.coordinates)
+        return np.asarray((self.freedom + m) / (self.freedom + square))
+
+
+def half_log_volume(slope: Array) -> Array:
+    """Return ½ log |HᵀΣ⁻¹H| for white H (..., K, q)."""
+    if not slope.shape[-1]:
+        return np.zeros(slope.shape[:-2])
+    with np.errstate(all="ignore"):
+        factor = _factorise(slope)
+        return np.asarray(sum(np.log(factor[k][k]) for k in range(slope.shape[-1])))
+
+
+def _factorise(slope: Array) -> list[list[Array]]:
+    """Return the Cholesky factor L of HᵀH for H (..., K, q), L[i][j] of shape (...); NaN where there is none.
+
+    By entries, for q is small: a few passes over whole batches, where LAPACK would be called for each pose.
+    """
+    columns = [np.ascontiguousarray(slope[..., k]) for k in range(slope.shape[-1])]
+    factor: list[list[Array]] = []
+    for i, column in enumerate(columns):
+        row: list[Array] = []
+        for j in range(i):
+            rest = np.einsum("...k,...k->...", column, columns[j]) - sum(row[k] * factor[j][k] for k in range(j))
+            row.append(rest / factor[j][j])
+        square = np.einsum("...k,...k->...", column, column)
+        rest = square - sum(one * one for one in row)
+        row.append(np.sqrt(np.where(rest > SINGULAR * square, rest, np.nan)))
+        factor.append(row)
+    return factor
+
+
+def _step(slope: Array, error: Array) -> tuple[Array, Array]:
+    """Return the step of the pose (..., q) that leaves least of white errors (..., K), and what it leaves.
+
+    NaN where H (..., K, q) is singular.
+    """
+    with np.errstate(all="ignore"):
+        factor, q = _factorise(slope), slope.shape[-1]
+        solved: list[Array] = []
+        for i in range(q):
+            side = np.einsum("...k,...k->...", slope[..., i], error) - sum(factor[i][k] * solved[k] for k in range(i))
+            solved.append(side / factor[i][i])
+        for i in reversed(range(q)):
+            solved[i] = (solved[i] - sum(factor[k][i] * solved[k] for k in range(i + 1, q))) / factor[i][i]
+        left = error - sum(slope[..., i] * solved[i][..., None] for i in range(q))
+    return np.stack(solved, axis=-1), np.asarray(left)

@@ -1,0 +1,121 @@
+"""Readings as measured: poses by channels, with what was not read left out, and what is known of their noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from bayescal.machines.readings import Channel
+from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, matrix_from_rotation_vector
+from bayescal.numerics.geometry import rotation_vector_from_matrix as log_rotation
+
+CONSTRAINT = 1e-4
+"""Noise of a reading that is stated to have none, in units of the smallest other one: its square no longer shows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Readings of P poses by all K channels of a machine.
+
+    Attributes
+    ----------
+    poses : tuple of str
+        Names of the poses.
+    values : ndarray, shape (P, K)
+        In the channels' units; NaN where nothing was read.
+    sd : ndarray, shape (P, K)
+        Standard deviations; zero for a constraint, any number where nothing was read.
+    given : mapping of str to ndarray, shape (P,)
+        What is known of each pose besides.
+    correlation : ndarray, shape (P, K, K), or None
+        Of the noise; the identity where it is None.
+    """
+
+    poses: tuple[str, ...]
+    values: Array
+    sd: Array
+    given: Mapping[str, Array] = field(default_factory=dict)
+    correlation: Array | None = None
+
+    @cached_property
+    def present(self) -> np.ndarray:
+        """Which readings there are, shape (P, K)."""
+        return np.isfinite(self.values)
+
+    @property
+    def n_poses(self) -> int:
+        """Number P of poses."""
+        return len(self.poses)
+
+    def pick(self, which: np.ndarray) -> Measurements:
+        """Return some of the poses."""
+        names = tuple(np.array(self.poses, dtype=object)[which])
+        given = {name: value[which] for name, value in self.given.items()}
+        correlation = None if self.correlation is None else self.correlation[which]
+        return Measurements(names, self.values[which], self.sd[which], given, correlation)
+
+    def only(self, channels: np.ndarray) -> Measurements:
+        """Return the measurements with the readings of other channels, given by a mask (K,) or (P, K), left out."""
+        values = np.where(channels, self.values, np.nan)
+        return Measurements(self.poses, values, self.sd, self.given, self.correlation)
+
+    def with_constraints(self) -> Measurements:
+        """Return the measurements with a noise that no longer shows in place of none."""
+        there = self.sd[self.present & (self.sd > 0.0)]
+        tiny = CONSTRAINT * (float(there.min()) if there.size else 1.0)
+        return Measurements(
+            self.poses, self.values, np.where(self.sd > 0.0, self.sd, tiny), self.given, self.correlation
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """How readings of some channels are compared: on a line, on a circle, or as a rotation."""
+
+    channels: tuple[Channel, ...]
+
+    @cached_property
+    def _periods(self) -> Array | None:
+        periods = np.array([one.period or np.inf for one in self.channels])
+        return periods if np.isfinite(periods).any() else None
+
+    @cached_property
+    def rotations(self) -> list[slice]:
+        """Where the components of rotation vectors stand."""
+        names = [one.rotation for one in self.channels]
+        starts = [names.index(name) for name in dict.fromkeys(filter(None, names))]
+        return [slice(k, k + 3) for k in starts]
+
+    def subtract(self, measured: Array, read: Array) -> Array:
+        """Return measured minus read, (..., K); NaN where nothing was measured."""
+        error = measured - read
+        if self._periods is not None:
+            circle = np.isfinite(self._periods)
+            period = self._periods[circle]
+            error[..., circle] -= period * np.round(error[..., circle] / period)
+        for three in self.rotations:
+            error[..., three] = _turn(*np.broadcast_arrays(measured[..., three], read[..., three]))
+        return np.asarray(error)
+
+    def pull_back(self, error: Array, read: Array, slope: Array) -> Array:
+        """Return the derivative of read minus measured from that of the readings, both (..., K, n)."""
+        if not self.rotations:
+            return slope
+        result = slope.copy()
+        for three in self.rotations:
+            vector, left = np.nan_to_num(read[..., three]), np.nan_to_num(error[..., three])
+            # d log(M exp(-ω) Rᵀ) = -J_r⁻¹(r) ω with ω = J_l(v) dv, and J_r⁻¹(r) = J_l⁻¹(-r)
+            turn = compute_left_inverse_jacobian(-left) @ np.linalg.inv(compute_left_inverse_jacobian(vector))
+            result[..., three, :] = turn @ slope[..., three, :]
+        return result
+
+
+def _turn(measured: Array, read: Array) -> Array:
+    """Return the rotation vector of M Rᵀ for rotation vectors (..., 3); NaN where either is."""
+    good = np.isfinite(measured).all(axis=-1) & np.isfinite(read).all(axis=-1)
+    both = (np.where(good[..., None], one, 0.0) for one in (measured, read))
+    to, at = (matrix_from_rotation_vector(one) for one in both)
+    return np.where(good[..., None], log_rotation(to @ np.swapaxes(at, -1, -2)), np.nan)

@@ -1,0 +1,1 @@
+"""Calibration of any machine, from any of its readings."""

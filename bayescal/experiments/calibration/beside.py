@@ -1,0 +1,74 @@
+"""Values from elsewhere, to look at beside a calibration: they stay out of the fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.errors import InputError
+from bayescal.experiments.calibration.reading_tables import units_like
+from bayescal.experiments.calibration.schema import BesideConfig
+from bayescal.files.csv_tables import read_table
+from bayescal.machines.readings import ReadingModel
+from bayescal.numerics.geometry import Array
+
+COLUMNS = ("quantity", "unit", "value")
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """Values of parameters, or of channels read where all coordinates are zero.
+
+    Attributes
+    ----------
+    title, source : str
+    quantities : tuple of str
+    units : tuple of str
+        Inner ones.
+    values, sd : ndarray, shape (n,)
+        NaN for a deviation that is not known.
+    """
+
+    title: str
+    source: str
+    quantities: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    sd: Array
+
+    def evaluate(self, model: ReadingModel, theta: Array) -> Array:
+        """Return the same quantities of machines (T, D), shape (T, n)."""
+        names = model.layout.names
+        unknown = {name: np.full(len(theta), np.nan) for name in model.given}  # for channels that do not depend on it
+        read = model.read(theta, np.zeros((len(theta), len(model.coordinates))), unknown)
+        columns = [
+            theta[:, names.index(one)] if one in names else read[:, model.names.index(one)] for one in self.quantities
+        ]
+        return np.stack(columns, axis=1)
+
+
+def read_beside(section: BesideConfig, folder: Path, model: ReadingModel) -> Beside:
+    """Return the values of a file; InputError for an unknown quantity or a unit of another kind."""
+    path = folder / section.file
+    table = read_table(path, None)
+    for name in table.columns:
+        if name not in (*COLUMNS, "sd"):
+            raise InputError(f"{path}: found column {name!r}, expected {', '.join(COLUMNS)}, sd")
+    for name in COLUMNS:
+        if name not in table.columns:
+            raise InputError(f"{path}: found no column {name!r}, expected {', '.join(COLUMNS)}")
+    own = dict(zip(model.layout.names, model.layout.units, strict=True))
+    own |= {one.name: one.unit for one in model.channels}
+    factors, units = [], []
+    for row, (name, unit) in enumerate(zip(table.text("quantity"), table.text("unit"), strict=True)):
+        if name not in own:
+            raise InputError(f"{table.where(row)}: quantity: found {name!r}, expected some of {', '.join(own)}")
+        if unit not in units_like(own[name]):
+            raise InputError(f"{table.where(row)}: unit: found {unit!r}, expected {' or '.join(units_like(own[name]))}")
+        factors.append(units_like(own[name])[unit])
+        units.append(own[name])
+    values = table.numbers(("value",))[:, 0] * factors
+    sd = table.numbers(("sd",), gaps=True)[:, 0] * factors if "sd" in table.columns else np.full(len(values), np.nan)
+    return Beside(section.title, section.source, tuple(table.text("quantity")), tuple(units), values, sd)

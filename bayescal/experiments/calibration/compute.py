@@ -1,0 +1,92 @@
+"""Computing a calibration: every variant's posterior, and what it predicts of readings held back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayescal.experiments.calibration.fit import Fit, fit_variant
+from bayescal.experiments.calibration.inputs import CalibrationInputs
+from bayescal.experiments.calibration.knowledge import Knowledge, assess
+from bayescal.experiments.calibration.tables import Findings, Residuals, summarise, tabulate
+from bayescal.experiments.calibration.validation import Held, hold_back, list_folds
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results
+from bayescal.numerics.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """What one task of a variant finds; its verification where poses are kept for that."""
+
+    fit: Fit
+    residuals: Residuals
+    knowledge: Knowledge
+    beside: list[Array]
+    held: list[Held]
+
+
+def compute_calibration(inputs: CalibrationInputs, run: Run) -> Results:
+    """Return what is found for all variants."""
+    names = {name: name for name in inputs.variants}
+    fitted = run.map("variants", _compute_variant, inputs, names, (_Fitted,))
+    folds = {
+        f"{name} {fold + 1}": (name, fold)
+        for name, variant in inputs.variants.items()
+        if not variant.verification.any()
+        for fold in range(len(list_folds(inputs, variant)))
+    }
+    held = run.map("held-back poses", _compute_fold, inputs, folds, (Held,)) if folds else {}
+    found = {
+        name: Findings(
+            one.fit,
+            one.residuals,
+            one.knowledge,
+            one.beside,
+            [*one.held, *(held[task] for task, (owner, _) in folds.items() if owner == name)],
+        )
+        for name, one in fitted.items()
+    }
+    tables = tabulate(inputs, found)
+    return Results(summarise(inputs, tables), tables)
+
+
+def _compute_variant(inputs: CalibrationInputs, name: str) -> _Fitted:
+    variant = inputs.variants[name]
+    fit = fit_variant(inputs, variant)
+    theta = variant.posterior().theta(fit.kept)
+    held = [hold_back(inputs, variant, 0, fit.kept)] if variant.verification.any() else []
+    return _Fitted(
+        fit,
+        _explain(inputs, name, fit),
+        assess(inputs, variant, fit),
+        [one.evaluate(variant.whole, theta) for one in inputs.beside],
+        held,
+    )
+
+
+def _explain(inputs: CalibrationInputs, name: str, fit: Fit) -> Residuals:
+    """Return what the best machine leaves of the readings at the calibration poses."""
+    variant = inputs.variants[name]
+    posterior = variant.posterior().anchored()
+    white, stand = posterior.stand(fit.mode[None])
+    own, tau = posterior.deviations(fit.mode[None])
+    likelihood = posterior.likelihood
+    given = {key: value[None] for key, value in likelihood.data.given.items()}
+    read = likelihood.model.read(posterior.theta(fit.mode[None])[:, None], stand.pose, given)
+    left = likelihood.comparison.subtract(likelihood.data.values, read)[0]
+    del white
+    return Residuals(
+        stand.pose[0],
+        np.where(likelihood.data.present, left, np.nan),
+        np.sqrt(own[0] ** 2 + tau[0] ** 2) * np.ones_like(left),
+        stand.square[0],
+        likelihood.trust(stand.square)[0],
+        likelihood.n_readings - stand.pose.shape[-1],
+    )
+
+
+def _compute_fold(inputs: CalibrationInputs, task: tuple[str, int]) -> Held:
+    name, fold = task
+    return hold_back(inputs, inputs.variants[name], fold)

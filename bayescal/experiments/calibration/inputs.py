@@ -1,0 +1,191 @@
+"""From config and files to the posteriors of a calibration's variants; every fault shows before any sampling."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.density.calibration.likelihood import GAUSSIAN, CalibrationLikelihood
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.noise import NoiseModel
+from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.priors import Prior
+from bayescal.errors import InputError, name_faults
+from bayescal.experiments.calibration.beside import Beside, read_beside
+from bayescal.experiments.calibration.noise import build_noise, stated_noise
+from bayescal.experiments.calibration.priors import choose_priors
+from bayescal.experiments.calibration.reading_tables import PoseReadings, read_tables
+from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
+from bayescal.experiments.calibration.workspace import Workspace, build_workspace, find_starts
+from bayescal.machines.read import read_reading_model
+from bayescal.machines.readings import ReadingModel
+from bayescal.numerics.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """A model of the readings.
+
+    Attributes
+    ----------
+    config : CalibrationVariantConfig
+    whole : ReadingModel
+        The machine with all its channels.
+    model : ReadingModel
+        The machine with the channels that the variant takes in, K of them.
+    priors : mapping of name to Prior
+    fixed : mapping of parameter name to float
+    common : mapping of name to tuple of parameter names
+    noise : NoiseModel
+    data : Measurements
+        Of all poses that it takes in, without the readings of other channels.
+    verification : ndarray of bool, shape (P,)
+    start : ndarray, shape (P, q)
+        Where the machine as expected explains the readings best.
+    workspace : Workspace
+    """
+
+    config: CalibrationVariantConfig
+    whole: ReadingModel
+    model: ReadingModel
+    priors: Mapping[str, Prior]
+    fixed: Mapping[str, float]
+    common: Mapping[str, tuple[str, ...]]
+    noise: NoiseModel
+    data: Measurements
+    verification: np.ndarray
+    start: Array
+    workspace: Workspace
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self.config.name
+
+    def likelihood(self, which: np.ndarray) -> CalibrationLikelihood:
+        """Return the density of the readings of some poses, by a mask (P,)."""
+        freedom = GAUSSIAN if self.config.robust is None else self.config.robust
+        return CalibrationLikelihood(
+            self.model, self.data.pick(which), self.workspace.volume, self.start[which], freedom
+        )
+
+    def posterior(self, which: np.ndarray | None = None) -> CalibrationPosterior:
+        """Return the posterior of some poses, those for calibration by default."""
+        likelihood = self.likelihood(~self.verification if which is None else which)
+        return CalibrationPosterior(likelihood, self.priors, self.noise, self.fixed, self.common)
+
+    @property
+    def internal(self) -> np.ndarray:
+        """Which channels the machine keeps after its calibration, shape (K,)."""
+        return np.array([not one.external for one in self.model.channels])
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationInputs:
+    """Readings and variants.
+
+    Attributes
+    ----------
+    config : CalibrationConfig
+    machine : str
+        Its name.
+    variants : dict of name to Variant
+    beside : list of Beside
+    """
+
+    config: CalibrationConfig
+    machine: str
+    variants: dict[str, Variant]
+    beside: list[Beside]
+
+
+def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
+    """Return the inputs of a calibration; InputError names the file, the variant, the pose, the column."""
+    models = {name: read_reading_model(folder / name) for name in list_machines(config)}
+    model = models[config.machine]
+    for name, other in models.items():
+        if other.names != model.names:
+            raise InputError(f"{folder / name}: found other channels than {config.machine} has, expected the same")
+    given = list(dict.fromkeys(name for one in models.values() for name in one.given))
+    files = [(folder / table.file, table.channels, table.hold_back) for table in config.data]
+    readings = read_tables(files, model.channels, given)
+    deviations = stated_noise(config.sensors, readings, model)
+    variants = {}
+    for one in config.variants:
+        with name_faults(f"variant {one.name!r}"):
+            variants[one.name] = _build(config, one, models[one.machine or config.machine], readings, deviations)
+    beside = [read_beside(one, folder, model) for one in config.beside]
+    return CalibrationInputs(config, getattr(model, "name", config.machine), variants, beside)
+
+
+def list_machines(config: CalibrationConfig) -> list[str]:
+    """Return the files of the machine, those of single variants too."""
+    return list(dict.fromkeys([config.machine, *(one.machine for one in config.variants if one.machine)]))
+
+
+def _build(
+    config: CalibrationConfig,
+    section: CalibrationVariantConfig,
+    model: ReadingModel,
+    readings: PoseReadings,
+    deviations: Array,
+) -> Variant:
+    rows = _choose_poses(section, model, readings)
+    chosen = model.select(section.sensors if section.sensors is not None else config.sensors)
+    chosen = chosen[np.isfinite(readings.values[rows][:, chosen]).any(axis=0)]
+    if not len(chosen):
+        raise InputError("sensors: found no reading of any, expected some")
+    whole, model = model, model.pick(chosen)
+    priors, fixed, common = choose_priors(config, section.free, section.common, model)
+    data = Measurements(
+        readings.poses,
+        readings.values[:, chosen],
+        deviations[:, chosen],
+        {name: readings.given[name] for name in model.given},
+        None if readings.correlation is None else readings.correlation[:, chosen][:, :, chosen],
+    ).pick(rows)
+    _check_noise(data, model)
+    noise = build_noise(config, section, whole, chosen)
+    workspace = build_workspace(model, config.workspace, config.units)
+    unplaced = Variant(
+        section,
+        whole,
+        model,
+        priors,
+        fixed,
+        common,
+        noise,
+        data,
+        readings.verification[rows],
+        np.zeros((data.n_poses, len(model.coordinates))),
+        workspace,
+    )
+    start = find_starts(unplaced.posterior(np.ones(data.n_poses, dtype=bool)), workspace, config.seed)
+    return Variant(**{**vars(unplaced), "start": start})
+
+
+def _choose_poses(section: CalibrationVariantConfig, model: ReadingModel, readings: PoseReadings) -> np.ndarray:
+    """Return which poses a variant takes in; InputError where one lacks what the machine has to know of it."""
+    for name in section.poses_with:
+        if name not in readings.given:
+            raise InputError(f"poses_with: found {name!r}, expected one of {', '.join(readings.given) or 'none'}")
+    known = {name: np.isfinite(value) for name, value in readings.given.items()}
+    rows = np.ones(len(readings.poses), dtype=bool)
+    for name in section.poses_with:
+        rows &= known[name]
+    for name in model.given:
+        for k in np.flatnonzero(rows & ~known[name])[:1]:
+            raise InputError(f"pose {readings.poses[k]!r}: found no {name}, expected it, or poses_with = [{name!r}]")
+    return rows
+
+
+def _check_noise(data: Measurements, model: ReadingModel) -> None:
+    missing = data.present & ~np.isfinite(data.sd)
+    for k, channel in np.argwhere(missing)[:1]:
+        raise InputError(
+            f"pose {data.poses[k]!r}: found a reading of {model.channels[channel].name} without noise, "
+            "expected an entry in [sensors] or a column of its own"
+        )

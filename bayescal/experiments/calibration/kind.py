@@ -1,0 +1,60 @@
+"""Calibrations of any machine as a kind of experiment."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from rich.console import Console
+
+from bayescal.config.registry import hash_modules
+from bayescal.experiments.calibration.compute import compute_calibration
+from bayescal.experiments.calibration.inputs import CalibrationInputs, list_machines, read_inputs
+from bayescal.experiments.calibration.page.build import build_page, list_variants
+from bayescal.experiments.calibration.schema import CalibrationConfig
+from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results
+from bayescal.machines.read import find_machine_class, list_machine_sources
+from bayescal.report.blocks import Page
+
+
+class Calibration(Experiment[CalibrationConfig, CalibrationInputs]):
+    """Any machine calibrated from any of its readings."""
+
+    schema = CalibrationConfig
+
+    def files(self, config: CalibrationConfig, folder: Path) -> list[str]:
+        """Return the input files, the source of a machine's own class among them."""
+        names = super().files(config, folder)
+        for machine in list_machines(config):
+            beside = Path(machine).parent
+            names += [os.path.normpath(beside / one) for one in list_machine_sources(folder / machine)]
+        return names
+
+    def modules(self, config: CalibrationConfig, folder: Path) -> dict[str, str]:
+        """Return the hashes of installed modules that the machines' classes stand in."""
+        own = [find_machine_class(folder / machine) for machine in list_machines(config)]
+        return super().modules(config, folder) | hash_modules([one for one in own if one is not None])
+
+    def read(self, config: CalibrationConfig, folder: Path) -> CalibrationInputs:
+        """Return machine, readings and variants."""
+        return read_inputs(config, folder)
+
+    def compute(self, inputs: CalibrationInputs, run: Run) -> Results:
+        """Return the posteriors of all variants and what they predict."""
+        return compute_calibration(inputs, run)
+
+    def page(self, results: Results) -> Page:
+        """Return the page."""
+        return build_page(results.tables, results.summary)
+
+    def show(self, results: Results, page: Page, console: Console) -> None:
+        """Print the verdict, then the variants."""
+        super().show(results, page, console)
+        for line in list_variants(results.tables):
+            console.print(line, soft_wrap=True)
+
+    def list_failures(self, results: Results) -> list[str]:
+        """Return that a posterior did not converge."""
+        return [] if results.summary["converged"] else ["not everything converged"]

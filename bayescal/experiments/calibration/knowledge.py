@@ -1,0 +1,196 @@
+"""What a calibration tells: of parameters, of where the machine stands, and what would tell more."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.experiments.calibration.fit import Fit
+from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
+from bayescal.identifiability.directions import find_directions
+from bayescal.identifiability.information import information_of_rows
+from bayescal.identifiability.ridges import describe_move, round_below
+from bayescal.identifiability.units import Units
+from bayescal.identifiability.verdicts import judge_parameters
+from bayescal.machines.readings import Given
+from bayescal.numerics.geometry import Array
+
+N_WORKSPACE = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """What a variant's readings tell.
+
+    Attributes
+    ----------
+    verdicts : tuple of str
+        On each parameter of the machine.
+    ridges : list of tuple of str, float, str
+        A parameter, the contraction, and a sentence.
+    coordinates, units : tuple of str
+        What has to be accurate, m of them.
+    before, after, noise : ndarray, shape (m,)
+        Root mean square error over the workspace by what is unknown of the parameters beforehand and now, and by the
+        noise of one pose's own readings; NaN where the machine's own sensors do not tell it.
+    next_pose : ndarray, shape (c, q)
+        Poses to measure next, the best first for each set of sensors.
+    next_sensors : tuple of str
+        ``own`` or ``all``, of each.
+    next_gain : ndarray, shape (c,)
+        By what part the mean squared error over the workspace would fall.
+    """
+
+    verdicts: tuple[str, ...]
+    ridges: list[tuple[str, float, str]]
+    coordinates: tuple[str, ...]
+    units: tuple[str, ...]
+    before: Array
+    after: Array
+    noise: Array
+    next_pose: Array
+    next_sensors: tuple[str, ...]
+    next_gain: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """Poses (W, q) seen by some channels at one machine, to first order; those where it cannot stand are left out.
+
+    ``rows`` (W, K, m): white derivative of the readings by the coordinates of the posterior, poses eliminated; ``tool``
+    (W, t, m): what the tool's place, as located with these channels, errs by them; ``noise`` (W, t): its variance.
+    """
+
+    pose: Array
+    rows: Array
+    tool: Array
+    noise: Array
+
+
+def assess(inputs: CalibrationInputs, variant: Variant, fit: Fit) -> Knowledge:
+    """Return what the readings of a variant tell, to first order about the posterior mean."""
+    posterior, y = variant.posterior().anchored(), fit.kept.mean(axis=0)
+    rng = np.random.default_rng([inputs.config.seed, 5])
+    covariance = np.atleast_2d(np.cov(fit.kept[:, : posterior.n_geometry], rowvar=False))
+    at = _look(posterior, variant, y, variant.workspace.draw(N_WORKSPACE, rng), variant.internal)
+    names, units = _name_tool(variant, at.tool.shape[1])
+    every = np.ones(len(variant.model.channels), dtype=bool)
+    candidates = variant.workspace.draw(inputs.config.next.candidates, rng)
+    tried = [
+        (label, *_rank(posterior, variant, y, candidates, at, covariance, some, inputs.config.next.shown))
+        for label, some in (("own", variant.internal), ("all", every))
+        if label == "own" or (some != variant.internal).any()
+    ]
+    verdicts, ridges = _judge(inputs, variant, posterior, y)
+    return Knowledge(
+        verdicts,
+        ridges,
+        names,
+        units,
+        _rms(at.tool, np.eye(posterior.n_geometry)),
+        _rms(at.tool, covariance),
+        np.sqrt(at.noise.mean(axis=0)),
+        np.concatenate([pose for _, pose, _ in tried]),
+        tuple(label for label, pose, _ in tried for _ in pose),
+        np.concatenate([gain for *_, gain in tried]),
+    )
+
+
+def _name_tool(variant: Variant, n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    coordinates = variant.model.coordinates
+    if n == len(coordinates):
+        return tuple(one.name for one in coordinates), tuple(one.unit for one in coordinates)
+    return tuple(f"tool[{k + 1}]" for k in range(n)), ("mm",) * n
+
+
+def _look(posterior: CalibrationPosterior, variant: Variant, y: Array, pose: Array, some: np.ndarray) -> _View:
+    """Return poses (W, q) seen by the channels of a mask (K,), with the noise stated for the first reading of each."""
+    theta, model = posterior.theta(y[None])[0], variant.model
+    white = _typical_noise(posterior, variant, y, some)
+    here = model.linearise(theta, pose, True, _typical_given(variant, len(pose)))
+    slope, by_parameters = (white[:, None] * one for one in (here.by_pose, here.by_parameters))
+    good = np.isfinite(slope).all(axis=(1, 2)) & np.isfinite(by_parameters).all(axis=(1, 2))
+    slope, by_parameters, pose = slope[good], by_parameters[good], pose[good]
+    moves = posterior.moves(y)
+    gain = np.linalg.pinv(slope)
+    told = np.linalg.matrix_rank(slope * variant.workspace.half) == slope.shape[-1]
+    _, by_pose, direct = model.tool(theta, pose)
+    seen = by_parameters @ moves.T
+    rows = seen - slope @ (gain @ seen)
+    tool = direct @ moves.T - by_pose @ (gain @ seen)
+    noise = ((by_pose @ gain) ** 2).sum(axis=-1)
+    unknown = ~told[:, None]
+    return _View(pose, rows, np.where(unknown[..., None], np.nan, tool), np.where(unknown, np.nan, noise))
+
+
+def _typical_noise(posterior: CalibrationPosterior, variant: Variant, y: Array, some: np.ndarray) -> Array:
+    """Return one over the noise of a channel, the median of its readings, zero for channels not in a mask, (K,)."""
+    own, tau = posterior.deviations(y[None])
+    present = posterior.likelihood.data.present
+    total = np.where(present, np.sqrt(own[0] ** 2 + tau[0] ** 2), np.nan)
+    result = np.zeros(len(some))
+    for k in np.flatnonzero(some & present.any(axis=0)):
+        result[k] = 1.0 / np.nanmedian(total[:, k])
+    return result
+
+
+def _typical_given(variant: Variant, n: int) -> Given:
+    return {name: np.full(n, np.median(value)) for name, value in variant.data.given.items()}
+
+
+def _rms(tool: Array, covariance: Array) -> Array:
+    """Return the root mean square over poses of what parameters of a covariance leave unknown of the tool, (t,)."""
+    return np.sqrt(np.einsum("wti,ij,wtj->wt", tool, covariance, tool, optimize=True).mean(axis=0))
+
+
+def _rank(
+    posterior: CalibrationPosterior,
+    variant: Variant,
+    y: Array,
+    candidates: Array,
+    at: _View,
+    covariance: Array,
+    some: np.ndarray,
+    shown: int,
+) -> tuple[Array, Array]:
+    """Return the poses that lower the mean squared error of the tool over the workspace most, and by what part."""
+    lengths = at.tool[:, : max(1, variant.model.pose_units.count("mm"))]
+    weight = np.einsum("wti,wtj->ij", lengths, lengths)
+    if not len(candidates) or not some.any() or not np.isfinite(weight).all():
+        return np.empty((0, candidates.shape[1])), np.empty(0)
+    tried = _look(posterior, variant, y, candidates, some)
+    rows, seen = tried.rows, tried.rows @ covariance
+    inner = np.eye(rows.shape[1]) + seen @ np.swapaxes(rows, -1, -2)
+    fall = np.einsum("cki,ij,clj->ckl", seen, weight, seen, optimize=True)
+    gain = np.trace(np.linalg.solve(inner, fall), axis1=-2, axis2=-1) / np.trace(weight @ covariance)
+    best = np.argsort(-gain, kind="stable")[:shown]
+    return tried.pose[best], gain[best]
+
+
+def _judge(
+    inputs: CalibrationInputs, variant: Variant, posterior: CalibrationPosterior, y: Array
+) -> tuple[tuple[str, ...], list[tuple[str, float, str]]]:
+    """Return the verdict on each parameter, and directions that contract too little, in words."""
+    white, stand = posterior.stand(y[None])
+    error, slope, by_parameters = posterior.rows(y, white, stand.pose)
+    del error
+    rows = by_parameters - slope @ (np.linalg.pinv(slope) @ by_parameters)
+    information = information_of_rows(rows, np.ones(posterior.n_geometry))
+    nothing = np.empty((posterior.n_geometry, 0))
+    units = Units(inputs.config.units.length, inputs.config.units.angle)
+    ridges = []
+    for direction in find_directions(information, nothing, ()):
+        if direction.pivot is None:
+            continue
+        kinds, scale = posterior.units[: posterior.n_geometry], posterior.prior_sd[: posterior.n_geometry]
+        pivot, factor = direction.pivot, units.factor(kinds[direction.pivot])
+        largest = scale[pivot] * min(1.0, abs(direction.vector[pivot]) / np.abs(direction.vector).max())
+        size = factor * round_below(largest / factor) / (direction.vector[pivot] * scale[pivot])
+        move = direction.vector * scale * size
+        text = describe_move(posterior.geometry_names, kinds, direction, move, units, variant.model.member)
+        left = float(np.abs(rows @ (direction.vector * size)).max())
+        sentence = f"{text} changes no reading by more than {left:.2g} of its noise."
+        ridges.append((posterior.geometry_names[pivot], direction.contraction, sentence))
+    return judge_parameters(information, nothing), ridges

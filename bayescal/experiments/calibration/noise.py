@@ -1,0 +1,96 @@
+"""Noise of the readings: as stated in the config or beside each reading, and what of it is unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from bayescal.density.calibration.noise import NoiseModel
+from bayescal.errors import InputError
+from bayescal.experiments.calibration.reading_tables import PoseReadings, units_like
+from bayescal.experiments.calibration.schema import (
+    NOISE_UNITS,
+    CalibrationConfig,
+    CalibrationVariantConfig,
+    ChannelConfig,
+)
+from bayescal.experiments.shared.per_leg import spread_over_legs
+from bayescal.machines.readings import Channel, ReadingModel
+from bayescal.numerics.geometry import Array
+
+
+def stated_noise(sensors: Mapping[str, ChannelConfig], readings: PoseReadings, model: ReadingModel) -> Array:
+    """Return the deviations of all readings, (P, K), in the channels' units: their own, or those of the config.
+
+    Raises
+    ------
+    InputError
+        For an unknown channel, a noise in a unit of another kind, or a list of another length.
+    """
+    result = readings.sd.copy()
+    for name, section in sensors.items():
+        places = model.select([name])
+        field, given = _given(section)
+        values = spread_over_legs(given, len(places), f"sensors.{name}")
+        for place, value in zip(places, values, strict=True):
+            factor = _factor(name, model.channels[place], field)
+            missing = ~np.isfinite(result[:, place])
+            result[missing, place] = factor * value
+    return result
+
+
+def _given(section: ChannelConfig) -> tuple[str, float | list[float]]:
+    field = next(name for name in ("noise", *NOISE_UNITS) if getattr(section, name) is not None)
+    return field, getattr(section, field)
+
+
+def _factor(name: str, channel: Channel, field: str) -> float:
+    if field == "noise":
+        if channel.unit in ("mm", "rad"):
+            expected = " or ".join(one for one, unit in NOISE_UNITS.items() if unit in units_like(channel.unit))
+            raise InputError(f"sensors.{name}: found noise without a unit, expected {expected}")
+        return 1.0
+    units = units_like(channel.unit)
+    if NOISE_UNITS[field] not in units:
+        raise InputError(f"sensors.{name}: found {field}, expected a noise in {channel.unit}, which {name} reads in")
+    return units[NOISE_UNITS[field]]
+
+
+def build_noise(
+    config: CalibrationConfig, section: CalibrationVariantConfig, model: ReadingModel, chosen: np.ndarray
+) -> NoiseModel:
+    """Return what of the noise of the chosen channels is unknown; InputError for a group that no channel belongs to."""
+    groups = _groups(config, model)
+    some = {groups[k] for k in chosen}
+    for table in ("unknown_noise", "model_error"):
+        for name in getattr(config, table):
+            if name not in groups:
+                known = ", ".join(dict.fromkeys(filter(None, groups)))
+                raise InputError(f"{table}: found {name!r}, expected a group of channels: {known}")
+    unknown = section.noise == "unknown"
+    scales = {name: sd for name, sd in config.unknown_noise.items() if unknown and name in some}
+    taus = {name: one.scale for name, one in config.model_error.items() if unknown and name in some}
+    units = {group: channel.unit for group, channel in zip(groups, model.channels, strict=True)}
+    for name in taus:
+        if len({c.unit for g, c in zip(groups, model.channels, strict=True) if g == name}) > 1:
+            raise InputError(f"model_error.{name}: found channels of several units, expected one")
+    mine = [groups[k] for k in chosen]
+    return NoiseModel(
+        np.array([list(scales).index(name) if name in scales else -1 for name in mine]),
+        np.array([list(taus).index(name) if name in taus else -1 for name in mine]),
+        tuple(scales),
+        tuple(taus),
+        np.array(list(scales.values())),
+        np.array(list(taus.values())),
+        tuple(units[name] for name in taus),
+    )
+
+
+def _groups(config: CalibrationConfig, model: ReadingModel) -> list[str]:
+    """Return the group of each channel, empty for those without noise."""
+    result = []
+    for channel in model.channels:
+        section = config.sensors.get(channel.name, config.sensors.get(channel.kind))
+        result.append("" if section is None else section.group or channel.kind)
+    return result

@@ -1,0 +1,281 @@
+"""The page of a calibration: variants, parameters, accuracy, held-back readings, poses, what to measure next."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pandas as pd
+
+from bayescal.experiments.calibration.page import figures
+from bayescal.experiments.calibration.page.verdict import (
+    Row,
+    choose_best,
+    list_rows,
+    shown_in,
+    state_headline,
+    state_verdict,
+)
+from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Section, make_section, make_table
+from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant
+
+KIND = "Calibration"
+VERDICT_LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad", "noise": "plain"}
+STATUS = {"measured": "Measured", "simulated": "Simulated, never measured", "reconstructed": "Reconstructed"}
+
+
+def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page:
+    """Return the page of an experiment's tables."""
+    best = choose_best(tables, summary)
+    sections = [
+        _show_variants(tables, summary),
+        _show_parameters(tables, best),
+        _show_accuracy(tables),
+        *_show_predictions(tables, best),
+        _show_poses(tables, best),
+        *_show_ridges(tables, best),
+        *_show_beside(tables, best),
+        *_show_next(tables, best),
+        _show_method(tables),
+    ]
+    row = next(row for row in list_rows(tables["variants"]) if row["variant"] == best)
+    return Page(
+        KIND,
+        summary["experiment"],
+        summary["title"],
+        name_origin(summary["origin"]),
+        state_headline(tables, summary),
+        tuple(state_verdict(tables, summary)),
+        tuple(sections),
+        (("Machine", str(summary["machine"])), ("Data of the best variant", str(row["data"]))),
+    )
+
+
+def name_origin(origin: dict[str, str]) -> str:
+    """Return where the data come from, in words: measured or not, source, licence."""
+    words = f"{STATUS[origin['status']]}: {origin['text']}"
+    for name in ("source", "licence"):
+        words += f"; {name} {origin[name]}" if origin[name] else ""
+    return words
+
+
+def list_variants(tables: dict[str, pd.DataFrame]) -> list[str]:
+    """Return what the terminal says of each variant, a line each of at most 80 letters."""
+    width = min(34, max(len(str(name)) for name in tables["variants"]["variant"]))
+    lines = [f"{'variant':{width}}  free  log-evidence       elpd  inside 90 %  converged"]
+    for row in list_rows(tables["variants"]):
+        inside = format_percent(row["inside_90"]) if "inside_90" in row else format_percent(None)
+        lines.append(
+            f"{row['variant']:{width}}  {row['n_parameters']:4d}  {format_fixed(row['log_evidence'], 2):>12}  "
+            f"{format_fixed(row['elpd'], 1):>9}  {inside:>11}  {'yes' if row['converged'] else 'NO'}"
+        )
+    return lines
+
+
+def _show_variants(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Section:
+    columns = [Column("Variant", kind="text"), Column("Readings", kind="text"), Column("Free"), Column("Equations")]
+    columns += [Column("Log-evidence"), Column("behind the best"), Column("elpd"), Column("What is left, in noise")]
+    columns += [Column("Held-back readings in their 90 % intervals")]
+    rows_of = {str(row["variant"]): row for row in list_rows(tables["variants"])}
+    rows: list[list[str | Cell]] = []
+    for names in summary["rankings"]:
+        first = rows_of[names[0]]["log_evidence"]
+        for name in names:
+            row = rows_of[name]
+            inside = format_percent(row.get("inside_90")) if row.get("held_readings") else format_percent(None)
+            rows.append(
+                [
+                    str(row["title"]),
+                    str(row["data"]),
+                    str(row["n_parameters"]),
+                    str(row["n_equations"]),
+                    format_estimate(row["log_evidence"], row["log_evidence_se"]),
+                    format_fixed(row["log_evidence"] - first, 1),
+                    format_fixed(row["elpd"], 1),
+                    format_significant(row["misfit"], 2),
+                    inside,
+                ]
+            )
+    text = (
+        "Evidence says how probable the readings were under a variant before they were taken; it can be compared "
+        "where the same readings are taken in. The expected log predictive density (elpd) of held-back poses asks the "
+        "same of readings that a variant has not seen.",
+    )
+    return make_section("Which model", text, (make_table("Variants, best first.", columns, rows),))
+
+
+def _show_parameters(tables: dict[str, pd.DataFrame], best: str) -> Section:
+    mine = tables["parameters"][tables["parameters"]["variant"] == best]
+    columns = [Column("Parameter", kind="text"), Column("Unit", kind="text"), Column("beforehand"), Column("now")]
+    columns += [Column("90 % interval"), Column("Contraction"), Column("Told", kind="text")]
+    rows: list[list[str | Cell]] = []
+    for row in list_rows(mine):
+        factor, unit = shown_in(row["unit"])
+        verdict = str(row["verdict"])
+        rows.append(
+            [
+                str(row["parameter"]),
+                unit,
+                format_estimate(factor * row["nominal"], factor * row["prior_sd"]),
+                format_estimate(factor * row["mean"], factor * row["sd"]),
+                f"{format_significant(factor * row['q05'], 5)} to {format_significant(factor * row['q95'], 5)}",
+                format_fixed(row["contraction"], 2),
+                Cell("" if verdict == "noise" else verdict, VERDICT_LEVELS[verdict]),
+            ]
+        )
+    titles = dict(zip(tables["variants"]["variant"], tables["variants"]["title"], strict=True))
+    figure = Figure(
+        "parameters",
+        "What remains of each parameter's tolerance.",
+        lambda: figures.draw_parameters(tables["parameters"], titles),
+    )
+    text = ("Contraction is the part of the prior's variance that the readings removed: 0.75 halves the tolerance.",)
+    caption = f"Parameters of “{titles[best]}”, mean ± standard deviation."
+    return make_section("Parameters", text, (make_table(caption, columns, rows),), (figure,))
+
+
+def _show_accuracy(tables: dict[str, pd.DataFrame]) -> Section:
+    titles = dict(zip(tables["variants"]["variant"], tables["variants"]["title"], strict=True))
+    columns = [Column("Variant", kind="text"), Column("Coordinate", kind="text"), Column("Unit", kind="text")]
+    columns += [Column("before", group="rms over the workspace"), Column("after", group="rms over the workspace")]
+    columns += [Column("noise of one reading", group="rms over the workspace")]
+    rows: list[list[str | Cell]] = []
+    for row in list_rows(tables["accuracy"]):
+        factor, unit = shown_in(row["unit"])
+        numbers = (format_significant(factor * row[name]) for name in ("before", "after", "noise"))
+        rows.append([str(titles[row["variant"]]), str(row["coordinate"]), unit, *numbers])
+    text = (
+        "How well the machine, with its own sensors alone, knows where it stands: by the tolerances before, by the "
+        "posterior after; the noise of one set of readings comes on top. A dash: its own sensors do not tell it.",
+    )
+    return make_section("How accurate the machine is", text, (make_table("Predicted errors.", columns, rows),))
+
+
+def _show_predictions(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
+    if "predictions" not in tables:
+        return []
+    titles = dict(zip(tables["variants"]["variant"], tables["variants"]["title"], strict=True))
+    predictions = tables["predictions"].assign(kind=tables["predictions"]["channel"].str.partition("[")[0])
+    kinds = list(dict.fromkeys(str(kind) for kind in predictions["kind"]))
+    columns = [Column("Variant", kind="text"), *(Column(kind, group="in their 90 % intervals") for kind in kinds)]
+    rows: list[list[str | Cell]] = []
+    for name, title in titles.items():
+        mine = predictions[predictions["variant"] == name]
+        counts = [mine[mine["kind"] == kind]["inside"] for kind in kinds]
+        rows.append([str(title), *(f"{int(one.sum())} of {len(one)}" if len(one) else "–" for one in counts)])
+    mine = predictions[predictions["variant"] == best]
+    text = (
+        "Each reading of a held-back pose, predicted from the other readings there and from a calibration that has not "
+        "seen the pose.",
+    )
+    shown = (
+        ()
+        if mine.empty
+        else (Figure("predictions", f"Held-back readings, “{titles[best]}”.", lambda: figures.draw_predictions(mine)),)
+    )
+    return [make_section("Held-back readings", text, (make_table("Coverage.", columns, rows),), shown)]
+
+
+def _show_poses(tables: dict[str, pd.DataFrame], best: str) -> Section:
+    mine = tables["poses"][tables["poses"]["variant"] == best]
+    figure = Figure("poses", "What the best machine leaves of each pose's readings.", lambda: figures.draw_poses(mine))
+    columns = [Column("Pose", kind="text"), Column("Equations"), Column("What is left, in noise"), Column("Trust")]
+    doubtful = mine[mine["doubtful"]]
+    rows: list[list[str | Cell]] = [
+        [
+            str(row["pose"]),
+            str(row["equations"]),
+            format_significant((row["square"] / max(1, row["equations"])) ** 0.5, 2),
+            format_fixed(row["trust"], 2),
+        ]
+        for row in list_rows(doubtful)
+    ]
+    tables_shown = (make_table("Doubtful poses.", columns, rows),) if rows else ()
+    text = () if rows else ("No pose is doubtful.",)
+    return make_section("Poses", text, tables_shown, (figure,))
+
+
+def _show_ridges(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
+    if "ridges" not in tables:
+        return []
+    mine = tables["ridges"][tables["ridges"]["variant"] == best]
+    text = [f"Contraction {format_fixed(row['contraction'], 2)}: {row['sentence']}" for row in list_rows(mine)]
+    return [make_section("What these readings cannot tell", text)] if text else []
+
+
+def _show_beside(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
+    if "beside" not in tables:
+        return []
+    mine = tables["beside"][tables["beside"]["variant"] == best]
+    columns = [Column("Quantity", kind="text"), Column("Unit", kind="text"), Column("calibrated"), Column("beside")]
+    columns += [Column("Difference"), Column("in deviations")]
+    shown = []
+    for title, rows in mine.groupby("beside", sort=False):
+        lines = [_list_beside(row) for row in list_rows(rows)]
+        source = str(rows["source"].iloc[0])
+        caption = f"{title}{f' ({source})' if source else ''}. These values stay out of the fit."
+        shown.append(make_table(caption, columns, lines))
+    return [make_section("Beside other values", (), shown)]
+
+
+def _list_beside(row: Row) -> list[str | Cell]:
+    factor, unit = shown_in(row["unit"])
+    spread = (row["sd"] ** 2 + (row["value_sd"] if row["value_sd"] == row["value_sd"] else 0.0) ** 2) ** 0.5
+    away = row["value"] - row["mean"]
+    return [
+        str(row["quantity"]),
+        unit,
+        format_estimate(factor * row["mean"], factor * row["sd"]),
+        format_significant(factor * row["value"], 6),
+        format_fixed(factor * away, 2, sign=True),
+        format_fixed(away / spread, 1, sign=True) if spread > 0.0 else "–",
+    ]
+
+
+def _show_next(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
+    if "next" not in tables:
+        return []
+    mine = tables["next"][tables["next"]["variant"] == best].dropna(axis=1, how="all")
+    names = [str(name) for name in mine.columns if name not in ("variant", "sensors", "gain")]
+    columns = [Column("Sensors", kind="text")]
+    columns += [Column(name.rpartition("_")[0], name.rpartition("_")[2]) for name in names]
+    columns += [Column("Mean squared error falls by")]
+    rows: list[list[str | Cell]] = [
+        [
+            "all" if row["sensors"] == "all" else "the machine's own",
+            *(format_fixed(row[name], 0 if name.endswith("_mm") else 3) for name in names),
+            format_percent(row["gain"], 1),
+        ]
+        for row in list_rows(mine)
+    ]
+    text = ("Random poses of the workspace, by how much one more set of readings there would tell.",)
+    return [make_section("What to measure next", text, (make_table("The best of the poses tried.", columns, rows),))]
+
+
+def _show_method(tables: dict[str, pd.DataFrame]) -> Section:
+    columns = [Column("Variant", kind="text"), Column("importance", group="log-evidence")]
+    columns += [Column("bridge", group="log-evidence"), Column("Efficiency"), Column("Pareto k")]
+    columns += [Column("R-hat, largest"), Column("bulk, least", group="ESS"), Column("tail, least", group="ESS")]
+    columns += [Column("Converged", kind="text")]
+    rows: list[list[str | Cell]] = [
+        [
+            str(row["title"]),
+            format_fixed(row["log_evidence_importance"], 2),
+            format_fixed(row["log_evidence_bridge"], 2),
+            format_fixed(row["efficiency"], 2),
+            format_fixed(row["pareto_k"], 2),
+            format_fixed(row["rhat_max"], 4),
+            format_fixed(row["ess_bulk_min"], 0),
+            format_fixed(row["ess_tail_min"], 0),
+            Cell("yes", "good") if row["converged"] else Cell(row["problems"], "bad"),
+        ]
+        for row in list_rows(tables["variants"])
+    ]
+    text = (
+        "Each pose may lie anywhere in the workspace alike and is integrated out, to first order about the one that "
+        "explains its readings best; what is left of the readings in the space that no pose reaches is the likelihood. "
+        "A robust variant gives each pose a precision of its own, so that a bad one loses its weight. Unknown noise is "
+        "a factor on the stated one, lognormal about one beforehand.",
+    )
+    return make_section(
+        "Method and diagnostics", text, (make_table("Evidence in two ways, and the chains.", columns, rows),)
+    )

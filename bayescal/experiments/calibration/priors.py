@@ -1,0 +1,139 @@
+"""What is known of a machine's parameters beforehand, by symbol."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from bayescal.density.priors import NormalPrior, Prior, UniformPrior
+from bayescal.density.schema import FixedConfig, NormalConfig, PriorConfig
+from bayescal.errors import InputError
+from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationSimulationConfig
+from bayescal.experiments.shared.per_leg import spread_over_legs
+from bayescal.identifiability.units import Units
+from bayescal.machines.parameters import ParameterBlock, ParameterLayout
+from bayescal.machines.readings import ReadingModel
+
+type Chosen = tuple[dict[str, Prior], dict[str, float], dict[str, tuple[str, ...]]]
+
+
+def choose_priors(
+    config: CalibrationConfig | CalibrationSimulationConfig,
+    wanted: list[str] | None,
+    alike: list[str | list[str]],
+    model: ReadingModel,
+) -> Chosen:
+    """Return the priors of the free parameters, the values of fixed ones, and what deviates alike.
+
+    Parameters
+    ----------
+    config : CalibrationConfig or CalibrationSimulationConfig
+    wanted : list of str or None
+        Symbols or parameters that are free; None for all with a prior.
+    alike : list of str or list of str
+        What deviates alike, each entry by itself.
+    model : ReadingModel
+
+    Raises
+    ------
+    InputError
+        For an unknown symbol, a free one without a prior, a list of another length, and a prior's range in which there
+        is no machine.
+    """
+    layout, units = model.layout, Units(config.units.length, config.units.angle)
+    for symbol in config.parameters:
+        if symbol not in layout.symbols:
+            raise InputError(f"parameters: found {symbol!r}, expected some of {', '.join(layout.symbols)}")
+    free = _choose_free(config.parameters, wanted, layout)
+    priors: dict[str, Prior] = {}
+    fixed: dict[str, float] = {}
+    for block in layout.blocks:
+        prior = config.parameters.get(block.symbol)
+        if prior is None:
+            continue
+        factor = units.factor(block.unit)
+        if isinstance(prior, FixedConfig):
+            offsets = spread_over_legs(prior.offset, len(block.nominal), block.symbol)
+            fixed |= {n: v + factor * o for n, v, o in zip(block.names, block.nominal, offsets, strict=True)}
+        else:
+            priors |= {name: one for name, one in _priors_of(block, prior, factor).items() if name in free}
+    for name, one in priors.items():
+        _check_range(name, one, layout)
+    common = _list_common(alike, priors, layout)
+    return _join(priors, common), fixed, common
+
+
+def _choose_free(parameters: Mapping[str, PriorConfig], wanted: list[str] | None, layout: ParameterLayout) -> set[str]:
+    with_prior = {
+        name
+        for block in layout.blocks
+        if not isinstance(parameters.get(block.symbol, FixedConfig(prior="fixed")), FixedConfig)
+        for name in block.names
+    }
+    if wanted is None:
+        return with_prior
+    free: set[str] = set()
+    for entry in wanted:
+        named = set(expand(entry, layout, "free"))
+        if not named <= with_prior:
+            raise InputError(f"free: found {entry!r} without a prior in [parameters], expected a normal or uniform one")
+        free |= named
+    return free
+
+
+def expand(entry: str, layout: ParameterLayout, field: str) -> tuple[str, ...]:
+    """Return the parameters of a symbol, or the one of that name."""
+    if entry in layout.symbols:
+        return layout.block(entry).names
+    if entry in layout.names:
+        return (entry,)
+    raise InputError(f"{field}: found {entry!r}, expected some of {', '.join(layout.symbols)}, or one of their names")
+
+
+def _priors_of(block: ParameterBlock, prior: PriorConfig, factor: float) -> dict[str, Prior]:
+    assert not isinstance(prior, FixedConfig)
+    given = prior.sd if isinstance(prior, NormalConfig) else prior.half_width
+    widths = [factor * width for width in spread_over_legs(given, len(block.nominal), block.symbol)]
+    pairs = zip(block.names, block.nominal, widths, strict=True)
+    if isinstance(prior, NormalConfig):
+        return {name: NormalPrior(value, width) for name, value, width in pairs}
+    return {name: UniformPrior(value - width, value + width) for name, value, width in pairs}
+
+
+def _check_range(name: str, prior: Prior, layout: ParameterLayout) -> None:
+    place = layout.names.index(name)
+    lower, upper = (float(limit[place]) for limit in layout.limits)
+    if not lower < prior.mean < upper:
+        raise InputError(f"parameter {name}: found {prior.mean:g}, expected a value between {lower:g} and {upper:g}")
+
+
+def _list_common(
+    entries: Sequence[str | list[str]], priors: Mapping[str, Prior], layout: ParameterLayout
+) -> dict[str, tuple[str, ...]]:
+    """Return what deviates alike by a name of its own, such as ``R[1,2,3]``."""
+    common: dict[str, tuple[str, ...]] = {}
+    for entry in entries:
+        names = [entry] if isinstance(entry, str) else entry
+        members = tuple(dict.fromkeys(one for name in names for one in expand(name, layout, "common")))
+        if len(members) < 2:
+            raise InputError(f"common: found {entry!r}, one parameter, expected at least two")
+        for name in members:
+            if name not in priors:
+                raise InputError(f"common: found {name!r}, which is not free, expected free parameters")
+        common[_name(members)] = members
+    return common
+
+
+def _name(members: Sequence[str]) -> str:
+    symbols = {name.partition("[")[0] for name in members}
+    if len(symbols) > 1 or not all("[" in name for name in members):
+        return "=".join(members)
+    return f"{symbols.pop()}[{','.join(name.partition('[')[2].rstrip(']') for name in members)}]"
+
+
+def _join(priors: Mapping[str, Prior], common: Mapping[str, tuple[str, ...]]) -> dict[str, Prior]:
+    """Return the priors with one in place of those of all that deviate alike: that of their first."""
+    owner = {member: name for name, members in common.items() for member in members}
+    joined: dict[str, Prior] = {}
+    for name, prior in priors.items():
+        joined.setdefault(owner.get(name, name), prior)
+    return joined

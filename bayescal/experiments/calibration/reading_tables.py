@@ -1,0 +1,222 @@
+"""Tables of readings of any machine: one row a pose, columns by channel and unit, empty cells for what was not read.
+
+Columns: ``pose``; ``use`` (calibration or verification), optional; a channel's readings, ``motor[2]`` in degrees being
+``motor_2_deg``; a deviation of its own for each row, ``motor_2_sd_deg``; correlations of two channels' noise,
+``corr_x_y``; and what else is known of each row, by its name.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.errors import InputError
+from bayescal.files.csv_tables import Table, read_table
+from bayescal.identifiability.units import ANGLES, LENGTHS
+from bayescal.machines.readings import Channel
+from bayescal.numerics.geometry import Array
+
+USES = ("calibration", "verification")
+TURN_LIMIT = {"rad": 2.0 * float(np.pi)}
+FACTORS: Mapping[str, Mapping[str, float]] = {"mm": LENGTHS, "rad": {name: float(v) for name, v in ANGLES.items()}}
+
+
+@dataclass(frozen=True, eq=False)
+class PoseReadings:
+    """Readings of all tables together.
+
+    Attributes
+    ----------
+    poses : tuple of str
+    verification : ndarray of bool, shape (P,)
+    values, sd : ndarray, shape (P, K)
+        In the channels' units; NaN where there is none: not read, or no deviation of its own.
+    correlation : ndarray, shape (P, K, K), or None
+    given : dict of str to ndarray, shape (P,)
+        NaN where it is not known.
+    """
+
+    poses: tuple[str, ...]
+    verification: np.ndarray
+    values: Array
+    sd: Array
+    correlation: Array | None
+    given: dict[str, Array] = field(default_factory=dict)
+
+
+def stem_of(name: str) -> str:
+    """Return a channel's name as columns have it: ``motor[2]`` is ``motor_2``."""
+    return name.replace("[", "_").rstrip("]")
+
+
+def units_like(unit: str) -> Mapping[str, float]:
+    """Return the units that a column may be in instead of a channel's, each with its size in it."""
+    return FACTORS.get(unit, {unit: 1.0})
+
+
+@dataclass(frozen=True)
+class _Column:
+    """What a column holds: ``values``, ``sd``, ``corr`` or ``given``, of which channels; a factor to their unit."""
+
+    role: str
+    places: tuple[int, ...] = ()
+    factor: float = 1.0
+
+
+def read_tables(
+    files: Sequence[tuple[Path, Sequence[str], Sequence[str]]], channels: Sequence[Channel], given: Sequence[str]
+) -> PoseReadings:
+    """Return the readings of several tables.
+
+    Parameters
+    ----------
+    files : sequence of (Path, sequence of str, sequence of str)
+        A table each, the channels it must have, the poses to hold back.
+    channels : sequence of Channel
+        All of the machine.
+    given : sequence of str
+        Names of what may be known of rows besides.
+
+    Raises
+    ------
+    InputError
+        Names file, line and column.
+    """
+    known = _list_columns(channels, given)
+    tables = [_check(read_table(path, None), known, channels, needed) for path, needed, _ in files]
+    poses = list(dict.fromkeys(name for table in tables for name in table.text("pose")))
+    n, k = len(poses), len(channels)
+    found = PoseReadings(
+        tuple(poses),
+        np.zeros(n, dtype=bool),
+        np.full((n, k), np.nan),
+        np.full((n, k), np.nan),
+        np.tile(np.eye(k), (n, 1, 1)) if any(c.startswith("corr_") for t in tables for c in t.columns) else None,
+        {name: np.full(n, np.nan) for name in given},
+    )
+    for table, (_, _, held) in zip(tables, files, strict=True):
+        _fill(found, table, known, channels, [poses.index(name) for name in _names(table)], held)
+    _check_poses(found, files[0][0])
+    return found
+
+
+def _list_columns(channels: Sequence[Channel], given: Sequence[str]) -> dict[str, _Column]:
+    columns = {name: _Column("given") for name in given}
+    for k, channel in enumerate(channels):
+        for unit, factor in units_like(channel.unit).items():
+            columns[f"{stem_of(channel.name)}_{unit}"] = _Column("values", (k,), factor)
+            columns[f"{stem_of(channel.name)}_sd_{unit}"] = _Column("sd", (k,), factor)
+        for j, other in enumerate(channels[:k]):
+            columns[f"corr_{stem_of(other.name)}_{stem_of(channel.name)}"] = _Column("corr", (j, k))
+    return columns
+
+
+def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channel], needed: Sequence[str]) -> Table:
+    if "pose" not in table.columns:
+        raise InputError(f"{table.path}: found no column 'pose', expected the poses' names")
+    taken: dict[tuple[str, tuple[int, ...]], str] = {}
+    for name in table.columns:
+        if name in ("pose", "use"):
+            continue
+        if name not in known:
+            expected = ", ".join(f"{stem_of(one.name)}_{one.unit}" for one in channels)
+            close = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
+            hint = f", did you mean {close[0]!r}?" if close else ""
+            raise InputError(f"{table.path}: found column {name!r}{hint}, expected pose, use, {expected}")
+        column = known[name]
+        if column.places and (other := taken.setdefault((column.role, column.places), name)) != name:
+            raise InputError(f"{table.path}: found columns {other!r} and {name!r}, expected one of them")
+    read = {channels[c.places[0]].name for n in table.columns if (c := known.get(n)) and c.role == "values"}
+    for name in needed:
+        if not any(name in (one, one.partition("[")[0]) for one in read):
+            raise InputError(f"{table.path}: found no column of channel {name!r}, which data.channels asks for")
+    return table
+
+
+def _names(table: Table) -> list[str]:
+    names = table.text("pose")
+    for row, name in enumerate(names):
+        if (first := names.index(name)) != row:
+            raise InputError(
+                f"{table.where(row)}: pose {name!r} stands already on line {table.lines[first]}, expected it once"
+            )
+    return names
+
+
+def _fill(
+    found: PoseReadings,
+    table: Table,
+    known: Mapping[str, _Column],
+    channels: Sequence[Channel],
+    rows: list[int],
+    held: Sequence[str],
+) -> None:
+    for name in held:
+        if name not in found.poses:
+            raise InputError(f"{table.path}: hold_back: found {name!r}, expected the name of a pose")
+    found.verification[rows] |= np.isin(np.array(found.poses, dtype=object)[rows], list(held))
+    if "use" in table.columns:
+        for row, use in enumerate(table.text("use")):
+            if use not in USES:
+                raise InputError(f"{table.where(row)}: use: found {use!r}, expected {' or '.join(USES)}")
+            found.verification[rows[row]] |= use == "verification"
+    for name in table.columns:
+        if name not in known:
+            continue
+        column, values = known[name], table.numbers((name,), gaps=True)[:, 0]
+        if column.role == "given":
+            found.given[name][rows] = values
+        elif column.role == "corr":
+            _fill_correlation(found, table, name, column, values, rows)
+        else:
+            _fill_channel(found, table, name, column, channels[column.places[0]], values, rows)
+
+
+def _fill_channel(
+    found: PoseReadings,
+    table: Table,
+    name: str,
+    column: _Column,
+    channel: Channel,
+    values: Array,
+    rows: list[int],
+) -> None:
+    into, k = (found.values if column.role == "values" else found.sd), column.places[0]
+    for row in np.flatnonzero(np.isfinite(values) & np.isfinite(into[rows, k])):
+        raise InputError(
+            f"{table.where(int(row))}: {name}: found a second reading of {channel.name} at pose "
+            f"{found.poses[rows[row]]!r}, expected one; another table has it already"
+        )
+    if column.role == "sd":
+        for row in np.flatnonzero(values < 0.0)[:1]:
+            raise InputError(f"{table.where(int(row))}: {name}: found {values[row]:g}, expected no negative noise")
+    there = np.isfinite(values)
+    into[np.array(rows)[there], k] = column.factor * values[there]
+
+
+def _fill_correlation(
+    found: PoseReadings, table: Table, name: str, column: _Column, values: Array, rows: list[int]
+) -> None:
+    assert found.correlation is not None
+    j, k = column.places
+    for row, value in enumerate(values):
+        if np.isfinite(value):
+            if abs(value) >= 1.0:
+                raise InputError(f"{table.where(row)}: {name}: found {value:g}, expected a correlation within ±1")
+            found.correlation[rows[row], j, k] = found.correlation[rows[row], k, j] = value
+
+
+def _check_poses(found: PoseReadings, path: Path) -> None:
+    if found.verification.all():
+        raise InputError(f"{path}: found no pose for calibration, expected some")
+    empty = ~np.isfinite(found.values).any(axis=1)
+    for k in np.flatnonzero(empty)[:1]:
+        raise InputError(f"{path}: pose {found.poses[k]!r}: found no reading, expected at least one")
+    if found.correlation is not None:
+        smallest = np.linalg.eigvalsh(found.correlation)[:, 0]
+        for k in np.flatnonzero(smallest <= 0.0)[:1]:
+            raise InputError(f"{path}: pose {found.poses[k]!r}: found a covariance that is not positive, expected one")

@@ -1,0 +1,174 @@
+"""The schema of a calibration. Keys carry their units; those of tolerances and of the workspace stand in [units]."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from bayescal.config.sections import ExperimentConfig, InputFile, Name, NotNegative, Number, Positive, Section
+from bayescal.density.schema import PriorConfig
+from bayescal.experiments.shared.schema import UnitsConfig
+from bayescal.inference.schema import EvidenceConfig, SamplerConfig
+
+NOISE_UNITS = {"noise_um": "um", "noise_mm": "mm", "noise_arcsec": "arcsec", "noise_deg": "deg", "noise_rad": "rad"}
+
+
+class OriginConfig(Section):
+    """Where the data come from: measured ones name their source and its licence."""
+
+    status: Literal["measured", "simulated", "reconstructed"]
+    text: str
+    source: str = ""
+    licence: str = ""
+
+    @model_validator(mode="after")
+    def _check_source(self) -> Self:
+        if self.status == "measured" and not (self.source and self.licence):
+            raise ValueError("found measured data without source or licence, expected both")
+        return self
+
+
+class DataTableConfig(Section):
+    """A CSV table of readings, a row a pose; rows of the same pose in several tables belong together.
+
+    ``channels`` must be there, all others are optional; poses in ``hold_back`` are kept for verification.
+    """
+
+    file: InputFile
+    channels: list[str] = Field(default=[])
+    hold_back: list[str] = Field(default=[])
+
+
+class ChannelConfig(Section):
+    """Noise of a channel or of all of a kind, one value or one each; zero for a constraint.
+
+    ``group`` is under what name it shares unknown noise with others; by default its kind's.
+    """
+
+    noise: NotNegative | list[NotNegative] | None = None
+    noise_um: NotNegative | list[NotNegative] | None = None
+    noise_mm: NotNegative | list[NotNegative] | None = None
+    noise_arcsec: NotNegative | list[NotNegative] | None = None
+    noise_deg: NotNegative | list[NotNegative] | None = None
+    noise_rad: NotNegative | list[NotNegative] | None = None
+    group: str = ""
+
+    @model_validator(mode="after")
+    def _check_one(self) -> Self:
+        given = [name for name in ("noise", *NOISE_UNITS) if getattr(self, name) is not None]
+        if len(given) != 1:
+            found = " and ".join(given) or "no noise"
+            raise ValueError(f"found {found}, expected one of noise, {', '.join(NOISE_UNITS)}")
+        return self
+
+
+class ModelErrorScaleConfig(Section):
+    """Scale of the half-normal prior of a model error τ, in the channels' unit: mm, rad or another."""
+
+    scale: Positive
+
+
+class CalibrationVariantConfig(Section):
+    """A model of the readings.
+
+    ``sensors`` are the channels it takes in, all by default; ``free`` the symbols or parameters that are free, by
+    default all with a prior; those of an entry of ``common`` deviate alike, a symbol or a list of parameters.
+    ``noise`` says whether the noise is as stated or unknown as far as [unknown_noise] and [model_error] allow;
+    ``robust`` is the degree of freedom ν of a density that lets single poses be wrong; ``poses_with`` keeps to poses
+    for which these columns are known; ``machine`` is another file for this variant.
+    """
+
+    name: Name
+    title: str
+    machine: InputFile | None = None
+    sensors: Annotated[list[str], Field(min_length=1)] | None = None
+    free: Annotated[list[str], Field(min_length=1)] | None = None
+    common: list[str | list[str]] = Field(default=[])
+    noise: Literal["unknown", "stated"] = "unknown"
+    robust: Annotated[float, Field(ge=1.0, le=100.0)] | None = None
+    poses_with: list[str] = Field(default=[])
+
+
+class ValidationConfig(Section):
+    """Prediction of held-back readings: the poses for verification, or each of several folds of poses in turn."""
+
+    folds: Annotated[int, Field(ge=0, le=100)] = 0
+    draws: Annotated[int, Field(ge=100, le=100_000)] = 400
+
+
+class BesideConfig(Section):
+    """Values from elsewhere, which stay out of the fit: a CSV with ``quantity``, ``unit``, ``value``.
+
+    A quantity is a parameter, or a channel that is read at home; an optional column ``sd`` says how well it is known.
+    """
+
+    title: str
+    file: InputFile
+    source: str = ""
+
+
+class NextConfig(Section):
+    """What to measure next: that many random poses of the workspace are tried."""
+
+    candidates: Annotated[int, Field(ge=0, le=10_000)] = 300
+    shown: Annotated[int, Field(ge=1, le=50)] = 5
+
+
+class CalibrationConfig(ExperimentConfig):
+    """Any machine calibrated from readings of its own sensors, of instruments beside it, or both."""
+
+    kind: Literal["calibration"]
+    origin: OriginConfig
+    machine: InputFile
+    data: Annotated[list[DataTableConfig], Field(min_length=1)]
+    sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
+    units: UnitsConfig = UnitsConfig()
+    parameters: Annotated[dict[str, PriorConfig], Field(min_length=1)]
+    unknown_noise: dict[str, Positive] = Field(default={})
+    model_error: dict[str, ModelErrorScaleConfig] = Field(default={})
+    workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    variants: Annotated[list[CalibrationVariantConfig], Field(min_length=1)]
+    validation: ValidationConfig = ValidationConfig()
+    beside: list[BesideConfig] = Field(default=[])
+    next: NextConfig = NextConfig()
+    sampler: SamplerConfig = SamplerConfig()
+    evidence: EvidenceConfig = EvidenceConfig()
+
+    @model_validator(mode="after")
+    def _check_names(self) -> Self:
+        names = [variant.name for variant in self.variants]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"variants: found {name!r} twice, expected each name once")
+        for name, (low, high) in self.workspace.items():
+            if not low < high:
+                raise ValueError(f"workspace.{name}: found {low:g} to {high:g}, expected the smaller number first")
+        return self
+
+
+class TrueParametersConfig(Section):
+    """A CSV file of true parameters, as simulations write it."""
+
+    parameters: InputFile
+
+
+class CalibrationSimulationConfig(ExperimentConfig):
+    """Readings of any machine drawn within its priors; those of an entry of ``common`` deviate alike.
+
+    ``given`` are the smallest and the largest value of what the machine has to know of each row. A truth from a file
+    stands in for what is drawn.
+    """
+
+    kind: Literal["calibration_simulation"]
+    origin: str
+    machine: InputFile
+    sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
+    units: UnitsConfig = UnitsConfig()
+    parameters: dict[str, PriorConfig] = Field(default={})
+    common: list[str | list[str]] = Field(default=[])
+    truth: TrueParametersConfig | None = None
+    workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    given: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    n_poses: Annotated[int, Field(ge=1, le=100_000)]
+    verification_poses: Annotated[int, Field(ge=0, le=100_000)] = 0

@@ -1,0 +1,133 @@
+"""Readings of any machine drawn within its priors, with the truth beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.data.truth import (
+    PARAMETERS_FILE,
+    POSES_FILE,
+    format_true_parameters,
+    format_true_poses,
+    read_true_parameters,
+    round_as_written,
+)
+from bayescal.density.priors import NormalPrior, Prior, UniformPrior
+from bayescal.errors import InputError
+from bayescal.experiments.calibration.noise import stated_noise
+from bayescal.experiments.calibration.priors import choose_priors
+from bayescal.experiments.calibration.reading_tables import USES, PoseReadings, stem_of
+from bayescal.experiments.calibration.schema import CalibrationSimulationConfig
+from bayescal.experiments.calibration.workspace import Workspace, build_workspace
+from bayescal.experiments.shared.simulated_data import Simulated, tabulate_truth
+from bayescal.files.csv_tables import format_table
+from bayescal.machines.read import read_reading_model
+from bayescal.machines.readings import ReadingModel
+from bayescal.numerics.geometry import Array
+
+DECIMALS = {"mm": 6, "rad": 9}
+MOST_TRIES = 100
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationInputs:
+    """A machine with the channels that are read, its priors, its workspace, and a truth if one is given."""
+
+    config: CalibrationSimulationConfig
+    model: ReadingModel
+    noise: Array
+    priors: dict[str, Prior]
+    fixed: dict[str, float]
+    common: dict[str, tuple[str, ...]]
+    workspace: Workspace
+    truth: Array | None
+
+
+def read_simulation(config: CalibrationSimulationConfig, folder: Path) -> SimulationInputs:
+    """Return what is simulated; InputError for every fault of the config or its files."""
+    whole = read_reading_model(folder / config.machine)
+    for name in config.given:
+        if name not in whole.given:
+            raise InputError(f"given: found {name!r}, expected some of {', '.join(whole.given) or 'none'}")
+    for name in whole.given:
+        if name not in config.given:
+            raise InputError(f"given: found no {name}, expected its smallest and its largest value")
+    nothing = np.full((1, len(whole.channels)), np.nan)
+    empty = PoseReadings(("",), np.zeros(1, dtype=bool), nothing, nothing.copy(), None)
+    noise = stated_noise(config.sensors, empty, whole)[0]
+    chosen = whole.select(config.sensors)
+    priors, fixed, common = choose_priors(config, None, config.common, whole)
+    truth = None if config.truth is None else read_true_parameters(folder / config.truth.parameters, whole.layout)
+    workspace = build_workspace(whole, config.workspace, config.units)
+    return SimulationInputs(config, whole.pick(chosen), noise[chosen], priors, fixed, common, workspace, truth)
+
+
+def simulate(inputs: SimulationInputs, rng: np.random.Generator) -> Simulated:
+    """Return ``readings.csv``, ``true_parameters.csv`` and ``true_poses.csv`` of a machine."""
+    config, model = inputs.config, inputs.model
+    drawn = _draw_machine(inputs, rng)
+    theta = round_as_written(drawn if inputs.truth is None else inputs.truth)
+    count = config.n_poses + config.verification_poses
+    given = {name: round_as_written(rng.uniform(bounds[0], bounds[1], count)) for name, bounds in config.given.items()}
+    pose, exact = _draw_poses(inputs, theta, given, count, rng)
+    measured = exact + inputs.noise * rng.standard_normal(exact.shape)
+    names = [f"C{k:03d}" for k in range(1, config.n_poses + 1)]
+    names += [f"V{k:02d}" for k in range(1, config.verification_poses + 1)]
+    columns = ["pose", "use", *(f"{stem_of(one.name)}_{one.unit}" for one in model.channels), *given]
+    decimals = [DECIMALS.get(one.unit, 9) for one in model.channels]
+    rows = [
+        (
+            name,
+            USES[k >= config.n_poses],
+            *(f"{x:.{d}f}" for x, d in zip(measured[k], decimals, strict=True)),
+            *(f"{value[k]:.12g}" for value in given.values()),
+        )
+        for k, name in enumerate(names)
+    ]
+    coordinates = [f"{one.name}_{one.unit}" for one in model.coordinates]
+    about = [config.origin, "Columns end with their unit."]
+    files = {
+        "readings.csv": format_table(about, columns, rows),
+        PARAMETERS_FILE: format_true_parameters([config.origin, "True parameters."], model.layout, theta),
+        POSES_FILE: format_true_poses([config.origin, "True poses."], coordinates, names, pose),
+    }
+    layout = model.layout
+    truth = tabulate_truth(layout.names, layout.units, layout.nominal, theta)
+    return Simulated(files, truth, config.origin, config.n_poses, config.verification_poses)
+
+
+def _draw_machine(inputs: SimulationInputs, rng: np.random.Generator) -> Array:
+    """Return a machine within its priors, (D,)."""
+    layout = inputs.model.layout
+    theta = layout.nominal.copy()
+    for name, value in inputs.fixed.items():
+        theta[layout.names.index(name)] = value
+    for name, prior in inputs.priors.items():
+        places = [layout.names.index(one) for one in inputs.common.get(name, (name,))]
+        theta[places] += _draw(prior, rng) - theta[places[0]]
+    layout.check(theta)
+    return theta
+
+
+def _draw(prior: Prior, rng: np.random.Generator) -> float:
+    if isinstance(prior, UniformPrior):
+        return float(rng.uniform(prior.lower, prior.upper))
+    assert isinstance(prior, NormalPrior)
+    return float(rng.normal(prior.centre, prior.scale))
+
+
+def _draw_poses(
+    inputs: SimulationInputs, theta: Array, given: dict[str, Array], count: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Return poses (P, q) of the workspace at which the machine stands, and its readings there (P, K)."""
+    pose = round_as_written(inputs.workspace.draw(count, rng))
+    for _ in range(MOST_TRIES):
+        exact = inputs.model.read(theta, pose, given)
+        lost = ~np.isfinite(exact).all(axis=1)
+        if not lost.any():
+            return pose, exact
+        pose[lost] = round_as_written(inputs.workspace.draw(int(lost.sum()), rng))
+    raise InputError("workspace: found hardly a pose at which the machine stands, expected a smaller workspace")

@@ -1,0 +1,264 @@
+"""Results of a calibration as tables and as a summary of plain numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import chi2
+
+from bayescal.experiments.calibration.fit import Fit
+from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
+from bayescal.experiments.calibration.knowledge import Knowledge
+from bayescal.experiments.calibration.validation import Held
+from bayescal.numerics.geometry import Array
+
+DOUBTFUL = 0.01  # probability under the stated noise below which what a pose leaves is doubtful
+DISTRUSTED = 0.5  # mean of a pose's precision below which a robust density doubts it
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """What the best machine leaves of the readings at P poses.
+
+    Attributes
+    ----------
+    pose : ndarray, shape (P, q)
+    left, noise : ndarray, shape (P, K)
+        Measured minus read, NaN where nothing was, and the noise at the best machine; in the channels' units.
+    square : ndarray, shape (P,)
+        r².
+    trust : ndarray, shape (P,)
+        Mean of the pose's precision; one but for robust densities.
+    freedom : ndarray of int, shape (P,)
+        Readings less coordinates.
+    """
+
+    pose: Array
+    left: Array
+    noise: Array
+    square: Array
+    trust: Array
+    freedom: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """All that was found for one variant."""
+
+    fit: Fit
+    residuals: Residuals
+    knowledge: Knowledge
+    beside: list[Array]
+    held: list[Held]
+
+
+def tabulate(inputs: CalibrationInputs, found: Mapping[str, Findings]) -> dict[str, pd.DataFrame]:
+    """Return all tables by the names of their files."""
+    every = [(inputs.variants[name], one) for name, one in found.items()]
+    predictions = pd.DataFrame([row for one in every for row in _list_predictions(*one)])
+    tables = {
+        "variants": pd.DataFrame([_describe(*one, predictions) for one in every]),
+        "parameters": pd.concat([_list_parameters(*one) for one in every], ignore_index=True),
+        "residuals": pd.DataFrame([row for one in every for row in _list_residuals(*one)]),
+        "poses": pd.concat([_list_poses(*one) for one in every], ignore_index=True),
+        "predictions": predictions,
+        "accuracy": pd.concat([_list_accuracy(*one) for one in every], ignore_index=True),
+        "ridges": pd.DataFrame(
+            [
+                {"variant": variant.name, "parameter": name, "contraction": share, "sentence": text}
+                for variant, one in every
+                for name, share, text in one.knowledge.ridges
+            ]
+        ),
+        "next": pd.DataFrame([row for one in every for row in _list_next(*one)]),
+        "beside": pd.DataFrame([row for one in every for row in _list_beside(inputs, *one)]),
+    }
+    return {name: table for name, table in tables.items() if not table.empty}
+
+
+def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dict[str, Any]:
+    fit, left, problems = one.fit, one.residuals, one.fit.list_problems()
+    freedom = int(left.freedom.sum()) - len(fit.names)
+    row: dict[str, Any] = {
+        "variant": variant.name,
+        "title": variant.config.title,
+        "data": _name_data(variant),
+        "robust": variant.config.robust is not None,
+        "n_parameters": len(fit.names),
+        "n_poses": len(left.square),
+        "n_equations": int(left.freedom.sum()),
+        "log_evidence": fit.log_evidence,
+        "log_evidence_se": fit.log_evidence_se,
+        "log_evidence_importance": fit.importance.log_evidence,
+        "log_evidence_bridge": fit.bridge.log_evidence,
+        "efficiency": fit.importance.efficiency,
+        "pareto_k": fit.importance.pareto_k,
+        "elpd": sum(held.elpd for held in one.held) if one.held else float("nan"),
+        "misfit": float(np.sqrt(left.square.sum() / freedom)) if freedom > 0 else float("nan"),
+        "rhat_max": float(fit.diagnostics.rhat.max()),
+        "ess_bulk_min": float(fit.diagnostics.ess_bulk.min()),
+        "ess_tail_min": float(fit.diagnostics.ess_tail.min()),
+        "converged": not problems,
+        "problems": "; ".join(problems),
+    }
+    if not predictions.empty:
+        mine = predictions[(predictions["variant"] == variant.name) & ~predictions["external"]]
+        row |= {"held_readings": len(mine), "inside_90": float(mine["inside"].mean()) if len(mine) else float("nan")}
+    return row
+
+
+def _name_data(variant: Variant) -> str:
+    """Return which readings a variant takes in, in words that are the same for the same ones."""
+    kinds = dict.fromkeys(one.kind for one in variant.model.channels)
+    return f"{' '.join(kinds)}, {variant.data.n_poses} poses, {int(variant.data.present.sum())} readings"
+
+
+def _list_parameters(variant: Variant, one: Findings) -> pd.DataFrame:
+    fit, posterior = one.fit, variant.posterior()
+    low, high = np.quantile(fit.natural, [0.05, 0.95], axis=0)
+    mean, sd = fit.natural.mean(axis=0), fit.natural.std(axis=0)
+    layout = variant.model.layout
+    start = [float(layout.nominal[posterior.places(name)[0]]) for name in posterior.geometry_names]
+    start += [1.0] * len(posterior.noise.scale_names) + [0.0] * len(posterior.noise.tau_names)
+    verdicts = [*one.knowledge.verdicts, *["noise"] * posterior.noise.n_parameters]
+    return pd.DataFrame(
+        {
+            "variant": variant.name,
+            "parameter": fit.names,
+            "unit": fit.units,
+            "nominal": start,
+            "prior_sd": fit.prior_sd,
+            "mean": mean,
+            "sd": sd,
+            "q05": low,
+            "q95": high,
+            "contraction": 1.0 - (sd / fit.prior_sd) ** 2,
+            "verdict": verdicts,
+            "rhat": fit.diagnostics.rhat,
+            "ess_bulk": fit.diagnostics.ess_bulk,
+            "ess_tail": fit.diagnostics.ess_tail,
+        }
+    )
+
+
+def _list_residuals(variant: Variant, one: Findings) -> Iterator[dict[str, Any]]:
+    poses = variant.data.pick(~variant.verification)
+    for k, name in enumerate(poses.poses):
+        for channel in np.flatnonzero(poses.present[k]):
+            yield {
+                "variant": variant.name,
+                "pose": name,
+                "channel": variant.model.channels[channel].name,
+                "unit": variant.model.channels[channel].unit,
+                "measured": poses.values[k, channel],
+                "residual": one.residuals.left[k, channel],
+                "noise": one.residuals.noise[k, channel],
+            }
+
+
+def _list_poses(variant: Variant, one: Findings) -> pd.DataFrame:
+    left = one.residuals
+    chance = chi2.sf(left.square, np.maximum(left.freedom, 1))
+    coordinates = {f"{c.name}_{c.unit}": left.pose[:, k] for k, c in enumerate(variant.model.coordinates)}
+    names = [name for name, held in zip(variant.data.poses, variant.verification, strict=True) if not held]
+    return pd.DataFrame(
+        {
+            "variant": variant.name,
+            "pose": names,
+            **coordinates,
+            "equations": left.freedom,
+            "square": left.square,
+            "chance": chance,
+            "trust": left.trust,
+            "doubtful": (left.trust < DISTRUSTED) | ((variant.config.robust is None) & (chance < DOUBTFUL)),
+        }
+    )
+
+
+def _list_predictions(variant: Variant, one: Findings) -> Iterator[dict[str, Any]]:
+    for held in one.held:
+        found = held.predictions
+        for k, (row, channel) in enumerate(zip(held.rows[found.pose], found.channel, strict=True)):
+            yield {
+                "variant": variant.name,
+                "pose": variant.data.poses[row],
+                "channel": variant.model.channels[channel].name,
+                "external": variant.model.channels[channel].external,
+                "unit": variant.model.channels[channel].unit,
+                "measured": found.measured[k],
+                "mean": found.mean[k],
+                "sd": found.sd[k],
+                "low": found.low[k],
+                "high": found.high[k],
+                "inside": bool(found.inside[k]),
+            }
+
+
+def _list_accuracy(variant: Variant, one: Findings) -> pd.DataFrame:
+    known = one.knowledge
+    return pd.DataFrame(
+        {
+            "variant": variant.name,
+            "coordinate": known.coordinates,
+            "unit": known.units,
+            "before": known.before,
+            "after": known.after,
+            "noise": known.noise,
+        }
+    )
+
+
+def _list_next(variant: Variant, one: Findings) -> Iterator[dict[str, Any]]:
+    known = one.knowledge
+    for pose, sensors, gain in zip(known.next_pose, known.next_sensors, known.next_gain, strict=True):
+        coordinates = {f"{c.name}_{c.unit}": pose[k] for k, c in enumerate(variant.model.coordinates)}
+        yield {"variant": variant.name, "sensors": sensors, **coordinates, "gain": gain}
+
+
+def _list_beside(inputs: CalibrationInputs, variant: Variant, one: Findings) -> Iterator[dict[str, Any]]:
+    for source, values in zip(inputs.beside, one.beside, strict=True):
+        mean, sd = values.mean(axis=0), values.std(axis=0)
+        for k, name in enumerate(source.quantities):
+            yield {
+                "variant": variant.name,
+                "beside": source.title,
+                "source": source.source,
+                "quantity": name,
+                "unit": source.units[k],
+                "mean": mean[k],
+                "sd": sd[k],
+                "value": source.values[k],
+                "value_sd": source.sd[k],
+            }
+
+
+def summarise(inputs: CalibrationInputs, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
+    """Return the results as JSON-ready numbers."""
+    config, variants = inputs.config, tables["variants"]
+    return {
+        "experiment": config.name,
+        "title": config.title,
+        "seed": config.seed,
+        "machine": inputs.machine,
+        "origin": config.origin.model_dump(),
+        "member": next(iter(inputs.variants.values())).model.member,
+        "converged": bool(variants["converged"].all()),
+        "units": config.units.model_dump(),
+        "variants": {str(row.pop("variant")): _plain(row) for row in variants.to_dict("records")},
+        "rankings": rank_variants(variants),
+    }
+
+
+def rank_variants(variants: pd.DataFrame) -> list[list[str]]:
+    """Return the variants of the same readings, the largest evidence first."""
+    groups = [some.sort_values("log_evidence", ascending=False) for _, some in variants.groupby("data", sort=False)]
+    return [[str(name) for name in some["variant"]] for some in groups]
+
+
+def _plain(row: dict[Any, Any]) -> dict[str, Any]:
+    """Return a row with None for what is no number."""
+    return {str(k): None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}

@@ -1,0 +1,124 @@
+"""Where a machine may stand: bounds of its coordinates, and where to look for the poses of its readings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.errors import InputError
+from bayescal.experiments.shared.schema import UnitsConfig
+from bayescal.identifiability.units import Units
+from bayescal.machines.readings import ReadingModel
+from bayescal.numerics.geometry import Array
+
+STARTS = 0.6  # of the half widths, from where poses are looked for
+LARGEST_GRID = 81  # starts; beyond, they are drawn
+SINGULAR = 1e-10  # of the largest singular value of H in units of the workspace, below which a pose is not told
+
+
+@dataclass(frozen=True, eq=False)
+class Workspace:
+    """Bounds of the coordinates, (q,) each, in mm, rad or their own units."""
+
+    low: Array
+    high: Array
+
+    @cached_property
+    def volume(self) -> float:
+        """Its volume, one for a machine without coordinates."""
+        return float(np.prod(self.high - self.low))
+
+    @cached_property
+    def middle(self) -> Array:
+        """Its middle, shape (q,)."""
+        return 0.5 * (self.low + self.high)
+
+    @cached_property
+    def half(self) -> Array:
+        """Half widths, shape (q,)."""
+        return 0.5 * (self.high - self.low)
+
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """Return n poses spread evenly, shape (n, q)."""
+        return rng.uniform(self.low, self.high, (n, len(self.low)))
+
+    def starts(self, seed: int) -> Array:
+        """Return poses from which to look for others, the middle first, shape (S, q)."""
+        q = len(self.low)
+        if 3**q <= LARGEST_GRID:
+            grid = np.array([*product((0.0, -1.0, 1.0), repeat=q)]).reshape(-1, q)
+        else:
+            rng = np.random.default_rng([seed, 4])
+            grid = np.concatenate([np.zeros((1, q)), rng.uniform(-1.0, 1.0, (LARGEST_GRID - 1, q))])
+        return self.middle + STARTS * self.half * grid
+
+
+def build_workspace(model: ReadingModel, given: Mapping[str, list[float]], section: UnitsConfig) -> Workspace:
+    """Return the workspace: what the config says, else the machine; InputError for an unknown coordinate."""
+    names, units = [one.name for one in model.coordinates], Units(section.length, section.angle)
+    for name in given:
+        if name not in names:
+            raise InputError(f"workspace: found {name!r}, expected some of {', '.join(names) or 'none'}")
+    bounds = []
+    for one in model.coordinates:
+        if one.name in given:
+            bounds.append([units.factor(one.unit) * limit for limit in given[one.name]])
+        elif one.reach > 0.0:
+            bounds.append([one.home - one.reach, one.home + one.reach])
+        else:
+            raise InputError(f"workspace: found no {one.name}, expected its smallest and its largest value")
+    low, high = np.array(bounds).reshape(-1, 2).T
+    return Workspace(low, high)
+
+
+def find_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: int) -> Array:
+    """Return the poses (P, q) at which the machine as expected explains the readings best, from any start.
+
+    Raises
+    ------
+    InputError
+        For a pose whose readings do not tell where the machine stands: too few, or of sensors that cannot.
+    """
+    likelihood = posterior.likelihood
+    starts, n = workspace.starts(seed), likelihood.data.n_poses
+    white = likelihood.whiten(*posterior.deviations(np.zeros((len(starts), posterior.n_parameters))))
+    theta = np.tile(posterior.centre, (len(starts), 1))
+    every = np.broadcast_to(starts[:, None], (len(starts), n, starts.shape[1]))
+    with np.errstate(all="ignore"):
+        there = likelihood.linearise(theta, every, white)[0]
+        found = likelihood.stand(theta, white, every)
+    squares = np.stack([np.einsum("cpk,cpk->cp", one, one) for one in (there, found.error)])
+    squares[np.isnan(squares)] = np.inf
+    poses = np.stack([every, np.nan_to_num(found.pose)])
+    best = squares.reshape(-1, n).argmin(axis=0)
+    pose = poses.reshape(-1, *every.shape[1:])[best, np.arange(n)]
+    _check(posterior, pose, workspace)
+    return np.asarray(pose)
+
+
+def _check(posterior: CalibrationPosterior, pose: Array, workspace: Workspace) -> None:
+    likelihood, q = posterior.likelihood, pose.shape[1]
+    for k in np.flatnonzero(likelihood.n_readings < q)[:1]:
+        raise InputError(
+            f"pose {likelihood.data.poses[k]!r}: found {likelihood.n_readings[k]} readings, expected at least {q}, "
+            "as many as it has coordinates; leave out what tells nothing"
+        )
+    if not q:
+        return
+    white = likelihood.whiten(*posterior.deviations(np.zeros((1, posterior.n_parameters))))
+    error, slope, _ = likelihood.linearise(posterior.centre[None], pose[None], white)
+    for k in np.flatnonzero(~np.isfinite(error[0]).all(axis=1))[:1]:
+        raise InputError(
+            f"pose {likelihood.data.poses[k]!r}: found no place in the workspace where the machine as expected stands"
+        )
+    values = np.linalg.svd(slope[0] * workspace.half, compute_uv=False)
+    for k in np.flatnonzero(values[:, -1] <= SINGULAR * values[:, 0])[:1]:
+        raise InputError(
+            f"pose {likelihood.data.poses[k]!r}: found readings that do not tell all {q} coordinates, expected some "
+            "that do; leave out what tells nothing"
+        )

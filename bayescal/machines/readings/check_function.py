@@ -1,0 +1,106 @@
+"""Whether a machine of one function is one: its members, its values at home, its derivatives against differences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayescal.errors import InputError
+from bayescal.machines.parameters import ParameterBlock
+from bayescal.machines.readings.base import Channel, Coordinate
+from bayescal.machines.readings.colours import draw_points
+from bayescal.numerics.geometry import Array
+
+if TYPE_CHECKING:
+    from bayescal.machines.readings.function import FunctionModel, ReadingMachine
+
+MEMBERS = {"parameters": ParameterBlock, "coordinates": Coordinate, "channels": Channel}
+POINTS = 5
+DIFFERENCE = 1e-6  # of an entry's size
+AGREEMENT = 1e-4  # of the largest slope of its kind; differences of this step keep six digits
+
+
+def check_members(name: str, machine: ReadingMachine) -> None:
+    """Raise InputError for a machine that lacks parameters, coordinates or channels, or has wrong ones."""
+    where = f"machine {name!r}: class {type(machine).__name__}"
+    for member, kind in MEMBERS.items():
+        found = getattr(machine, member, None)
+        if not isinstance(found, Sequence):
+            raise InputError(f"{where}: found no {member}, expected a sequence of {kind.__name__}")
+        for one in found:
+            if not isinstance(one, kind):
+                raise InputError(f"{where}: {member}: found {one!r}, expected a {kind.__name__}")
+        names = [one.symbol if isinstance(one, ParameterBlock) else one.name for one in found]
+        for one_name in names:
+            if names.count(one_name) > 1:
+                raise InputError(f"{where}: {member}: found {one_name!r} twice, expected each name once")
+    if not machine.parameters or not machine.channels:
+        raise InputError(f"{where}: found no parameter or no channel, expected at least one of each")
+    _check_rotations(where, machine.channels)
+
+
+def _check_rotations(where: str, channels: Sequence[Channel]) -> None:
+    names = [one.rotation for one in channels]
+    for name in dict.fromkeys(filter(None, names)):
+        places = [k for k, other in enumerate(names) if other == name]
+        if places != list(range(places[0], places[0] + 3)):
+            raise InputError(f"{where}: channels: found {len(places)} of rotation {name!r}, expected three in a row")
+
+
+def check_values(model: FunctionModel) -> None:
+    """Raise InputError where the function fails, returns another shape than (..., K), or is not finite at home."""
+    theta, pose, given = draw_points(model, POINTS)
+    where, n = f"machine {model.name!r}: {type(model.machine).__name__}.read", len(model.channels)
+    found = _call(model, where, theta, pose, given)
+    if found.shape != (POINTS, n):
+        raise InputError(f"{where}: found shape {found.shape} for {POINTS} poses, expected {(POINTS, n)}")
+    for k in np.flatnonzero(~np.isfinite(found[0])):
+        raise InputError(f"{where}: {model.channels[k].name}: found {found[0, k]} at home, expected a finite reading")
+    stacked = _call(model, where, theta[:, None], pose[None], {name: value[None] for name, value in given.items()})
+    if stacked.shape != (POINTS, POINTS, n):
+        raise InputError(
+            f"{where}: found shape {stacked.shape} for {POINTS} machines at {POINTS} poses, "
+            f"expected {(POINTS, POINTS, n)}: it must take any leading axes"
+        )
+
+
+def _call(model: FunctionModel, where: str, *arguments: Any) -> Array:
+    try:
+        with np.errstate(all="ignore"):
+            return np.asarray(model.evaluate(*arguments))
+    except Exception as error:  # whatever somebody else's code raises
+        text = " ".join(str(error).split())
+        raise InputError(f"{where}: failed with {type(error).__name__}: {text}, expected readings") from error
+
+
+def check_derivatives(model: FunctionModel) -> None:
+    """Raise InputError where a derivative by complex step is not that of central differences."""
+    theta, pose, given = draw_points(model, POINTS)
+    where, n = f"machine {model.name!r}: {type(model.machine).__name__}.read", theta.shape[1]
+    _call(model, f"{where}, with complex numbers", theta + 0j, pose + 0j, given)
+    here = np.concatenate([theta, pose], axis=1)
+    _, exact = model.differentiate(theta, pose, given, np.eye(here.shape[1]))
+    for entry in range(here.shape[1]):
+        step = np.zeros_like(here)
+        step[:, entry] = DIFFERENCE * np.maximum(np.abs(here[:, entry]), 1.0)
+        above, below = (
+            np.asarray(_call(model, where, moved[:, :n], moved[:, n:], given)) for moved in (here + step, here - step)
+        )
+        slope = (above - below) / (2.0 * step[:, entry, None])
+        # rounding of the values is what differences cannot see beyond
+        noise = 1e-15 * np.abs(above) / step[:, entry, None]
+        wrong = np.abs(slope - exact[entry]) > AGREEMENT * np.nanmax(np.abs(slope), initial=0.0) + 100.0 * noise
+        wrong &= np.isfinite(slope)
+        for point, k in np.argwhere(wrong)[:1]:
+            raise InputError(
+                f"{where}: {model.channels[k].name}: found ∂/∂{_name(model, entry)} = {exact[entry, point, k]:.6g} by "
+                f"complex step and {slope[point, k]:.6g} by differences, expected an analytic function; "
+                "abs, norm and arctan2 of NumPy are none, those of bayescal.numerics.analytic are"
+            )
+
+
+def _name(model: FunctionModel, entry: int) -> str:
+    names = (*model.layout.names, *(one.name for one in model.coordinates))
+    return names[entry]

@@ -1,0 +1,251 @@
+"""A machine as one function: what its sensors read where it stands, given its parameters.
+
+Everything else follows. Both Jacobians are taken by complex step, exact to rounding: ∂h/∂x = Im h(x + iε) / ε.
+Parameters and coordinates that no sensor sees together are stepped together (Curtis, Powell and Reid 1974), so that a
+machine of N legs costs as many evaluations as one of its legs has parameters.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bayescal.config.sections import Section
+from bayescal.machines.parameters import ParameterBlock, ParameterLayout
+from bayescal.machines.readings.base import NOTHING, Channel, Coordinate, Given, ReadingModel, Readings
+from bayescal.machines.readings.check_function import check_derivatives, check_members, check_values
+from bayescal.machines.readings.colours import colour, find_pattern
+from bayescal.numerics.geometry import Array
+
+STEP = 1e-30
+
+
+class ReadingMachine(ABC):
+    """What a machine of any kind has to say: its parameters, coordinates and sensors, and what these read.
+
+    A subclass is named in a machine's file, ``kind = "own_machine.py:OwnMachine"``, whose other keys are checked by its
+    ``Config`` and handed to its constructor.
+
+    Attributes
+    ----------
+    Config : type of Section
+        Its section of the machine's file; nothing by default.
+    given : tuple of str
+        Columns of the data that `read` needs beside coordinates: a temperature, a commanded value.
+    frame_parameters : tuple of str
+        Names of parameters that only say where a frame is, such as ``a_x[1]``.
+    member : str
+        What one of many is called in texts: leg, line, joint, belt.
+    """
+
+    Config: ClassVar[type[Section]] = Section
+    given: tuple[str, ...] = ()
+    frame_parameters: tuple[str, ...] = ()
+    member: str = "leg"
+    parameters: Sequence[ParameterBlock]
+    coordinates: Sequence[Coordinate]
+    channels: Sequence[Channel]
+
+    def __init__(self, config: Any) -> None:
+        """Take the machine's section of its file."""
+        self.config = config
+
+    @abstractmethod
+    def read(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> Any:
+        """Return the readings h(d, v), shape (..., K), in the units of the channels.
+
+        It must take any leading axes, and complex numbers: it is differentiated by complex step. What NumPy has no
+        complex form of stands in `bayescal.numerics.analytic`.
+
+        Parameters
+        ----------
+        parameters : Parameters
+            ``parameters["l"]`` is of shape (..., n) for a block of n values, of shape (...) for a single one.
+        v : ndarray, shape (..., q)
+            Where the machine stands.
+        given : mapping of str to ndarray, shape (...)
+        """
+
+    def tool(self, parameters: Parameters, v: Any) -> Any:
+        """Return what has to be accurate, (..., m), in the machine's own coordinates: all of them by default."""
+        del parameters
+        return v
+
+
+class Parameters(Mapping[str, Any]):
+    """Parameter vectors by symbol: a block's values have shape (..., n), a single one's (...)."""
+
+    def __init__(self, layout: ParameterLayout, theta: Any) -> None:
+        """Look at parameter vectors (..., D)."""
+        self._layout, self._theta = layout, theta
+
+    def __getitem__(self, symbol: str) -> Any:
+        """Return a symbol's values."""
+        found = self._theta[..., self._layout.index[symbol]]
+        return found if self._layout.block(symbol).per_leg else found[..., 0]
+
+    def __iter__(self) -> Any:
+        """Iterate over the symbols."""
+        return iter(self._layout.symbols)
+
+    def __len__(self) -> int:
+        """Return the number of symbols."""
+        return len(self._layout.blocks)
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """Which entries of (d, v) are stepped together, and where what is seen belongs.
+
+    ``places`` (C, D + q) holds one where an entry is stepped in a round; what sensor ``rows[n]`` sees of entry
+    ``entries[n]`` stands in round ``rounds[n]``.
+    """
+
+    places: Array
+    rounds: np.ndarray
+    rows: np.ndarray
+    entries: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionModel(ReadingModel):
+    """A machine of one function as a model of readings.
+
+    Attributes
+    ----------
+    name : str
+    machine : ReadingMachine
+    places : tuple of int or None
+        Which of the machine's sensors it has; all by default.
+
+    Raises
+    ------
+    InputError
+        When made: for a missing or wrong member, a function that returns another shape, that is not finite at home, or
+        that is not analytic.
+    """
+
+    name: str
+    machine: ReadingMachine
+    places: tuple[int, ...] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the machine: its members, its function's values and derivatives."""
+        check_members(self.name, self.machine)
+        check_values(self)
+        check_derivatives(self)
+
+    @cached_property
+    def layout(self) -> ParameterLayout:
+        """The machine's parameters."""
+        return ParameterLayout(tuple(self.machine.parameters))
+
+    @cached_property
+    def channels(self) -> tuple[Channel, ...]:
+        """The machine's sensors, or some of them."""
+        every = tuple(self.machine.channels)
+        return every if self.places is None else tuple(every[k] for k in self.places)
+
+    @cached_property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The machine's coordinates."""
+        return tuple(self.machine.coordinates)
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """What has to be known of each row of the data."""
+        return tuple(self.machine.given)
+
+    @property
+    def member(self) -> str:
+        """What one of many is called."""
+        return self.machine.member
+
+    def frame_parameters(self) -> tuple[str, ...]:
+        """Return what the machine says of its frames."""
+        return tuple(self.machine.frame_parameters)
+
+    def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
+        """Return the parameters on which some sensors were found to depend."""
+        rows = self.select(channels)
+        seen = self._pattern[rows, : self.layout.size].any(axis=0)
+        return tuple(name for name, one in zip(self.layout.names, seen, strict=True) if one)
+
+    # --- readings ------------------------------------------------------------------------------------------------
+
+    def evaluate(self, theta: Any, pose: Any, given: Given) -> Any:
+        """Return the function's values, real or complex, for (..., D) and (..., q)."""
+        found = self.machine.read(Parameters(self.layout, theta), pose, given)
+        return found if self.places is None else np.asarray(found)[..., self.places]
+
+    def pick(self, channels: np.ndarray) -> ReadingModel:
+        """Return the same machine with some of its sensors; its derivatives take fewer rounds."""
+        return replace(self, places=tuple(int(k) for k in np.arange(len(self.machine.channels))[channels]))
+
+    def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
+        """Return the readings; see `ReadingModel.read`."""
+        with np.errstate(all="ignore"):
+            return np.asarray(self.evaluate(theta, pose, given), dtype=np.float64)
+
+    def differentiate(self, theta: Array, pose: Array, given: Given, directions: Array) -> tuple[Array, Array]:
+        """Return readings (..., K) and what they change along directions (C, D + q) of (d, v), (C, ..., K)."""
+        n = self.layout.size
+        rounds = (len(directions),) + (1,) * (max(theta.ndim, pose.ndim) - 1)
+        along = 1j * STEP * directions
+        with np.errstate(all="ignore"):
+            found = np.asarray(
+                self.evaluate(theta + along[:, :n].reshape(*rounds, n), pose + along[:, n:].reshape(*rounds, -1), given)
+            )
+        return found[0].real, found.imag / STEP
+
+    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
+        """Return the readings with their derivatives; see `ReadingModel.linearise`."""
+        n, q, steps = self.layout.size, len(self.coordinates), self._all_steps if with_parameters else self._pose_steps
+        if not len(steps.places):
+            values = self.read(theta, pose, given)
+            return Readings(values, np.zeros((*values.shape, q)), np.zeros((*values.shape, n)))
+        values, slopes = self.differentiate(theta, pose, given, steps.places)
+        every = np.zeros((*values.shape, n + q))
+        every[..., steps.rows, steps.entries] = np.moveaxis(slopes, 0, -2)[..., steps.rounds, steps.rows]
+        return Readings(values, every[..., n:], every[..., :n] if with_parameters else np.empty(0))
+
+    @cached_property
+    def _pattern(self) -> np.ndarray:
+        """Which sensors see which parameters and coordinates, shape (K, D + q)."""
+        return find_pattern(self)
+
+    def _plan(self, some: np.ndarray) -> _Steps:
+        pattern = self._pattern & some
+        colours = colour(pattern)
+        places = np.zeros((colours.max(initial=-1) + 1, len(some)))
+        used = np.flatnonzero(pattern.any(axis=0))
+        places[colours[used], used] = 1.0
+        rows, entries = np.nonzero(pattern)
+        return _Steps(places, colours[entries], rows, entries)
+
+    @cached_property
+    def _all_steps(self) -> _Steps:
+        return self._plan(np.ones(self._pattern.shape[1], dtype=bool))
+
+    @cached_property
+    def _pose_steps(self) -> _Steps:
+        return self._plan(np.arange(self._pattern.shape[1]) >= self.layout.size)
+
+    # --- what has to be accurate -----------------------------------------------------------------------------------
+
+    def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+        """Return what has to be accurate and what moves it; see `ReadingModel.tool`."""
+        n, q = self.layout.size, len(self.coordinates)
+        along = 1j * STEP * np.eye(n + q)
+        rounds = (n + q,) + (1,) * (max(theta.ndim, pose.ndim) - 1)
+        view = Parameters(self.layout, theta + along[:, :n].reshape(*rounds, n))
+        found = np.asarray(self.machine.tool(view, pose + along[:, n:].reshape(*rounds, q)))
+        shape = np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1])
+        found = np.broadcast_to(found, (n + q, *shape, found.shape[-1]))
+        slopes = np.moveaxis(found.imag / STEP, 0, -1)
+        return found[0].real, slopes[..., n:], slopes[..., :n]

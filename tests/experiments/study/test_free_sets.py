@@ -1,0 +1,229 @@
+"""Several free sets of one model and deformation: each has files, rows and a seed by its name, and stands on pages."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import studies
+
+from bayescal.api import run_study
+from bayescal.errors import InputError
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.run import Finished
+from bayescal.experiments.study.fit import Task, run_task
+
+JOINTS = """
+[[variants]]
+model = "six_pus"
+deformation = "none"
+name = "joints alone"
+free = ["a_x"]
+
+[[variants]]
+model = "six_pus"
+deformation = "none"
+name = "lengths"
+free = ["l"]
+
+[sampler]"""
+PRIOR = 'b_z = { prior = "fixed", offset = 0.0 }'
+
+
+def write_study(folder: Path, *changes: tuple[str, str]) -> Path:
+    """Write a tiny study with two named variants beside its own, with some lines changed."""
+    path = studies.write_tiny_study(folder)
+    for old, new in (("\n[sampler]", JOINTS), (PRIOR, f'{PRIOR}\na_x = {{ prior = "normal", sd = 2.0 }}'), *changes):
+        studies.edit(path, old, new)
+    return path
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory) -> Path:
+    return write_study(tmp_path_factory.mktemp("free sets"), ("seed = 11", 'seed = 11\nclaims = "rr8096"'))
+
+
+@pytest.fixture(scope="module")
+def result(path) -> Finished:
+    """Return the finished study of four variants, three of them of one model and deformation."""
+    return run_study(load_experiment(path), path.parent, path.parent / "results", 1)
+
+
+@pytest.fixture(scope="module")
+def page(result) -> str:
+    return (result.out / "report.html").read_text()
+
+
+def test_every_variant_has_its_rows_and_files(result):
+    names = {"six_pus/none", "six_pus/matrix", "joints alone", "lengths"}
+    assert set(result.summary["variants"]) == set(result.summary["ranking"]) == names
+    for table in ("ranking", "parameters", "predictions", "sensitivity", "least_squares"):
+        assert set(pd.read_csv(result.out / "tables" / f"{table}.csv")["variant"]) == names, table
+    stems = {"six_pus-none", "six_pus-matrix", "joints_alone", "lengths"}
+    assert {file.stem for file in (result.out / "posterior").iterdir()} == stems
+    joints = result.summary["variants"]["joints alone"]["parameters"]
+    assert {name.partition("[")[0] for name in joints} == {"a_x", "tau"}
+
+
+def test_numbers_of_unnamed_variants_are_those_without_named_ones(path, tmp_path):
+    alone = studies.load_study(studies.write_tiny_study(tmp_path))
+    beside, task = studies.load_study(path), Task("six_pus/none", True)
+    assert task.key == "six_pus-none-tau-free"
+    one, other = run_task(alone, task), run_task(beside, task)
+    assert one.keys() == other.keys()
+    for name in one.keys() - {"wall_seconds"}:
+        np.testing.assert_array_equal(one[name], other[name])
+
+
+def test_the_same_free_set_by_another_name_has_other_random_numbers(result):
+    one, other = (result.summary["variants"][name] for name in ("six_pus/none", "lengths"))
+    assert one["log_evidence"] != other["log_evidence"]
+    error = np.hypot(one["log_evidence_se"], other["log_evidence_se"])
+    assert one["log_evidence"] == pytest.approx(other["log_evidence"], abs=5 * error)
+
+
+def test_page_says_which_free_sets_are_told_apart(page):
+    assert "6-PUS without deformation: " in page
+    assert "6-PUS/none and lengths are not told apart" in page
+    assert "joints alone" in page[page.index("6-PUS/none and lengths are not told apart") :]
+    assert "Free parameters" in page
+    assert "With the same model, matrix is ahead of none by" in page
+
+
+def test_compare_ranks_named_variants_too(call, result, tmp_path):
+    code, out, err = call("compare", result.out)
+    assert code == 0, err
+    assert "joints" in out
+
+
+def test_claims_take_the_variants_without_names(result, tmp_path):
+    path = studies.write_tiny_study(tmp_path)
+    studies.edit(path, "seed = 11", 'seed = 11\nclaims = "rr8096"')
+    other = run_study(load_experiment(path), tmp_path, tmp_path / "out", 1)
+    claims = [pd.read_csv(one.out / "tables" / "claims.csv") for one in (result, other)]
+    pd.testing.assert_frame_equal(*claims)
+
+
+def test_figures_tell_free_sets_apart(result):
+    from bayescal.experiments.frame.results import read_results
+    from bayescal.experiments.study.page.figures.errors import draw_error_bars
+    from bayescal.experiments.study.page.results import StudyResults
+    from bayescal.experiments.study.page.styles import assign_styles
+    from bayescal.experiments.study.page.variants import find_best, split_variant
+
+    study = StudyResults.of(read_results(result.out))
+    styles = assign_styles(study)
+    assert len({style.marker for style in styles.values()}) == 3
+    assert len({(style.marker, style.colour) for style in styles.values()}) == 4
+    assert styles["lengths"].label == "lengths"
+    bars = draw_error_bars(study.predictions, list(styles), styles, "").axes[0]
+    assert [label.get_text() for label in bars.get_xticklabels()] == [
+        *("6-PUS/none", "6-PUS/matrix", "joints alone", "lengths")
+    ]
+    assert split_variant(study, "lengths") == ("six_pus", "none")
+    assert find_best(study, "six_pus", "none") in ("six_pus/none", "lengths")
+    assert find_best(study, "six_pus", "linear") is None
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (
+            ('name = "lengths"\n', ""),
+            "variant 'six_pus/none' stands twice, expected each variant once, or a name of",
+        ),
+        (('name = "lengths"', 'name = "joints alone"'), "variant 'joints alone' stands twice"),
+        (('name = "lengths"', 'name = "six_pus/none"'), "variants.3.name: found 'six_pus/none', expected"),
+        (('name = "lengths"', 'name = "six_pus-none"'), "variants 'six_pus/none' and 'six_pus-none' would share their"),
+        (('name = "lengths"', 'name = "Joints_alone"'), "variants 'joints alone' and 'Joints_alone' would share"),
+        (('name = "lengths"', 'name = "../lengths"'), "variants.3.name: found '../lengths', expected"),
+        (('name = "lengths"', 'name = " "'), "variants.3.name: found ' ', expected"),
+    ],
+)
+def test_names_at_fault_are_told_in_one_line(tmp_path, change, expected):
+    path = write_study(tmp_path, change)
+    with pytest.raises(InputError) as caught:
+        load_experiment(path)
+    assert expected in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+# --- an audit of one of them -----------------------------------------------------------------------------------------
+
+DESIGN = """
+kind = "audit"
+name = "audit_free_sets"
+title = "Audit of a free set"
+seed = 5
+
+[data]
+study = "study.toml"
+
+[variant]
+model = "six_pus"
+deformation = "none"
+
+[posterior]
+draws = 0
+"""
+
+
+def read_design(folder: Path, *changes: tuple[str, str]):
+    from bayescal.experiments.audit.inputs import read_inputs
+    from bayescal.experiments.audit.load import load_audit
+
+    write_study(folder)
+    design = folder / "design.toml"
+    design.write_text(DESIGN)
+    for old, new in changes:
+        studies.edit(design, old, new)
+    return read_inputs(load_audit(design), folder)
+
+
+@pytest.mark.parametrize(("name", "symbol"), [("joints alone", "a_x"), ("six_pus/none", "l"), ("lengths", "l")])
+def test_an_audit_takes_a_variant_by_its_name(tmp_path, name, symbol):
+    inputs = read_design(tmp_path, ("[variant]", f'variant = "{name}"\n[variant]'))
+    assert {one.partition("[")[0] for one in inputs.knowledge.names} == {symbol}
+    assert inputs.measured.origin.endswith(f"study tiny, variant {name}")
+
+
+def test_an_audit_takes_the_only_variant_of_a_model_and_deformation_without_its_name(tmp_path):
+    inputs = read_design(tmp_path, ('deformation = "none"', 'deformation = "matrix"'))
+    assert inputs.measured.origin.endswith("variant six_pus/matrix")
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        (
+            (),
+            "found six_pus/none as 'six_pus/none', 'joints alone', 'lengths', expected data.variant with one",
+        ),
+        (
+            (("[variant]", 'variant = "length"\n[variant]'),),
+            "found no 'length' of six_pus/none, expected 'six_pus/none', 'joints alone', 'lengths'",
+        ),
+        (
+            (("[variant]", 'variant = "lengths"\n[variant]'), ('deformation = "none"', 'deformation = "matrix"')),
+            "found no 'lengths' of six_pus/matrix, expected 'six_pus/matrix'",
+        ),
+        (
+            (("[variant]", 'variant = "lengths"\n[variant]\nfree = ["a_x"]'),),
+            "variant.free: found a_x, expected none or those of the study's lengths: l",
+        ),
+    ],
+)
+def test_an_audit_of_no_or_several_variants_is_refused_in_one_line(tmp_path, changes, expected):
+    with pytest.raises(InputError) as caught:
+        read_design(tmp_path, *changes)
+    assert expected in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_provenance_names_every_variant(result):
+    variants = json.loads((result.out / "provenance.json").read_text())["config"]["variants"]
+    assert [one["name"] for one in variants] == ["six_pus/none", "six_pus/matrix", "joints alone", "lengths"]

@@ -1,0 +1,94 @@
+"""The evidence with wider and narrower priors: they keep their ratios, and what no machine has is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import studies
+
+from bayescal.density.priors import NormalPrior, UniformPrior
+from bayescal.errors import InputError
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.study.fit import list_sensitivity, list_tasks, run_task
+from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.tables import tabulate_sensitivity
+
+UNIFORM = 'kappa = { prior = "uniform", half_width = 0.01 }'
+NORMAL = 'kappa = { prior = "normal", sd = 0.01 }'
+EFFORT = ("draws = 1000\nmax_draws = 1000", "draws = 4000\nmax_draws = 4000")
+PER_LEG = "sd = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]"
+
+
+def load(folder: Path, *changes: tuple[str, str]) -> StudyInputs:
+    """Return the inputs of a tiny study with some lines changed."""
+    path = studies.write_tiny_study(folder)
+    for old, new in changes:
+        studies.edit(path, old, new)
+    return studies.load_study(path)
+
+
+@pytest.mark.parametrize("factor", [0.3, 1.0, 4.0])
+def test_a_factor_multiplies_the_width_of_every_prior_whatever_its_unit(tmp_path, factor):
+    inputs = load(tmp_path, (NORMAL, UNIFORM), ("sd = 2.0", PER_LEG))
+    variant = inputs.variant("six_pus/matrix")
+    own, fixed = inputs.priors(variant)
+    scaled, still_fixed = inputs.priors(variant, factor)
+    assert still_fixed == fixed
+    assert list(scaled) == list(own)
+    for name, prior in own.items():
+        other = scaled[name]
+        if name.startswith("l"):
+            assert isinstance(prior, NormalPrior)
+            assert other == NormalPrior(prior.centre, factor * prior.scale)
+        else:
+            assert isinstance(prior, UniformPrior)
+            assert isinstance(other, UniformPrior)
+            assert other.mean == pytest.approx(prior.mean, rel=1e-12)
+            assert other.sd == pytest.approx(factor * prior.sd, rel=1e-12)
+    assert [own[f"l[{leg}]"].sd for leg in range(1, 7)] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+
+
+def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(tmp_path):
+    inputs = load(tmp_path / "own", ("factor = [1.0]", "factor = [1.0, 3.0]"), EFFORT)
+    wide = load(tmp_path / "wide", ("sd = 2.0", "sd = 6.0"), ("sd = 0.01", "sd = 0.03"), EFFORT)
+    fits = {task: run_task(inputs, task) for task in list_sensitivity(inputs).values()}
+    table = tabulate_sensitivity(inputs, fits).set_index(["factor", "variant"])
+    for task in list_tasks(wide)[:2]:
+        expected = run_task(wide, task)["importance"]
+        found = table.loc[(3.0, task.variant)]
+        error = np.hypot(found["log_evidence_se"], expected[1])
+        assert found["log_evidence"] == pytest.approx(expected[0], abs=4 * error)
+        narrow = table.loc[(1.0, task.variant), "log_evidence"]
+        assert abs(narrow - expected[0]) > 10 * error  # the width matters
+
+
+def test_a_factor_of_one_is_the_fit_itself(tmp_path):
+    inputs = load(tmp_path, ("factor = [1.0]", "factor = [1.0, 0.5, 1.0000001]"))
+    tasks = list_tasks(inputs)
+    assert len(tasks) == len({task.key for task in tasks}) == 8
+    assert sum(task.is_fit for task in tasks) == 4
+    assert list_sensitivity(inputs)[1.0, "six_pus/none"] == tasks[0]
+
+
+def test_a_uniform_prior_made_too_wide_is_refused(tmp_path):
+    changes = (
+        (
+            'model = "six_pus"\ndeformation = "none"\nfree = ["l"]',
+            'model = "beam"\ndeformation = "none"\nfree = ["beta"]',
+        ),
+        (NORMAL, f'{NORMAL}\nbeta = {{ prior = "uniform", half_width = 0.2 }}'),
+    )
+    load(tmp_path / "fine", *changes)
+    with pytest.raises(InputError, match=r"^variant 'beam/none': sensitivity\.factor 5: parameter beta\[1\]: found a "):
+        load(tmp_path / "wide", *changes, ("factor = [1.0]", "factor = [1.0, 5.0]"))
+
+
+def test_absolute_tolerances_are_refused_with_what_replaces_them(tmp_path):
+    path = studies.write_tiny_study(tmp_path)
+    studies.edit(path, "factor = [1.0]", "tolerance_mm = [0.5, 1.0]")
+    line = studies.find_line(path, "[sensitivity]")
+    expected = rf"line {line}: sensitivity: tolerance_mm: replaced by factor, which .*, expected .* factor = \[0\.5, "
+    with pytest.raises(InputError, match=expected):
+        load_experiment(path)

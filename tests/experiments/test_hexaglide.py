@@ -1,0 +1,94 @@
+"""The shipped hexaglide end to end: its twin, an audit with what theory says of its ridges, poses and sensors."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+import studies
+import telescope_machines as machines
+
+from bayescal.data.simulation import build_twin, format_survey, simulate_survey
+from bayescal.experiments.audit.inputs import read_inputs
+from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.simulation.load import load_simulation
+from bayescal.identifiability.ridge_laws import find_legs, list_laws
+from bayescal.machines.read import load_mechanism
+from bayescal.machines.readings.spatial import SpatialMachine
+
+HEXAGLIDE = studies.EXPERIMENTS / "hexaglide"
+
+
+def test_shipped_data_are_the_twins():
+    config = load_simulation(HEXAGLIDE / "simulate.toml")
+    survey = simulate_survey(build_twin(config, HEXAGLIDE), np.random.default_rng(config.seed))
+    for name, text in format_survey(survey, config.origin).items():
+        assert (HEXAGLIDE / "data" / name).read_text() == text
+
+
+def test_laws_hold_of_the_legs():
+    """Along each level line of a law between two parameters at home, no leg's closure changes to first order."""
+    inputs = read_inputs(load_audit(HEXAGLIDE / "audit.toml"), HEXAGLIDE)
+    machine, leg = inputs.knowledge.machine, 3
+    layout, theta, laws = machine.layout, machine.layout.nominal, list_laws(machine)
+    ours = find_legs(inputs.knowledge)[leg]
+    assert ours.symbols == ("u_y", "u_z")
+    mechanism = machine.mechanism
+    start = mechanism.initial_actuator_positions
+    home = np.array(mechanism.home_position)
+    closure = machine.linearise(theta, home, np.eye(3), start).parameters[leg]
+    values = {block.symbol: float(layout.take(theta, block.symbol)[leg]) for block in layout.blocks}
+    n_tied = 0
+    for law in laws:
+        for pair in law.pairs:
+            if not all(symbol in values for symbol in pair):
+                continue
+            slopes = [
+                (law.invariant(ours, values | {s: values[s] + h}) - law.invariant(ours, values | {s: values[s] - h}))
+                / (2 * h)
+                for s, h in ((symbol, 1e-4) for symbol in pair)
+            ]
+            by = [closure[layout.index[symbol][leg]] for symbol in pair]
+            if law.name == "the distance of the joints along the leg":
+                assert slopes[0] * by[1] == pytest.approx(slopes[1] * by[0], abs=1e-7)
+                n_tied += 1
+    assert n_tied == 15
+
+
+def test_readings_and_their_derivatives(rng):
+    """Encoders and inclinometers on carriages' legs, far along the rails."""
+    model = SpatialMachine(machines.build_machine("none", load_mechanism(HEXAGLIDE / "mechanism.toml")), np.zeros(3))
+    theta = model.layout.nominal
+    pose = model.home + np.array([230.0, 20.0, -15.0, 0.02, -0.03, 0.01])
+    here = model.linearise(theta, pose)
+    steps = np.array([0.1] * 3 + [1e-3] * 3)
+    by_pose = machines.central_difference(lambda x: model.read(theta, x), pose, 0.01 * steps)
+    np.testing.assert_allclose(here.by_pose, by_pose, rtol=1e-5, atol=1e-7)
+    spread = np.where(np.array(model.layout.units) == "mm", 1e-2, 1e-4)
+    by_parameters = machines.central_difference(lambda x: model.read(x, pose), theta, spread)
+    np.testing.assert_allclose(here.by_parameters, by_parameters, rtol=1e-4, atol=1e-5)
+
+
+def shorten(text: str, **values: object) -> str:
+    """Return a config with numbers replaced by key."""
+    for key, value in values.items():
+        text, n = re.subn(rf"(?m)^{key} = .*$", f"{key} = {value}", text)
+        assert n == 1, key
+    return text
+
+
+@pytest.mark.slow
+def test_audit_runs_tiny(tmp_path):
+    folder = tmp_path / "hexaglide"
+    folder.mkdir()
+    for file in ("mechanism.toml", "calibration_configurations.csv"):
+        (folder / file).write_text((HEXAGLIDE / file).read_text())
+    text = shorten((HEXAGLIDE / "audit.toml").read_text(), simulated_calibrations=4, expected_over_draws=3)
+    path = folder / "audit.toml"
+    path.write_text(text + "\n[sweep]\nnoise = [1.0]\nposes = [30]\nworkspace = [1.0]\n")
+    run_experiment(load_experiment(path), folder, tmp_path / "out", workers=1)
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "the place of the joint at home" in page

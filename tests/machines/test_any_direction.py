@@ -1,0 +1,281 @@
+"""Actuators in any direction: components that tell them, kinematics both ways, derivatives, coordinates, refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import guided_machines as guided
+import numpy as np
+import pytest
+import telescope_machines as machines
+
+from bayescal.density.posterior import ModelError
+from bayescal.errors import InputError
+from bayescal.machines.coordinates import mirror_direction
+from bayescal.machines.directions import choose_chart
+from bayescal.machines.kinematics import (
+    check_home_pose,
+    compute_home_legs,
+    solve_forward_kinematics,
+    solve_inverse_kinematics,
+)
+from bayescal.machines.models.legs import actuator_directions, differentiate_directions
+from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
+
+MODELS = tuple(name for name in machines.model_names() if name != "six_ups")
+EVERY = [(kind, below) for kind in guided.KINDS for below in (False, True)]
+AXES = np.eye(3)
+
+
+@pytest.fixture(params=guided.KINDS)
+def kind(request):
+    """Return a kind of guides."""
+    return request.param
+
+
+@pytest.fixture(params=MODELS)
+def model(request):
+    """Return a model of machines driven at the base."""
+    return request.param
+
+
+# --- components ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("directions", "symbols"),
+    [
+        (AXES[[2, 2, 2]], ("u_x", "u_y")),
+        (AXES[[2, 2, 2]] * [[1], [-1], [1]], ("u_x", "u_y")),
+        (AXES[[0, 0, 0]] * [[1], [-1], [1]], ("u_y", "u_z")),
+        (AXES[[1, 1, 1]], ("u_x", "u_z")),
+        (np.array([[1.0, 0, 0], [-0.5, np.sqrt(0.75), 0], [-0.5, -np.sqrt(0.75), 0]]), ("u_y", "u_z")),
+        (AXES[[0, 1, 2]], ("u_h", "u_v")),
+        (np.array([[np.sqrt(0.5), 0, np.sqrt(0.5)]] * 3), ("u_x", "u_y")),
+        (np.array([[np.sqrt(0.99), 0, 0.1]] * 3), ("u_y", "u_z")),
+    ],
+)
+def test_components_that_tell_a_direction(directions, symbols):
+    chart = choose_chart(directions)
+    assert chart.symbols == symbols
+    frames = np.array(chart.frames)
+    np.testing.assert_allclose(frames @ frames.transpose(0, 2, 1), np.tile(np.eye(3), (3, 1, 1)), atol=1e-15)
+    local = chart.to_local(directions)
+    assert local[:, 2].min() >= 0.4
+    np.testing.assert_allclose(chart.to_base(local), directions, atol=1e-15)
+    for symbol, one in zip(symbols, local.T, strict=False):
+        if symbol[-1] in "xyz":
+            np.testing.assert_array_equal(one, directions[:, "xyz".index(symbol[-1])])
+
+
+def test_components_across_are_horizontal_and_upwards():
+    """Seen along an actuator u_h is to the left and u_v upwards; a vertical one has those along x and ±y."""
+    chart = choose_chart(np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, 1.0], [0, 0, -1.0]]))
+    np.testing.assert_array_equal(
+        np.array(chart.frames)[:, :2],
+        [[[0, 1, 0], [0, 0, 1]], [[1, 0, 0], [0, 0, 1]], [[1, 0, 0], [0, 1, 0]], [[1, 0, 0], [0, -1, 0]]],
+    )
+
+
+def test_nominal_directions_come_out_of_the_parameters(kind):
+    machine = machines.build_machine("none", guided.build_guided(kind, seed=1))
+    layout, theta = machine.layout, machine.layout.nominal
+    assert layout.direction_symbols == guided.SYMBOLS[kind]
+    np.testing.assert_allclose(actuator_directions(layout, theta), machine.mechanism.directions, atol=1e-14)
+    slopes = differentiate_directions(layout, theta)
+    for k, symbol in enumerate(layout.direction_symbols):
+        step = np.zeros(layout.size)
+        step[layout.index[symbol]] = 1e-6
+        change = actuator_directions(layout, theta + step) - actuator_directions(layout, theta - step)
+        np.testing.assert_allclose(slopes[:, k], change / 2e-6, atol=1e-8)
+
+
+# --- kinematics ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kind", "below"), EVERY)
+@pytest.mark.parametrize("n_legs", [6, 8])
+def test_poses_are_found_again(kind, below, n_legs, rng):
+    for seed in range(5):
+        machine = machines.build_machine("linear", guided.build_guided(kind, seed, n_legs, below))
+        theta, home = machine.layout.nominal, check_home_pose(machine)
+        np.testing.assert_allclose(home.position, machine.mechanism.home_position, atol=1e-9)
+        position = home.position + rng.uniform(-15, 15, (20, 3))
+        rotation = matrix_from_rotation_vector(rng.uniform(-0.03, 0.03, (20, 3)))
+        actuators = solve_inverse_kinematics(machine, theta, position, rotation).actuators
+        found = solve_forward_kinematics(machine, theta, actuators)
+        error = compute_pose_error(found.position, found.rotation, position, rotation)
+        assert np.abs(error[:, :3]).max() < 1e-9
+        assert np.abs(error[:, 3:]).max() < 1e-11
+        again = solve_inverse_kinematics(machine, theta, found.position, found.rotation)
+        np.testing.assert_allclose(again.actuators, actuators, rtol=0, atol=1e-9)
+
+
+def test_every_model_finds_poses_again(model, kind, rng):
+    machine = machines.build_machine("matrix", guided.build_guided(kind, seed=7), model)
+    theta, home = machine.layout.nominal, check_home_pose(machine)
+    np.testing.assert_allclose(home.position, guided.HOME, atol=1e-8)
+    position = home.position + rng.uniform(-10, 10, (10, 3))
+    rotation = matrix_from_rotation_vector(rng.uniform(-0.02, 0.02, (10, 3)))
+    actuators = solve_inverse_kinematics(machine, theta, position, rotation).actuators
+    found = solve_forward_kinematics(machine, theta, actuators)
+    error = compute_pose_error(found.position, found.rotation, position, rotation)
+    assert np.abs(error[:, :3]).max() < 1e-9
+    assert np.abs(error[:, 3:]).max() < 1e-11
+
+
+def test_far_along_the_guides_the_side_of_home_is_kept():
+    """Half a metre along the guides every carriage follows; legs stay on their side of their feet."""
+    machine = machines.build_machine("none", guided.build_hexaglide())
+    theta, home = machine.layout.nominal, check_home_pose(machine)
+    far = np.array([-700.0, -390.0, -100.0, 150.0, 390.0, 700.0])
+    position = home.position + far[:, None] * AXES[0]
+    rotation = np.tile(home.rotation, (len(far), 1, 1))
+    found = solve_inverse_kinematics(machine, theta, position, rotation)
+    np.testing.assert_allclose(
+        found.actuators - machine.mechanism.initial_actuator_positions, np.tile(far[:, None], 6), rtol=0, atol=1e-9
+    )
+    within = np.abs(far) < 400.0
+    back = solve_forward_kinematics(machine, theta, found.actuators[within])
+    np.testing.assert_allclose(back.position, position[within], atol=1e-9)
+    one = solve_forward_kinematics(machine, theta, found.actuators[1])
+    np.testing.assert_array_equal(one.position, back.position[0])  # whatever the others are
+
+
+def test_hanging_machine_is_the_standing_one_upside_down(model, rng):
+    """Mirrored at the plane z = 0: with z of positions and the rotations about x and y of the other sign."""
+    up, down = (machines.build_machine("none", m, model) for m in (machines.build_telescope(), guided.build_hanging()))
+    actuators = machines.INITIAL_POSITION + rng.uniform(-1.3, 1.3, (20, 6))
+    poses = [solve_forward_kinematics(m, m.layout.nominal, actuators) for m in (up, down)]
+    mirror = np.diag([1.0, 1.0, -1.0])
+    np.testing.assert_allclose(poses[1].position, poses[0].position @ mirror, atol=1e-9)
+    np.testing.assert_allclose(poses[1].rotation, mirror @ poses[0].rotation @ mirror, atol=1e-11)
+
+
+# --- derivatives -----------------------------------------------------------------------------------------------------
+
+
+def test_derivatives(model, kind, rng):
+    machine = machines.build_machine("linear", guided.build_guided(kind, seed=4), model)
+    layout, home = machine.layout, check_home_pose(machine)
+    spread = machines.spread_of(layout)
+    theta = layout.nominal + 0.2 * spread * rng.standard_normal(layout.size)
+    position = home.position + rng.uniform(-3, 3, (3, 3))
+    rotation = matrix_from_rotation_vector(rng.uniform(-0.05, 0.05, (3, 3)))
+    actuators = machine.mechanism.initial_actuator_positions + rng.uniform(-2, 2, (3, 6))
+    here = machine.linearise(theta, position, rotation, actuators)
+
+    def by_theta(x):
+        return machine.linearise(x[:, None], position, rotation, actuators).residual
+
+    def by_pose(x):
+        turned = matrix_from_rotation_vector(x[:, None, 3:]) @ rotation
+        return machine.linearise(theta, position + x[:, None, :3], turned, actuators).residual
+
+    pairs = [
+        (here.parameters, machines.stencil_derivative(by_theta, theta, 0.05 * spread)),
+        (here.pose, machines.stencil_derivative(by_pose, np.zeros(6), np.array([0.1] * 3 + [1e-3] * 3))),
+    ]
+    for found, expected in pairs:
+        scale = np.abs(expected).reshape(-1, expected.shape[-1]).max(axis=0)
+        assert np.all(scale > 0)
+        difference = np.abs(found - expected).reshape(-1, expected.shape[-1]).max(axis=0)
+        np.testing.assert_array_less(difference, 1e-7 * scale)
+
+
+def test_batches_are_the_closure(model, kind, rng):
+    machine = machines.build_machine("linear", guided.build_guided(kind, seed=5), model)
+    layout, home = machine.layout, check_home_pose(machine)
+    theta = layout.nominal + 0.3 * machines.spread_of(layout) * rng.standard_normal((7, layout.size))
+    position = home.position + rng.uniform(-3, 3, (3, 3))
+    rotation = matrix_from_rotation_vector(rng.uniform(-0.02, 0.02, (3, 3)))
+    actuators = machine.mechanism.initial_actuator_positions + rng.uniform(-2, 2, (3, 6))
+    bound = machine.model.bind(layout, position, rotation, machine.basis(actuators)).evaluate(theta)
+    expected = machine.linearise(theta[:, None], position, rotation, actuators).residual
+    np.testing.assert_allclose(bound.transpose(2, 1, 0), expected, rtol=0, atol=1e-9)
+
+
+# --- coordinates -----------------------------------------------------------------------------------------------------
+
+
+def build_posterior(mechanism, symbols, deformation="none"):
+    machine = machines.build_machine(deformation, mechanism)
+    position = np.array(mechanism.home_position) + 5.0 * machines.TABLE_3[:12, :3]
+    rotation = matrix_from_rotation_vector(0.02 * machines.TABLE_3[:12, 3:])
+    actuators = solve_inverse_kinematics(machine, machine.layout.nominal, position, rotation).actuators
+    poses = machines.place_poses(machine, machine.layout.nominal, actuators, np.zeros((12, 6)))
+    return machines.build_posterior(deformation, poses, ModelError(None), symbols, machine)
+
+
+@pytest.mark.parametrize("with_kappa", [False, True], ids=["circles", "kappa"])
+def test_coordinates_are_a_bijection_of_known_volume(kind, with_kappa, rng):
+    components = guided.SYMBOLS[kind]
+    symbols = ("a_x", "a_y", "a_z", "l", "rho0", *components, *(("kappa",) if with_kappa else ()))
+    posterior = build_posterior(guided.build_guided(kind, seed=2), symbols, "linear" if with_kappa else "none")
+    coordinates = posterior.coordinates
+    y = 0.5 * rng.standard_normal((4, len(coordinates.free)))
+    theta = coordinates.theta_from_y(y)
+    np.testing.assert_allclose(coordinates.y_from_theta(theta), y, atol=1e-9)
+    slope = coordinates.jacobian(theta[0])
+    step = np.full(y.shape[1], 0.02)
+    difference = machines.stencil_derivative(coordinates.theta_from_y, y[0], step).reshape(slope.shape)
+    np.testing.assert_allclose(slope, difference, atol=1e-7)
+    volume = np.linalg.slogdet(slope[coordinates.free])[1]
+    expected = coordinates.log_scale + np.broadcast_to(coordinates.log_volume(theta), 4)[0]
+    assert volume == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("component", [0, 1])
+def test_mirrored_direction_has_the_same_gain_and_joint(kind, component):
+    machine = machines.build_machine("none", guided.build_guided(kind, seed=3))
+    layout, legs = machine.layout, compute_home_legs(machine)
+    free = np.concatenate([layout.index[f"a_{axis}"] for axis in "xyz"])
+    before = actuator_directions(layout, layout.nominal)
+    n_mirrored = 0
+    for leg, line in enumerate(legs):
+        theta = mirror_direction(layout, layout.nominal, leg, component, line, free)
+        if theta is None:
+            continue
+        n_mirrored += 1
+        after = actuator_directions(layout, theta)
+        assert after[leg] @ line == pytest.approx(before[leg] @ line, rel=1e-12)
+        assert np.abs(after[leg] - before[leg]).max() > 1e-3
+        home = [
+            layout.take_vector(t, "a") + layout.take(t, "rho0")[:, None] * u
+            for t, u in ((theta, after), (layout.nominal, before))
+        ]
+        np.testing.assert_allclose(*home, atol=1e-10)
+    assert n_mirrored
+
+
+# --- refusals --------------------------------------------------------------------------------------------------------
+
+
+def refuse(mechanism, model="six_pus"):
+    """Return the one line with which a mechanism is refused."""
+    with pytest.raises(InputError) as caught:
+        check_home_pose(machines.build_machine("none", mechanism, model))
+    message = str(caught.value)
+    assert "\n" not in message
+    assert "expected" in message
+    return message
+
+
+def test_leg_across_its_actuator_is_refused():
+    glide = guided.build_hexaglide()
+    lower = glide.home_joints.copy()
+    lower[2] = np.array([glide.platform_points[2, 0], 0.0, 0.0])
+    lengths = np.linalg.norm(np.array(glide.home_position) + glide.platform_points - lower, axis=1)
+    base = lower - glide.initial_actuator_positions[:, None] * glide.directions
+    message = refuse(replace(glide, base_points=base, leg_lengths=lengths))
+    assert "leg 3 stands across its actuator at home, which cannot move it" in message
+
+
+def test_legs_that_do_not_reach_are_named():
+    glide = guided.build_hexaglide(home_position=None)
+    short = glide.leg_lengths * np.array([1, 1, 1, 1, 0.6, 1])
+    assert "leg 5 of" in refuse(replace(glide, leg_lengths=short))
+    stated = replace(glide, leg_lengths=0.5 * glide.leg_lengths, home_position=(0.0, 0.0, 420.0))
+    message = refuse(stated)
+    assert "no home pose found, expected legs that close (leg " in message
+    assert "mm apart with the platform level at 0, 0, 420 mm, where the search began)" in message
