@@ -15,7 +15,7 @@ from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task
 from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.schema import stem_of
+from bayescal.experiments.study.schema import StudyConfig, stem_of
 from bayescal.experiments.study.summary import build_tree, compute_loo, rank_variants, summarise_fit
 from bayescal.experiments.study.tables import (
     identify_variants,
@@ -95,10 +95,21 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dic
         "drive": inputs.mechanism.drive,
         "n_poses": {"calibration": int((~held).sum()), "verification": int(held.sum())},
         **inputs.measured.describe(),
+        **_describe_names(config),
         "variants": variants,
         "ranking": rank_variants(variants),
     }
     return summary, files
+
+
+def _describe_names(config: StudyConfig) -> dict[str, dict[str, dict[str, str]]]:
+    """Return model and deformation of the variants with names of their own, which do not say them."""
+    named = {
+        variant.name: {"model": label_class(variant.model), "deformation": label_class(variant.deformation)}
+        for variant in config.variants
+        if variant.has_own_name
+    }
+    return {"own_names": named} if named else {}
 
 
 def _write_tree(tree: xr.DataTree, path: Path) -> None:

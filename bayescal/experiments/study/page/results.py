@@ -18,7 +18,7 @@ import pandas as pd
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import SUMMARY_FILE, Results
 from bayescal.experiments.study.page.publication import Publication, read_publication
-from bayescal.experiments.study.schema import name_variant, stem_of
+from bayescal.experiments.study.schema import stem_of
 from bayescal.report.reading import NUMBER, Kinds, check_keys
 from bayescal.report.symbols import split_name
 
@@ -43,7 +43,7 @@ SUMMARY_KEYS: dict[str, Kinds] = {
     "variants": dict,
     "ranking": list,
 }
-OPTIONAL_KEYS: dict[str, Kinds] = {"models": dict, "drive": str, "instrument": dict}
+OPTIONAL_KEYS: dict[str, Kinds] = {"models": dict, "drive": str, "instrument": dict, "own_names": dict}
 FIT_KEYS: dict[str, Kinds] = {
     **dict.fromkeys(("n_parameters", "log_evidence", "log_evidence_se", "elpd_loo", "elpd_loo_se"), NUMBER),
     **dict.fromkeys(("elpd_loo_n_bad_k", "elpd_loo_pareto_k_max", "rhat_max", "ess_bulk_min", "ess_tail_min"), NUMBER),
@@ -171,14 +171,8 @@ class StudyResults:
     @cached_property
     def own_names(self) -> dict[str, tuple[str, str]]:
         """Model and deformation of the variants that have names of their own."""
-        entries = [
-            (one.get("name"), one.get("model"), one.get("deformation")) for one in self.config.get("variants", [])
-        ]
-        return {
-            str(name): (str(model), str(deformation))
-            for name, model, deformation in entries
-            if name not in (None, name_variant(model, deformation))
-        }
+        named = self.summary.get("own_names", {})
+        return {name: (one["model"], one["deformation"]) for name, one in named.items()}
 
     @property
     def ranking(self) -> list[str]:
@@ -313,6 +307,9 @@ def _check_summary(summary: dict[str, Any], path: Path) -> None:
     check_keys(summary, {key: kind for key, kind in OPTIONAL_KEYS.items() if key in summary}, path, "")
     models = summary.get("models", {})
     check_keys(models, dict.fromkeys(models, str), path, "models.")
+    for name, one in summary.get("own_names", {}).items():
+        check_keys(summary["own_names"], {name: dict}, path, "own_names.")
+        check_keys(one, {"model": str, "deformation": str}, path, f"own_names.{name}.")
     if summary.get("drive", BASE) not in (BASE, STRUT):
         raise InputError(f"{path}: drive: found {summary['drive']!r}, expected {BASE} or {STRUT}")
     if not summary["variants"] or sorted(summary["ranking"]) != sorted(summary["variants"]):
