@@ -17,7 +17,7 @@ from bayescal.experiments.frame.load import load_experiment, load_kind
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad
-from bayescal.machines.read import load_mechanism, read_sliding_platform
+from bayescal.machines.read import load_mechanism, read_reading_model, read_sliding_platform
 from bayescal.reproductions.rr8096.pose_methods.schema import PoseMethodsConfig
 
 LOADERS = {
@@ -32,6 +32,8 @@ LOADERS = {
     "sliding_platform": read_sliding_platform,
     "simulation": load_simulation,
     "audit": load_audit,
+    "calibration": load_experiment,
+    "line_machine": read_reading_model,
 }
 SHIPPED = sorted(studies.EXPERIMENTS.rglob("*.toml"))
 

@@ -98,7 +98,7 @@ def test_measurement_frame_differs_from_pose_to_pose(config):
     assert np.ptp(first, axis=0).min() > 500
 
 
-@pytest.mark.parametrize("folder", ["telescope", "m2_hexapod"])
+@pytest.mark.parametrize("folder", ["telescope", "m2_hexapod", "hexaglide"])
 def test_shipped_data_are_those_of_the_shipped_config(folder):
     path = studies.EXPERIMENTS / folder / "simulate.toml"
     config = load_simulation(path)
