@@ -85,7 +85,7 @@ def simulate(
     out: Annotated[Path, typer.Option(help="Directory for the CSV files.")],
     seed: Seed = None,
 ) -> None:
-    """Simulate the photogrammetry of a machine whose truth the config states, or readings of its own sensors."""
+    """Simulate photogrammetry, an instrument's or a machine's own readings; the config states the truth."""
     from bayescal.experiments.frame.load import load
     from bayescal.experiments.frame.run import compute_experiment
     from bayescal.experiments.shared.simulated_data import SimulatedData
@@ -110,7 +110,7 @@ def simulate(
 def poses_from_targets(
     experiment: Experiment,
     out: Annotated[Path | None, typer.Option(help="CSV file for the poses; default standard output.")] = None,
-    method: Annotated[str | None, typer.Option(help="robust or line, in place of the config's.")] = None,
+    method: Annotated[str | None, typer.Option(help="robust, line or least_squares, in place of the config's.")] = None,
 ) -> None:
     """Extract the platform's poses in the base frame, with their covariances, from a study's targets."""
     from bayescal.config.load import look_up
@@ -121,6 +121,8 @@ def poses_from_targets(
     from bayescal.files.atomic import write_atomically
 
     config = load_kind(experiment, "study")
+    if config.data.measurement != "targets":
+        raise InputError(f"{experiment}: data.measurement: found {config.data.measurement!r}, expected 'targets'")
     if method is not None:
         look_up(METHODS, method, "--method", experiment)
         config = config.model_copy(update={"data": config.data.model_copy(update={"pose_method": method})})

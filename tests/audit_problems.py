@@ -8,8 +8,8 @@ import numpy as np
 import telescope_machines as machines
 
 from bayescal.identifiability.design import Knowledge, Plan
-from bayescal.identifiability.frames import FRAME_BLOCKS
 from bayescal.identifiability.sensitivity import compute_sensitivity
+from bayescal.machines.frames import FRAME_BLOCKS
 from bayescal.machines.kinematics import Machine
 from bayescal.machines.sensors import PoseSensor
 

@@ -21,6 +21,8 @@ FOLDER = "folder"
 """Where names of files start, in the context of a validation."""
 OWN = "a class of one's own"
 """The branch of a union that is a section of somebody else's class."""
+MEASURED = "measured-"
+"""Begins the tags of unions whose branches are told apart by more than a key that has to be there."""
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
@@ -89,7 +91,7 @@ def _describe(error: ValidationError, schema: type[Section], path: Path, text: s
     line = find_line(text, location[:-1] if fault["type"] == "missing" else location)
     where = f"{path}, line {line}: {field}" if line else f"{path}: {field}"
     if fault["type"] == "extra_forbidden":
-        known = _known_keys(schema, location[:-1])
+        known = _known_keys(schema, _keys_of(fault["loc"], tags=True)[:-1])
         return f"{where}: {describe_unknown_key(known, str(location[-1]))}"
     message = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "missing":
@@ -99,16 +101,18 @@ def _describe(error: ValidationError, schema: type[Section], path: Path, text: s
     if fault["type"] == "union_tag_not_found":
         return f"{where}: found no key {fault['ctx']['discriminator']}, expected a value"
     if fault["type"] == "union_tag_invalid":
-        return f"{where}: found {fault['ctx']['tag']!r}, expected one of {fault['ctx']['expected_tags']}"
+        text = f"{where}: found {fault['ctx']['tag']!r}, expected one of {fault['ctx']['expected_tags']}"
+        return text.replace(MEASURED, "")
     if message.startswith("Input should be "):
         return f"{where}: found {_short(fault['input'])}, expected {message.removeprefix('Input should be ')}"
     return f"{where}: found {_short(fault['input'])}, expected: {message[0].lower()}{message[1:]}"
 
 
-def _keys_of(location: tuple[int | str, ...]) -> list[int | str]:
-    """Return a fault's location without the parts that name a branch of a union."""
+def _keys_of(location: tuple[int | str, ...], tags: bool = False) -> list[int | str]:
+    """Return a fault's location without the parts that name a branch of a union, but for tags where they are wanted."""
     branches = {"normal", "uniform", "fixed", "float", "constrained-float", "observability", "accuracy", "numbers", OWN}
-    return [part for part in location if part not in branches and not str(part).startswith(("function-", "list["))]
+    marks = ("function-", "list[", *(() if tags else (MEASURED,)))
+    return [part for part in location if part not in branches and not str(part).startswith(marks)]
 
 
 def _short(value: object) -> str:
@@ -126,9 +130,19 @@ def _known_keys(schema: Any, location: list[Any]) -> list[str]:
 
 
 def _step(kind: Any, part: Any) -> list[Any]:
+    if str(part).startswith(MEASURED):
+        return _find_tagged(kind, part)
     models = _models(kind)
     hits = [m.model_fields[part].annotation for m in models if part in m.model_fields]
     return hits or models
+
+
+def _find_tagged(kind: Any, tag: str) -> list[Any]:
+    """Return the branch of a union that has a tag."""
+    inner = get_args(getattr(kind, "__value__", kind))
+    if any(getattr(one, "tag", None) == tag for one in inner):
+        return [inner[0]]
+    return [hit for one in inner for hit in _find_tagged(one, tag)]
 
 
 def _models(kind: Any) -> list[type[BaseModel]]:

@@ -1,4 +1,4 @@
-"""The schema of simulated photogrammetry."""
+"""The schema of simulated measurements: photogrammetry, poses that an instrument hands out, tracked points."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from bayescal.config.sections import (
     PerLeg,
     Positive,
     Section,
+    Vector,
 )
 
 
@@ -46,7 +47,7 @@ class PosesConfig(Section):
 class NoiseConfig(Section):
     """Standard deviations."""
 
-    target_um: NotNegative
+    target_um: NotNegative | None = Field(default=None, exclude_if=lambda value: value is None)
     actuator_um: NotNegative
 
 
@@ -81,8 +82,48 @@ class MeasurementFrameConfig(Section):
     angle_deg: NotNegative
 
 
+class FrameTruthConfig(Section):
+    """Where a frame truly lies, against where it should: displacement and rotation vector."""
+
+    position_mm: Vector = Field(default=[0.0, 0.0, 0.0])
+    rotation_deg: Vector = Field(default=[0.0, 0.0, 0.0])
+
+
+class FramesTruthConfig(Section):
+    """True frames of the instrument, one per station, and of the tool."""
+
+    base: list[FrameTruthConfig] = Field(default=[])
+    tool: FrameTruthConfig = FrameTruthConfig()
+
+
+class PoseInstrumentConfig(Section):
+    """An instrument that hands out poses, or their positions alone."""
+
+    kind: Literal["poses"]
+    position_um: Positive
+    orientation_arcsec: Positive | None = None
+    frames: FramesTruthConfig = FramesTruthConfig()
+
+
+class PointInstrumentConfig(Section):
+    """Stations that see points on the platform by range, azimuth and elevation, each missed now and then."""
+
+    kind: Literal["points"]
+    probe: InputFile
+    stations: InputFile | None = None
+    range_um: NotNegative
+    range_ppm: NotNegative = 0.0
+    azimuth_arcsec: Positive
+    elevation_arcsec: Positive
+    missed: Annotated[Number, Field(ge=0.0, lt=1.0)] = 0.0
+    frames: FramesTruthConfig = FramesTruthConfig()
+
+
+type InstrumentConfig = Annotated[PoseInstrumentConfig | PointInstrumentConfig, Field(discriminator="kind")]
+
+
 class SimulationConfig(ExperimentConfig):
-    """Simulated photogrammetry of a machine."""
+    """Simulated measurements of a machine: targets in a frame that wanders, or readings of an instrument."""
 
     kind: Literal["simulation"]
     origin: str
@@ -91,5 +132,20 @@ class SimulationConfig(ExperimentConfig):
     truth: TruthConfig
     poses: PosesConfig
     noise: NoiseConfig
-    targets: TargetsConfig
-    measurement_frame: MeasurementFrameConfig
+    targets: TargetsConfig | None = Field(default=None, exclude_if=lambda value: value is None)
+    measurement_frame: MeasurementFrameConfig | None = Field(default=None, exclude_if=lambda value: value is None)
+    instrument: InstrumentConfig | None = Field(default=None, exclude_if=lambda value: value is None)
+
+    @model_validator(mode="after")
+    def _check_measurement(self) -> Self:
+        photogrammetry = {
+            "targets": self.targets,
+            "measurement_frame": self.measurement_frame,
+            "noise.target_um": self.noise.target_um,
+        }
+        for name, value in photogrammetry.items():
+            if self.instrument is None and value is None:
+                raise ValueError(f"found no {name}, expected it, or [instrument]")
+            if self.instrument is not None and value is not None:
+                raise ValueError(f"found {name} beside [instrument], expected either")
+        return self

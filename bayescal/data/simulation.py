@@ -16,6 +16,7 @@ import numpy as np
 
 from bayescal.config.classes import name_failures
 from bayescal.config.load import look_up
+from bayescal.data.actuators import name_actuators
 from bayescal.data.photogrammetry.survey import BODIES, REFERENCE_COLUMNS, TARGET_COLUMNS, BodyTargets, Survey
 from bayescal.data.schema import SimulationConfig, TargetRingConfig, TruthConfig
 from bayescal.data.truth import (
@@ -29,7 +30,7 @@ from bayescal.data.truth import (
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_matrix
 from bayescal.machines.deformations import MatrixDeformation
-from bayescal.machines.kinematics import Machine, check_home_pose, solve_forward_kinematics
+from bayescal.machines.kinematics import ForwardKinematics, Machine, check_home_pose, solve_forward_kinematics
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.read import build_chosen_machine, choose_model, load_mechanism
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
@@ -127,12 +128,10 @@ def survey_twin(twin: Twin, rng: np.random.Generator, theta: Array | None = None
         Where the platform truly stood, the actuators' noise included: position in mm and rotation vector in rad, base
         frame.
     """
-    theta = twin.theta if theta is None else theta
-    noise, mechanism = twin.config.noise, twin.mechanism
-    displacement = np.concatenate([twin.calibration, twin.verification])
-    commanded = mechanism.initial_actuator_positions + displacement
-    actual = commanded + rng.normal(0.0, noise.actuator_um * MICROMETRE, commanded.shape)
-    pose = solve_forward_kinematics(twin.machine, theta, actual)
+    config, mechanism = twin.config, twin.mechanism
+    assert config.measurement_frame is not None
+    assert config.noise.target_um is not None
+    commanded, actual, pose = move(twin, rng, twin.theta if theta is None else theta)
     base, platform = make_targets(twin.config, mechanism)
     deflection = (actual - mechanism.initial_actuator_positions) @ _ring_matrix(twin).T
     moved = np.broadcast_to(platform.reference, (len(actual), *platform.reference.shape)).copy()
@@ -140,24 +139,41 @@ def survey_twin(twin: Twin, rng: np.random.Generator, theta: Array | None = None
     moved[:, pads, 2] += deflection[:, platform.leg[pads] - 1]
     on_platform = pose.position[:, None] + moved @ np.swapaxes(pose.rotation, -1, -2)
     on_base = np.broadcast_to(base.reference, (len(actual), *base.reference.shape))
-    frame = twin.config.measurement_frame
+    frame = config.measurement_frame
     angle = np.radians(frame.angle_deg) * rng.uniform(-1, 1, (len(actual), 3)) / np.sqrt(3)
     rotation, origin = matrix_from_rotation_vector(angle), frame.distance_mm * rng.uniform(-1, 1, (len(actual), 3))
     measured = []
     for points in (on_base, on_platform):
         seen = origin[:, None] + points @ np.swapaxes(rotation, -1, -2)
-        measured.append(seen + rng.normal(0.0, noise.target_um * MICROMETRE, seen.shape))
-    n_calibration = len(twin.calibration)
-    names = [f"C{k:02d}" for k in range(1, n_calibration + 1)]
-    names += [f"V{k:02d}" for k in range(1, len(twin.verification) + 1)]
+        measured.append(seen + rng.normal(0.0, config.noise.target_um * MICROMETRE, seen.shape))
     survey = Survey(
-        tuple(names),
-        np.arange(len(names)) >= n_calibration,
+        *name_poses(twin),
         commanded,
         BodyTargets(base.names, base.leg, base.reference, measured[0]),
         BodyTargets(platform.names, platform.leg, platform.reference, measured[1]),
     )
-    return survey, np.concatenate([pose.position, rotation_vector_from_matrix(pose.rotation)], axis=1)
+    return survey, stack_poses(pose)
+
+
+def move(twin: Twin, rng: np.random.Generator, theta: Array) -> tuple[Array, Array, ForwardKinematics]:
+    """Return commanded and actual actuator positions (P, N), mm, and the poses of a machine θ (D,) there."""
+    displacement = np.concatenate([twin.calibration, twin.verification])
+    commanded = twin.mechanism.initial_actuator_positions + displacement
+    actual = commanded + rng.normal(0.0, twin.config.noise.actuator_um * MICROMETRE, commanded.shape)
+    return commanded, actual, solve_forward_kinematics(twin.machine, theta, actual)
+
+
+def stack_poses(found: ForwardKinematics) -> Array:
+    """Return poses as position in mm and rotation vector in rad, base frame, shape (P, 6)."""
+    return np.concatenate([found.position, rotation_vector_from_matrix(found.rotation)], axis=1)
+
+
+def name_poses(twin: Twin) -> tuple[tuple[str, ...], np.ndarray]:
+    """Return the names of all poses, and which are for verification."""
+    n_calibration = len(twin.calibration)
+    names = [f"C{k:02d}" for k in range(1, n_calibration + 1)]
+    names += [f"V{k:02d}" for k in range(1, len(twin.verification) + 1)]
+    return tuple(names), np.arange(len(names)) >= n_calibration
 
 
 def _ring_matrix(twin: Twin) -> Array:
@@ -169,6 +185,7 @@ def _ring_matrix(twin: Twin) -> Array:
 
 def make_targets(config: SimulationConfig, mechanism: Mechanism) -> tuple[BodyTargets, BodyTargets]:
     """Return the targets of base and platform in their body frames, not yet measured."""
+    assert config.targets is not None
     nothing = np.empty((0, 0, 3))
     base = make_rings(config.targets.base)
     rigid = make_rings(config.targets.platform)
@@ -199,6 +216,16 @@ def make_rings(rings: list[TargetRingConfig]) -> Array:
     return np.round(np.concatenate(points), DECIMALS)
 
 
+def format_actuators(names: tuple[str, ...], verification: np.ndarray, actuators: Array, origin: str) -> str:
+    """Return the text of a table of actuator positions (P, N), mm."""
+    rows = [
+        (pose, "verification" if held else "calibration", *(f"{x:.{DECIMALS}f}" for x in position))
+        for pose, held, position in zip(names, verification, actuators, strict=True)
+    ]
+    text = "Actuator positions rho in mm; displacements are counted from the initial positions of the mechanism."
+    return format_table([origin, text], ("pose", "use", *name_actuators(actuators.shape[1])), rows)
+
+
 def format_truth(twin: Twin, names: Sequence[str], poses: Array) -> dict[str, str]:
     """Return the texts of two CSV files by their names: the twin's true parameters, and true poses (P, 6)."""
     origin = twin.config.origin
@@ -225,25 +252,13 @@ def format_survey(survey: Survey, origin: str) -> dict[str, str]:
         for body, targets in bodies.items()
         for k, name in enumerate(targets.names)
     ]
-    actuators = [
-        (pose, "verification" if held else "calibration", *(f"{x:.{DECIMALS}f}" for x in position))
-        for pose, held, position in zip(survey.poses, survey.verification, survey.actuators, strict=True)
-    ]
-    columns = ("pose", "use", *(f"rho_{leg}_mm" for leg in range(1, survey.actuators.shape[1] + 1)))
     return {
         "targets.csv": format_table(
             [origin, "Targets in the measurement frame, which differs from pose to pose; coordinates in mm."],
             TARGET_COLUMNS,
             rows,
         ),
-        "actuators.csv": format_table(
-            [
-                origin,
-                "Actuator positions rho in mm; displacements are counted from the initial positions of the mechanism.",
-            ],
-            columns,
-            actuators,
-        ),
+        "actuators.csv": format_actuators(survey.poses, survey.verification, survey.actuators, origin),
         "target_reference.csv": format_table(
             [origin, "Targets on their bodies, body frames, in mm; leg 0: rigid part, leg i: pad of leg i's joint."],
             REFERENCE_COLUMNS,

@@ -17,11 +17,14 @@ redundant legs too.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
+from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 from bayescal.numerics.scratch import Scratch
 
@@ -35,8 +38,90 @@ def batches(size: int) -> list[slice]:
     return [slice(k, min(k + BATCH, size)) for k in range(0, size, BATCH)]
 
 
-class PoseLikelihood:
-    """Log-density of measured poses for batches of machines and of model errors.
+class Likelihood(ABC):
+    """The density of measurements at P poses as a posterior needs it.
+
+    At each pose the measurements err by K rows, normal with a covariance that does not depend on the parameters θ (D,):
+    what is known of it, and the model errors τ_i of the N legs, C = C⁰ + W diag(w_i τ_i²) Wᵀ.
+
+    Attributes
+    ----------
+    machine : Machine
+    layout : ParameterLayout
+        Of θ: the machine's parameters first, then those of the measurement.
+    actuator_weight : ndarray, shape (P, N)
+        w.
+    """
+
+    machine: Machine
+    layout: ParameterLayout
+    actuator_weight: Array
+
+    @property
+    def n_legs(self) -> int:
+        """Number of legs N."""
+        return self.actuator_weight.shape[1]
+
+    @property
+    @abstractmethod
+    def n_poses(self) -> int:
+        """Number of poses P."""
+
+    @abstractmethod
+    def errors(self, theta: Array) -> Array:
+        """Return the rows for parameter vectors (B, D), shape (B, P, K); NaN where there is no machine."""
+
+    @abstractmethod
+    def error_jacobian(self, theta: Array) -> tuple[Array, Array]:
+        """Return the rows (P, K) and their exact derivative (P, K, D) for one parameter vector (D,)."""
+
+    @abstractmethod
+    def error_covariance(self, model_error: Array) -> Array:
+        """Return C, shape (P, K, K), for model errors (N,) in mm."""
+
+    @abstractmethod
+    def on_legs(self, rows: Array) -> Array:
+        """Return Wᵀ times something of the rows, shape (P, K, ...) to (P, N, ...)."""
+
+    @abstractmethod
+    def pose_errors(self, theta: Array) -> Array:
+        """Return measured minus predicted pose (mm, rad), shape (B, P, 6); NaN where it is not measured."""
+
+    @abstractmethod
+    def pose_covariance(self, model_error: Array) -> Array:
+        """Return the covariance of `pose_errors`, shape (..., P, 6, 6), for model errors (..., N) in mm."""
+
+    def pointwise(self, theta: Array, model_error: Array) -> Array:
+        """Return the log-density of each pose.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (B, D)
+            Parameter vectors.
+        model_error : ndarray, shape (B, N) or (N,)
+            τ of each leg, mm; one vector for all is much faster.
+
+        Returns
+        -------
+        ndarray, shape (B, P)
+            In units of mm and rad; -inf where a parameter vector is no machine (NaN closure).
+        """
+        result = np.empty((len(theta), self.n_poses))
+        for part in batches(len(theta)):
+            result[part] = self._pointwise(theta[part], model_error if model_error.ndim == 1 else model_error[part])
+        return result
+
+    @abstractmethod
+    def _pointwise(self, theta: Array, model_error: Array) -> Array:
+        """Return `pointwise` of a batch."""
+
+    def __call__(self, theta: Array, model_error: Array) -> Array:
+        """Return the log-likelihood, shape (B,); arguments as in `pointwise`."""
+        return self.pointwise(theta, model_error).sum(axis=1)
+
+
+class PoseLikelihood(Likelihood):
+    """Log-density of measured poses for batches of machines and of model errors; its rows are the legs' errors.
 
     Parameters
     ----------
@@ -54,7 +139,7 @@ class PoseLikelihood:
         self, machine: Machine, poses: MeasuredPoses, actuator_noise: float, actuator_variance: Array | None = None
     ) -> None:
         self.machine, self.poses = machine, poses
-        layout = machine.layout
+        self.layout = layout = machine.layout
         self._basis = machine.basis(poses.actuators)
         self._bound = machine.model.bind(layout, poses.position, poses.rotation, self._basis)
         self._nominal = machine.linearise(layout.nominal, poses.position, poses.rotation, poses.actuators)
@@ -78,9 +163,9 @@ class PoseLikelihood:
         self._whitening: tuple[Array, Array, Array] | None = None
 
     @property
-    def n_legs(self) -> int:
-        """Number of legs N."""
-        return self.actuator_weight.shape[1]
+    def n_poses(self) -> int:
+        """Number of poses P."""
+        return self.poses.n_poses
 
     # --- residuals -----------------------------------------------------------------------------------------------
 
@@ -118,6 +203,22 @@ class PoseLikelihood:
             return self._gain
         return np.concatenate([self._gain, seen], axis=1)
 
+    def errors(self, theta: Array) -> Array:
+        """Return the legs' errors; see `leg_errors`."""
+        return self.leg_errors(theta)
+
+    def error_jacobian(self, theta: Array) -> tuple[Array, Array]:
+        """Return the legs' errors and their derivative; see `leg_error_jacobian`."""
+        return self.leg_error_jacobian(theta)
+
+    def error_covariance(self, model_error: Array) -> Array:
+        """Return the covariance of the legs' errors; see `leg_covariance`."""
+        return self.leg_covariance(model_error)
+
+    def on_legs(self, rows: Array) -> Array:
+        """Return the rows as they are: they are the legs'."""
+        return rows
+
     def leg_errors(self, theta: Array) -> Array:
         """Return r = A⁰ e, the pose errors seen by the legs in mm, for (B, D) parameter vectors, shape (B, P, N)."""
         result = np.empty((len(theta), self.poses.n_poses, self.n_legs))
@@ -145,6 +246,11 @@ class PoseLikelihood:
 
     # --- covariance ----------------------------------------------------------------------------------------------
 
+    @property
+    def legs_known(self) -> Array:
+        """Covariance of r but for the model error, shape (P, N, N), mm²."""
+        return self._known
+
     def leg_covariance(self, model_error: Array) -> Array:
         """Return the covariance of r in mm², shape (P, N, N), for model errors τ in mm, shape (N,)."""
         return self._known + np.eye(self.n_legs) * (self.actuator_weight * model_error**2)[:, None, :]
@@ -157,26 +263,6 @@ class PoseLikelihood:
 
     # --- density -------------------------------------------------------------------------------------------------
 
-    def pointwise(self, theta: Array, model_error: Array) -> Array:
-        """Return the log-density of each pose.
-
-        Parameters
-        ----------
-        theta : ndarray, shape (B, D)
-            Parameter vectors.
-        model_error : ndarray, shape (B, N) or (N,)
-            τ of each leg, mm; one vector for all is much faster.
-
-        Returns
-        -------
-        ndarray, shape (B, P)
-            In units of mm and rad; -inf where a parameter vector is no machine (NaN closure).
-        """
-        result = np.empty((len(theta), self.poses.n_poses))
-        for part in batches(len(theta)):
-            result[part] = self._pointwise(theta[part], model_error if model_error.ndim == 1 else model_error[part])
-        return result
-
     @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
     def _pointwise(self, theta: Array, model_error: Array) -> Array:
         errors = self._leg_errors(theta)
@@ -187,10 +273,6 @@ class PoseLikelihood:
         density += self._constant[:, None]
         density[~np.isfinite(density)] = -np.inf
         return density.T
-
-    def __call__(self, theta: Array, model_error: Array) -> Array:
-        """Return the log-likelihood, shape (B,); arguments as in `pointwise`."""
-        return self.pointwise(theta, model_error).sum(axis=1)
 
     def _whiten(self, model_error: Array) -> tuple[Array, Array]:
         """Return the inverse Cholesky factors (P, N, N) and half log-determinants (P,) at τ; kept for the next call."""

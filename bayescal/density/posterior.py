@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import erfcinv, erfinv, ndtr
 
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.likelihood import Likelihood
 from bayescal.density.priors import HalfNormalPrior, Prior, UniformPrior
 from bayescal.errors import InputError
 from bayescal.limits import FAR_AWAY
@@ -72,8 +72,8 @@ class Posterior:
 
     Attributes
     ----------
-    likelihood : PoseLikelihood
-        Density of the calibration poses.
+    likelihood : Likelihood
+        Density of the measurements at the calibration poses.
     priors : mapping of parameter name to Prior
         Priors of the free parameters.
     fixed : mapping of parameter name to float
@@ -82,7 +82,7 @@ class Posterior:
         Free model error, or none.
     """
 
-    likelihood: PoseLikelihood
+    likelihood: Likelihood
     priors: Mapping[str, Prior]
     model_error: ModelError
     fixed: Mapping[str, float] = field(default_factory=dict)
@@ -111,12 +111,12 @@ class Posterior:
                     f"parameter {self._layout.names[k]}: found a prior from {low:g} to {high:g}, "
                     f"expected it between {lower[k]:g} and {upper[k]:g}"
                 )
-        if not np.isfinite(self.likelihood.leg_errors(centre[None])).all():
+        if not np.isfinite(self.likelihood.errors(centre[None])).all():
             raise InputError("found no machine at the priors' centres, expected unit directions and a home pose")
 
     @property
     def _layout(self) -> ParameterLayout:
-        return self.likelihood.machine.layout
+        return self.likelihood.layout
 
     @cached_property
     def coordinates(self) -> Coordinates:
@@ -249,11 +249,23 @@ class Posterior:
         return rows
 
     def residual_slope(self, theta: Array) -> tuple[Array, Array]:
-        """Return dr/dy, shape (P, N, m), and the derivative of `prior_residual`, shape (m, m), at θ, shape (D,)."""
+        """Return dr/dy, shape (P, K, m), and the derivative of `prior_residual`, shape (m, m), at θ, shape (D,)."""
         change = self.coordinates.jacobian(theta)
-        return self.likelihood.leg_error_jacobian(theta)[1] @ change, self._prior_slope(change)
+        return self.likelihood.error_jacobian(theta)[1] @ change, self._prior_slope(change)
 
     def groups(self) -> list[np.ndarray]:
+        """Return which geometric coordinates a model error makes uncertain together: each leg's.
+
+        Frames that are free tie the legs together; with one model error for all legs everything is one group then.
+        """
+        return [np.arange(self.n_geometry)] if self._ties_legs and self.model_error.shared else self._legs()
+
+    @property
+    def _ties_legs(self) -> bool:
+        """Whether parameters are free that no leg has, those of frames."""
+        return bool((self.coordinates.free >= self.likelihood.machine.layout.size).any())
+
+    def _legs(self) -> list[np.ndarray]:
         """Return which geometric coordinates belong to each leg."""
         layout, free = self._layout, self.coordinates.free
         per_leg = [block.symbol for block in layout.blocks if block.per_leg]
@@ -264,9 +276,9 @@ class Posterior:
         """Return θ, r, dr/dy, the precision of r and dθ/dy at y, shape (n,)."""
         theta = self.theta(y[None])[0]
         tau = np.broadcast_to(self.tau(y[None]), (1, self.likelihood.n_legs))[0]
-        errors, slope = self.likelihood.leg_error_jacobian(theta)
+        errors, slope = self.likelihood.error_jacobian(theta)
         change = self.coordinates.jacobian(theta)
-        return theta, errors, slope @ change, np.linalg.inv(self.likelihood.leg_covariance(tau)), change
+        return theta, errors, slope @ change, np.linalg.inv(self.likelihood.error_covariance(tau)), change
 
     def gradient(self, y: Array) -> tuple[Array, Array]:
         """Return the exact gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
@@ -289,6 +301,7 @@ class Posterior:
         zeta = y[n:]
         tau = np.broadcast_to(self.tau(y[None]), (1, self.likelihood.n_legs))[0]
         speed = self.model_error.slope(zeta, self.model_error.tau_from_zeta(zeta))
+        weighted, precision = self.likelihood.on_legs(weighted), self._see_by_legs(precision)
         diagonal = np.diagonal(precision, axis1=1, axis2=2)
         per_leg = np.sum(weight * tau * (weighted**2 - diagonal), axis=0)
         scaled = weight * tau
@@ -297,6 +310,10 @@ class Posterior:
             per_leg, curvature = per_leg.sum(keepdims=True), curvature.sum(keepdims=True)
         gradient[n:] = per_leg * speed - zeta
         hessian[n:, n:] = -curvature * np.outer(speed, speed) - np.eye(len(zeta))
+
+    def _see_by_legs(self, precision: Array) -> Array:
+        """Return Wᵀ C⁻¹ W, what the rows tell of each leg's error, shape (P, K, K) to (P, N, N)."""
+        return np.swapaxes(self.likelihood.on_legs(np.swapaxes(self.likelihood.on_legs(precision), 1, 2)), 1, 2)
 
     # --- climbing ------------------------------------------------------------------------------------------------
 
@@ -318,11 +335,11 @@ class Posterior:
     def _fit_geometry(self, start: Array, tau: Array) -> Array:
         """Return y with the geometry of least squares, whitened errors and priors together, at model errors (N,)."""
         n = self.n_geometry
-        whitening = np.linalg.inv(np.linalg.cholesky(self.likelihood.leg_covariance(tau)))
+        whitening = np.linalg.inv(np.linalg.cholesky(self.likelihood.error_covariance(tau)))
 
         def residual(y: Array) -> Array:
             theta = self.coordinates.theta_from_y(y[None])
-            errors = self.likelihood.leg_errors(theta)[0]
+            errors = self.likelihood.errors(theta)[0]
             white = np.einsum("pij,pj->pi", whitening, errors).ravel()
             value = np.concatenate([white, self.prior_residual(y, theta[0])])
             return np.where(np.isfinite(value) & self._layout.inside(theta)[0], value, FAR_AWAY)
@@ -371,16 +388,20 @@ class Posterior:
         """
         components = tuple(f"{symbol}[" for symbol in self._layout.direction_symbols)
         tilted = np.array([name.startswith(components) for name in self.names], dtype=bool)
-        return [(int(k), index[~tilted[index]]) for index in self.groups() for k in index[tilted[index]]]
+        return [(int(k), index[~tilted[index]]) for index in self._legs() for k in index[tilted[index]]]
 
     def funnel(self, y: Array) -> Funnel | None:
-        """Return how the geometry depends on the model errors at y, shape (n,); None where there are none."""
-        if self.model_error.scale is None:
+        """Return how the geometry depends on the model errors at y, shape (n,); None where there are none.
+
+        None, too, where free frames tie legs together that each have an error: no leg is uncertain by itself then.
+        """
+        if self.model_error.scale is None or (self._ties_legs and not self.model_error.shared):
             return None
         likelihood = self.likelihood
         tau = np.broadcast_to(self.tau(y[None]), (1, likelihood.n_legs))[0]
-        inverse = np.linalg.inv(likelihood.leg_covariance(tau))
-        variance = 1.0 / np.diagonal(inverse, axis1=-2, axis2=-1).mean(axis=0)
+        inverse = self._see_by_legs(np.linalg.inv(likelihood.error_covariance(tau)))
+        precision = np.diagonal(inverse, axis1=-2, axis2=-1).mean(axis=0)
+        variance = 1.0 / np.maximum(precision, np.finfo(float).tiny)
         rest = np.maximum(variance / likelihood.actuator_weight.mean(axis=0) - tau**2, 1e-12)
         information, prior = self.information(y)
         return Funnel(information, prior, rest, tau)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from bayescal.density.likelihood import PoseLikelihood, batches
+from bayescal.density.likelihood import Likelihood, batches
 from bayescal.numerics.geometry import Array
 
 INTERVAL = 0.90
@@ -17,6 +17,8 @@ BOUND = 0.95
 @dataclass(frozen=True, eq=False)
 class Prediction:
     """Predictive summary at P poses; a pose error is measured minus predicted, base frame, mm and rad.
+
+    Coordinates that were not measured are NaN; distances and angles are those along what was, NaN where nothing was.
 
     Attributes
     ----------
@@ -41,25 +43,36 @@ class Prediction:
     @property
     def position_error(self) -> Array:
         """Distance between measured and predicted position, shape (P,), mm."""
-        return np.linalg.norm(self.error[:, :3], axis=1)
+        return measure_length(self.error[:, :3])
 
     @property
     def orientation_error(self) -> Array:
         """Angle of the rotation between measured and predicted orientation, shape (P,), rad."""
-        return np.linalg.norm(self.error[:, 3:], axis=1)
+        return measure_length(self.error[:, 3:])
+
+    @property
+    def coverage(self) -> float:
+        """Share of the measured components inside their 90 % interval."""
+        return float(self.inside[np.isfinite(self.error)].mean())
 
     @property
     def inside(self) -> np.ndarray:
-        """Which components lie inside their 90 % interval, shape (P, 6)."""
+        """Which components lie inside their 90 % interval, shape (P, 6); none that was not measured."""
         return (self.low <= self.error) & (self.error <= self.high)
 
 
-def predict(likelihood: PoseLikelihood, theta: Array, model_error: Array, rng: np.random.Generator) -> Prediction:
+def measure_length(vector: Array) -> Array:
+    """Return the lengths of vectors (..., 3) along what is no NaN, NaN where everything is."""
+    known = np.isfinite(vector)
+    return np.where(known.any(axis=-1), np.linalg.norm(np.where(known, vector, 0.0), axis=-1), np.nan)
+
+
+def predict(likelihood: Likelihood, theta: Array, model_error: Array, rng: np.random.Generator) -> Prediction:
     """Return the predictive summary of posterior draws.
 
     Parameters
     ----------
-    likelihood : PoseLikelihood
+    likelihood : Likelihood
         Bound to the poses to predict.
     theta : ndarray, shape (S, D)
         Posterior draws.
@@ -73,12 +86,12 @@ def predict(likelihood: PoseLikelihood, theta: Array, model_error: Array, rng: n
     noise = _draw_noise(likelihood, model_error, rng.standard_normal(errors.shape))
     spread = noise - (errors - mean)  # measured minus mean prediction, had the draw been the truth
     low, high = np.quantile(spread, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0)
-    distance = np.linalg.norm(spread[..., :3], axis=-1)
-    angle = np.linalg.norm(spread[..., 3:], axis=-1)
+    distance = measure_length(spread[..., :3])
+    angle = measure_length(spread[..., 3:])
     return Prediction(mean, low, high, np.quantile(distance, BOUND, axis=0), np.quantile(angle, BOUND, axis=0))
 
 
-def _draw_noise(likelihood: PoseLikelihood, model_error: Array, normal: Array) -> Array:
+def _draw_noise(likelihood: Likelihood, model_error: Array, normal: Array) -> Array:
     """Return standard normal numbers (S, P, 6) with the covariance of the measured poses given τ, (S, N) or (N,)."""
     noise = np.empty_like(normal)
     for part in batches(len(normal)):

@@ -18,6 +18,7 @@ from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
 from bayescal.numerics.geometry import Array
 
+SHOWN = 12  # columns that may be there, listed in a message
 LARGEST = 1e9
 """Numbers beyond this size are taken for slips: as millimetres, a thousand kilometres."""
 
@@ -44,20 +45,32 @@ class Table:
                 raise InputError(f"{self.where(number)}: {column}: found an empty cell, expected a name")
         return values
 
-    def numbers(self, columns: Sequence[str]) -> Array:
-        """Return columns as finite numbers, shape (rows, columns)."""
+    def numbers(self, columns: Sequence[str], gaps: bool = False) -> Array:
+        """Return columns as finite numbers, shape (rows, columns); with gaps an empty cell is NaN, else an error."""
         index = [self.columns.index(column) for column in columns]
         result = np.empty((len(self.rows), len(index)))
         for number, row in enumerate(self.rows):
             for k, column in enumerate(index):
-                result[number, k] = self._number(row[column], number, columns[k])
+                empty = gaps and not row[column].strip()
+                result[number, k] = np.nan if empty else self._number(row[column], number, columns[k])
         return result
 
-    def optional_numbers(self, column: str) -> Array:
-        """Return a column as numbers, NaN for empty cells, shape (rows,)."""
-        k = self.columns.index(column)
-        cells = [row[k].strip() for row in self.rows]
-        return np.array([self._number(cell, n, column) if cell else np.nan for n, cell in enumerate(cells)])
+    def has(self, columns: Sequence[str]) -> bool:
+        """Whether the table has any of these columns; InputError where it has some of them, but not all."""
+        there = [column for column in columns if column in self.columns]
+        if there and len(there) < len(columns):
+            missing = next(column for column in columns if column not in self.columns)
+            raise InputError(f"{self.path}: found column {there[0]!r} without {missing!r}, expected all or none")
+        return bool(there)
+
+    def check_unique(self, keys: Sequence[tuple[str, ...]], what: str) -> None:
+        """Raise InputError where two rows have the same key."""
+        seen: dict[tuple[str, ...], int] = {}
+        for row, key in enumerate(keys):
+            if key in seen:
+                first, name = self.lines[seen[key]], "/".join(key)
+                raise InputError(f"{self.where(row)}: {what} {name!r} stands already on line {first}, expected once")
+            seen[key] = row
 
     def _number(self, cell: str, row: int, column: str) -> float:
         try:
@@ -71,8 +84,8 @@ class Table:
         return value
 
 
-def read_table(path: Path, columns: Sequence[str] | None) -> Table:
-    """Read a CSV file with exactly these columns, in any order; None takes the columns as they are.
+def read_table(path: Path, columns: Sequence[str] | None, optional: Sequence[str] = ()) -> Table:
+    """Read a CSV file with these columns, in any order, and some that may be there; None takes them as they are.
 
     Raises
     ------
@@ -85,7 +98,7 @@ def read_table(path: Path, columns: Sequence[str] | None) -> Table:
         raise InputError(f"{path}: found no header, expected the columns {', '.join(columns or ['...'])}")
     parsed = [_parse_row(path, line, row) for line, row in numbered]
     header = tuple(cell.strip() for cell in parsed[0])
-    _check_header(path, numbered[0][0], header, columns)
+    _check_header(path, numbered[0][0], header, columns, optional)
     for (line, _), row in zip(numbered[1:], parsed[1:], strict=True):
         if len(row) != len(header):
             raise InputError(f"{path}, line {line}: found {len(row)} cells, expected {len(header)}")
@@ -102,19 +115,30 @@ def _parse_row(path: Path, line: int, row: str) -> list[str]:
         raise InputError(f"{path}, line {line}: found no CSV row ({error}), expected cells with commas") from error
 
 
-def _check_header(path: Path, line: int, header: tuple[str, ...], columns: Sequence[str] | None) -> None:
+def _check_header(
+    path: Path, line: int, header: tuple[str, ...], columns: Sequence[str] | None, optional: Sequence[str]
+) -> None:
     if len(set(header)) != len(header):
         raise InputError(f"{path}, line {line}: found a column twice, expected each column once")
     if columns is None:
         return
+    known = (*columns, *optional)
+    more = ", ".join(optional[:SHOWN]) + (" …" if len(optional) > SHOWN else "")
+    expected = ", ".join(columns) + (f", and maybe {more}" if optional else "")
     for name in header:
-        if name not in columns:
-            close = difflib.get_close_matches(name, columns, n=1, cutoff=0.4)
+        if name not in known:
+            close = [one for one in known if _stem(one) == _stem(name)]
+            close = close or difflib.get_close_matches(name, known, n=1, cutoff=0.4)
             hint = f", did you mean {close[0]!r}?" if close else ""
-            raise InputError(f"{path}, line {line}: found column {name!r}{hint}, expected {', '.join(columns)}")
+            raise InputError(f"{path}, line {line}: found column {name!r}{hint}, expected {expected}")
     for name in columns:
         if name not in header:
-            raise InputError(f"{path}, line {line}: found no column {name!r}, expected {', '.join(columns)}")
+            raise InputError(f"{path}, line {line}: found no column {name!r}, expected {expected}")
+
+
+def _stem(name: str) -> str:
+    """Return a column's name without its unit."""
+    return name.rpartition("_")[0] or name
 
 
 def read_matrix(path: Path, n_columns: int) -> Array:

@@ -15,8 +15,8 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.fits import Fitter, Measurements
-from bayescal.identifiability.frames import N_FRAME_PARAMETERS, move_frames
 from bayescal.identifiability.sensitivity import root_of
+from bayescal.machines.frames import N_FRAME_PARAMETERS, move_frames
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.identifiability.frames import FRAME_BLOCKS
+from bayescal.machines.frames import FRAME_BLOCKS
 from bayescal.machines.kinematics import ForwardKinematics, Machine, solve_forward_kinematics
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.sensors import Sensor

@@ -17,8 +17,8 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan
-from bayescal.identifiability.frames import N_FRAME_PARAMETERS, measured_pose_slopes, move_frames
 from bayescal.identifiability.sensitivity import compute_sensitivity, root_of
+from bayescal.machines.frames import N_FRAME_PARAMETERS, measured_pose_slopes, move_frames
 from bayescal.machines.models.base import Linearisation, newton_step
 from bayescal.numerics.geometry import (
     DEGREES_OF_FREEDOM,

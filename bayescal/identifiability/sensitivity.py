@@ -20,7 +20,7 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan, predict_poses
-from bayescal.identifiability.frames import N_FRAME_PARAMETERS, frame_slopes, move_frames
+from bayescal.machines.frames import N_FRAME_PARAMETERS, frame_slopes, move_frames
 from bayescal.machines.kinematics import SINGULAR_CONDITION, ForwardKinematics, solve_forward_kinematics
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 

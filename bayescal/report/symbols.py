@@ -74,4 +74,4 @@ def scale_of(symbol: str, unit: str) -> tuple[float, str]:
     """Return the factor and the unit in which a parameter's offsets are shown."""
     if is_model_error(symbol):
         return MICROMETRES, "µm"
-    return (PER_MILLE, "10⁻³") if unit == "1" else (1.0, unit)
+    return {"1": (PER_MILLE, "10⁻³"), "rad": (PER_MILLE, "mrad")}.get(unit, (1.0, unit))

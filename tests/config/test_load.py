@@ -17,7 +17,7 @@ from bayescal.experiments.frame.load import load_experiment, load_kind
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad
-from bayescal.machines.read import load_mechanism, read_sliding_platform
+from bayescal.machines.read import load_mechanism, read_reading_model, read_sliding_platform
 from bayescal.reproductions.rr8096.pose_methods.schema import PoseMethodsConfig
 
 LOADERS = {
@@ -32,6 +32,8 @@ LOADERS = {
     "sliding_platform": read_sliding_platform,
     "simulation": load_simulation,
     "audit": load_audit,
+    "calibration": load_experiment,
+    "line_machine": read_reading_model,
 }
 SHIPPED = sorted(studies.EXPERIMENTS.rglob("*.toml"))
 
@@ -67,8 +69,8 @@ def test_shipped_studies_build_every_variant():
     inputs = studies.load_study(studies.TELESCOPE / "study.toml")
     models, deformations = ("six_pus", "jacobian", "beam", "stiffness"), ("none", "linear", "matrix")
     assert [v.name for v in inputs.config.variants] == [f"{m}/{d}" for m in models for d in deformations]
-    assert inputs.extraction.poses.n_poses == 46
-    assert int(inputs.survey.verification.sum()) == 6
+    assert inputs.targets.extraction.poses.n_poses == 46
+    assert int(inputs.targets.survey.verification.sum()) == 6
 
 
 def test_kind_chooses_the_schema():

@@ -98,7 +98,7 @@ def test_measurement_frame_differs_from_pose_to_pose(config):
     assert np.ptp(first, axis=0).min() > 500
 
 
-@pytest.mark.parametrize("folder", ["telescope", "m2_hexapod"])
+@pytest.mark.parametrize("folder", ["telescope", "m2_hexapod", "hexaglide"])
 def test_shipped_data_are_those_of_the_shipped_config(folder):
     path = studies.EXPERIMENTS / folder / "simulate.toml"
     config = load_simulation(path)
@@ -121,11 +121,11 @@ def test_shipped_headers_say_reconstructed_and_state_units(name):
 
 
 def test_shipped_twin_is_the_one_described(shipped):
-    assert shipped.extraction.poses.n_poses == 46
-    assert shipped.survey.actuators.shape == (46, 6)
+    assert shipped.targets.extraction.poses.n_poses == 46
+    assert shipped.targets.survey.actuators.shape == (46, 6)
     np.testing.assert_allclose(np.unique(np.abs(shipped.displacement[:40])), [0, 1.3])
-    dof = int(shipped.extraction.base.dof.sum() + shipped.extraction.platform.dof.sum())
-    check_chi_square(shipped.extraction.chi2_per_dof * dof, dof)
+    dof = int(shipped.targets.extraction.base.dof.sum() + shipped.targets.extraction.platform.dof.sum())
+    check_chi_square(shipped.targets.extraction.chi2_per_dof * dof, dof)
 
 
 # --- the truth beside the data ---------------------------------------------------------------------------------------
@@ -134,13 +134,13 @@ def test_shipped_twin_is_the_one_described(shipped):
 def test_true_poses_are_those_that_the_targets_show(shipped):
     """Extracted poses lie about them as their covariance says; those of the commanded actuators are others."""
     table = read_table(studies.TELESCOPE / "data" / "true_poses.csv", ("pose", *POSE_COLUMNS))
-    assert table.text("pose") == list(shipped.survey.poses)
-    true, found = table.numbers(POSE_COLUMNS), shipped.extraction.poses
+    assert table.text("pose") == list(shipped.targets.survey.poses)
+    true, found = table.numbers(POSE_COLUMNS), shipped.targets.extraction.poses
     turn = rotation_vector_from_matrix(found.rotation @ np.swapaxes(matrix_from_rotation_vector(true[:, 3:]), -1, -2))
     error = np.concatenate([found.position - true[:, :3], turn], axis=1)
     check_chi_square(float(np.einsum("pi,pij,pj->", error, np.linalg.inv(found.covariance), error)), error.size)
     twin = load_twin(studies.TELESCOPE / "simulate.toml")
-    commanded = solve_forward_kinematics(twin.machine, twin.theta, shipped.survey.actuators)
+    commanded = solve_forward_kinematics(twin.machine, twin.theta, shipped.targets.survey.actuators)
     off = commanded.position - true[:, :3]
     assert 1e-4 < np.abs(off).max() < 0.05  # the actuators' 1 µm, some times over
 
@@ -191,7 +191,7 @@ def test_another_matrix_fails_the_same_check(shipped, true_matrix):
 
 
 def test_ring_gives_the_kappa_that_the_matrix_implies(shipped, true_matrix):
-    travel = shipped.displacement[~shipped.survey.verification]
+    travel = shipped.displacement[~shipped.targets.survey.verification]
     implied = np.sum(travel * (travel @ true_matrix.T), axis=0) / np.sum(travel**2, axis=0)
     np.testing.assert_allclose(shipped.measured_kappa.kappa, implied, atol=1.5e-3)
     # the report's nominal value is 0.011; what K does beyond its diagonal is scatter to a linear ring

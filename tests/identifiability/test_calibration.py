@@ -22,9 +22,9 @@ from bayescal.identifiability.calibration import (
     simulate_measurements,
 )
 from bayescal.identifiability.fits import Fitter, Measurements
-from bayescal.identifiability.frames import N_FRAME_PARAMETERS, frame_slopes, measured_pose_slopes, move_frames
 from bayescal.identifiability.information import information_of_rows
 from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity, root_of
+from bayescal.machines.frames import N_FRAME_PARAMETERS, frame_slopes, measured_pose_slopes, move_frames
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
 from bayescal.machines.sensors import PoseSensor
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector

@@ -8,7 +8,6 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.identifiability.directions import find_directions
-from bayescal.identifiability.frames import frame_symbols
 from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.ridges import describe_ridges
 from bayescal.identifiability.selection import select_parameters
@@ -17,6 +16,7 @@ from bayescal.identifiability.sparse import find_sparse_basis
 from bayescal.identifiability.structure import find_structural_rank
 from bayescal.identifiability.units import Units
 from bayescal.limits import INFORMED
+from bayescal.machines.frames import frame_symbols
 from bayescal.machines.kinematics import compute_home_legs
 from bayescal.numerics.geometry import compute_pose_error
 

@@ -8,8 +8,8 @@ import pytest
 import telescope_machines as machines
 from scipy.linalg import subspace_angles
 
-from bayescal.identifiability.frames import frame_symbols
 from bayescal.identifiability.structure import find_structural_rank, find_structure
+from bayescal.machines.frames import frame_symbols
 from bayescal.machines.models import MODELS
 from bayescal.numerics.geometry import skew_matrix
 

@@ -8,13 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.data.photogrammetry.least_squares_fit import compare_noise, fit_least_squares
 from bayescal.data.photogrammetry.line_fit import fit_line
 from bayescal.data.photogrammetry.rigid_fit import RigidFit, fit_rigid_body
 from bayescal.data.photogrammetry.survey import BodyTargets, Survey
 from bayescal.errors import InputError, PoseInputError
 from bayescal.numerics.geometry import compute_relative_pose
 
-METHODS: dict[str, Callable[..., RigidFit]] = {"robust": fit_rigid_body, "line": fit_line}
+METHODS: dict[str, Callable[..., RigidFit]] = {
+    "robust": fit_rigid_body,
+    "line": fit_line,
+    "least_squares": fit_least_squares,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +58,7 @@ def extract_poses(survey: Survey, noise: float, method: str = "robust") -> PoseE
     noise : float
         Standard deviation of a target coordinate, mm.
     method : str
-        ``robust`` (Haralick et al. 1989) or ``line``; both of RR-8096 section 3.1.
+        ``robust`` (Haralick et al. 1989) or ``line``, both of RR-8096 section 3.1, or ``least_squares``.
     """
     fits = {}
     rejected: list[tuple[str, str, str]] = []
@@ -62,7 +67,7 @@ def extract_poses(survey: Survey, noise: float, method: str = "robust") -> PoseE
         try:
             fits[name] = METHODS[method](body.reference[rigid], body.measured[:, rigid], noise)
         except PoseInputError as error:
-            raise InputError(f"pose {survey.poses[error.index]!r}: {name}: {error.fault}") from error
+            raise InputError(f"pose {survey.poses[error.index]!r}: {name}: {_explain(error, body, noise)}") from error
         rejected.extend(_find_rejected(survey, name, body, fits[name]))
     position, rotation, covariance = compute_relative_pose(
         (fits["base"].position, fits["base"].rotation, fits["base"].covariance),
@@ -70,6 +75,14 @@ def extract_poses(survey: Survey, noise: float, method: str = "robust") -> PoseE
     )
     poses = MeasuredPoses(survey.poses, position, rotation, covariance, survey.actuators)
     return PoseExtraction(poses, fits["base"], fits["platform"], tuple(rejected))
+
+
+def _explain(error: PoseInputError, body: BodyTargets, noise: float) -> str:
+    """Return what is wrong with a pose; where targets contradict each other, with the noise stated and seen."""
+    if "consistent" not in error.fault:
+        return error.fault
+    rigid = body.leg == 0
+    return f"{error.fault}; {compare_noise(body.reference[rigid], body.measured[error.index, rigid], noise)}"
 
 
 def _find_rejected(survey: Survey, name: str, body: BodyTargets, fit: RigidFit) -> list[tuple[str, str, str]]:

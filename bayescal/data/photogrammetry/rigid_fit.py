@@ -285,7 +285,7 @@ def _reweight(reference: Array, measured: Array, start: Array, noise: float) -> 
     weights, active = start.copy(), np.arange(len(start))
     for _ in range(MAX_ITERATIONS):
         fit = weighted_rigid_transform(reference, measured[active], weights[active])
-        square = _compute_square(compute_rigid_residuals(reference, measured[active], *fit), noise)
+        square = compute_square(compute_rigid_residuals(reference, measured[active], *fit), noise)
         updated = np.maximum(1 - square / TUNING_CONSTANT**2, 0.0) ** 2
         change = np.max(np.abs(updated - weights[active]), axis=-1)
         weights[active] = updated
@@ -296,7 +296,7 @@ def _reweight(reference: Array, measured: Array, start: Array, noise: float) -> 
     return weights, ~np.isin(np.arange(len(start)), active)
 
 
-def _compute_square(residuals: Array, noise: float) -> Array:
+def compute_square(residuals: Array, noise: float) -> Array:
     """Return squared norms in units of σ², infinite where not seen, shape (..., n, 3) to (..., n)."""
     return np.sum((np.nan_to_num(residuals, nan=np.inf) / noise) ** 2, axis=-1)
 
@@ -329,7 +329,7 @@ def fit_rigid_body(reference: ArrayLike, measured: ArrayLike, noise: float) -> R
     start = _robust_start(reference, flat, seen, noise)
     weights, converged = _reweight(reference, flat, start, noise)
     position, rotation = weighted_rigid_transform(reference, flat, weights)
-    square = _compute_square(compute_rigid_residuals(reference, flat, position, rotation), noise)
+    square = compute_square(compute_rigid_residuals(reference, flat, position, rotation), noise)
     used = weights > 0
     count = used.sum(axis=-1)
     covariance = compute_rigid_covariance(reference, rotation, used, noise)

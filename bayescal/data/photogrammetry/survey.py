@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.data.actuators import check_calibration, read_actuators
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import Table, read_table
 from bayescal.numerics.geometry import Array
@@ -19,7 +20,6 @@ TARGET_COLUMNS = ("pose", "body", "target", "x_mm", "y_mm", "z_mm")
 REFERENCE_COLUMNS = ("body", "target", "leg", "x_mm", "y_mm", "z_mm")
 COORDINATES = ("x_mm", "y_mm", "z_mm")
 BODIES = ("base", "platform")
-USES = ("calibration", "verification")
 MIN_TARGETS = 3
 COLLINEAR = 1e-3  # largest ratio of the second to the first extent of targets that count as a line
 
@@ -77,14 +77,7 @@ def read_survey(targets: Path, actuators: Path, reference: Path, n_legs: int) ->
         For unknown columns, numbers that are none or not finite, duplicate or missing poses and targets, targets
         without a reference, fewer than three or collinear rigid targets on a body, legs that do not exist.
     """
-    actuator_columns = ("pose", "use", *(f"rho_{leg}_mm" for leg in range(1, n_legs + 1)))
-    table = read_table(actuators, actuator_columns)
-    poses, uses = table.text("pose"), table.text("use")
-    _check_unique(table, [(pose,) for pose in poses], "pose")
-    for row, use in enumerate(uses):
-        if use not in USES:
-            raise InputError(f"{table.where(row)}: use: found {use!r}, expected one of {', '.join(USES)}")
-    positions = table.numbers(actuator_columns[2:])
+    poses, verification, positions = read_actuators(actuators, n_legs)
     known = _read_reference(reference, n_legs)
     measured = _read_targets(read_table(targets, TARGET_COLUMNS), poses, known, actuators, reference)
     bodies = {}
@@ -92,26 +85,14 @@ def read_survey(targets: Path, actuators: Path, reference: Path, n_legs: int) ->
         names, legs, points = known[body]
         bodies[body] = BodyTargets(tuple(names), legs, points, measured[body])
         _check_seen(bodies[body], body, poses, targets)
-    verification = np.array([use == "verification" for use in uses])
-    if verification.all():
-        raise InputError(f"{actuators}: found no calibration pose, expected at least one")
+    check_calibration(actuators, verification)
     return Survey(tuple(poses), verification, positions, bodies["base"], bodies["platform"])
-
-
-def _check_unique(table: Table, keys: list[tuple[str, ...]], what: str) -> None:
-    seen: dict[tuple[str, ...], int] = {}
-    for row, key in enumerate(keys):
-        if key in seen:
-            first = table.lines[seen[key]]
-            name = "/".join(key)
-            raise InputError(f"{table.where(row)}: {what} {name!r} stands already on line {first}, expected once")
-        seen[key] = row
 
 
 def _read_reference(path: Path, n_legs: int) -> dict[str, tuple[list[str], np.ndarray, Array]]:
     table = read_table(path, REFERENCE_COLUMNS)
     bodies, names = table.text("body"), table.text("target")
-    _check_unique(table, list(zip(bodies, names, strict=True)), "target")
+    table.check_unique(list(zip(bodies, names, strict=True)), "target")
     legs, points = table.numbers(["leg"])[:, 0], table.numbers(COORDINATES)
     for row, (body, leg) in enumerate(zip(bodies, legs, strict=True)):
         if body not in BODIES:
@@ -140,7 +121,7 @@ def _read_targets(
     reference: Path,
 ) -> dict[str, Array]:
     columns = [table.text(column) for column in ("pose", "body", "target")]
-    _check_unique(table, list(zip(*columns, strict=True)), "pose/body/target")
+    table.check_unique(list(zip(*columns, strict=True)), "pose/body/target")
     points = table.numbers(COORDINATES)
     pose_index = {pose: k for k, pose in enumerate(poses)}
     target_index = {body: {name: k for k, name in enumerate(known[body][0])} for body in BODIES}

@@ -11,7 +11,6 @@ from bayescal.experiments.audit.changes import ChangeEffect, SweepPoint, check_c
 from bayescal.experiments.audit.inputs import AuditInputs
 from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability.directions import Direction, find_directions
-from bayescal.identifiability.frames import FRAME_BLOCKS
 from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.requirements import Forecast, Outlook
 from bayescal.identifiability.ridges import Ridge, describe_ridges
@@ -20,6 +19,7 @@ from bayescal.identifiability.sensitivity import compute_sensitivity
 from bayescal.identifiability.structure import Structure, find_structural_rank
 from bayescal.identifiability.verdicts import Verdict, judge_parameters
 from bayescal.limits import NINETY_FIVE
+from bayescal.machines.frames import FRAME_BLOCKS
 
 type Harm = Literal["harmless", "noticeable", "harmful", "unknown"]
 

@@ -13,7 +13,6 @@ from bayescal.experiments.audit.schema import (
     ActuatorPlanConfig,
     AuditConfig,
     FilePlanConfig,
-    FramesConfig,
     PlanConfig,
     WorkspacePlanConfig,
 )
@@ -28,13 +27,14 @@ from bayescal.experiments.shared.design import (
     read_workspace,
 )
 from bayescal.experiments.shared.measured import MeasuredVariant
+from bayescal.experiments.shared.schema import FramesConfig
 from bayescal.files.csv_tables import read_matrix
 from bayescal.identifiability.design import Knowledge, Plan, predict_poses
-from bayescal.identifiability.frames import FRAMES, frame_symbols
 from bayescal.identifiability.pose_volume import PoseVolume, draw_displacements, find_workspace_actuators
 from bayescal.identifiability.profile import check_profiles
 from bayescal.identifiability.requirements import Requirement
 from bayescal.identifiability.units import Units
+from bayescal.machines.frames import FRAMES, frame_symbols
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.sensors import Sensor

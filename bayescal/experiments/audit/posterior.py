@@ -33,10 +33,10 @@ from bayescal.experiments.audit.inputs import AuditInputs
 from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability.design import predict_poses
 from bayescal.identifiability.draws import Draws
-from bayescal.identifiability.frames import N_FRAME_PARAMETERS
 from bayescal.identifiability.information import Information
 from bayescal.identifiability.sensitivity import compute_sensitivity, root_of
 from bayescal.limits import INFORMED
+from bayescal.machines.frames import N_FRAME_PARAMETERS
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import Array, compute_pose_error
 

@@ -14,6 +14,7 @@ from bayescal.density.schema import FixedConfig, PriorConfig
 from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
     DeformationConfig,
+    FramesConfig,
     ModelConfig,
     RequirementsConfig,
     SensorConfig,
@@ -49,20 +50,6 @@ class WorkspacePlanConfig(Section):
 
 
 type PlanConfig = Annotated[FilePlanConfig | ActuatorPlanConfig | WorkspacePlanConfig, Field(discriminator="plan")]
-
-
-class FrameConfig(Section):
-    """How well a frame is known: standard deviations along and about its axes."""
-
-    position: Positive
-    rotation: Positive
-
-
-class FramesConfig(Section):
-    """Frames that the calibration has to find: the instrument's against the base, the tool's against the platform."""
-
-    base: FrameConfig | None = None
-    tool: FrameConfig | None = None
 
 
 # --- what is required --------------------------------------------------------------------------------------------

@@ -70,5 +70,5 @@ def read_beside(section: BesideConfig, folder: Path, model: ReadingModel) -> Bes
         factors.append(units_like(own[name])[unit])
         units.append(own[name])
     values = table.numbers(("value",))[:, 0] * factors
-    sd = table.optional_numbers("sd") * factors if "sd" in table.columns else np.full(len(values), np.nan)
+    sd = table.numbers(("sd",), gaps=True)[:, 0] * factors if "sd" in table.columns else np.full(len(values), np.nan)
     return Beside(section.title, section.source, tuple(table.text("quantity")), tuple(units), values, sd)

@@ -173,7 +173,7 @@ def _fill(
     for name in table.columns:
         if name not in known or name in ignored:
             continue
-        column, values = known[name], table.optional_numbers(name)
+        column, values = known[name], table.numbers((name,), gaps=True)[:, 0]
         if column.role == "given":
             found.given[name][rows] = values
         elif column.role == "corr":

@@ -11,9 +11,9 @@ from bayescal.experiments.shared.design import Design
 from bayescal.identifiability.calibration import simulate_measurements
 from bayescal.identifiability.design import Knowledge
 from bayescal.identifiability.fits import Fitter, Measurements
-from bayescal.identifiability.frames import N_FRAME_PARAMETERS
 from bayescal.identifiability.information import information_of_rows
 from bayescal.identifiability.sensitivity import Sensitivity, compute_sensitivity
+from bayescal.machines.frames import N_FRAME_PARAMETERS
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import Array, compute_pose_error
 

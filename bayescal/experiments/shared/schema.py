@@ -91,6 +91,20 @@ class ActuatorNoiseConfig(Section):
     model_error_um: NotNegative = 0.0
 
 
+class FrameConfig(Section):
+    """How well a frame is known: standard deviations along and about its axes."""
+
+    position: Positive
+    rotation: Positive
+
+
+class FramesConfig(Section):
+    """Frames that the calibration has to find: the instrument's against the base, the tool's against the platform."""
+
+    base: FrameConfig | None = None
+    tool: FrameConfig | None = None
+
+
 class WorkspaceConfig(Section):
     """Where accuracy counts: half widths about the home pose.
 

@@ -1,34 +1,54 @@
-"""Simulated photogrammetry as a kind of experiment."""
+"""Simulated measurements as a kind of experiment."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from bayescal.data.instruments.simulate import count_stations, simulate_readings, true_frames
 from bayescal.data.schema import SimulationConfig
-from bayescal.data.simulation import Twin, build_twin, format_survey, format_truth, survey_twin
+from bayescal.data.simulation import Twin, build_twin, format_survey, format_truth, name_poses, survey_twin
 from bayescal.experiments.shared.simulated_data import Simulated, SimulatedData, tabulate_truth
+from bayescal.machines.frames import frame_blocks
 
 
-class Simulation(SimulatedData[SimulationConfig, Twin]):
-    """Targets, actuator positions and target coordinates of a twin."""
+@dataclass(frozen=True, eq=False)
+class PlacedTwin:
+    """A twin, and the folder where its config's file names start."""
+
+    twin: Twin
+    folder: Path
+
+
+class Simulation(SimulatedData[SimulationConfig, PlacedTwin]):
+    """Targets, or an instrument's readings, and the actuator positions of a twin."""
 
     schema = SimulationConfig
 
-    def read(self, config: SimulationConfig, folder: Path) -> Twin:
+    def read(self, config: SimulationConfig, folder: Path) -> PlacedTwin:
         """Return the twin."""
-        return build_twin(config, folder)
+        if config.instrument is not None:
+            true_frames(config.instrument, count_stations(config.instrument, folder))
+        return PlacedTwin(build_twin(config, folder), folder)
 
-    def seed(self, inputs: Twin) -> int:
+    def seed(self, inputs: PlacedTwin) -> int:
         """Return the config's seed."""
-        return inputs.config.seed
+        return inputs.twin.config.seed
 
-    def simulate(self, inputs: Twin, rng: np.random.Generator) -> Simulated:
-        """Return the survey's files, true parameters and true poses."""
-        (survey, poses), layout = survey_twin(inputs, rng), inputs.machine.layout
-        truth = tabulate_truth(layout.names, layout.units, layout.nominal, inputs.theta)
-        origin = inputs.config.origin
-        counts = len(inputs.calibration), len(inputs.verification)
-        files = format_survey(survey, origin) | format_truth(inputs, survey.poses, poses)
-        return Simulated(files, truth, origin, *counts)
+    def simulate(self, inputs: PlacedTwin, rng: np.random.Generator) -> Simulated:
+        """Return the files of the survey or of the instrument, true parameters and true poses."""
+        twin, layout = inputs.twin, inputs.twin.machine.layout
+        config, theta = twin.config, twin.theta
+        if config.instrument is None:
+            survey, poses = survey_twin(twin, rng)
+            files = format_survey(survey, config.origin)
+        else:
+            files, poses = simulate_readings(twin, config.instrument, inputs.folder, rng)
+            n_stations = count_stations(config.instrument, inputs.folder)
+            layout = layout.extend(frame_blocks(n_stations))
+            theta = np.concatenate([theta, true_frames(config.instrument, n_stations)])
+        truth = tabulate_truth(layout.names, layout.units, layout.nominal, theta)
+        files |= format_truth(twin, name_poses(twin)[0], poses)
+        return Simulated(files, truth, config.origin, len(twin.calibration), len(twin.verification))

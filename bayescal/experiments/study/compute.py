@@ -15,7 +15,7 @@ from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task
 from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.schema import stem_of
+from bayescal.experiments.study.schema import StudyConfig, stem_of
 from bayescal.experiments.study.summary import build_tree, compute_loo, rank_variants, summarise_fit
 from bayescal.experiments.study.tables import (
     identify_variants,
@@ -84,7 +84,7 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dic
             files[f"posterior/{stem_of(task.variant)}.nc"] = partial(_write_tree, tree)
         else:
             variants[task.variant]["without_model_error"] = fit
-    config, held = inputs.config, inputs.survey.verification
+    config, held = inputs.config, inputs.verification
     models = {label_class(variant.model): inputs.machine(variant).model.title for variant in config.variants}
     summary = {
         "experiment": config.name,
@@ -94,15 +94,22 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dic
         "models": models,
         "drive": inputs.mechanism.drive,
         "n_poses": {"calibration": int((~held).sum()), "verification": int(held.sum())},
-        "pose_extraction": {
-            "method": config.data.pose_method,
-            "chi2_per_dof": inputs.extraction.chi2_per_dof,
-            "rejected_targets": ["/".join(target) for target in inputs.extraction.rejected],
-        },
+        **inputs.measured.describe(),
+        **_describe_names(config),
         "variants": variants,
         "ranking": rank_variants(variants),
     }
     return summary, files
+
+
+def _describe_names(config: StudyConfig) -> dict[str, dict[str, dict[str, str]]]:
+    """Return model and deformation of the variants with names of their own, which do not say them."""
+    named = {
+        variant.name: {"model": label_class(variant.model), "deformation": label_class(variant.deformation)}
+        for variant in config.variants
+        if variant.has_own_name
+    }
+    return {"own_names": named} if named else {}
 
 
 def _write_tree(tree: xr.DataTree, path: Path) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.likelihood import Likelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import Prediction, predict
 from bayescal.experiments.study.inputs import StudyInputs
@@ -142,7 +142,7 @@ def _evaluate(
     theta, tau = posterior.theta(flat), posterior.tau(flat)
     chosen = np.linspace(0, len(flat) - 1, min(PREDICTIVE_DRAWS, len(flat))).astype(int)
     pieces: dict[str, list[Array]] = {}
-    held = inputs.survey.verification
+    held = inputs.verification
     for use, rng_seed in zip((False, True), seed.spawn(2), strict=True):
         if not np.any(held == use):
             continue
@@ -159,7 +159,7 @@ def _evaluate(
     return arrays
 
 
-def _pointwise(likelihood: PoseLikelihood, theta: Array, tau: Array, start: int) -> Array:
+def _pointwise(likelihood: Likelihood, theta: Array, tau: Array, start: int) -> Array:
     part = slice(start, start + 256)
     return likelihood.pointwise(theta[part], tau if tau.ndim == 1 else tau[part])
 

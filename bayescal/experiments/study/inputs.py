@@ -18,16 +18,21 @@ from bayescal.data.photogrammetry.joint_deflection import (
     fit_matrix_deformation,
     measure_joint_deflection,
 )
-from bayescal.data.photogrammetry.poses import PoseExtraction, extract_poses
-from bayescal.data.photogrammetry.survey import Survey, read_survey
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.likelihood import Likelihood
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.schema import FixedConfig, NormalConfig
 from bayescal.errors import InputError, PoseInputError, name_faults
 from bayescal.experiments.shared.per_leg import spread_over_legs
+from bayescal.experiments.study.measurement import (
+    Measurement,
+    TargetMeasurement,
+    check_measurement,
+    name_data,
+    read_measurement,
+)
 from bayescal.experiments.study.published import read_published
-from bayescal.experiments.study.schema import StudyConfig, VariantConfig
+from bayescal.experiments.study.schema import StudyConfig, TargetDataConfig, VariantConfig
 from bayescal.files.csv_tables import read_matrix
 from bayescal.machines.deformations import NominalDeformation
 from bayescal.machines.kinematics import Machine, check_home_pose
@@ -39,7 +44,7 @@ from bayescal.numerics.units import MICROMETRE
 
 @dataclass(frozen=True, eq=False)
 class StudyInputs:
-    """Config and data of a study, with the poses extracted.
+    """Config and data of a study.
 
     Attributes
     ----------
@@ -47,41 +52,57 @@ class StudyInputs:
     folder : Path
         Where the config's file names start.
     mechanism : Mechanism
-    survey : Survey
-    extraction : PoseExtraction
+    measured : Measurement
     """
 
     config: StudyConfig
     folder: Path
     mechanism: Mechanism
-    survey: Survey
-    extraction: PoseExtraction
+    measured: Measurement
 
     # --- data ----------------------------------------------------------------------------------------------------
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all P poses."""
+        return self.measured.names
+
+    @property
+    def verification(self) -> np.ndarray:
+        """Which poses are kept for verification, shape (P,)."""
+        return self.measured.verification
+
+    @property
+    def targets(self) -> TargetMeasurement | None:
+        """The photogrammetry; None of another instrument."""
+        return self.measured if isinstance(self.measured, TargetMeasurement) else None
+
+    @property
     def target_noise(self) -> float:
         """Standard deviation of a target coordinate, mm."""
+        assert isinstance(self.config.data, TargetDataConfig)
         return self.config.data.target_noise_um * MICROMETRE
 
     @property
     def displacement(self) -> Array:
         """Actuator displacements from the nominal initial positions, shape (P, N), mm."""
-        return self.survey.actuators - self.mechanism.initial_actuator_positions
+        return self.measured.actuators - self.mechanism.initial_actuator_positions
 
     def poses(self, verification: bool) -> MeasuredPoses:
         """Return the poses of one use."""
-        return self.extraction.poses.select(self.survey.verification == verification)
+        return self.measured.poses.select(self.verification == verification)
 
     @cached_property
     def deflection(self) -> JointDeflection | None:
         """Deflection of every leg's joint at every pose from the targets on the pads; None without such targets."""
-        platform = self.survey.platform
+        if self.targets is None:
+            return None
+        platform = self.targets.survey.platform
         on_pad = platform.leg > 0
         if not on_pad.any():
             return None
         return measure_joint_deflection(
-            self.extraction.platform,
+            self.targets.extraction.platform,
             platform.reference[on_pad],
             platform.measured[:, on_pad],
             platform.leg[on_pad],
@@ -110,12 +131,12 @@ class StudyInputs:
     @property
     def _calibration_deflection(self) -> JointDeflection:
         assert self.deflection is not None
-        chosen = ~self.survey.verification
+        chosen = ~self.verification
         return JointDeflection(self.deflection.displacement[chosen], self.deflection.covariance[chosen])
 
     @property
     def _calibration_travel(self) -> Array:
-        return self.displacement[~self.survey.verification]
+        return self.displacement[~self.verification]
 
     # --- variants ------------------------------------------------------------------------------------------------
 
@@ -140,17 +161,18 @@ class StudyInputs:
         if not self.matrix_from_targets:
             return 1e-3 * read_matrix(self.folder / self.config.deformation.matrix, self.mechanism.n_legs)
         if self.measured_matrix is None:
+            data = self.config.data
+            where = self.folder / data.reference if isinstance(data, TargetDataConfig) else "deformation.matrix"
             raise InputError(
-                f"{self.folder / self.config.data.reference}: found no target on a leg's pad, "
-                "expected some, since deformation.matrix is 'targets'"
+                f"{where}: found no target on a leg's pad, expected some, since deformation.matrix is 'targets'"
             )
         return self.measured_matrix.matrix
 
-    def likelihood(self, variant: VariantConfig, verification: bool) -> PoseLikelihood:
-        """Return the density of the poses of one use under a variant."""
+    def likelihood(self, variant: VariantConfig, verification: bool) -> Likelihood:
+        """Return the density of the measurements of one use under a variant."""
         noise = self.config.data.actuator_noise_um * MICROMETRE
         extra = self.matrix_variance(variant, verification)
-        return PoseLikelihood(self.machine(variant), self.poses(verification), noise, extra)
+        return self.measured.likelihood(self.machine(variant), verification, noise, extra)
 
     def matrix_variance(self, variant: VariantConfig, verification: bool) -> Array | None:
         """Return v_ni of the poses of one use (P, N) in mm² where a variant's K was measured, otherwise None."""
@@ -183,7 +205,7 @@ class StudyInputs:
         return Posterior(self.likelihood(variant, verification=False), priors, error, fixed)
 
     def priors(self, variant: VariantConfig, factor: float = 1.0) -> tuple[dict[str, Prior], dict[str, float]]:
-        """Return the priors of a variant's free parameters and the values of fixed ones that are not nominal.
+        """Return the priors of a variant's free parameters and frames, and what is fixed off nominal.
 
         A ``factor`` multiplies the width of every prior: the standard deviation of a normal, the half width of a
         uniform one.
@@ -206,7 +228,7 @@ class StudyInputs:
                 normal = isinstance(config, NormalConfig)
                 for name, value, width in zip(block.names, block.nominal, spread, strict=True):
                     priors[name] = NormalPrior(value, width) if normal else UniformPrior(value - width, value + width)
-        return priors, fixed
+        return priors | self.measured.frame_priors(factor), fixed
 
 
 def _measure_deflection(inputs: StudyInputs) -> None:
@@ -214,7 +236,7 @@ def _measure_deflection(inputs: StudyInputs) -> None:
     try:
         _ = inputs.deflection, inputs.measured_matrix, inputs.measured_kappa
     except PoseInputError as error:
-        raise InputError(f"pose {inputs.survey.poses[error.index]!r}: {error.fault}") from error
+        raise InputError(f"pose {inputs.names[error.index]!r}: {error.fault}") from error
 
 
 def _check_widths(inputs: StudyInputs, variant: VariantConfig) -> None:
@@ -225,7 +247,7 @@ def _check_widths(inputs: StudyInputs, variant: VariantConfig) -> None:
 
 
 def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
-    """Read all files of a study, extract the poses and check that every variant can be built.
+    """Read all files of a study and check that every variant can be built.
 
     Raises
     ------
@@ -233,17 +255,14 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
         For anything at fault in the config's files, before any long computation.
     """
     mechanism = load_mechanism(folder / config.mechanism)
-    data = config.data
-    survey = read_survey(folder / data.targets, folder / data.actuators, folder / data.reference, mechanism.n_legs)
-    with name_faults(folder / data.targets):
-        extraction = extract_poses(survey, data.target_noise_um * MICROMETRE, data.pose_method)
-    inputs = StudyInputs(config, folder, mechanism, survey, extraction)
-    with name_faults(folder / data.targets):
+    inputs = StudyInputs(config, folder, mechanism, read_measurement(config, folder, mechanism))
+    with name_faults(name_data(config.data, folder)):
         _measure_deflection(inputs)
     for variant in config.variants:
         machine = inputs.machine(variant)
         with name_faults(folder / config.mechanism):
             check_home_pose(machine)
+        check_measurement(inputs.measured, machine, config.data, folder)
         with name_faults(f"variant {variant.name!r}"):
             inputs.posterior(variant, with_model_error=True).check_machine()
             _check_widths(inputs, variant)

@@ -26,9 +26,6 @@ from bayescal.experiments.study.terminal import show_comparison, show_ranking
 from bayescal.numerics.units import MICROMETRE
 from bayescal.report.blocks import Page
 
-DATA_KEYS = ("targets", "actuators", "reference", "target_noise_um", "actuator_noise_um", "pose_method")
-"""What makes two data sets the same: contents of the files and what is assumed of the noise."""
-
 
 @dataclass(frozen=True, eq=False)
 class StudyTask:
@@ -50,7 +47,10 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring):
         if config.claims is not None:
             kind: type[Claims] = Claims  # type: ignore[type-abstract]  # only subclasses of it are found
             claims = find_class("CLAIMS", config.claims, kind, "claims", folder, folder)()
-        return StudyTask(load_inputs(config, folder), claims)
+        inputs = load_inputs(config, folder)
+        if claims is not None and inputs.targets is None:
+            raise InputError(f"{folder}: claims: found {config.claims!r} without targets, expected measured targets")
+        return StudyTask(inputs, claims)
 
     def compute(self, inputs: StudyTask, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""
@@ -74,8 +74,13 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring):
     def measure(
         self, config: StudyConfig, path: Path, choice: VariantChoice, with_model_error: bool
     ) -> MeasuredVariant:
-        """Return a variant of the study in a file."""
+        """Return a variant of the study in a file; InputError where no whole poses were measured."""
         chosen, inputs = choose_variant(config, path, choice), load_inputs(config, path.parent)
+        if not inputs.measured.has_poses:
+            raise InputError(
+                f"{path}: data: found poses measured in part, points, or frames to be found, expected whole poses in "
+                "known frames, since an audit of data starts from these"
+            )
         left = inputs.matrix_variance(chosen, verification=False)
         priors, fixed = inputs.priors(chosen)
         return MeasuredVariant(
@@ -134,8 +139,9 @@ def choose_variant(config: StudyConfig, path: Path, choice: VariantChoice) -> Va
 
 
 def _identify_data(provenance: Mapping[str, Any]) -> dict[str, object]:
+    """Return what makes two data sets the same: contents of the files and what is assumed of the noise."""
     config, files = provenance["config"], provenance["files"]
-    data = {key: config["data"][key] for key in DATA_KEYS}
+    data = {key: value for key, value in config["data"].items() if key != "origin"}
     return {key: files.get(value, value) if isinstance(value, str) else value for key, value in data.items()}
 
 

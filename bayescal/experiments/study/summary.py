@@ -45,9 +45,9 @@ def build_tree(inputs: StudyInputs, variant: str, with_model_error: bool, arrays
     legs = list(range(1, inputs.mechanism.n_legs + 1))
     posterior = {s: draws[..., index] if len(index) > 1 else draws[..., index[0]] for s, index in symbols.items()}
     dims: dict[str, list[str]] = {s: ["leg"] for s, index in symbols.items() if len(index) > 1}
-    held = inputs.survey.verification
-    names_of = np.array(inputs.survey.poses)
-    poses = inputs.extraction.poses
+    held = inputs.verification
+    names_of = np.array(inputs.names)
+    poses = inputs.measured.poses
     data = {
         "posterior": posterior,
         "sample_stats": {"lp": arrays["log_density"]},
@@ -95,7 +95,7 @@ def summarise_fit(
     trusted = pareto_k <= PARETO_K_LIMIT
     primary = importance if trusted else bridge
     problems, prediction = list_problems(arrays), read_prediction(arrays)
-    held = inputs.survey.verification
+    held = inputs.verification
     summary: dict[str, Any] = {
         "n_parameters": posterior.n_parameters,
         "log_evidence": float(primary[0]),
@@ -144,17 +144,23 @@ def summarise_errors(prediction: Prediction) -> dict[str, Any]:
     """Return mean and largest errors of a prediction, and the coverage of its intervals."""
     position, orientation = prediction.position_error, np.degrees(prediction.orientation_error)
     return {
-        "position_error_mm": {"mean": float(position.mean()), "max": float(position.max())},
-        "orientation_error_deg": {"mean": float(orientation.mean()), "max": float(orientation.max())},
-        "interval_90_coverage": float(prediction.inside.mean()),
-        "bound_95_coverage": float(np.mean(position <= prediction.position_bound)),
+        "position_error_mm": _summarise_sizes(position),
+        "orientation_error_deg": _summarise_sizes(orientation),
+        "interval_90_coverage": prediction.coverage,
+        "bound_95_coverage": float(np.mean((position <= prediction.position_bound)[np.isfinite(position)])),
     }
+
+
+def _summarise_sizes(sizes: Array) -> dict[str, float | None]:
+    """Return mean and largest of what was measured; None where nothing was."""
+    known = sizes[np.isfinite(sizes)]
+    return {"mean": float(known.mean()) if len(known) else None, "max": float(known.max()) if len(known) else None}
 
 
 def _summarise_parameters(
     inputs: StudyInputs, variant: str, priors: Mapping[str, Any], names: tuple[str, ...], arrays: Arrays
 ) -> dict[str, dict[str, Any]]:
-    layout = inputs.machine(inputs.variant(variant)).layout
+    layout = inputs.likelihood(inputs.variant(variant), verification=False).layout
     nominal = dict(zip(layout.names, layout.nominal, strict=True))
     units = dict(zip(layout.names, layout.units, strict=True))
     return {

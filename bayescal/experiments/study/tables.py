@@ -80,8 +80,8 @@ def tabulate_predictions(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.Da
             {
                 "variant": task.variant,
                 "model_error": "free" if task.with_model_error else "zero",
-                "pose": inputs.survey.poses,
-                "use": np.where(inputs.survey.verification, "verification", "calibration"),
+                "pose": inputs.names,
+                "use": np.where(inputs.verification, "verification", "calibration"),
                 "position_error_mm": prediction.position_error,
                 "position_bound_95_mm": prediction.position_bound,
                 "orientation_error_deg": np.degrees(prediction.orientation_error),
@@ -115,7 +115,13 @@ def tabulate_sensitivity(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.Da
 
 
 def identify_variants(inputs: StudyInputs) -> dict[str, LeastSquaresFit]:
-    """Return the least-squares identification of every variant by its name (RR-8096 section 7)."""
+    """Return the least-squares identification of every variant by its name (RR-8096 section 7).
+
+    It takes poses as they stand in the base frame; where an instrument measures them in part, or in a frame of its own,
+    there is none.
+    """
+    if not inputs.measured.has_poses:
+        return {}
     poses = inputs.poses(verification=False)
     return {v.name: identify(inputs.machine(v), poses, tuple(v.free)) for v in inputs.config.variants}
 
@@ -123,7 +129,7 @@ def identify_variants(inputs: StudyInputs) -> dict[str, LeastSquaresFit]:
 def tabulate_least_squares(inputs: StudyInputs, fits: dict[str, LeastSquaresFit]) -> pd.DataFrame:
     """Return what least squares found for every variant, beside the published values."""
     rows = []
-    for variant in inputs.config.variants:
+    for variant in (one for one in inputs.config.variants if one.name in fits):
         machine, fit = inputs.machine(variant), fits[variant.name]
         name = variant.published
         published = {} if name is None else read_published(inputs.folder / name, inputs.mechanism.n_legs)
@@ -179,8 +185,8 @@ def tabulate_ring(inputs: StudyInputs) -> pd.DataFrame:
     n_poses, n_legs = inputs.displacement.shape
     return pd.DataFrame(
         {
-            "pose": np.repeat(inputs.survey.poses, n_legs),
-            "use": np.repeat(np.where(inputs.survey.verification, "verification", "calibration"), n_legs),
+            "pose": np.repeat(inputs.names, n_legs),
+            "use": np.repeat(np.where(inputs.verification, "verification", "calibration"), n_legs),
             "leg": np.tile(np.arange(1, n_legs + 1), n_poses),
             "actuator_displacement_mm": inputs.displacement.ravel(),
             "deflection_um": 1e3 * inputs.deflection.displacement.ravel(),
@@ -214,7 +220,7 @@ def tabulate_deformation(inputs: StudyInputs) -> pd.DataFrame:
 
 def format_poses(inputs: StudyInputs) -> str:
     """Return the extracted poses as CSV text: position (mm), rotation vector (degrees) and covariance (µm, µrad)."""
-    poses = inputs.extraction.poses
+    poses = inputs.measured.poses
     pairs = [(i, j) for i in range(6) for j in range(i, 6)]
     rotation = np.degrees(rotation_vector_from_matrix(poses.rotation))
     scale = np.array([1e3, 1e3, 1e3, 1e6, 1e6, 1e6])  # mm and rad to µm and µrad
@@ -229,7 +235,7 @@ def format_poses(inputs: StudyInputs) -> str:
             *(f"{x:.8f}" for x in rotation[k]),
             *(f"{covariance[k, i, j]:.6g}" for i, j in pairs),
         )
-        for k, (name, held) in enumerate(zip(poses.names, inputs.survey.verification, strict=True))
+        for k, (name, held) in enumerate(zip(poses.names, inputs.verification, strict=True))
     ]
     comments = [
         inputs.config.data.origin,

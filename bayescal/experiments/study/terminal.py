@@ -32,7 +32,7 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
             format_fixed(fit["log_evidence"] - best, 1),
             format_estimate(fit["elpd_loo"], fit["elpd_loo_se"], 1),
             format_fixed(held["elpd"] if held else None, 1),
-            " / ".join(format_fixed(MICROMETRES * error[which], 1) for which in ("mean", "max")) + " µm",
+            " / ".join(_format_size(error[which]) for which in ("mean", "max")) + " µm",
             "yes" if fit["converged"] else "NO",
         )
     console.print(table)
@@ -43,6 +43,10 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
         for setting, one in (("", fit), (" without model error", fit["without_model_error"])):
             for problem in one["problems"]:
                 console.print(f"NOT CONVERGED {name}{setting}: {problem}")
+
+
+def _format_size(size: float | None) -> str:
+    return format_fixed(None if size is None else MICROMETRES * size, 1)
 
 
 def show_comparison(comparison: pd.DataFrame, console: Console) -> None:

@@ -77,7 +77,7 @@ class ClaimEvidence:
             mechanism=inputs.mechanism,
             nominal=NominalDeformation(config.deformation.kappa, lambda: inputs.matrix),
             poses=inputs.poses(verification=False),
-            all_poses=inputs.extraction.poses,
+            all_poses=inputs.measured.poses,
             target_noise=inputs.target_noise,
             actuator_noise=1e-3 * config.data.actuator_noise_um,
             origin=config.data.origin,

@@ -182,7 +182,7 @@ def test_one_wrong_target_is_rejected_and_named(folder):
         folder / FILES[0], lambda row: [*row[:5], str(float(row[5]) + 5)] if row[:3] == ["C02", "base", "B04"] else row
     )
     inputs = studies.load_study(folder / "study.toml")
-    assert ("C02", "base", "B04") in inputs.extraction.rejected
+    assert ("C02", "base", "B04") in inputs.targets.extraction.rejected
 
 
 # --- what is no fault ------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from bayescal.data.simulation import build_twin, simulate_survey
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.measurement import TargetMeasurement
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import count_walkers, explore
 
@@ -39,7 +40,9 @@ def infer(twin, config, theta, seed):
     """Return z-scores and posterior ranks of the true geometry, K estimated from the targets of the same survey."""
     survey = simulate_survey(twin, np.random.default_rng(seed), theta)
     noise = 1e-3 * config.data.target_noise_um
-    inputs = StudyInputs(config, TELESCOPE, twin.mechanism, survey, extract_poses(survey, noise))
+    inputs = StudyInputs(
+        config, TELESCOPE, twin.mechanism, TargetMeasurement(survey, extract_poses(survey, noise), "robust")
+    )
     variant = inputs.variant("six_pus/matrix")
     posterior = inputs.posterior(variant, with_model_error=True)
     found = explore(posterior, np.random.SeedSequence(seed))

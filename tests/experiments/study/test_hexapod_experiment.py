@@ -19,6 +19,7 @@ from bayescal.data.simulation import Twin, build_twin, simulate_survey
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.measurement import TargetMeasurement
 from bayescal.experiments.study.schema import StudyConfig
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import count_walkers, explore
@@ -107,7 +108,7 @@ def calibrate(
     twin: Twin, config: StudyConfig, survey: Survey, poses: PoseExtraction, theta: np.ndarray, seed: int
 ) -> Outcome:
     """Return how posterior and prediction at the verification poses fare against the truth, noise-free."""
-    inputs = StudyInputs(config, FOLDER, twin.mechanism, survey, poses)
+    inputs = StudyInputs(config, FOLDER, twin.mechanism, TargetMeasurement(survey, poses, "robust"))
     posterior = inputs.posterior(inputs.variant(VARIANT), with_model_error=True)
     found = explore(posterior, np.random.SeedSequence(seed))
     walkers = count_walkers(posterior.n_parameters, 128)

@@ -10,6 +10,7 @@ from bayescal.experiments.study.page.coverage import tabulate_coverage
 from bayescal.experiments.study.page.data import tabulate_data
 from bayescal.experiments.study.page.deformation import tabulate_deformation
 from bayescal.experiments.study.page.evidence import tabulate_diagnostics, tabulate_evidence, tabulate_sensitivity
+from bayescal.experiments.study.page.frames import show_frames
 from bayescal.experiments.study.page.model_error import tabulate_model_error
 from bayescal.experiments.study.page.notation import show_notation
 from bayescal.experiments.study.page.parameter_tables import fold_parameters, state_agreement, tabulate_contraction
@@ -27,7 +28,7 @@ RANKING = (
     "parameters in mm, and rms of all in units of their prior standard deviation."
 )
 MODEL_ERROR = (
-    "τ is the standard deviation of what a model leaves unexplained along a leg, beyond the noise of targets and "
+    "τ is the standard deviation of what a model leaves unexplained along a leg, beyond the noise of {} and "
     "actuators. Where it is near zero the model suffices; where it is large the posterior widens all intervals "
     "accordingly instead of blaming the geometry."
 )
@@ -62,6 +63,7 @@ def build_page(results: Results) -> Page:
         _show_joints(study),
         _show_flexure(study),
         _show_ridges(study),
+        show_frames(study),
         _show_deformation(study),
         _show_model_error(study),
         _show_evidence(study),
@@ -132,8 +134,8 @@ def _show_ridges(study: StudyResults) -> Section:
 
 
 def _show_deformation(study: StudyResults) -> Section | None:
-    """Return what targets at the joints show; None on struts without any, where there is nothing to be said."""
-    if study.has_struts and study.ring is None:
+    """Return what targets at the joints show; None where there are none by design, on struts or of an instrument."""
+    if study.ring is None and (study.has_struts or study.instrument is not None):
         return None
     tables, statements = tabulate_deformation(study)
     blocks: list[Block] = [*statements, show.illustrate_deflections(study), *tables]
@@ -142,7 +144,8 @@ def _show_deformation(study: StudyResults) -> Section | None:
 
 def _show_model_error(study: StudyResults) -> Section:
     table, statements = tabulate_model_error(study)
-    blocks: list[Block] = [MODEL_ERROR, *statements, show.illustrate_model_error(study)]
+    text = MODEL_ERROR.format("targets" if study.instrument is None else "the instrument")
+    blocks: list[Block] = [text, *statements, show.illustrate_model_error(study)]
     if table is not None:
         blocks.append(Fold("τ of every leg, variant by variant", (table,)))
     return Section("Model error", tuple(blocks), anchor="model-error")

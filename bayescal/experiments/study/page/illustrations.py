@@ -17,7 +17,7 @@ from bayescal.experiments.study.page.figures.ridges import draw_ridges
 from bayescal.experiments.study.page.figures.sensitivity import draw_sensitivity
 from bayescal.experiments.study.page.model_error import read_prior_scale
 from bayescal.experiments.study.page.publication import cite_figure
-from bayescal.experiments.study.page.results import SETTINGS, StudyResults
+from bayescal.experiments.study.page.results import FRAME, SETTINGS, StudyResults
 from bayescal.experiments.study.page.ridges import choose_leg, rank_pairs
 from bayescal.experiments.study.page.styles import assign_styles
 from bayescal.experiments.study.page.variants import (
@@ -145,7 +145,7 @@ def illustrate_ridges(results: StudyResults) -> Figure:
     if best not in results.draws:
         reason = f"it needs the draws of {label_variant(results, best)}, whose file is not there"
         return Figure(name, NO_PAIRS, None, reason)
-    draws = results.draws[best]
+    draws = {name: x for name, x in results.draws[best].items() if not FRAME.fullmatch(name)}
     leg, pairs = choose_leg(rank_pairs(draws))
     if not pairs:
         return Figure(name, NO_PAIRS, None, "no leg has two parameters")

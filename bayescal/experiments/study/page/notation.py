@@ -32,6 +32,10 @@ STRUTS: tuple[Symbol, ...] = (
     ("l", "length of a strut at the initial position of its actuator"),
     ("rho", "position of an actuator; Δρ, its displacement from the initial position, lengthens the strut"),
 )
+FRAMES: tuple[Symbol, ...] = (
+    ("base_x … base_rz", "frame of the instrument against the base: displacement and rotation vector"),
+    ("tool_x … tool_rz", "frame of the probe against the platform: displacement and rotation vector"),
+)
 CAPTION = "Notation; subscripts x, y, z are components, a leg's number stands in the column's heading."
 
 
@@ -49,6 +53,10 @@ def show_notation(results: StudyResults) -> Section:
 
 def list_symbols(results: StudyResults) -> tuple[Symbol, ...]:
     """Return symbol and meaning of what a study's machine has; of struts only what is theirs."""
+    return (*_list_machine(results), *(FRAMES if len(results.frames) else ()))
+
+
+def _list_machine(results: StudyResults) -> tuple[Symbol, ...]:
     if not results.has_struts:
         return SYMBOLS
     there = {*list_deformations(results), *([] if results.ring is None else ["matrix"])}

@@ -118,6 +118,8 @@ def _list_lines(
 
 
 def _state_fit(results: StudyResults, variant: str, found: pd.DataFrame) -> list[Statement]:
+    if found.empty:
+        return []
     residual = found.drop_duplicates("leg").sort_values("leg")["leg_residual_rms_um"]
     low, high = (format_significant(x, 2) for x in (residual.min(), residual.max()))
     statements = [Statement(f"Least squares leave {low} to {high} µm (rms) per leg.")]

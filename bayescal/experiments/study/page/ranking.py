@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from bayescal.experiments.study.page.evidence import format_evidence
-from bayescal.experiments.study.page.results import USES, StudyResults
+from bayescal.experiments.study.page.results import USES, StudyResults, get_number
 from bayescal.experiments.study.page.variants import (
     VARIANT,
     find_best,
@@ -148,4 +148,7 @@ def _format_loo(fit: dict[str, Any]) -> Cell:
 
 
 def _format_errors(errors: dict[str, Any] | None, key: str, factor: float) -> str:
-    return NOTHING if errors is None else format_pair(factor * errors[key]["mean"], factor * errors[key]["max"], 2)
+    if errors is None:
+        return NOTHING
+    mean, largest = (factor * get_number(errors[key], which) for which in ("mean", "max"))
+    return format_pair(mean, largest, 2)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
@@ -17,7 +18,7 @@ import pandas as pd
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import SUMMARY_FILE, Results
 from bayescal.experiments.study.page.publication import Publication, read_publication
-from bayescal.experiments.study.schema import name_variant, stem_of
+from bayescal.experiments.study.schema import stem_of
 from bayescal.report.reading import NUMBER, Kinds, check_keys
 from bayescal.report.symbols import split_name
 
@@ -39,11 +40,10 @@ SUMMARY_KEYS: dict[str, Kinds] = {
     "title": str,
     "data_origin": str,
     "n_poses": dict,
-    "pose_extraction": dict,
     "variants": dict,
     "ranking": list,
 }
-OPTIONAL_KEYS: dict[str, Kinds] = {"models": dict, "drive": str}
+OPTIONAL_KEYS: dict[str, Kinds] = {"models": dict, "drive": str, "instrument": dict, "own_names": dict}
 FIT_KEYS: dict[str, Kinds] = {
     **dict.fromkeys(("n_parameters", "log_evidence", "log_evidence_se", "elpd_loo", "elpd_loo_se"), NUMBER),
     **dict.fromkeys(("elpd_loo_n_bad_k", "elpd_loo_pareto_k_max", "rhat_max", "ess_bulk_min", "ess_tail_min"), NUMBER),
@@ -106,6 +106,8 @@ TABLE_COLUMNS = {
     "claims": ("claim", "section", "statement", "expected", "found", "value", "unit", "verdict", "why"),
 }
 REQUIRED = ("predictions", "sensitivity", "least_squares")
+NEEDING_POSES = "least_squares"  # is not there where an instrument measures poses in part or in a frame of its own
+FRAME = re.compile(r"(base[1-9]?|tool)_r?[xyz]")
 TOGETHER = ("ring", "deformation")  # both are there, or neither
 
 
@@ -118,7 +120,7 @@ class StudyResults:
     summary, config : dict
         As JSON has them.
     predictions, sensitivity, least_squares : DataFrame
-        Tables of the study.
+        Tables of the study; without rows the last where no least squares was done.
     ring, deformation : DataFrame or None
         Deflections of the joints and what follows from them; None without targets on the pads.
     claims : DataFrame or None
@@ -156,8 +158,10 @@ class StudyResults:
         folder = results.folder or Path()
         summary, path = results.summary, folder / SUMMARY_FILE
         _check_summary(summary, path)
-        tables = _take_tables(results, folder / "tables")
+        required = [name for name in REQUIRED if name != NEEDING_POSES or "instrument" not in summary]
+        tables = _take_tables(results, folder / "tables", required)
         _check_tables(tables, summary["ranking"], folder / "tables")
+        tables.setdefault(NEEDING_POSES, pd.DataFrame(columns=list(TABLE_COLUMNS[NEEDING_POSES])))
         publication = read_publication(summary, path)
         if "claims" in tables and publication is None:
             raise InputError(f"{path}: publication: found nothing, expected the one whose claims are tested")
@@ -167,14 +171,8 @@ class StudyResults:
     @cached_property
     def own_names(self) -> dict[str, tuple[str, str]]:
         """Model and deformation of the variants that have names of their own."""
-        entries = [
-            (one.get("name"), one.get("model"), one.get("deformation")) for one in self.config.get("variants", [])
-        ]
-        return {
-            str(name): (str(model), str(deformation))
-            for name, model, deformation in entries
-            if name not in (None, name_variant(model, deformation))
-        }
+        named = self.summary.get("own_names", {})
+        return {name: (one["model"], one["deformation"]) for name, one in named.items()}
 
     @property
     def ranking(self) -> list[str]:
@@ -208,9 +206,27 @@ class StudyResults:
             for variant in self.ranking:
                 yield variant, setting, self.fit(variant, setting)
 
-    @cached_property
+    @property
+    def instrument(self) -> dict[str, Any] | None:
+        """What instrument measured, and what it read; None for photogrammetry."""
+        return self.summary.get("instrument")
+
+    @property
     def parameters(self) -> pd.DataFrame:
-        """One row per posterior and parameter; ``leg`` is zero for the machine's own parameters."""
+        """One row per posterior and parameter of the machine; ``leg`` is zero where a parameter belongs to none."""
+        return self._all_parameters[~self._of_frames]
+
+    @property
+    def frames(self) -> pd.DataFrame:
+        """The same of the frames of instrument and tool that were found; no rows where they were known."""
+        return self._all_parameters[self._of_frames]
+
+    @property
+    def _of_frames(self) -> pd.Series:
+        return self._all_parameters["symbol"].map(lambda symbol: bool(FRAME.fullmatch(symbol)))
+
+    @cached_property
+    def _all_parameters(self) -> pd.DataFrame:
         rows = []
         for variant, setting, fit in self.fits():
             for name, values in fit["parameters"].items():
@@ -230,11 +246,11 @@ class StudyResults:
         return sorted({*self.parameters["leg"], *self.least_squares["leg"]} - {0})
 
 
-def _take_tables(results: Results, folder: Path) -> dict[str, pd.DataFrame]:
+def _take_tables(results: Results, folder: Path, required: Iterable[str]) -> dict[str, pd.DataFrame]:
     """Return the tables that are there, by name; each has its columns, and those that are no texts hold numbers."""
     tables = {name: results.table(name) for name in TABLE_COLUMNS}
     there = {name: table for name, table in tables.items() if not table.empty}
-    needed = (*REQUIRED, *(TOGETHER if set(TOGETHER) & set(there) else ()))
+    needed = (*required, *(TOGETHER if set(TOGETHER) & set(there) else ()))
     for name in needed:
         if name not in there:
             raise InputError(f"{folder / name}.csv: found no rows, expected a study's table")
@@ -249,7 +265,7 @@ def _take_tables(results: Results, folder: Path) -> dict[str, pd.DataFrame]:
 
 
 def _check_tables(tables: Mapping[str, pd.DataFrame], variants: list[str], folder: Path) -> None:
-    for name in REQUIRED:
+    for name in (one for one in REQUIRED if one in tables):
         missing = [variant for variant in variants if variant not in set(tables[name]["variant"])]
         if missing:
             raise InputError(f"{folder / name}.csv: found no row of {missing[0]!r}, expected all variants")
@@ -284,11 +300,16 @@ def _check_claims(claims: pd.DataFrame, path: Path) -> None:
 def _check_summary(summary: dict[str, Any], path: Path) -> None:
     check_keys(summary, SUMMARY_KEYS, path, "")
     check_keys(summary["n_poses"], dict.fromkeys(USES, NUMBER), path, "n_poses.")
-    extraction: dict[str, Kinds] = {"method": str, "rejected_targets": list}
-    check_keys(summary["pose_extraction"], extraction, path, "pose_extraction.")
+    if "instrument" not in summary:
+        extraction: dict[str, Kinds] = {"method": str, "rejected_targets": list}
+        check_keys(summary, {"pose_extraction": dict}, path, "")
+        check_keys(summary["pose_extraction"], extraction, path, "pose_extraction.")
     check_keys(summary, {key: kind for key, kind in OPTIONAL_KEYS.items() if key in summary}, path, "")
     models = summary.get("models", {})
     check_keys(models, dict.fromkeys(models, str), path, "models.")
+    for name, one in summary.get("own_names", {}).items():
+        check_keys(summary["own_names"], {name: dict}, path, "own_names.")
+        check_keys(one, {"model": str, "deformation": str}, path, f"own_names.{name}.")
     if summary.get("drive", BASE) not in (BASE, STRUT):
         raise InputError(f"{path}: drive: found {summary['drive']!r}, expected {BASE} or {STRUT}")
     if not summary["variants"] or sorted(summary["ranking"]) != sorted(summary["variants"]):
@@ -314,7 +335,8 @@ def _check_fit(fit: dict[str, Any], uses: list[str], path: Path, where: str) -> 
         check_keys(fit, {use: dict}, path, where)
         check_keys(fit[use], ERROR_KEYS, path, f"{where}{use}.")
         for key in ("position_error_mm", "orientation_error_deg"):
-            check_keys(fit[use][key], dict.fromkeys(("mean", "max"), NUMBER), path, f"{where}{use}.{key}.")
+            sizes = (*NUMBER, type(None))  # nothing where it was not measured
+            check_keys(fit[use][key], dict.fromkeys(("mean", "max"), sizes), path, f"{where}{use}.{key}.")
 
 
 def _read_posteriors(folder: Path, variants: list[str]) -> dict[str, dict[str, Array]]:

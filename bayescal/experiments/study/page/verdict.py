@@ -30,6 +30,7 @@ from bayescal.report.blocks import Statement
 from bayescal.report.numbers import (
     MICROMETRES,
     MILLIDEGREES,
+    NOTHING,
     format_fixed,
     format_odds,
     format_plain,
@@ -180,20 +181,29 @@ def _state_pairs(results: StudyResults) -> list[Statement]:
     return [Statement(text, lead="Pairs")]
 
 
+ERRORS = (
+    ("position_error_mm", MICROMETRES, "µm", "position"),
+    ("orientation_error_deg", MILLIDEGREES, "mdeg", "orientation"),
+)
+
+
 def _state_accuracy(results: StudyResults) -> Statement:
     use = "verification" if results.n_verification else "calibration"
     leaders = find_leaders(results)
     texts = {}
-    for key, factor in (("position_error_mm", MICROMETRES), ("orientation_error_deg", MILLIDEGREES)):
+    for key, factor, _, _ in ERRORS:
         for which in ("mean", "max"):
-            values = [factor * results.fit(name, "free")[use][key][which] for name in leaders]
+            values = [factor * get_number(results.fit(name, "free")[use][key], which) for name in leaders]
             words = dict.fromkeys(format_significant(x, 2) for x in (min(values), max(values)))
             texts[key, which] = " to ".join(words)
     held = "held back from the fit" if results.n_verification else "used in the fit; none were held back"
+    errors = [
+        f"{texts[key, 'mean']} {unit} mean and {texts[key, 'max']} {unit} largest {what} error"
+        for key, _, unit, what in ERRORS
+        if texts[key, "mean"] != NOTHING
+    ]
     return Statement(
-        f"{name_variants(results, leaders)}: {texts['position_error_mm', 'mean']} µm mean and "
-        f"{texts['position_error_mm', 'max']} µm largest position error, {texts['orientation_error_deg', 'mean']} mdeg "
-        f"mean and {texts['orientation_error_deg', 'max']} mdeg largest orientation error on the "
+        f"{name_variants(results, leaders)}: {', '.join(errors)} on the "
         f"{results.summary['n_poses'][use]} {use} poses ({held}).",
         lead="Accuracy",
     )

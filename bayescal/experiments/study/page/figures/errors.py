@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 
-from bayescal.experiments.study.page.figures.overview import QUANTITIES
+from bayescal.experiments.study.page.figures.overview import list_quantities
 from bayescal.experiments.study.page.results import SETTINGS
 from bayescal.experiments.study.page.styles import Styles
 from bayescal.report.numbers import MICROMETRES, format_plain, format_significant
@@ -40,11 +40,12 @@ def draw_error_bars(predictions: pd.DataFrame, variants: Sequence[str], styles: 
     figure.set_layout_engine("none")  # fixed margins take half the time
     frame = predictions[predictions["model_error"] == "free"]
     uses = [use for use in SHADES if (frame["use"] == use).any()]
-    panels = figure.subplots(1, 2, gridspec_kw=MARGINS)
+    quantities = list_quantities(predictions)
+    panels = figure.subplots(1, len(quantities), gridspec_kw=MARGINS, squeeze=False)[0]
     models, deformations = ({getattr(styles[name], what) for name in variants} for what in ("model", "deformation"))
     by_model = len(models) > 1 and len(deformations) == 1
     labels = [styles[name].model if by_model else styles[name].label for name in variants]
-    for axes, (column, factor, label) in zip(panels, QUANTITIES, strict=True):
+    for axes, (column, factor, label) in zip(panels, quantities, strict=True):
         errors = factor * frame.groupby(["variant", "use"])[column].agg(["mean", "max"])
         for k, name in enumerate(variants):
             for use, side in zip(uses, (-1, 1) if len(uses) > 1 else (0,), strict=True):
@@ -59,7 +60,7 @@ def draw_error_bars(predictions: pd.DataFrame, variants: Sequence[str], styles: 
     colours = {styles[name].colour for name in variants}
     colour = colours.pop() if len(colours) == 1 else GREY
     panels[0].set_title(title)
-    panels[1].legend(
+    panels[-1].legend(
         handles=[Patch(color=colour, alpha=SHADES[use], linewidth=0, label=f"{use} poses") for use in uses],
         loc="lower right",
         bbox_to_anchor=(1.0, 1.0),

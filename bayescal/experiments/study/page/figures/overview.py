@@ -21,6 +21,11 @@ QUANTITIES = (
 THICKNESS = 0.62
 
 
+def list_quantities(predictions: pd.DataFrame) -> list[tuple[str, float, str]]:
+    """Return column, factor and label of the errors that were measured."""
+    return [one for one in QUANTITIES if predictions[one[0]].notna().any()]
+
+
 def draw_overview(
     groups: Sequence[Sequence[str]],
     behind: Mapping[tuple[str, str], float],
@@ -28,7 +33,7 @@ def draw_overview(
     use: str,
     styles: Styles,
 ) -> Figure:
-    """Return three panels with a row per variant: evidence, position error, orientation error.
+    """Return panels with a row per variant: evidence, position error, orientation error where it was measured.
 
     Parameters
     ----------
@@ -44,12 +49,13 @@ def draw_overview(
     """
     names = [name for group in groups for name in group]
     figure = Figure(figsize=(9.4, 0.75 + 0.265 * len(names)))
-    axes = figure.subplots(1, 3, sharey=True)
+    quantities = list_quantities(predictions)
+    axes = figure.subplots(1, 1 + len(quantities), sharey=True)
     for panel in axes:
         _draw_bands(panel, groups)
     _draw_evidence(axes[0], names, behind, styles)
     chosen = predictions[predictions["use"] == use]
-    for panel, (column, factor, label) in zip(axes[1:], QUANTITIES, strict=True):
+    for panel, (column, factor, label) in zip(axes[1:], quantities, strict=True):
         _draw_errors(panel, names, chosen, column, factor, styles)
         panel.set_xlabel(f"{label}, {use}")
     axes[0].set_yticks(range(len(names)), [styles[name].label for name in names])

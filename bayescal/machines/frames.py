@@ -21,12 +21,23 @@ def frame_symbols(frame: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return tuple(f"{frame}_{axis}" for axis in AXES), tuple(f"{frame}_r{axis}" for axis in AXES)
 
 
-FRAME_BLOCKS = tuple(
-    ParameterBlock(symbol, (0.0,), unit, per_leg=False)
-    for frame in FRAMES
-    for symbols, unit in zip(frame_symbols(frame), ("mm", "rad"), strict=True)
-    for symbol in symbols
-)
+def name_frames(n_stations: int) -> tuple[str, ...]:
+    """Return the names of all frames: ``base`` of one instrument, ``base1`` ... of several stations, then the tool."""
+    bases = ("base",) if n_stations == 1 else tuple(f"base{station}" for station in range(1, n_stations + 1))
+    return (*bases, "tool")
+
+
+def frame_blocks(n_stations: int) -> tuple[ParameterBlock, ...]:
+    """Return the parameters of all frames, six of each, in the order of `name_frames`."""
+    return tuple(
+        ParameterBlock(symbol, (0.0,), unit, per_leg=False)
+        for frame in name_frames(n_stations)
+        for symbols, unit in zip(frame_symbols(frame), ("mm", "rad"), strict=True)
+        for symbol in symbols
+    )
+
+
+FRAME_BLOCKS = frame_blocks(1)
 N_FRAME_PARAMETERS = len(FRAME_BLOCKS)
 
 

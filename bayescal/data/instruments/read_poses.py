@@ -1,0 +1,115 @@
+"""A table of measured poses, whole or in part, with their covariances.
+
+One row a pose: position in mm and rotation vector in degrees, as `bayescal poses-from-targets` writes them, covariance
+in µm and µrad, or standard deviations. What was not measured is a column that is missing or a cell that is empty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.data.actuators import name_actuators
+from bayescal.data.instruments.poses import COORDINATES, PoseReadings
+from bayescal.data.instruments.tables import (
+    Taken,
+    check_positive,
+    choose_noise,
+    name_covariances,
+    read_covariances,
+    read_taken,
+)
+from bayescal.errors import InputError
+from bayescal.files.csv_tables import Table, read_table
+from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import ARCSECOND, MICROMETRE
+
+VALUES = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+DEVIATIONS = ("sd_x_um", "sd_y_um", "sd_z_um", "sd_rx_urad", "sd_ry_urad", "sd_rz_urad")
+MICRORADIAN = 1e-6
+UNITS = np.array([MICROMETRE] * 3 + [MICRORADIAN] * 3)
+KEYS = "position_um and orientation_arcsec"
+
+
+@dataclass(frozen=True)
+class PoseNoise:
+    """Standard deviations of all positions (µm) and orientations (arcsec), where the table does not state them."""
+
+    position_um: float | None = None
+    orientation_arcsec: float | None = None
+
+    @property
+    def is_stated(self) -> bool:
+        """Whether there is any."""
+        return self.position_um is not None or self.orientation_arcsec is not None
+
+
+def read_poses(path: Path, actuators: Path | None, noise: PoseNoise, n_legs: int) -> tuple[PoseReadings, Taken]:
+    """Return measured poses, and when they were taken.
+
+    Raises
+    ------
+    InputError
+        For unknown columns, a pose without any coordinate, a covariance that is not positive, noise that is stated
+        twice or not at all, and what `read_taken` refuses.
+    """
+    upper, lower = name_covariances(COORDINATES)
+    table = read_table(path, ("pose",), ("use", *VALUES, *DEVIATIONS, *upper, *lower, *name_actuators(n_legs)))
+    taken = read_taken(table, actuators, n_legs)
+    values = _read_values(table)
+    covariance = _read_noise(table, noise, np.isfinite(values))
+    check_positive(table, covariance, np.isfinite(values))
+    return PoseReadings(taken.names, taken.actuators, values, covariance * np.outer(UNITS, UNITS)), taken
+
+
+def _read_values(table: Table) -> Array:
+    """Return positions (mm) and rotation vectors (rad), shape (P, 6), NaN where not measured."""
+    values = np.full((len(table.rows), len(VALUES)), np.nan)
+    there = [k for k, name in enumerate(VALUES) if name in table.columns]
+    if not there:
+        raise InputError(f"{table.path}: found no coordinate, expected some of the columns {', '.join(VALUES)}")
+    values[:, there] = table.numbers([VALUES[k] for k in there], gaps=True)
+    for row, one in enumerate(np.isfinite(values)):
+        if not one.any():
+            raise InputError(f"{table.where(row)}: found no coordinate, expected one at least")
+    largest = np.nanmax(np.abs(values[:, 3:]), axis=1, initial=0.0)
+    if (largest > 180.0).any():
+        row = int(np.argmax(largest > 180.0))
+        raise InputError(
+            f"{table.where(row)}: found a rotation vector of {largest[row]:g} deg, expected at most 180 deg"
+        )
+    return np.concatenate([values[:, :3], np.radians(values[:, 3:])], axis=1)
+
+
+def _read_noise(table: Table, noise: PoseNoise, measured: np.ndarray) -> Array:
+    """Return the covariances (P, 6, 6) in µm and µrad."""
+    covariance = read_covariances(table, COORDINATES, measured)
+    deviations = [k for k, name in enumerate(DEVIATIONS) if name in table.columns]
+    if covariance is not None and deviations:
+        raise InputError(f"{table.path}: found standard deviations beside covariances, expected either")
+    stated = covariance is not None or bool(deviations)
+    choose_noise(table.path, stated, noise.is_stated, "cov_x_x ... cov_rz_rz or sd_x_um ... sd_rz_urad", KEYS)
+    if covariance is not None:
+        return covariance
+    sd = np.full(measured.shape, np.nan)
+    if deviations:
+        sd[:, deviations] = table.numbers([DEVIATIONS[k] for k in deviations], gaps=True)
+        names = DEVIATIONS
+    else:
+        if noise.position_um is not None:
+            sd[:, :3] = noise.position_um
+        if noise.orientation_arcsec is not None:
+            sd[:, 3:] = noise.orientation_arcsec * ARCSECOND / MICRORADIAN
+        names = ("position_um",) * 3 + ("orientation_arcsec",) * 3
+    missing = measured & ~np.isfinite(sd)
+    if missing.any():
+        row, k = np.argwhere(missing)[0]
+        raise InputError(f"{table.where(row)}: {VALUES[k]}: found no {names[k]}, expected its noise")
+    if (measured & ~(sd > 0.0)).any():
+        row, k = np.argwhere(measured & ~(sd > 0.0))[0]
+        raise InputError(f"{table.where(row)}: {names[k]}: found {sd[row, k]:g}, expected above 0")
+    sd = np.where(measured, sd, 1.0)
+    result: Array = np.eye(len(VALUES)) * sd[:, None, :] ** 2
+    return result

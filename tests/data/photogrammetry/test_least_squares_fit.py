@@ -1,0 +1,63 @@
+"""Plain least squares of targets: three are enough, its covariance is right, and what it refuses names the noise."""
+
+import re
+
+import numpy as np
+import pytest
+import studies
+
+from bayescal.data.photogrammetry.least_squares_fit import fit_least_squares
+from bayescal.errors import InputError, PoseInputError
+from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
+
+NOISE = 3e-3
+CORNERS = np.array([[100.0, 0.0, 0.0], [-50.0, 80.0, 10.0], [-60.0, -70.0, -20.0]])
+
+
+def see(reference, n, rng, noise=NOISE):
+    rotation = matrix_from_rotation_vector(rng.uniform(-1.0, 1.0, (n, 3)))
+    position = rng.uniform(-1e3, 1e3, (n, 3))
+    measured = position[:, None] + reference @ np.swapaxes(rotation, -1, -2)
+    return position, rotation, measured + rng.normal(0.0, noise, measured.shape)
+
+
+@pytest.mark.parametrize("n_targets", [3, 4, 12])
+def test_errors_are_those_of_the_covariance(n_targets, rng):
+    """Normalised squares of 4,000 pose errors have the mean and the variance of χ² with six degrees of freedom."""
+    reference = np.concatenate([CORNERS, rng.uniform(-100.0, 100.0, (n_targets - 3, 3))])
+    position, rotation, measured = see(reference, 4000, rng)
+    fit = fit_least_squares(reference, measured, NOISE)
+    error = compute_pose_error(position, rotation, fit.position, fit.rotation)
+    square = np.einsum("pi,pij,pj->p", error, np.linalg.inv(fit.covariance), error)
+    assert abs(square.mean() - 6.0) < 4.0 * np.sqrt(12.0 / 4000)
+    assert abs(fit.chi2.mean() - fit.dof[0]) < 4.0 * np.sqrt(2.0 * fit.dof[0] / 4000)
+
+
+def test_what_is_refused_names_the_noise_stated_and_seen(rng):
+    _, _, measured = see(CORNERS, 5, rng)
+    _, _, measured[3:4] = see(CORNERS, 1, rng, 0.5)
+    with pytest.raises(PoseInputError, match=r"noise stated 3 µm, noise seen \d+ µm") as caught:
+        fit_least_squares(CORNERS, measured, NOISE)
+    assert caught.value.index == 3
+    seen = float(re.search(r"noise seen (\d+)", str(caught.value))[1])
+    assert 50.0 < seen < 1500.0
+
+
+def test_two_targets_are_too_few(rng):
+    _, _, measured = see(CORNERS, 2, rng)
+    measured[1, 0] = np.nan
+    with pytest.raises(PoseInputError, match="found 2 seen targets, expected at least 3"):
+        fit_least_squares(CORNERS, measured, NOISE)
+
+
+def test_a_study_takes_least_squares_and_names_the_pose_it_refuses(tmp_path):
+    config = studies.write_tiny_study(tmp_path)
+    studies.edit(config, "target_noise_um = 3.0", 'target_noise_um = 3.0\npose_method = "least_squares"')
+    robust = studies.write_tiny_study(tmp_path / "robust")
+    plain, other = studies.load_study(config), studies.load_study(robust)
+    sd = np.sqrt(np.diagonal(plain.measured.poses.covariance, axis1=1, axis2=2))[:, :3]
+    assert (np.abs(plain.measured.poses.position - other.measured.poses.position) < 2.0 * sd).all()
+    assert (sd < np.sqrt(np.diagonal(other.measured.poses.covariance, axis1=1, axis2=2))[:, :3]).all()
+    studies.edit(config, "target_noise_um = 3.0", "target_noise_um = 0.3")
+    with pytest.raises(InputError, match=r"pose 'C\d+': base: found residuals .* noise stated 0\.3 µm, noise seen "):
+        studies.load_study(config)

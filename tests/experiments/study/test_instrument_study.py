@@ -1,0 +1,371 @@
+"""Studies by an instrument: poses fed back from targets, tracked points, and every fault of their tables."""
+
+import re
+import shutil
+
+import numpy as np
+import pytest
+import studies
+
+from bayescal.data.simulation import POSE_COORDINATES, build_twin
+from bayescal.data.truth import PARAMETER_COLUMNS
+from bayescal.experiments.frame.run import compute_experiment
+from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.study.tables import format_poses
+from bayescal.files.csv_tables import read_table
+from bayescal.inference.mode import find_modes
+from bayescal.machines.kinematics import solve_forward_kinematics
+
+FRAMES = "[frames]\nbase = { position = 0.5, rotation = 0.05 }\ntool = { position = 0.5, rotation = 0.05 }\n\n"
+TARGETS = """targets = "data/targets.csv"
+actuators = "data/actuators.csv"
+reference = "data/target_reference.csv"
+target_noise_um = 3.0
+"""
+POSES = """measurement = "poses"
+poses = "data/poses.csv"
+actuators = "data/actuators.csv"
+"""
+POINTS = """measurement = "points"
+points = "data/points.csv"
+probe = "probe.csv"
+stations = "stations.csv"
+actuators = "data/actuators.csv"
+range_um = 5.0
+range_ppm = 0.5
+azimuth_arcsec = 1.0
+elevation_arcsec = 1.0
+"""
+INSTRUMENT = """
+[instrument]
+kind = "points"
+probe = "probe.csv"
+stations = "stations.csv"
+range_um = 5.0
+range_ppm = 0.5
+azimuth_arcsec = 1.0
+elevation_arcsec = 1.0
+missed = 0.3
+
+[instrument.frames]
+base = [{ position_mm = [0.3, -0.2, 0.1], rotation_deg = [0.02, 0.01, -0.03] }, { position_mm = [-0.4, 0.2, 0.3] }]
+tool = { position_mm = [0.2, 0.5, -0.1] }
+"""
+PROBE = """point,x_mm,y_mm,z_mm
+P1,100,0,40
+P2,-60,80,20
+P3,-50,-90,60
+P4,10,20,150
+"""
+STATIONS = """station,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg
+north,2000,100,300,0,0,160
+south,-1500,-1200,200,0,0,20
+"""
+
+
+@pytest.fixture(scope="module")
+def fed(tmp_path_factory):
+    """Return a folder with a tiny study by targets, and the same by the poses extracted from them."""
+    folder = tmp_path_factory.mktemp("fed")
+    config = studies.write_tiny_study(folder)
+    studies.edit(config, 'deformation = "matrix"', 'deformation = "linear"')
+    (folder / "data" / "poses.csv").write_text(format_poses(studies.load_study(config)))
+    (folder / "poses.toml").write_text(config.read_text().replace(TARGETS, POSES))
+    return folder
+
+
+def write_points(folder):
+    """Write the tiny twin's points as two stations see them, and its study."""
+    config = studies.write_tiny_study(folder)
+    studies.edit(config, 'deformation = "matrix"', 'deformation = "linear"')
+    studies.write_texts(folder, {"probe.csv": PROBE, "stations.csv": STATIONS})
+    text = (folder / "simulate.toml").read_text()
+    text = text[: text.index("[targets]")].replace("target_um = 3.0\n", "") + INSTRUMENT
+    text = re.sub(r"kappa = \[.*\]\n", "", text).replace('deformation_matrix = "deformation_matrix.csv"\n', "")
+    (folder / "simulate.toml").write_text(text)
+    made = compute_experiment(load_simulation(folder / "simulate.toml"), folder).files
+    studies.write_texts(folder, {f"data/{name}": str(one) for name, one in made.items()})
+    text = config.read_text().replace(TARGETS, POINTS).replace("[parameters]\n", FRAMES + "[parameters]\n")
+    (folder / "points.toml").write_text(text)
+    return folder / "points.toml"
+
+
+@pytest.fixture(scope="module")
+def pointed(tmp_path_factory):
+    return write_points(tmp_path_factory.mktemp("pointed"))
+
+
+@pytest.fixture
+def copied(fed, tmp_path):
+    shutil.copytree(fed, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def compare_modes(one, other):
+    """Return differences of log-evidence (Laplace) and of the modes in posterior sds, variant by variant."""
+    for variant in one.config.variants:
+        first, second = (inputs.posterior(variant, with_model_error=True) for inputs in (one, other))
+        a, b = find_modes(first)[0], find_modes(second)[0]
+        assert first.names == second.names
+        yield abs(a.log_evidence - b.log_evidence), np.abs((a.y - b.y) / np.sqrt(np.diagonal(a.covariance))).max()
+
+
+def test_poses_fed_back_are_the_targets(fed):
+    """The digits of the table are all that is lost."""
+    one, other = studies.load_study(fed / "study.toml"), studies.load_study(fed / "poses.toml")
+    np.testing.assert_allclose(other.measured.poses.position, one.measured.poses.position, atol=1e-7)
+    np.testing.assert_allclose(other.measured.poses.covariance, one.measured.poses.covariance, rtol=1e-5, atol=1e-16)
+    for evidence, mean in compare_modes(one, other):
+        assert evidence < 0.02
+        assert mean < 0.02
+
+
+@pytest.mark.slow
+def test_poses_of_the_telescope_fed_back_give_its_evidence(tmp_path):
+    """By sampling, as the study itself does; κ free in place of K, which targets alone tell."""
+    from bayescal.experiments.study.fit import Task, run_task
+
+    shutil.copytree(studies.TELESCOPE, tmp_path, dirs_exist_ok=True)
+    config = tmp_path / "study.toml"
+    (tmp_path / "data" / "poses.csv").write_text(format_poses(studies.load_study(config)))
+    text = config.read_text().replace('matrix = "targets"', 'matrix = "unused.csv"').replace('claims = "rr8096"\n', "")
+    for start in ("targets =", "reference =", "target_noise_um =", "pose_method ="):
+        text = re.sub(rf"^{start}.*\n", "", text, flags=re.MULTILINE)
+    text = text.replace("[data]\n", '[data]\nmeasurement = "poses"\nposes = "data/poses.csv"\n')
+    blocks = text.split("[[variants]]")
+    kept = [b for b in blocks[1:] if '"matrix"' not in b and '"six_pus"' in b]
+    tail = blocks[-1][blocks[-1].index("[sampler]") :]
+    (tmp_path / "unused.csv").write_text("k1,k2,k3,k4,k5,k6\n" + "0,0,0,0,0,0\n" * 6)
+    (tmp_path / "poses.toml").write_text("[[variants]]".join([blocks[0], *kept]) + tail)
+    one, other = studies.load_study(config), studies.load_study(tmp_path / "poses.toml")
+    for variant in other.config.variants:
+        first, second = (run_task(inputs, Task(variant.name, True)) for inputs in (one, other))
+        assert abs(first["importance"][0] - second["importance"][0]) < 0.02
+        assert np.abs((first["mean"] - second["mean"]) / first["sd"]).max() < 0.02
+
+
+def test_points_of_two_stations_find_the_machine_and_their_frames(pointed):
+    """Every parameter within four posterior sds of the truth, a third of the points unseen."""
+    inputs = studies.load_study(pointed)
+    posterior = inputs.posterior(inputs.config.variants[0], with_model_error=False)
+    mode = find_modes(posterior)[0]
+    assert mode.converged
+    truth = dict.fromkeys(posterior.names, 0.0)
+    truth |= {f"base1_{axis}": x for axis, x in zip("xyz", (0.3, -0.2, 0.1), strict=True)}
+    truth |= {f"base1_r{axis}": np.radians(x) for axis, x in zip("xyz", (0.02, 0.01, -0.03), strict=True)}
+    truth |= {f"base2_{axis}": x for axis, x in zip("xyz", (-0.4, 0.2, 0.3), strict=True)}
+    truth |= {f"tool_{axis}": x for axis, x in zip("xyz", (0.2, 0.5, -0.1), strict=True)}
+    nominal = dict(zip(posterior.likelihood.layout.names, posterior.likelihood.layout.nominal, strict=True))
+    offsets = (0.37, -0.45, 1.02, 0.25, 0.43, 0.58)
+    truth |= {f"l[{leg}]": nominal[f"l[{leg}]"] + x for leg, x in enumerate(offsets, start=1)}
+    sd = np.array([posterior.priors[name].sd for name in posterior.names]) * np.sqrt(np.diagonal(mode.covariance))
+    z = (posterior.natural(mode.y[None])[0] - [truth[name] for name in posterior.names]) / sd
+    assert np.abs(z).max() < 4.0
+    assert sd.min() < 0.02 * 0.5  # so that it is not the prior that says so
+
+
+def test_positions_alone_are_a_study_with_a_page(fed, tmp_path, call):
+    table = (fed / "data" / "poses.csv").read_text().splitlines()
+    head = next(row for row in table if row.startswith("pose,")).split(",")
+    kept = [k for k, name in enumerate(head) if not re.search(r"r[xyz]", name)]
+    rows = [row if row.startswith("#") else ",".join(row.split(",")[k] for k in kept) for row in table]
+    (fed / "data" / "positions.csv").write_text("\n".join(rows) + "\n")
+    text = (fed / "poses.toml").read_text().replace("poses.csv", "positions.csv")
+    text = text.replace("[parameters]\n", FRAMES + "[parameters]\n")
+    text = re.sub(r"kappa = \{.*\n", "", text)
+    first = text.index("[[variants]]")
+    second = text.index("[[variants]]", first + 1)
+    (fed / "positions.toml").write_text(text[:second] + text[text.index("[sampler]") :])
+    code, _, err = call("run", fed / "positions.toml", "--out", tmp_path / "out", "--quiet")
+    assert code in (0, 3), err  # so few steps may not converge
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Frames of instrument and tool" in page or "Frames found" in page
+    assert "orientation error" not in page.split("Accuracy")[1][:400]
+    assert "noise of the instrument and actuators" in page
+    assert "Rejected targets" not in page
+    assert "base" in (tmp_path / "out" / "tables" / "parameters.csv").read_text()
+
+
+def test_a_factor_widens_the_priors_of_frames_too(pointed):
+    inputs = studies.load_study(pointed)
+    own, wide = (inputs.priors(inputs.config.variants[0], factor)[0] for factor in (1.0, 2.5))
+    assert {name[:4] for name in own} == {"l[1]", "l[2]", "l[3]", "l[4]", "l[5]", "l[6]", "base", "tool"}
+    assert {name: prior.sd for name, prior in wide.items()} == {name: 2.5 * prior.sd for name, prior in own.items()}
+
+
+def test_the_truth_stands_beside_simulated_readings(pointed):
+    """Of machine and platform, not of frames, which the config states; fed back it is the same machine."""
+    folder = pointed.parent
+    inputs = studies.load_study(pointed)
+    twin = build_twin(load_simulation(folder / "simulate.toml"), folder)
+    parameters = read_table(folder / "data" / "true_parameters.csv", PARAMETER_COLUMNS)
+    assert parameters.text("parameter") == list(twin.machine.layout.names)
+    poses = read_table(folder / "data" / "true_poses.csv", ("pose", *POSE_COORDINATES))
+    assert poses.text("pose") == list(inputs.names)
+    commanded = solve_forward_kinematics(twin.machine, twin.theta, inputs.measured.actuators)
+    off = np.abs(commanded.position - poses.numbers(POSE_COORDINATES[:3]))
+    assert 1e-4 < off.max() < 0.05  # the actuators' 1 µm, some times over
+    text = (folder / "simulate.toml").read_text()
+    fed = folder / "fed_back.toml"
+    truth = re.sub(
+        r"\[truth.*?(?=\n\[poses\])", '[truth]\nparameters = "data/true_parameters.csv"\n', text, flags=re.DOTALL
+    )
+    fed.write_text(truth)
+    made = compute_experiment(load_simulation(fed), folder).files
+    assert {name: (folder / "data" / name).read_text() for name in made} == made
+
+
+# --- faults ------------------------------------------------------------------------------------------------------
+
+
+def swap_column(name, other):
+    return lambda text: text.replace(name, other)
+
+
+def scale_columns(names, factor):
+    def change(text):
+        rows = text.splitlines()
+        start = next(k for k, row in enumerate(rows) if row.startswith("pose,"))
+        index = [rows[start].split(",").index(name) for name in names]
+        for k in range(start + 1, len(rows)):
+            cells = rows[k].split(",")
+            for i in index:
+                cells[i] = f"{float(cells[i]) * factor:.12g}"
+            rows[k] = ",".join(cells)
+        return "\n".join(rows) + "\n"
+
+    return change
+
+
+def set_cell(row_start, name, value):
+    def change(text):
+        rows = text.splitlines()
+        head = next(row for row in rows if row.startswith("pose,")).split(",")
+        k = next(k for k, row in enumerate(rows) if row.startswith(row_start))
+        cells = rows[k].split(",")
+        cells[head.index(name)] = value
+        rows[k] = ",".join(cells)
+        return "\n".join(rows) + "\n"
+
+    return change
+
+
+POSE_FAULTS = {
+    "no columns": ("data/poses.csv", lambda text: re.sub("pose,use.*", "pose,use,foo", text), "found column 'foo'"),
+    "another unit": ("data/poses.csv", swap_column("rx_deg", "rx_rad"), "found column 'rx_rad', did you mean 'rx_deg'"),
+    "metres": ("data/poses.csv", scale_columns(("x_mm", "y_mm", "z_mm"), 1e-3), "as if in metres, expected mm"),
+    "radians": (
+        "data/poses.csv",
+        scale_columns(("rx_deg", "ry_deg", "rz_deg"), np.pi / 180),
+        "as if in radians, expected degrees",
+    ),
+    "negative variance": ("data/poses.csv", set_cell("C03,", "cov_x_x", "-1"), "found a variance of -1"),
+    "no covariance": ("data/poses.csv", set_cell("C03,", "cov_x_y", "1e6"), "not positive definite"),
+    "missing entry": ("data/poses.csv", set_cell("C03,", "cov_x_y", ""), "cov_x_y: found nothing"),
+    "no coordinate": (
+        "data/poses.csv",
+        lambda text: re.sub(r"^C03,calibration(,[^,]*){6}", "C03,calibration,,,,,,", text, flags=re.MULTILINE),
+        "found no coordinate",
+    ),
+    "another use": ("data/poses.csv", set_cell("C03,", "use", "verification"), "use: found another than in"),
+    "unknown pose": ("data/poses.csv", swap_column("C03,", "C99,"), "pose 'C99' is not in"),
+    "missing pose": ("data/poses.csv", lambda text: re.sub("\nC03,.*", "", text), "found nothing of pose 'C03'"),
+    "beside targets": (
+        "poses.toml",
+        swap_column('poses = "data/poses.csv"', 'poses = "data/poses.csv"\ntargets = "data/targets.csv"'),
+        "found a table of targets beside measurement 'poses'",
+    ),
+    "key of another measurement": (
+        "poses.toml",
+        swap_column("actuator_noise_um", "target_noise_um = 3.0\nactuator_noise_um"),
+        "data.target_noise_um: unknown key, did you mean 'actuator_noise_um'?, expected one of actuator_noise_um, actu",
+    ),
+    "noise twice": (
+        "poses.toml",
+        swap_column('poses = "data/poses.csv"', 'poses = "data/poses.csv"\nposition_um = 3.0'),
+        "expected it stated once",
+    ),
+    "unknown instrument": ("poses.toml", swap_column('"poses"', '"theodolite"'), "found 'theodolite', expected one of"),
+}
+
+
+@pytest.mark.parametrize("name", POSE_FAULTS)
+def test_faults_of_pose_tables_are_one_line(copied, call, name):
+    file, change, expected = POSE_FAULTS[name]
+    before = (copied / file).read_text()
+    (copied / file).write_text(change(before))
+    assert (copied / file).read_text() != before
+    check_refused(call, copied / "poses.toml", expected)
+
+
+def check_refused(call, config, expected):
+    before = studies.snapshot(config.parent)
+    code, out, err = call("run", config, "--out", config.parent / "out")
+    assert code == 2, err
+    assert out == ""
+    (line,) = studies.list_errors(err)
+    assert expected in line, line
+    assert studies.snapshot(config.parent) == before
+
+
+POINT_FAULTS = {
+    "unknown station": ("data/points.csv", swap_column(",north,", ",nord,"), "station 'nord' is not in"),
+    "unknown point": ("data/points.csv", swap_column(",P4,", ",P9,"), "point 'P9' is not in"),
+    "no points": ("data/points.csv", lambda text: re.sub(r"\nC02,.*", "", text), "found nothing of pose 'C02'"),
+    "metres": ("data/points.csv", scale_columns(("range_mm",), 1e-3), "expected"),
+    "radians": (
+        "data/points.csv",
+        scale_columns(("azimuth_deg", "elevation_deg"), np.pi / 180),
+        "angles in degrees",
+    ),
+    "another unit": ("data/points.csv", swap_column("azimuth_deg", "azimuth_rad"), "found column 'azimuth_rad'"),
+    "no noise": (
+        "points.toml",
+        lambda text: re.sub(r"(range|azimuth|elevation)_\w+ = .*\n", "", text),
+        "found no noise",
+    ),
+    "half a noise": ("points.toml", swap_column("azimuth_arcsec = 1.0\n", ""), "together"),
+    "one station twice": ("stations.csv", swap_column("south", "north"), "stands already on line"),
+    "no frame for targets": (
+        "study.toml",
+        swap_column("[parameters]\n", FRAMES + "[parameters]\n"),
+        "expected no [frames]",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", POINT_FAULTS)
+def test_faults_of_point_tables_are_one_line(pointed, tmp_path, call, name):
+    shutil.copytree(pointed.parent, tmp_path, dirs_exist_ok=True)
+    file, change, expected = POINT_FAULTS[name]
+    before = (tmp_path / file).read_text()
+    (tmp_path / file).write_text(change(before))
+    assert (tmp_path / file).read_text() != before
+    check_refused(call, tmp_path / ("study.toml" if file == "study.toml" else "points.toml"), expected)
+
+
+# --- the shipped example -----------------------------------------------------------------------------------------
+
+CAMERA = studies.EXPERIMENTS / "camera_hexapod"
+
+
+def test_shipped_readings_are_those_of_the_documented_command():
+    made = compute_experiment(load_simulation(CAMERA / "simulate.toml"), CAMERA).files
+    assert set(made) == {path.name for path in (CAMERA / "data").iterdir()}
+    for name, text in made.items():
+        assert (CAMERA / "data" / name).read_text() == str(text)
+
+
+def test_shipped_example_finds_its_machine_and_frames():
+    """The 54 errors in posterior sds: their mean square is one within four standard errors of independent ones."""
+    inputs = studies.load_study(CAMERA / "study.toml")
+    posterior = inputs.posterior(inputs.config.variants[0], with_model_error=False)
+    mode = find_modes(posterior)[0]
+    truth = compute_experiment(load_simulation(CAMERA / "simulate.toml"), CAMERA).tables["truth"]
+    true = truth.set_index("parameter")["true"]
+    assert set(true.index) == set(posterior.names)
+    sd = np.array([posterior.priors[name].sd for name in posterior.names]) * np.sqrt(np.diagonal(mode.covariance))
+    z = (posterior.natural(mode.y[None])[0] - true[list(posterior.names)].to_numpy()) / sd
+    assert abs(np.mean(z**2) - 1.0) < 4.0 * np.sqrt(2.0 / len(z))
+    error = posterior.likelihood.pose_errors(posterior.theta(mode.y[None]))[0]
+    assert np.abs(error[:, :3]).max() < 0.06  # noise of 10 µm
