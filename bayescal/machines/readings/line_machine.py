@@ -121,17 +121,27 @@ class LineMachine(ReadingMachine):
         if self.tension == "none":
             return length, length
         if self.tension == "hanging":
-            force = self._hang(parameters, np.stack(span, axis=-1) / length[..., None])
+            force = self._hang(parameters, [one / length for one in span])
         elif given is None:
             force = self.at_origin
         else:
             force = np.stack([given[name] for name in self.given], axis=-1)
         return length, length / (1.0 + PER_MILLION * parameters["c"][..., None] * force)
 
-    def _hang(self, parameters: Parameters, directions: Any) -> Any:
-        """Return the tensions (..., N) of a point that hangs in its lines of directions (..., N, 3)."""
-        across = np.swapaxes(directions, -1, -2)
-        even = parameters["T"][..., None] * np.ones(len(self.parallel))
-        missing = np.array([0.0, 0.0, self.weight]) - (across @ even[..., None])[..., 0]
-        solved = np.linalg.solve(across @ directions, missing[..., None])
-        return even + (directions @ solved)[..., 0]
+    def _hang(self, parameters: Parameters, directions: list[Any]) -> Any:
+        """Return the tensions (..., N) of a point that hangs in its lines of directions x, y, z, (..., N) each."""
+        even = parameters["T"][..., None]
+        # U Uᵀ by its six entries, and W - U T: Cramer's rule is quicker than LAPACK for a pose each
+        xx, yy, zz, xy, xz, yz = (
+            (directions[i] * directions[j]).sum(axis=-1) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+        )
+        weight = (0.0, 0.0, self.weight)
+        a, b, c = (w - (even * one).sum(axis=-1) for w, one in zip(weight, directions, strict=True))
+        p, q, r = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+        determinant = xx * p + xy * q + xz * r
+        solved = (
+            (p * a + q * b + r * c) / determinant,
+            (q * a + (xx * zz - xz * xz) * b + (xy * xz - xx * yz) * c) / determinant,
+            (r * a + (xy * xz - xx * yz) * b + (xx * yy - xy * xy) * c) / determinant,
+        )
+        return even + sum(one * by[..., None] for one, by in zip(directions, solved, strict=True))
