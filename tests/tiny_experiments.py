@@ -27,6 +27,8 @@ SMALL = {
         "angle_noise_arcsec": "[0.5, 2.0]",
     },
     "sensor_placement": {"workspace_poses": "8", "machines": "4", "simulated_sets": "3", "n_poses": "20"},
+    "calibration": {"walkers": "24", "burn_in": "3", "steps": "6", "max_draws": "2000", "folds": "2"}
+    | {"draws": "1000"},
     "audit": {"simulated_calibrations": "4", "expected_over_draws": "3", "draws": "2000"},
 }
 """By kind of experiment, what stands after the names of its keys in place of what is shipped."""

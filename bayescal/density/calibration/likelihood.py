@@ -352,7 +352,7 @@ def _step(slope: Array, error: Array) -> tuple[Array, Array]:
 def search_poses(
     likelihood: CalibrationLikelihood, theta: Array, white: Whitening, start: Array
 ) -> tuple[Array, Array]:
-    """Return poses (C, P, q) that explain readings better, and what they leave, r² (C, P), by damped steps of their own.
+    """Return poses (C, P, q) that explain readings better, and what they leave, r² (C, P), by damped steps.
 
     Slower than `CalibrationLikelihood.stand`, it finds the way from starts (C, P, q) that are far off.
     """

@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import calibrations
 import pytest
 import reading_studies
 import studies
@@ -44,6 +45,8 @@ def write_selection(folder: Path) -> Path:
 
 MAKE = {
     "audit": write_audit,
+    "calibration": calibrations.write_delta,
+    "calibration_simulation": calibrations.write_simulation,
     "hexapod_calibrations": take_tiny("hexapod/figure10"),
     "pose_methods": take_tiny("pose_extraction/figure5"),
     "pose_selection": write_selection,
@@ -55,7 +58,11 @@ MAKE = {
     "study": studies.write_tiny_study,
 }
 """What writes a small experiment of a kind to a folder and returns its config."""
-WITHOUT_TASKS = ("simulation", "reading_simulation")  # over in an instant: nothing is worth keeping
+WITHOUT_TASKS = (
+    "simulation",
+    "reading_simulation",
+    "calibration_simulation",
+)  # over in an instant: nothing is worth keeping
 
 
 def test_every_kind_is_here():

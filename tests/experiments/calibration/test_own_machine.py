@@ -1,0 +1,82 @@
+"""A machine of one's own outside the package: installed nowhere, named in a TOML, run as a user would."""
+
+import json
+import subprocess
+import sys
+
+import calibrations
+import pandas as pd
+import pytest
+
+
+def run(*arguments, folder):
+    command = [sys.executable, "-m", "bayescal.cli", *map(str, arguments)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+
+
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory):
+    """The example run from a directory that has nothing to do with it, by one worker and by two."""
+    folder = tmp_path_factory.mktemp("own")
+    path, elsewhere = calibrations.write_delta(folder), folder / "elsewhere"
+    elsewhere.mkdir()
+    done = {n: run("run", path, "--out", elsewhere / str(n), "--workers", n, folder=elsewhere) for n in (1, 2)}
+    return folder, done
+
+
+def test_runs_from_another_directory(outcomes):
+    folder, done = outcomes
+    assert [one.returncode for one in done.values()] == [0, 0], done[1].stderr + done[2].stderr
+    assert "Use “" in done[1].stdout
+    assert (folder / "elsewhere" / "1" / "report.html").is_file()
+
+
+def test_one_worker_and_two_write_the_same(outcomes):
+    folder, _ = outcomes
+    one, two = (folder / "elsewhere" / n for n in "12")
+    for path in sorted(one.glob("*.csv")):
+        assert path.read_bytes() == (two / path.name).read_bytes(), path.name
+
+
+def test_the_class_belongs_to_the_identity(outcomes):
+    folder, _ = outcomes
+    provenance = json.loads((folder / "elsewhere" / "1" / "provenance.json").read_text())
+    assert set(provenance["files"]) == {"machine.toml", "linear_delta.py", "data/readings.csv"}
+
+
+def test_the_truth_lies_where_the_posterior_says(outcomes):
+    folder, _ = outcomes
+    found = pd.read_csv(folder / "elsewhere" / "1" / "parameters.csv")
+    true = pd.read_csv(folder / "own_machine" / "data" / "true_parameters.csv", comment="#").set_index("parameter")
+    every = found[found["variant"] == "all"].set_index("parameter")
+    z = (every["mean"] - true["value"][every.index]) / every["sd"]
+    assert (z.abs() < 4.0).all()
+    assert (z**2).mean() < 2.5
+
+
+def test_held_back_readings_lie_in_their_intervals(outcomes):
+    folder, _ = outcomes
+    found = pd.read_csv(folder / "elsewhere" / "1" / "predictions.csv")
+    assert len(found) == 2 * 5 * 6
+    assert 0.75 <= found["inside"].mean() <= 1.0
+
+
+def test_simulation_gives_the_shipped_data(tmp_path, call):
+    folder = calibrations.copy_delta(tmp_path)
+    assert call("simulate", folder / "simulate.toml", "--out", tmp_path / "data")[0] == 0
+    for path in sorted((folder / "data").glob("*.csv")):
+        assert path.read_bytes() == (tmp_path / "data" / path.name).read_bytes(), path.name
+
+
+def test_truth_fed_back_gives_the_same_readings(tmp_path, call):
+    folder = calibrations.copy_delta(tmp_path)
+    path = folder / "simulate.toml"
+    path.write_text(path.read_text() + '\n[truth]\nparameters = "data/true_parameters.csv"\n')
+    assert call("simulate", path, "--out", tmp_path / "data")[0] == 0
+    assert (folder / "data" / "readings.csv").read_bytes() == (tmp_path / "data" / "readings.csv").read_bytes()
+
+
+def test_the_class_is_short():
+    lines = (calibrations.OWN_MACHINE / "linear_delta.py").read_text().splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith("class LinearDelta"))
+    assert len(lines) - start <= 50
