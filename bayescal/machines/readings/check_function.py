@@ -78,7 +78,7 @@ def _call(model: FunctionModel, where: str, *arguments: Any) -> Array:
 def check_derivatives(model: FunctionModel) -> None:
     """Raise InputError where a derivative by complex step is not that of central differences."""
     theta, pose, given = draw_points(model, POINTS)
-    where, n = f"machine {model.name!r}: {type(model.machine).__name__}.read", theta.shape[1]
+    where = f"machine {model.name!r}: {type(model.machine).__name__}.read"
     _call(model, f"{where}, with complex numbers", theta + 0j, pose + 0j, given)
     here = np.concatenate([theta, pose], axis=1)
     _, exact = model.differentiate(theta, pose, given, np.eye(here.shape[1]))
