@@ -120,6 +120,11 @@ class CalibrationLikelihood:
         """Number n of readings at each pose, shape (P,)."""
         return np.asarray(self.data.present.sum(axis=1))
 
+    @property
+    def n_spare(self) -> np.ndarray:
+        """How many of them m are more than the pose has coordinates, shape (P,)."""
+        return self.n_readings - len(self.model.coordinates)
+
     @cached_property
     def comparison(self) -> Comparison:
         """How readings are compared."""
@@ -127,7 +132,7 @@ class CalibrationLikelihood:
 
     @cached_property
     def _known(self) -> Measurements:
-        return self.data.with_constraints()
+        return self.data.with_constraints(tuple(one.unit for one in self.model.channels))
 
     @cached_property
     def sd(self) -> Array:
@@ -239,15 +244,18 @@ class CalibrationLikelihood:
     def _follow_chords(self, theta: Array, pose: Array) -> Array:
         """Return poses (C, P, q) close to where machines explain the readings; where they start if chords go astray."""
         gain, size = self._chord
-        first, machines = pose, theta[:, None]
-        for _ in range(MAX_CHORDS):
-            read = self.model.read(machines, pose, self._given)
+        pose, first = pose.copy(), pose
+        going, step = np.arange(len(theta)), np.zeros_like(pose)
+        for _ in range(MAX_CHORDS):  # each machine by itself, so that it stands where it would alone
+            read = self.model.read(theta[going, None], pose[going], self._given)
             error = np.where(self.data.present, self.comparison.subtract(self.data.values, read), 0.0)
-            step = np.einsum("pqk,cpk->cpq", gain, error)
-            pose = pose + step
-            if not np.any(np.abs(step) > CHORD * size):
-                return pose
-        return np.where(np.isfinite(pose) & (np.abs(step) < size), pose, first)
+            step[going] = np.einsum("pqk,cpk->cpq", gain, error)
+            pose[going] += step[going]
+            going = going[np.any(np.abs(step[going]) > CHORD * size, axis=(1, 2))]
+            if not len(going):
+                break
+        astray = ~(np.isfinite(pose) & (np.abs(step) < size)).all(axis=-1, keepdims=True)
+        return np.where(astray, first, pose)
 
     @cached_property
     def _chord(self) -> tuple[Array, Array]:
@@ -289,7 +297,7 @@ class CalibrationLikelihood:
 
     def weigh(self, square: Array) -> Array:
         """Return the log-density of what is left, of unit covariance, from r² (C, P), and the pose's prior."""
-        m, nu = self.n_readings - len(self.model.coordinates), self.freedom
+        m, nu = self.n_spare, self.freedom
         flat = -np.log(self.volume)
         if not np.isfinite(nu):
             return np.asarray(flat - 0.5 * square - 0.5 * m * np.log(2.0 * np.pi))
@@ -300,8 +308,7 @@ class CalibrationLikelihood:
         """Return the mean of each pose's precision w, (C, P); one where the density is normal."""
         if not np.isfinite(self.freedom):
             return np.ones_like(square)
-        m = self.n_readings - len(self.model.coordinates)
-        return np.asarray((self.freedom + m) / (self.freedom + square))
+        return np.asarray((self.freedom + self.n_spare) / (self.freedom + square))
 
 
 def half_log_volume(slope: Array) -> Array:

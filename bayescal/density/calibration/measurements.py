@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +13,8 @@ from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, mat
 from bayescal.numerics.geometry import rotation_vector_from_matrix as log_rotation
 
 CONSTRAINT = 1e-4
-"""Noise of a reading that is stated to have none, in units of the smallest other one: its square no longer shows."""
+"""Noise of a reading that is stated to have none, in units of the smallest other one of its unit, or of any: its square
+no longer shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,13 +63,15 @@ class Measurements:
         values = np.where(channels, self.values, np.nan)
         return Measurements(self.poses, values, self.sd, self.given, self.correlation)
 
-    def with_constraints(self) -> Measurements:
-        """Return the measurements with a noise that no longer shows in place of none."""
-        there = self.sd[self.present & (self.sd > 0.0)]
-        tiny = CONSTRAINT * (float(there.min()) if there.size else 1.0)
-        return Measurements(
-            self.poses, self.values, np.where(self.sd > 0.0, self.sd, tiny), self.given, self.correlation
-        )
+    def with_constraints(self, units: Sequence[str]) -> Measurements:
+        """Return the measurements with a noise that no longer shows in place of none, by the units of K channels."""
+        sd, noisy = self.sd.copy(), self.present & (self.sd > 0.0)
+        for unit in dict.fromkeys(units):
+            alike = np.array([other == unit for other in units])
+            known = self.sd[noisy & alike] if (noisy & alike).any() else self.sd[noisy]
+            tiny = CONSTRAINT * (float(known.min()) if known.size else 1.0)
+            sd[:, alike] = np.where(sd[:, alike] > 0.0, sd[:, alike], tiny)
+        return replace(self, sd=sd)
 
 
 @dataclass(frozen=True, eq=False)

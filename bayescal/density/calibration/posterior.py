@@ -23,8 +23,9 @@ from bayescal.numerics.geometry import Array
 HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
 STEP = 1e-4  # of a coordinate, for the slope of the poses' volume
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
-GAIN = 1e-10  # of the squares, below which the search has arrived
+GAIN = 1e-12  # of the squares, below which the search has arrived
 MAX_ITERATIONS = 200
+RANK = 1e-7  # of the largest singular value of H, below which a pose is not told
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,10 +222,13 @@ class CalibrationPosterior:
             return np.zeros(m)
         moves = STEP * np.eye(self.n_parameters)[:m]
         points = y + np.concatenate([moves, -moves])
-        values = np.concatenate(
-            [-half_log_volume(self.stand(points[part])[1].slope).sum(axis=1) for part in self.likelihood.batches(2 * m)]
-        )
+        values = np.concatenate([self._log_volume(points[part]) for part in self.likelihood.batches(2 * m)])
         return np.asarray((values[:m] - values[m:]) / (2.0 * STEP))
+
+    def _log_volume(self, y: Array) -> Array:
+        """Return -½ Σ log |HᵀΣ⁻¹H| of machines (B, n) right where they stand, shape (B,)."""
+        white, at = self.stand(y)  # whose H is that of a pose close by, the same for machines that are much alike
+        return -half_log_volume(self.likelihood.linearise(self.theta(y), at.pose, white)[1]).sum(axis=1)
 
     # --- climbing ------------------------------------------------------------------------------------------------
 
@@ -275,10 +279,9 @@ class CalibrationPosterior:
         return y, pose[0]
 
     def _cost(self, y: Array, error: Array) -> float:
-        trusted = self.likelihood.freedom
-        squares = np.einsum("pk,pk->p", error, error)
-        if np.isfinite(trusted):  # what is far off counts by its logarithm, as in the density
-            squares = (trusted + 1.0) * np.log1p(squares / trusted)
+        freedom, squares = self.likelihood.freedom, np.einsum("pk,pk->p", error, error)
+        if np.isfinite(freedom):  # what is far off counts by its logarithm, as in the density
+            squares = (freedom + self.likelihood.n_spare) * np.log1p(squares / freedom)
         total = float(squares.sum() + y @ y)
         return total if self.likelihood.model.layout.inside(self.theta(y[None]))[0] else np.nan
 
@@ -286,9 +289,8 @@ class CalibrationPosterior:
         self, y: Array, error: Array, slope: Array, by_parameters: Array, damping: float
     ) -> tuple[Array, Array]:
         """Return a damped step of the coordinates (m,) and the poses' (P, q) that follows."""
-        m, freedom = self.n_geometry, self.likelihood.freedom
-        squares = np.einsum("pk,pk->p", error, error)
-        trust = np.sqrt((freedom + 1.0) / (freedom + squares)) if np.isfinite(freedom) else np.ones(len(error))
+        m = self.n_geometry
+        trust = np.sqrt(self.likelihood.trust(np.einsum("pk,pk->p", error, error)))
         # a little of the damping keeps poses that readings hardly tell from running away
         stiff = _invert(slope, 1e-9 * damping / DAMPING)
         left = np.eye(slope.shape[1]) - slope @ stiff
@@ -336,15 +338,19 @@ def _project(slope: Array) -> Array:
 
 
 def _invert(slope: Array, damping: float) -> Array:
-    """Return (HᵀH + λ diag HᵀH)⁻¹ Hᵀ for H (P, K, q), shape (P, q, K); zero where H is singular."""
-    across = np.swapaxes(slope, -1, -2)
-    scale = np.linalg.norm(slope, axis=-2)
+    """Return (HᵀH + λ diag HᵀH)⁻¹ Hᵀ for H (P, K, q), shape (P, q, K); zero where H is singular.
+
+    By singular values: beside a constraint all else is so small that HᵀH would not hold it.
+    """
+    scale = np.linalg.norm(slope, axis=-2, keepdims=True)
     scale = np.where(scale > 0.0, scale, 1.0)
-    scaled = across / scale[..., None]
-    normal = scaled @ np.swapaxes(scaled, -1, -2) + damping * np.eye(slope.shape[-1])
-    good = np.isfinite(normal).all(axis=(-1, -2)) & (np.abs(np.linalg.det(np.nan_to_num(normal))) > 1e-16)
-    inverse = np.linalg.inv(np.where(good[..., None, None], normal, np.eye(slope.shape[-1])))
-    return np.asarray(np.where(good[..., None, None], inverse @ scaled / scale[..., None], 0.0))
+    left, values, right = np.linalg.svd(np.nan_to_num(slope / scale), full_matrices=False)
+    good = np.isfinite(slope).all(axis=(-1, -2)) & (slope.shape[-2] >= slope.shape[-1])
+    if slope.shape[-1]:
+        good &= values[:, -1] > RANK * values[:, 0]
+    gain = values / np.where(good[:, None], values**2 + damping, 1.0)
+    inverse = np.swapaxes(left * gain[:, None] @ right, -1, -2) / np.swapaxes(scale, -1, -2)
+    return np.asarray(np.where(good[:, None, None], inverse, 0.0))
 
 
 def left_of(matrix: Array, vector: Array) -> Array:

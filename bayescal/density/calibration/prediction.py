@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayescal.density.calibration.likelihood import CalibrationLikelihood
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.numerics.geometry import Array
 
@@ -22,7 +22,8 @@ class ReadingPredictions:
     pose, channel : ndarray of int, shape (n,)
         Which reading of which pose.
     measured, mean, sd, low, high : ndarray, shape (n,)
-        In the channels' units; the 90 % interval holds the reading's noise.
+        In the channels' units; the 90 % interval holds the reading's noise. On a circle, and as a part of a rotation,
+        what is predicted is counted from the reading, the short way round.
     """
 
     pose: np.ndarray
@@ -44,8 +45,9 @@ def predict_readings(
 ) -> ReadingPredictions:
     """Return what draws of a posterior predict for each reading of held-back poses from the other readings there.
 
-    Given a machine, the pose that the other readings tell is normal about the best one, to first order. A reading
-    without which the pose is not told is left out.
+    Given a machine, the pose that the other readings tell is normal about the best one, to first order; where noise is
+    correlated, theirs tells some of the reading's own. The components of a rotation are predicted without one another.
+    A reading without which the pose is not told is left out.
 
     Parameters
     ----------
@@ -59,22 +61,32 @@ def predict_readings(
     """
     q, parts = len(held.model.coordinates), []
     for channel in np.flatnonzero(held.data.present.any(axis=0)):
-        others = np.arange(len(held.model.channels)) != channel
+        others = _apart(held, int(channel))
         enough = held.data.present[:, channel] & (held.data.present[:, others].sum(axis=1) >= q)
         if enough.any():
             where = np.flatnonzero(enough)
-            mean, spread = _predict(posterior, held.pick(where), int(channel), y, rng)
+            mean, spread = _predict(posterior, held.pick(where), int(channel), others, y, rng)
             told = np.isfinite(mean).all(axis=0) & np.isfinite(spread).all(axis=0)
             if told.any():
                 parts.append((where[told], int(channel), mean[:, told], spread[:, told]))
     return _collect(held, parts)
 
 
+def _apart(held: CalibrationLikelihood, channel: int) -> np.ndarray:
+    """Return the channels that a channel is predicted from, a mask (K,): all but it and the rest of its rotation."""
+    names = np.array([one.rotation for one in held.model.channels])
+    return (np.arange(len(names)) != channel) & ((names != names[channel]) | (names == ""))
+
+
 def _predict(
-    posterior: CalibrationPosterior, held: CalibrationLikelihood, channel: int, y: Array, rng: np.random.Generator
+    posterior: CalibrationPosterior,
+    held: CalibrationLikelihood,
+    channel: int,
+    others: np.ndarray,
+    y: Array,
+    rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """Return predicted means and noisy values of a channel, both (T, P)."""
-    others = np.arange(len(held.model.channels)) != channel
     rest = replace(held, data=held.data.only(others), anchor=None)
     theta = posterior.theta(y)
     own, tau = posterior.noise.deviations(y[:, posterior.n_geometry :], held.sd)
@@ -84,23 +96,37 @@ def _predict(
         white = rest.whiten(own[part], tau[part])
         at = rest.stand(theta[part], white)
         here = held.model.linearise(theta[part][:, None], at.pose, False, given)
-        slope = here.by_pose[..., channel, :]
-        across = np.swapaxes(at.slope, -1, -2) @ at.slope
-        told = np.isfinite(at.error).all(axis=-1) & (np.linalg.det(np.nan_to_num(across)) > 0.0)
-        inner = np.linalg.inv(np.where(told[..., None, None], across, np.eye(across.shape[-1])))
-        variance = np.where(told, np.einsum("tpi,tpij,tpj->tp", slope, inner, slope), np.nan)
-        variance = variance + own[part][..., channel] ** 2 + tau[part][..., channel] ** 2
-        mean[part] = here.values[..., channel]
+        error = held.comparison.subtract(held.data.values, here.values)
+        slope = held.comparison.pull_back(error, here.values, here.by_pose)[..., channel, :]
+        # what the others' noise tells of this reading's, as in Gaussian regression
+        told_by = white.vector(_covary(held, own[part], channel, rest.data.present))
+        slope = slope - np.einsum("tpk,tpkq->tpq", told_by, at.slope)
+        own_noise = own[part][..., channel] ** 2 + tau[part][..., channel] ** 2 - (told_by**2).sum(axis=-1)
+        variance = _spread_of_pose(slope, at) + own_noise
+        predicted = held.data.values[:, channel] - error[..., channel]
+        mean[part] = predicted + np.einsum("tpk,tpk->tp", told_by, at.error)
         spread[part] = np.sqrt(variance * _widen(rest, at.square, rng))
     return mean, mean + spread * rng.standard_normal(mean.shape)
+
+
+def _covary(held: CalibrationLikelihood, own: Array, channel: int, there: np.ndarray) -> Array:
+    """Return the covariances of a channel's noise with that of other readings (P, K) taken, shape (C, P, K)."""
+    return np.where(there, held.correlation[:, channel] * own * own[..., channel, None], 0.0)
+
+
+def _spread_of_pose(slope: Array, at: Stand) -> Array:
+    """Return the variance by that of the pose, for slopes (T, P, q), NaN where the pose is not told, (T, P)."""
+    across = np.swapaxes(at.slope, -1, -2) @ at.slope
+    told = np.isfinite(at.error).all(axis=-1) & (np.linalg.det(np.nan_to_num(across)) > 0.0)
+    inner = np.linalg.inv(np.where(told[..., None, None], across, np.eye(across.shape[-1])))
+    return np.where(told, np.einsum("tpi,tpij,tpj->tp", slope, inner, slope), np.nan)
 
 
 def _widen(rest: CalibrationLikelihood, square: Array, rng: np.random.Generator) -> Array:
     """Return draws of 1/w, the factor on a pose's variances given what is left of its other readings."""
     if not np.isfinite(rest.freedom):
         return np.ones_like(square)
-    m = rest.n_readings - len(rest.model.coordinates)
-    shape = np.broadcast_to(0.5 * (rest.freedom + m), square.shape)
+    shape = np.broadcast_to(0.5 * (rest.freedom + rest.n_spare), square.shape)
     return np.asarray(0.5 * (rest.freedom + square) / rng.standard_gamma(shape))
 
 
@@ -112,9 +138,5 @@ def _collect(held: CalibrationLikelihood, parts: list[tuple[np.ndarray, int, Arr
     channel = np.concatenate([np.full(len(where), k) for where, k, *_ in parts])
     draws = np.concatenate([spread for *_, spread in parts], axis=1)
     low, high = np.quantile(draws, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0)
-    measured = held.data.values[pose, channel]
     centre = np.concatenate([mean.mean(axis=0) for _, _, mean, _ in parts])
-    # on a circle, and as a part of a rotation, the reading is the one of its turns that is near the prediction
-    turns = np.array([held.model.channels[k].period or np.inf for k in channel])
-    shift = np.where(np.isfinite(turns), turns * np.round((measured - centre) / turns), 0.0)
-    return ReadingPredictions(pose, channel, measured - np.nan_to_num(shift), centre, draws.std(axis=0), low, high)
+    return ReadingPredictions(pose, channel, held.data.values[pose, channel], centre, draws.std(axis=0), low, high)

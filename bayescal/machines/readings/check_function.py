@@ -9,7 +9,7 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterBlock
-from bayescal.machines.readings.base import Channel, Coordinate
+from bayescal.machines.readings.base import Channel, Coordinate, Given
 from bayescal.machines.readings.colours import draw_points
 from bayescal.numerics.geometry import Array
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 MEMBERS = {"parameters": ParameterBlock, "coordinates": Coordinate, "channels": Channel}
 POINTS = 5
 DIFFERENCE = 1e-6  # of an entry's size
-AGREEMENT = 1e-4  # of the largest slope of its kind; differences of this step keep six digits
+AGREEMENT = 1e-4  # of the largest slope of its channel; differences of this step keep six digits
 
 
 def check_members(name: str, machine: ReadingMachine) -> None:
@@ -78,27 +78,36 @@ def _call(model: FunctionModel, where: str, *arguments: Any) -> Array:
 def check_derivatives(model: FunctionModel) -> None:
     """Raise InputError where a derivative by complex step is not that of central differences."""
     theta, pose, given = draw_points(model, POINTS)
-    where, n = f"machine {model.name!r}: {type(model.machine).__name__}.read", theta.shape[1]
+    where = f"machine {model.name!r}: {type(model.machine).__name__}.read"
     _call(model, f"{where}, with complex numbers", theta + 0j, pose + 0j, given)
     here = np.concatenate([theta, pose], axis=1)
     _, exact = model.differentiate(theta, pose, given, np.eye(here.shape[1]))
-    for entry in range(here.shape[1]):
-        step = np.zeros_like(here)
-        step[:, entry] = DIFFERENCE * np.maximum(np.abs(here[:, entry]), 1.0)
-        above, below = (
-            np.asarray(_call(model, where, moved[:, :n], moved[:, n:], given)) for moved in (here + step, here - step)
+    size = DIFFERENCE * np.maximum(np.abs(here), 1.0)
+    slope, wide = (
+        np.array([_differ(model, where, here, k, times * size[:, k], given) for k in range(here.shape[1])])
+        for times in (1.0, 4.0)
+    )
+    # what two steps disagree by is rounding, of the values or of something larger on the way to them; by channel, for
+    # channels have units of their own
+    steps = size.T[..., None]
+    apart = np.abs(slope - wide) * steps
+    rounding = np.max(apart, axis=(0, 1), initial=0.0, where=np.isfinite(apart))
+    scale = np.max(np.abs(slope), axis=1, keepdims=True, initial=0.0, where=np.isfinite(slope))
+    wrong = np.isfinite(slope) & (np.abs(slope - exact) > AGREEMENT * scale + 10.0 * rounding / steps)
+    for entry, point, k in np.argwhere(wrong)[:1]:
+        raise InputError(
+            f"{where}: {model.channels[k].name}: found ∂/∂{_name(model, entry)} = {exact[entry, point, k]:.6g} by "
+            f"complex step and {slope[entry, point, k]:.6g} by differences, expected an analytic function; "
+            "abs, norm and arctan2 of NumPy are none, those of bayescal.numerics.analytic are"
         )
-        slope = (above - below) / (2.0 * step[:, entry, None])
-        # rounding of the values is what differences cannot see beyond
-        noise = 1e-15 * np.abs(above) / step[:, entry, None]
-        wrong = np.abs(slope - exact[entry]) > AGREEMENT * np.nanmax(np.abs(slope), initial=0.0) + 100.0 * noise
-        wrong &= np.isfinite(slope)
-        for point, k in np.argwhere(wrong)[:1]:
-            raise InputError(
-                f"{where}: {model.channels[k].name}: found ∂/∂{_name(model, entry)} = {exact[entry, point, k]:.6g} by "
-                f"complex step and {slope[point, k]:.6g} by differences, expected an analytic function; "
-                "abs, norm and arctan2 of NumPy are none, those of bayescal.numerics.analytic are"
-            )
+
+
+def _differ(model: FunctionModel, where: str, here: Array, entry: int, size: Array, given: Given) -> Array:
+    """Return the derivatives by an entry of (d, v) at points (n, D + q), by central differences of steps (n,)."""
+    n, step = model.layout.size, np.zeros_like(here)
+    step[:, entry] = size
+    above, below = (_call(model, where, at[:, :n], at[:, n:], given) for at in (here + step, here - step))
+    return np.asarray((above - below) / (2.0 * size[:, None]))
 
 
 def _name(model: FunctionModel, entry: int) -> str:

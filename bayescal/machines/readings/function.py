@@ -181,8 +181,10 @@ class FunctionModel(ReadingModel):
 
     def evaluate(self, theta: Any, pose: Any, given: Given) -> Any:
         """Return the function's values, real or complex, for (..., D) and (..., q)."""
-        found = self.machine.read(Parameters(self.layout, theta), pose, given)
-        return found if self.places is None else np.asarray(found)[..., self.places]
+        found = np.asarray(self.machine.read(Parameters(self.layout, theta), pose, given))
+        if not len(self.coordinates) and found.ndim:  # where nobody asks for the pose, not even for how many there are
+            found = np.broadcast_to(found, (*np.broadcast_shapes(pose.shape[:-1], found.shape[:-1]), found.shape[-1]))
+        return found if self.places is None else found[..., self.places]
 
     def pick(self, channels: np.ndarray) -> ReadingModel:
         """Return the same machine with some of its sensors; its derivatives take fewer rounds."""

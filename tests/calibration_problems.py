@@ -1,0 +1,138 @@
+"""Problems of calibration that the tests share: linear ones, a point on lines, Sliding Star."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from function_machines import point_on_lines
+from reading_machines import WORKSPACE, LinearModel, sliding_star
+
+from bayescal.density.calibration.likelihood import GAUSSIAN, CalibrationLikelihood
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.noise import NoiseModel
+from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.priors import NormalPrior, Prior, UniformPrior
+from bayescal.experiments.shared.reading_machine import draw_poses
+from bayescal.machines.readings import ReadingModel
+
+
+def measurements(values: np.ndarray, sd: np.ndarray | float, correlation: np.ndarray | None = None) -> Measurements:
+    """Return readings (P, K) of deviations that broadcast to them, their correlation the same at every pose."""
+    names = tuple(f"C{k + 1}" for k in range(len(values)))
+    every = None if correlation is None else np.broadcast_to(correlation, (len(values), *correlation.shape))
+    return Measurements(names, values, np.broadcast_to(sd, values.shape), correlation=every)
+
+
+def density(
+    model: ReadingModel, data: Measurements, start: np.ndarray | None = None, volume: float = 1.0, nu: float = GAUSSIAN
+) -> CalibrationLikelihood:
+    """Return the density of readings, poses looked for from zero by default."""
+    start = np.zeros((data.n_poses, len(model.coordinates))) if start is None else start
+    return CalibrationLikelihood(model, data, volume, start, nu)
+
+
+def pointwise(likelihood: CalibrationLikelihood, theta: np.ndarray, tau: float = 0.0) -> np.ndarray:
+    """Return the log-densities (C, P) with the noise as stated, a model error τ beside it."""
+    own = np.broadcast_to(likelihood.sd, (len(theta), *likelihood.sd.shape))
+    return likelihood.pointwise(theta, own, np.full((len(theta), 1, own.shape[-1]), tau))
+
+
+def stated_noise(n: int) -> NoiseModel:
+    """Return noise of n channels of which nothing is unknown."""
+    return NoiseModel(np.full(n, -1), np.full(n, -1))
+
+
+def unknown_noise(n: int, factors: bool = True, errors: bool = False, scale: float = 1.0) -> NoiseModel:
+    """Return noise of n channels in two groups: a factor on the first one's, a model error on the second one's.
+
+    With factors alone the first group is all channels but the last.
+    """
+    first = np.where(np.arange(n) < n - 1, 0, -1)
+    none = np.full(n, -1)
+    return NoiseModel(
+        first if factors else none,
+        np.where(np.arange(n) > 0, 0, -1) if errors else none,
+        ("own",) if factors else (),
+        ("own",) if errors else (),
+        np.array([0.4] if factors else []),
+        np.array([scale] if errors else []),
+        ("mm",) if errors else (),
+    )
+
+
+def linear_model(rng: np.random.Generator, n: int = 6, q: int = 2, d: int = 3) -> LinearModel:
+    """Return readings linear in q coordinates and d parameters."""
+    return LinearModel(rng.standard_normal((n, q)), rng.standard_normal((n, d)))
+
+
+def correlation_of(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Return a correlation matrix that is far from the identity."""
+    factor = rng.standard_normal((n, n + 1))
+    covariance = factor @ factor.T
+    deviation = np.sqrt(np.diag(covariance))
+    return covariance / deviation[:, None] / deviation
+
+
+LINE_SD, LINE_WIDTH = 0.05, 1.0
+FREE = ("a_x[2]", "a_x[3]", "a_y[3]", "a_x[4]", "a_y[4]", "zero[1]", "zero[2]", "zero[3]", "zero[4]")
+
+
+def lines_posterior(
+    rng: np.random.Generator,
+    n_poses: int = 20,
+    noise: NoiseModel | None = None,
+    nu: float = GAUSSIAN,
+    correlation: np.ndarray | None = None,
+    uniform: bool = False,
+    common: bool = False,
+    missing: float = 0.0,
+    bearing: bool = False,
+) -> tuple[CalibrationPosterior, np.ndarray, np.ndarray]:
+    """Return the posterior of a point on four lines drawn from its priors, its coordinates y and the poses."""
+    model = point_on_lines(4, bearing=bearing)
+    k = len(model.channels)
+    noise = noise or stated_noise(k)
+    sd = np.where(np.arange(k) < 4, LINE_SD, 1e-3)
+    nominal = dict(zip(model.layout.names, model.layout.nominal, strict=True))
+    priors: dict[str, Prior] = {name: NormalPrior(nominal[name], LINE_WIDTH) for name in FREE}
+    if uniform:
+        priors["a_x[3]"] = UniformPrior(nominal["a_x[3]"] - 2.0, nominal["a_x[3]"] + 2.0)
+    shared = {"zero[1,2,3]": ("zero[1]", "zero[2]", "zero[3]")} if common else {}
+    for name, members in shared.items():
+        priors = {key: prior for key, prior in priors.items() if key not in members}
+        priors[name] = NormalPrior(0.0, LINE_WIDTH)
+    pose = rng.uniform(-150.0, 150.0, (n_poses, 2))
+    empty = measurements(np.zeros((n_poses, k)), sd, correlation)
+    blank = CalibrationPosterior(density(model, empty, pose, 9e4, nu), priors, noise, {}, shared)
+    y = rng.standard_normal(blank.n_parameters)
+    values = simulate(blank, y, pose, rng)
+    lack = rng.random(n_poses) < missing  # one reading each: three lines left still tell where the point is
+    values[lack, rng.integers(0, 4, n_poses)[lack]] = np.nan
+    data = measurements(values, sd, correlation)
+    return replace(blank, likelihood=density(model, data, pose, 9e4, nu)), y, pose
+
+
+def simulate(posterior: CalibrationPosterior, y: np.ndarray, pose: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return readings (P, K) of the machine y (n,) at poses, as its density says."""
+    likelihood = posterior.likelihood
+    own, tau = posterior.deviations(y[None])
+    covariance = own[0][:, :, None] * likelihood.correlation * own[0][:, None]
+    covariance = covariance + np.einsum("pk,kl->pkl", np.broadcast_to(tau[0] ** 2, own[0].shape), np.eye(own.shape[-1]))
+    noise = (np.linalg.cholesky(covariance) @ rng.standard_normal((*own[0].shape, 1)))[..., 0]
+    if np.isfinite(likelihood.freedom):
+        noise /= np.sqrt(rng.gamma(0.5 * likelihood.freedom, 2.0 / likelihood.freedom, (len(noise), 1)))
+    return likelihood.model.read(posterior.theta(y[None])[0], pose) + noise
+
+
+def star_problem(seed: int = 3, n_poses: int = 10) -> tuple[CalibrationLikelihood, np.ndarray]:
+    """Return the density of Sliding Star's carriages and angles at poses, and machines (4, D) close to the true one."""
+    whole, rng = sliding_star(), np.random.default_rng(seed)
+    chosen = np.arange(8)
+    model = whole.pick(chosen)
+    sd = np.repeat([1e-3, 5e-6], 4)
+    theta = whole.layout.nominal + np.where(np.array(whole.layout.units) == "mm", 0.1, 1e-4) * rng.standard_normal(34)
+    pose = draw_poses(whole, WORKSPACE.model_copy(update={"n_poses": n_poses}), rng)
+    data = measurements(model.read(theta, pose) + sd * rng.standard_normal((n_poses, 8)), sd)
+    near = theta + np.where(np.array(whole.layout.units) == "mm", 1e-2, 1e-5) * rng.standard_normal((4, 34))
+    return density(model, data, pose, 200.0), near

@@ -1,0 +1,223 @@
+"""The posterior of a calibration: its gradient, its least squares, its coordinates."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibration_problems import correlation_of, density, lines_posterior, stated_noise, unknown_noise
+from scipy.linalg import null_space
+from scipy.optimize import least_squares
+from scipy.stats import halfnorm, lognorm, norm, uniform
+
+from bayescal.density.calibration.noise import NoiseModel
+from bayescal.density.calibration.posterior import CalibrationPosterior, _project
+from bayescal.density.priors import NormalPrior, UniformPrior
+from bayescal.errors import InputError, NumericalError
+
+MIXED = np.array([[1.0, 0.6, 0.1, 0.0], [0.6, 1.0, 0.2, -0.3], [0.1, 0.2, 1.0, 0.5], [0.0, -0.3, 0.5, 1.0]])
+CASES = {
+    "as stated": {},
+    "factor": {"noise": unknown_noise(4)},
+    "model error": {"noise": unknown_noise(4, False, True, 0.1)},
+    "factor and model error": {"noise": unknown_noise(4, True, True, 0.1)},
+    "robust": {"nu": 4.0},
+    "robust, factor and model error": {"nu": 3.0, "noise": unknown_noise(4, True, True, 0.1)},
+    "correlated": {"correlation": MIXED},
+    "correlated, factor and model error": {"correlation": MIXED, "noise": unknown_noise(4, True, True, 0.1)},
+    "uniform": {"uniform": True},
+    "common": {"common": True, "uniform": True},
+    "missing": {"missing": 0.5},
+    "a circle": {"bearing": True, "noise": unknown_noise(5, True, True, 0.1)},
+    "everything": {
+        "noise": unknown_noise(4, True, True, 0.1),
+        "nu": 5.0,
+        "correlation": MIXED,
+        "uniform": True,
+        "common": True,
+        "missing": 0.3,
+    },
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+@pytest.mark.parametrize("anchored", [False, True])
+def test_the_gradient_is_that_of_central_differences(case, anchored, rng):
+    posterior, y, _ = lines_posterior(rng, **case)
+    if anchored:
+        posterior = posterior.anchored()
+    y = y + 0.05 * rng.standard_normal(len(y))
+    gradient, hessian = posterior.gradient(y)
+    step = 1e-3
+    moves = step * np.eye(len(y))
+    # four points: what bends the density most, its fourth power, does not show
+    values = [posterior.log_density(y + times * moves) for times in (-2.0, -1.0, 1.0, 2.0)]
+    expected = (8.0 * (values[2] - values[1]) - (values[3] - values[0])) / (12.0 * step)
+    np.testing.assert_allclose(gradient, expected, rtol=1e-6, atol=3e-4)
+    np.testing.assert_allclose(hessian, hessian.T, rtol=1e-9, atol=1e-9)
+    assert (np.linalg.eigvalsh(-hessian) > 0.99).all()
+
+
+def test_the_slope_of_the_volume_follows_the_poses(rng):
+    """Coarse noise and few readings, so that what the poses' volume adds shows beside the rest."""
+    posterior, y, _ = lines_posterior(rng, n_poses=8)
+    likelihood = posterior.likelihood
+    coarse = replace(likelihood, data=replace(likelihood.data, sd=np.full((8, 4), 20.0)))
+    posterior = replace(posterior, likelihood=coarse)
+    y, pose = posterior.fit(np.zeros_like(y), coarse.start)
+    posterior = replace(posterior, likelihood=replace(coarse, start=pose))
+    slope = posterior._volume_slope(y)  # where all machines close by stand within a small part of their deviations
+
+    def volume(at):
+        """Return -½ Σ log |HᵀΣ⁻¹H| where the machine explains the readings best, by many steps."""
+        theta = posterior.theta(at[None])
+        white = coarse.whiten(*posterior.deviations(at[None]))
+        pose = coarse.start[None]
+        for _ in range(20):
+            error, rows, _ = coarse.linearise(theta, pose, white)
+            pose = pose + (np.linalg.pinv(rows) @ error[..., None])[..., 0]
+        _, values, _ = np.linalg.svd(coarse.linearise(theta, pose, white)[1][0])
+        return -np.log(values).sum()
+
+    for k in range(len(y)):
+        move = 1e-3 * np.eye(len(y))[k]
+        assert slope[k] == pytest.approx((volume(y + move) - volume(y - move)) / 2e-3, rel=0.01, abs=2e-5)
+
+
+JOINT = {name: CASES[name] for name in ("as stated", "correlated", "uniform", "common", "missing", "robust")}
+
+
+@pytest.mark.parametrize("case", JOINT.values(), ids=JOINT)
+def test_fit_is_least_squares_over_parameters_and_poses_together(case, rng):
+    posterior, _, pose = lines_posterior(rng, n_poses=12, **case)
+    likelihood, n = posterior.likelihood, posterior.n_parameters
+    white = likelihood.whiten(*posterior.deviations(np.zeros((1, n))))
+    freedom, spare = likelihood.freedom, likelihood.n_readings - 2
+
+    def residual(x):
+        y, at = x[:n], x[n:].reshape(1, -1, 2)
+        read = likelihood.model.read(posterior.theta(y[None])[:, None], at)
+        rest = white.vector(np.where(likelihood.data.present, likelihood.data.values - read, 0.0))[0]
+        if np.isfinite(freedom):  # a residual whose square is what the density has in its place
+            square = (rest**2).sum(axis=1)
+            rest = np.sqrt((freedom + spare) * np.log1p(square / freedom) / square)[:, None] * rest
+        return np.concatenate([rest.ravel(), y])
+
+    start = np.concatenate([np.zeros(n), pose.ravel()])
+    joint = least_squares(residual, start, "3-point", x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    y, at = posterior.fit(np.zeros(n), likelihood.start)
+    np.testing.assert_allclose(y, joint[:n], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(at, joint[n:].reshape(-1, 2), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(posterior.polish(y + 0.1), y, rtol=0, atol=1e-6)
+
+
+def test_fit_finds_poses_beside_a_constraint(rng):
+    """One line's length is known exactly: poses run on its circle, and the projection must not lose the rest."""
+    posterior, _, pose = lines_posterior(rng, n_poses=12)
+    likelihood = posterior.likelihood
+    sd = likelihood.data.sd.copy()
+    exact, near = sd.copy(), sd.copy()
+    exact[:, 0], near[:, 0] = 0.0, 1e-3
+    found, limit = (
+        replace(posterior, likelihood=replace(likelihood, data=replace(likelihood.data, sd=one)))
+        for one in (exact, near)
+    )
+    y, at = found.fit(np.zeros(found.n_parameters), pose)
+    other, _ = limit.fit(np.zeros(found.n_parameters), pose)
+    np.testing.assert_allclose(y, other, rtol=0, atol=1e-3)
+    left = likelihood.model.read(found.theta(y[None])[0], at)[:, 0] - likelihood.data.values[:, 0]
+    assert np.abs(left).max() < 1e-6
+    gradient, _ = found.gradient(y)
+    assert np.abs(gradient).max() < 0.1
+
+
+@pytest.mark.parametrize("weight", [1.0, 1e4])
+def test_projections_hold_beside_constraints(weight, rng):
+    """Six coordinates, one reading 10⁴ times as sharp as the others: HᵀH would be singular to rounding."""
+    slope = rng.standard_normal((5, 9, 6)) * np.array([1.0, 300.0, 0.01, 1.0, 1.0, 1.0])
+    slope[:, 4] *= weight
+    projection = _project(slope)
+    for one, across in zip(slope, projection, strict=True):
+        left = null_space((one / np.linalg.norm(one, axis=0)).T)
+        np.testing.assert_allclose(across, left @ left.T, rtol=0, atol=1e-9)
+
+
+def test_fit_says_where_there_is_no_machine(rng):
+    posterior, _, pose = lines_posterior(rng)
+    with pytest.raises(NumericalError, match="no reading of the machine as expected"):
+        posterior.fit(np.zeros(posterior.n_parameters), np.full_like(pose, np.nan))
+
+
+def test_coordinates_are_standard_normal_under_the_priors(rng):
+    posterior, _, _ = lines_posterior(rng, uniform=True, common=True, noise=unknown_noise(4, True, True, 0.3))
+    y = np.linspace(-3.0, 3.0, 25)
+    natural = posterior.natural(np.repeat(y[:, None], posterior.n_parameters, axis=1))
+    quantile = norm.cdf(y)
+    for k, name in enumerate(posterior.geometry_names):
+        prior = posterior.priors[name]
+        if isinstance(prior, UniformPrior):
+            expected = uniform.ppf(quantile, prior.lower, prior.upper - prior.lower)
+        else:
+            expected = norm.ppf(quantile, prior.mean, prior.sd)
+        np.testing.assert_allclose(natural[:, k], expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(natural[:, -2], lognorm.ppf(quantile, 0.4), rtol=1e-9)
+    np.testing.assert_allclose(natural[:, -1], halfnorm.ppf(quantile, scale=0.3), rtol=1e-7)
+    sd = [lognorm.std(0.4), halfnorm.std(scale=0.3)]
+    np.testing.assert_allclose(posterior.prior_sd[-2:], sd, rtol=1e-12)
+    assert posterior.names[-2:] == ("noise_factor(own)", "model_error(own)")
+    assert posterior.units[-2:] == ("1", "mm")
+
+
+def test_what_is_common_deviates_alike(rng):
+    posterior, _, _ = lines_posterior(rng, common=True)
+    y = rng.standard_normal((3, posterior.n_parameters))
+    theta = posterior.theta(y) - posterior.likelihood.model.layout.nominal
+    zero = posterior.likelihood.model.layout.index["zero"]
+    np.testing.assert_array_equal(theta[:, zero[0]], theta[:, zero[1]])
+    np.testing.assert_allclose(theta[:, zero[0]], y[:, posterior.names.index("zero[1,2,3]")], rtol=1e-12)
+    assert np.ptp(theta[:, zero[3]] - theta[:, zero[0]]) > 0.1
+
+
+def test_slopes_of_the_covariance(rng):
+    noise, sd, correlation = unknown_noise(4, True, True, 0.3), rng.uniform(0.5, 2.0, (3, 4)), correlation_of(rng, 4)
+
+    def covariance(zeta):
+        own, tau = (one[0] for one in noise.deviations(zeta[None], sd))
+        return own[:, :, None] * correlation * own[:, None] + tau[..., None] ** 2 * np.eye(4)
+
+    zeta, step = np.array([0.3, -0.8]), 1e-5
+    found = noise.covariance_slopes(zeta, sd, correlation[None])
+    for k in range(2):
+        ahead, behind = (covariance(zeta + sign * step * np.eye(2)[k]) for sign in (1.0, -1.0))
+        np.testing.assert_allclose(found[k], (ahead - behind) / (2.0 * step), rtol=0, atol=1e-8)
+
+
+def test_no_model_error_far_down_and_no_end_far_up():
+    noise = NoiseModel(np.array([-1]), np.array([0]), (), ("a",), np.empty(0), np.array([2.0]), ("mm",))
+    low, high = noise.natural(np.array([[-30.0], [12.0]]))
+    assert 0.0 <= low[0] < 1e-100
+    assert high[0] == pytest.approx(halfnorm.isf(norm.sf(12.0), scale=2.0), rel=1e-9)
+
+
+def test_unknown_names_are_refused(rng):
+    posterior, _, _ = lines_posterior(rng)
+    for change in ({"priors": {"b": NormalPrior(0.0, 1.0)}}, {"fixed": {"b": 1.0}}):
+        with pytest.raises(InputError, match="parameter 'b': unknown here, expected one of a_x, a_y, zero"):
+            replace(posterior, **change)
+
+
+def test_outside_its_bounds_there_is_no_machine(rng):
+    posterior, y, pose = lines_posterior(rng)
+    model = posterior.likelihood.model
+    blocks = tuple(replace(one, lower=-1.0) if one.symbol == "zero" else one for one in model.layout.blocks)
+    machine = copy(model.machine)
+    machine.parameters = blocks
+    bounded = replace(model, machine=machine)
+    likelihood = density(bounded, posterior.likelihood.data, pose)
+    limited = CalibrationPosterior(likelihood, posterior.priors, stated_noise(4), {}, {})
+    k = limited.names.index("zero[1]")
+    beyond = np.tile(0.0 * y, (2, 1))
+    beyond[:, k] = [-0.9, -1.1]
+    assert list(np.isfinite(limited.log_density(beyond))) == [True, False]

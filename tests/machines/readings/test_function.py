@@ -1,0 +1,269 @@
+"""A machine of one function: its derivatives by complex step, and what is refused."""
+
+from __future__ import annotations
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from function_machines import point_on_lines, star_function
+from reading_machines import WORKSPACE, sliding_star, star_of
+from sliding_platforms import build, make_content
+
+from bayescal.errors import InputError
+from bayescal.experiments.shared.reading_machine import draw_poses
+from bayescal.machines.parameters import ParameterBlock
+from bayescal.machines.readings import Channel, Coordinate, FunctionModel, ReadingMachine
+from bayescal.machines.readings.colours import colour
+from bayescal.numerics.analytic import absolute, atan2, norm
+
+STARS = {
+    "shipped": sliding_star,
+    "three legs": lambda: star_of(3),
+    "six legs": lambda: star_of(6),
+    "against their guides": lambda: build(make_content(5, "against", 10.0)),
+}
+
+
+def places(whole, rng, n_machines=4, n_poses=9):
+    """Return machines (C, 1, D) near nominal and poses (P, 3) near home."""
+    pose = draw_poses(whole, WORKSPACE.model_copy(update={"n_poses": n_poses, "angle_deg": 10.0}), rng)
+    return whole.layout.nominal + 0.02 * rng.standard_normal((n_machines, 1, whole.layout.size)), pose
+
+
+def assert_same(found, expected):
+    """Compare entries with the largest of their channel: to 1e-11."""
+    assert found.shape == expected.shape
+    axes = tuple(range(expected.ndim - 1))
+    scale = np.abs(expected).max(axis=axes, keepdims=True)
+    assert (np.abs(found - expected) <= 1e-11 * np.where(scale > 0.0, scale, 1.0)).all()
+
+
+@pytest.mark.parametrize("make", STARS.values(), ids=STARS)
+def test_derivatives_are_those_by_hand(make, rng):
+    whole = make()
+    model, (theta, pose) = star_function(whole), places(whole, rng)
+    found, expected = model.linearise(theta, pose), whole.linearise(theta, pose)
+    np.testing.assert_allclose(found.values, expected.values, rtol=1e-13, atol=1e-13)
+    assert_same(found.by_pose, expected.by_pose)
+    assert_same(found.by_parameters, expected.by_parameters)
+    without = model.linearise(theta, pose, with_parameters=False)
+    np.testing.assert_array_equal(without.by_pose, found.by_pose)
+    np.testing.assert_array_equal(without.values, found.values)
+
+
+def test_a_machine_of_n_legs_costs_as_much_as_one_of_them():
+    rounds = {n: len(star_function(star_of(n))._all_steps.places) for n in (3, 4, 6)}
+    assert len(set(rounds.values())) == 1
+    assert rounds[4] < star_of(4).layout.size / 2
+
+
+def test_columns_of_one_colour_share_no_row(rng):
+    pattern = rng.random((7, 40)) < 0.2
+    pattern[:, 5] = False
+    colours = colour(pattern)
+    assert colours[5] == -1
+    for one in range(colours.max() + 1):
+        assert pattern[:, colours == one].sum(axis=1).max() == 1
+
+
+def test_seen_parameters_and_tool_are_those_by_hand(rng):
+    whole = sliding_star()
+    model, (theta, pose) = star_function(whole), places(whole, rng)
+    for names in (whole.names[:4], ["phi[2]"], ["s[1]", "psi[4]"], ["x_V"], ["phi_V"], whole.names):
+        assert model.seen_parameters(names) == whole.seen_parameters(names)
+    for found, expected in zip(model.tool(theta, pose), whole.tool(theta, pose), strict=True):
+        assert_same(found, np.broadcast_to(expected, found.shape))
+
+
+def test_without_a_tool_of_its_own_all_coordinates_have_to_be_accurate(rng):
+    model = point_on_lines()
+    pose = rng.uniform(-1.0, 1.0, (5, 2))
+    position, by_pose, by_parameters = model.tool(model.layout.nominal, pose)
+    np.testing.assert_array_equal(position, pose)
+    np.testing.assert_array_equal(by_pose, np.broadcast_to(np.eye(2), (5, 2, 2)))
+    assert by_parameters.shape == (5, 2, model.layout.size)
+    assert not by_parameters.any()
+
+
+def test_some_channels_are_those_of_all(rng):
+    whole = sliding_star()
+    model, (theta, pose) = star_function(whole), places(whole, rng)
+    chosen = np.array([0, 5, 6, 13])
+    few, every = model.pick(chosen), model.linearise(theta, pose)
+    found = few.linearise(theta, pose)
+    assert few.names == tuple(model.names[k] for k in chosen)
+    np.testing.assert_array_equal(found.values, every.values[..., chosen])
+    np.testing.assert_array_equal(few.read(theta, pose), model.read(theta, pose)[..., chosen])
+    assert_same(found.by_pose, every.by_pose[..., chosen, :])
+    assert_same(found.by_parameters, every.by_parameters[..., chosen, :])
+
+
+def test_where_the_machine_cannot_stand_nothing_is_read():
+    whole = sliding_star()
+    model, theta = star_function(whole), whole.layout.nominal.copy()
+    theta[whole.layout.index["l"][1]] = 50.0
+    here = model.linearise(theta, whole.home[None])
+    lost = np.array([name.endswith("[2]") for name in model.names])
+    np.testing.assert_array_equal(np.isnan(here.values[0]), lost)
+    np.testing.assert_array_equal(np.isnan(model.read(theta, whole.home)), lost)
+    assert np.isnan(here.by_pose[0, lost]).any(axis=1).all()
+    assert np.isfinite(here.by_parameters[0, ~lost]).all()
+
+
+class Beam(ReadingMachine):
+    """A machine without coordinates: deflections under forces that the data give."""
+
+    given = ("force",)
+    coordinates = ()
+
+    def __init__(self) -> None:
+        self.parameters = [ParameterBlock("k", (2.0, 5.0)), ParameterBlock("w0", (0.1,), per_leg=False)]
+        self.channels = [Channel("w[1]", "mm"), Channel("w[2]", "mm")]
+
+    def read(self, parameters, v, given):
+        return given["force"][..., None] / parameters["k"] + parameters["w0"][..., None]
+
+
+class Pair(ReadingMachine):
+    """A machine without coordinates that nothing has to be known of: it reads two lengths and their sum."""
+
+    coordinates = ()
+
+    def __init__(self) -> None:
+        self.parameters = [ParameterBlock("l", (2.0, 5.0))]
+        self.channels = [Channel("a", "mm"), Channel("b", "mm"), Channel("both", "mm")]
+
+    def read(self, parameters, v, given):
+        length = parameters["l"]
+        return np.concatenate([length, length.sum(axis=-1, keepdims=True)], axis=-1)
+
+
+def test_a_machine_without_coordinates(rng):
+    model = FunctionModel("beam", Beam())
+    force = rng.uniform(1.0, 3.0, 6)
+    here = model.linearise(model.layout.nominal, np.empty((6, 0)), given={"force": force})
+    assert here.by_pose.shape == (6, 2, 0)
+    np.testing.assert_allclose(here.values, force[:, None] / [2.0, 5.0] + 0.1, rtol=1e-15)
+    np.testing.assert_allclose(here.by_parameters[:, 1], np.stack([0 * force, -force / 25.0, 1.0 + 0 * force], axis=1))
+    few = model.linearise(model.layout.nominal, np.empty((6, 0)), False, {"force": force})
+    np.testing.assert_allclose(few.values, here.values, rtol=1e-15)
+    assert few.by_pose.shape == (6, 2, 0)
+
+
+def test_a_machine_of_parameters_alone_has_a_row_for_each_pose():
+    model = FunctionModel("pair", Pair())
+    theta = model.layout.nominal + np.arange(3.0)[:, None, None]
+    assert model.read(theta, np.empty((4, 0))).shape == (3, 4, 3)
+    here = model.linearise(theta, np.empty((4, 0)))
+    assert here.values.shape == (3, 4, 3)
+    np.testing.assert_array_equal(here.by_parameters, np.broadcast_to([[1, 0], [0, 1], [1, 1]], (3, 4, 3, 2)))
+
+
+# --- refusals ----------------------------------------------------------------------------------------------------
+
+
+class Arm(ReadingMachine):
+    """A point at some distance; what it reads is a test's."""
+
+    def __init__(self, read, **members) -> None:
+        self.parameters = [ParameterBlock("x0", (3.0,), per_leg=False), ParameterBlock("y0", (-4.0,), per_leg=False)]
+        self.coordinates = [Coordinate("x", "mm"), Coordinate("y", "mm")]
+        self.channels = [Channel("near", "mm"), Channel("far", "mm")]
+        self.own = read
+        vars(self).update(members)
+
+    def read(self, parameters, v, given):
+        return self.own(v[..., 0] - parameters["x0"], v[..., 1] - parameters["y0"])
+
+
+def plain(x, y):
+    """Return two readings that are analytic."""
+    return np.stack([x + 2.0 * y, x * y], axis=-1)
+
+
+def ours(x, y):
+    """Return the same with functions that a complex step can go through."""
+    return np.stack([norm(np.stack([x, y], axis=-1)) + absolute(x), 1e-5 * atan2(y, x)], axis=-1)
+
+
+def shortened(x, y):
+    """Return two readings, the second's modulus taken by NumPy, small beside the first."""
+    return np.stack([1e3 * (x + y), 1e-4 * np.abs(y)], axis=-1)
+
+
+def crash(x, y):
+    raise ValueError("no\nsuch  arm")
+
+
+READS = {
+    "shape": (lambda x, y: (x + y)[..., None], "Arm.read: found shape (5, 1) for 5 poses, expected (5, 2)"),
+    "one pose": (lambda x, y: np.stack([x.ravel(), y.ravel()], axis=-1), "it must take any leading axes"),
+    "raises": (crash, "Arm.read: failed with ValueError: no such arm, expected readings"),
+    "nan": (lambda x, y: np.stack([x, np.sqrt(-(y**2) - 1.0)], axis=-1), "far: found nan at home, expected a finite"),
+    "abs": (lambda x, y: np.stack([x, np.abs(y)], axis=-1), "far: found ∂/∂y0 = 0 by complex step and -1 by"),
+    "abs of little": (shortened, "far: found ∂/∂y0 = 0 by complex step and -0.0001 by"),
+    "norm": (
+        lambda x, y: np.stack([np.linalg.norm(np.stack([x, y], axis=-1), axis=-1), y], axis=-1),
+        "near: found ∂/∂x0 = 0 by complex step and",
+    ),
+    "arctan2": (lambda x, y: np.stack([x, np.arctan2(y, x)], axis=-1), "with complex numbers: failed with TypeError"),
+}
+
+
+@pytest.mark.parametrize(("read", "text"), READS.values(), ids=READS)
+def test_a_wrong_function_is_refused_in_one_line(read, text):
+    with pytest.raises(InputError, match=re.escape(text)) as caught:
+        FunctionModel("arm", Arm(read))
+    message = str(caught.value)
+    assert message.startswith("machine 'arm': Arm.read")
+    assert "\n" not in message
+
+
+MEMBERS = {
+    "no channels": ({"channels": None}, "found no channels, expected a sequence of Channel"),
+    "a name": ({"channels": ["near"]}, "channels: found 'near', expected a Channel"),
+    "twice": ({"channels": [Channel("s", "mm")] * 2}, "channels: found 's' twice, expected each name once"),
+    "nothing": ({"parameters": []}, "found no parameter or no channel, expected at least one of each"),
+    "rotation": (
+        {"channels": [Channel("a", "rad", rotation="r"), Channel("b", "rad", rotation="r")]},
+        "channels: found 2 of rotation 'r', expected three in a row",
+    ),
+    "apart": (
+        {"channels": [Channel(name, "rad", rotation="" if name == "c" else "r") for name in "abcd"]},
+        "channels: found 3 of rotation 'r', expected three in a row",
+    ),
+}
+
+
+@pytest.mark.parametrize(("members", "text"), MEMBERS.values(), ids=MEMBERS)
+def test_wrong_members_are_refused_in_one_line(members, text):
+    with pytest.raises(InputError, match=re.escape(text)) as caught:
+        FunctionModel("arm", Arm(plain, **members))
+    assert str(caught.value).startswith("machine 'arm': class Arm")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_member_that_was_never_set_is_refused():
+    class Bare(ReadingMachine):
+        def read(self, parameters, v, given):
+            return v
+
+    with pytest.raises(InputError, match="class Bare: found no parameters, expected a sequence of ParameterBlock"):
+        FunctionModel("bare", Bare(SimpleNamespace()))
+
+
+@pytest.mark.parametrize("read", [plain, ours])
+def test_analytic_functions_are_taken(read):
+    model = FunctionModel("arm", Arm(read))
+    assert model.linearise(model.layout.nominal, np.zeros((1, 2))).values.shape == (1, 2)
+
+
+def test_a_small_slope_beside_large_numbers_is_no_fault():
+    """Differences cannot see it for rounding, which is no reason to refuse it."""
+
+    def offset(x, y):
+        return np.stack([np.sqrt((x + 1e5) ** 2 + 1e-4 * y**2) - 1e5, (x + 1e5) ** 2 - 1e10 + 1e-9 * y], axis=-1)
+
+    FunctionModel("arm", Arm(offset))
