@@ -1,0 +1,115 @@
+"""Simulation-based calibration: the truth's rank among draws of its posterior is uniform (Talts et al. 2018)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibration_problems import correlation_of, density, linear_model, lines_posterior, measurements, simulate
+from scipy.stats import chisquare
+
+from bayescal.density.calibration.noise import NoiseModel
+from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.priors import NormalPrior, UniformPrior
+from bayescal.inference.importance import resample
+from bayescal.inference.proposal import MixtureProposal
+
+KEPT = 99
+
+
+def climb(posterior, y):
+    """Return the mode and the factor of the covariance there, by Newton's steps from y."""
+    for _ in range(30):
+        gradient, hessian = posterior.gradient(y)
+        step = np.linalg.solve(-hessian, gradient)
+        y = y + step * min(1.0, 1.0 / np.abs(step).max())
+        if np.abs(step).max() < 1e-5:
+            break
+    return y, np.linalg.cholesky(np.linalg.inv(-hessian))
+
+
+def draw(posterior, rng, n=KEPT, tried=1500):
+    """Return independent draws of a posterior, proposed about its mode and, for its tails, by the priors."""
+    y, factor = climb(posterior, posterior.approach())
+    factors = np.array([1.2 * factor, 1.2 * np.eye(len(y))])
+    proposal = MixtureProposal(np.array([0.8, 0.2]), np.array([y, 0.0 * y]), factors, 5.0)
+    found = resample(posterior.log_density, proposal, rng, tried, n)
+    assert found.efficiency > 0.02
+    return found.draws
+
+
+def p_values(ranks):
+    """Return how likely so uneven ranks (R, n) of 0 to KEPT are, for each of n."""
+    bins = 10
+    counts = [np.bincount(column * bins // (KEPT + 1), minlength=bins) for column in ranks.T]
+    return np.array([chisquare(one).pvalue for one in counts])
+
+
+def linear_problem(rng, nu=np.inf, correlation=None):
+    """Return a posterior of linear readings with an unknown factor, a model error and a uniform prior; its truth."""
+    model = linear_model(np.random.default_rng(5), 5, 2, 2)
+    noise = NoiseModel(
+        np.array([0, 0, 0, -1, -1]),
+        np.array([-1, -1, -1, 0, 0]),
+        ("a",),
+        ("b",),
+        np.array([0.5]),
+        np.array([0.5]),
+        ("mm",),
+    )
+    priors = {"d[1]": NormalPrior(0.0, 1.0), "d[2]": UniformPrior(-2.0, 2.0)}
+    pose = 3.0 * rng.standard_normal((8, 2))
+    sd = np.array([0.5, 0.4, 0.3, 0.5, 0.5])
+    blank = CalibrationPosterior(
+        density(model, measurements(np.zeros((8, 5)), sd, correlation), nu=nu), priors, noise, {}, {}
+    )
+    y = rng.standard_normal(4)
+    data = replace(blank.likelihood.data, values=simulate(blank, y, pose, rng))
+    return replace(blank, likelihood=density(model, data, nu=nu)), y
+
+
+def rank_linear(rng, n, spoil=1.0, **case):
+    """Return the ranks of n truths (n, 4); a noise stated ``spoil`` times too large has to show."""
+    ranks = []
+    for _ in range(n):
+        posterior, y = linear_problem(rng, **case)
+        if spoil != 1.0:
+            likelihood = posterior.likelihood
+            wrong = replace(likelihood.data, sd=spoil * likelihood.data.sd)
+            posterior = replace(posterior, likelihood=replace(likelihood, data=wrong))
+        ranks.append((draw(posterior, rng) < y).sum(axis=0))
+    return np.array(ranks)
+
+
+CASES = {"plain": {}, "robust": {"nu": 4.0}, "correlated": {"correlation": correlation_of(np.random.default_rng(1), 5)}}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_ranks_of_linear_problems_are_uniform(case, rng):
+    assert (p_values(rank_linear(rng, 40, **case)) > 0.01).all()
+
+
+def test_a_wrong_noise_shows(rng):
+    assert p_values(rank_linear(rng, 40, spoil=2.5))[2] < 1e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_ranks_of_many_linear_problems_are_uniform(case, rng):
+    assert (p_values(rank_linear(rng, 400, **case)) > 0.01).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", [{}, {"missing": 0.5, "nu": 4.0}], ids=["plain", "robust with readings missing"])
+def test_ranks_of_a_point_on_lines_are_uniform(case, rng):
+    """Parameters and the noise's factor of a machine with poses to be found."""
+    noise = NoiseModel(np.zeros(4, dtype=int), np.full(4, -1), ("lines",), (), np.array([0.5]))
+    ranks = []
+    for _ in range(150):
+        posterior, y, _ = lines_posterior(rng, n_poses=15, noise=noise, **case)
+        ranks.append((draw(posterior.anchored(), rng) < y).sum(axis=0))
+    found = p_values(np.array(ranks))
+    assert found[-1] > 0.01
+    assert (found > 0.01 / len(found)).all()
+    assert np.median(found) > 0.05
