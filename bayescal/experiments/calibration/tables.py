@@ -13,6 +13,13 @@ from scipy.stats import chi2
 from bayescal.experiments.calibration.fit import Fit
 from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
 from bayescal.experiments.calibration.knowledge import Knowledge
+from bayescal.experiments.calibration.knowledge_tables import (
+    list_next,
+    list_ridges,
+    name_data,
+    plain,
+    tabulate_accuracy,
+)
 from bayescal.experiments.calibration.validation import Held
 from bayescal.numerics.geometry import Array
 
@@ -105,12 +112,6 @@ def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dic
     return row
 
 
-def name_data(variant: Variant) -> str:
-    """Return which readings a variant takes in, in words that are the same for the same ones."""
-    kinds = dict.fromkeys(one.kind for one in variant.model.channels)
-    return f"{' '.join(kinds)}, {variant.data.n_poses} poses, {int(variant.data.present.sum())} readings"
-
-
 def _list_parameters(variant: Variant, one: Findings) -> pd.DataFrame:
     fit, posterior = one.fit, variant.posterior()
     low, high = np.quantile(fit.natural, [0.05, 0.95], axis=0)
@@ -192,33 +193,6 @@ def _list_predictions(variant: Variant, one: Findings) -> Iterator[dict[str, Any
             }
 
 
-def tabulate_accuracy(variant: Variant, known: Knowledge) -> pd.DataFrame:
-    """Return how well a variant knows where the machine stands, a coordinate a row."""
-    return pd.DataFrame(
-        {
-            "variant": variant.name,
-            "coordinate": known.coordinates,
-            "unit": known.units,
-            "before": known.before,
-            "after": known.after,
-            "noise": known.noise,
-        }
-    )
-
-
-def list_ridges(variant: Variant, known: Knowledge) -> Iterator[dict[str, Any]]:
-    """Return the combinations that a variant does not tell."""
-    for name, share, text in known.ridges:
-        yield {"variant": variant.name, "parameter": name, "contraction": share, "sentence": text}
-
-
-def list_next(variant: Variant, known: Knowledge) -> Iterator[dict[str, Any]]:
-    """Return where to measure next, by what part the mean squared error would fall."""
-    for pose, sensors, gain in zip(known.next_pose, known.next_sensors, known.next_gain, strict=True):
-        coordinates = {f"{c.name}_{c.unit}": pose[k] for k, c in enumerate(variant.model.coordinates)}
-        yield {"variant": variant.name, "sensors": sensors, **coordinates, "gain": gain}
-
-
 def _list_beside(inputs: CalibrationInputs, variant: Variant, one: Findings) -> Iterator[dict[str, Any]]:
     for source, values in zip(inputs.beside, one.beside, strict=True):
         mean, sd = values.mean(axis=0), values.std(axis=0)
@@ -257,8 +231,3 @@ def rank_variants(variants: pd.DataFrame) -> list[list[str]]:
     """Return the variants of the same readings, the largest evidence first."""
     groups = [some.sort_values("log_evidence", ascending=False) for _, some in variants.groupby("data", sort=False)]
     return [[str(name) for name in some["variant"]] for some in groups]
-
-
-def plain(row: dict[Any, Any]) -> dict[str, Any]:
-    """Return a row with None for what is no number."""
-    return {str(k): None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}

@@ -13,7 +13,13 @@ from bayescal.experiments.calibration.audit.inputs import AuditInputs
 from bayescal.experiments.calibration.audit.selection import Selection
 from bayescal.experiments.calibration.inputs import Variant
 from bayescal.experiments.calibration.knowledge import Knowledge
-from bayescal.experiments.calibration.tables import list_next, list_ridges, name_data, plain, tabulate_accuracy
+from bayescal.experiments.calibration.knowledge_tables import (
+    list_next,
+    list_ridges,
+    name_data,
+    plain,
+    tabulate_accuracy,
+)
 from bayescal.numerics.geometry import Array
 
 
