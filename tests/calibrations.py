@@ -32,6 +32,14 @@ def write_simulation(folder: Path) -> Path:
     return path
 
 
+def write_audit(folder: Path) -> Path:
+    """Write a small audit of the linear delta; return its config."""
+    path = copy_delta(folder) / "audit.toml"
+    path.write_text(path.read_text() + "\n[next]\ncandidates = 20\n")
+    change(path, "count = 12", "count = 4\ncandidates = 30")
+    return path
+
+
 def change(path: Path, old: str, new: str) -> Path:
     """Replace a text of a file, which must be there."""
     text = path.read_text()

@@ -3,6 +3,7 @@
 KINDS = {
     "audit": "bayescal.experiments.audit.kind:Audit",
     "calibration": "bayescal.experiments.calibration.kind:Calibration",
+    "calibration_audit": "bayescal.experiments.calibration.audit.kind:CalibrationAudit",
     "calibration_simulation": "bayescal.experiments.calibration.simulation_kind:CalibrationSimulation",
     "pose_selection": "bayescal.experiments.pose_selection.kind:PoseSelection",
     "reading_simulation": "bayescal.experiments.self_calibration.simulation_kind:ReadingSimulation",

@@ -55,13 +55,14 @@ def compute_calibration(inputs: CalibrationInputs, run: Run) -> Results:
 def _compute_variant(inputs: CalibrationInputs, name: str) -> _Fitted:
     variant = inputs.variants[name]
     fit = fit_variant(inputs, variant)
-    theta = variant.posterior().theta(fit.kept)
+    posterior = variant.posterior()
+    covariance = np.atleast_2d(np.cov(fit.kept[:, : posterior.n_geometry], rowvar=False))
     held = [hold_back(inputs, variant, 0, fit.kept)] if variant.verification.any() else []
     return _Fitted(
         fit,
         _explain(inputs, name, fit),
-        assess(inputs, variant, fit),
-        [one.evaluate(variant.whole, theta) for one in inputs.beside],
+        assess(inputs.config, variant, posterior.anchored(), fit.kept.mean(axis=0), covariance),
+        [one.evaluate(variant.whole, posterior.theta(fit.kept)) for one in inputs.beside],
         held,
     )
 

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from rich.console import Console
 
-from bayescal.config.registry import hash_modules
 from bayescal.experiments.calibration.compute import compute_calibration
 from bayescal.experiments.calibration.inputs import CalibrationInputs, list_machines, read_inputs
+from bayescal.experiments.calibration.machine_files import hash_machine_modules, list_sources
 from bayescal.experiments.calibration.page.build import build_page, list_variants
 from bayescal.experiments.calibration.schema import CalibrationConfig
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.machines.read import find_machine_class, list_machine_sources
 from bayescal.report.blocks import Page
 
 
@@ -26,16 +24,11 @@ class Calibration(Experiment[CalibrationConfig, CalibrationInputs]):
 
     def files(self, config: CalibrationConfig, folder: Path) -> list[str]:
         """Return the input files, the source of a machine's own class among them."""
-        names = super().files(config, folder)
-        for machine in list_machines(config):
-            beside = Path(machine).parent
-            names += [os.path.normpath(beside / one) for one in list_machine_sources(folder / machine)]
-        return names
+        return [*super().files(config, folder), *list_sources(list_machines(config), folder)]
 
     def modules(self, config: CalibrationConfig, folder: Path) -> dict[str, str]:
         """Return the hashes of installed modules that the machines' classes stand in."""
-        own = [find_machine_class(folder / machine) for machine in list_machines(config)]
-        return super().modules(config, folder) | hash_modules([one for one in own if one is not None])
+        return super().modules(config, folder) | hash_machine_modules(list_machines(config), folder)
 
     def read(self, config: CalibrationConfig, folder: Path) -> CalibrationInputs:
         """Return machine, readings and variants."""

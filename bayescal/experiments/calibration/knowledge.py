@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from bayescal.density.calibration.posterior import CalibrationPosterior
-from bayescal.experiments.calibration.fit import Fit
-from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
+from bayescal.experiments.calibration.inputs import Variant
+from bayescal.experiments.calibration.schema import NextConfig
+from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.identifiability.directions import find_directions
 from bayescal.identifiability.information import information_of_rows
 from bayescal.identifiability.ridges import describe_move, round_below
 from bayescal.identifiability.units import Units
 from bayescal.identifiability.verdicts import judge_parameters
-from bayescal.machines.readings import Given
+from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
 
 N_WORKSPACE = 200
@@ -56,7 +58,7 @@ class Knowledge:
 
 
 @dataclass(frozen=True, eq=False)
-class _View:
+class View:
     """Poses (W, q) seen by some channels at one machine, to first order; those where it cannot stand are left out.
 
     ``rows`` (W, K, m): white derivative of the readings by the coordinates of the posterior, poses eliminated; ``tool``
@@ -69,28 +71,53 @@ class _View:
     noise: Array
 
 
-def assess(inputs: CalibrationInputs, variant: Variant, fit: Fit) -> Knowledge:
-    """Return what the readings of a variant tell, to first order about the posterior mean."""
-    posterior, y = variant.posterior().anchored(), fit.kept.mean(axis=0)
-    rng = np.random.default_rng([inputs.config.seed, 5])
-    covariance = np.atleast_2d(np.cov(fit.kept[:, : posterior.n_geometry], rowvar=False))
-    at = _look(posterior, variant, y, variant.workspace.draw(N_WORKSPACE, rng), variant.internal)
-    names, units = _name_tool(variant, at.tool.shape[1])
+class Asked(Protocol):
+    """What of a config says how what is known is told: the config of a calibration, or of its audit."""
+
+    @property
+    def seed(self) -> int:
+        """Of the workspace's poses and of the candidates."""
+
+    @property
+    def units(self) -> UnitsConfig:
+        """Units of the sentences."""
+
+    @property
+    def next(self) -> NextConfig:
+        """How many poses are tried, how many shown."""
+
+
+def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: Array, covariance: Array) -> Knowledge:
+    """Return what the readings of a variant tell, to first order about one machine.
+
+    Parameters
+    ----------
+    asked : Asked
+    variant : Variant
+    posterior : CalibrationPosterior
+    y : ndarray, shape (n,)
+        The machine, in the posterior's coordinates.
+    covariance : ndarray, shape (m, m)
+        What remains unknown of the parameters, in the same.
+    """
+    rng = np.random.default_rng([asked.seed, 5])
+    at = look_around(variant, posterior, y, rng)
+    names, units = name_tool(variant.model, at.tool.shape[1])
     every = np.ones(len(variant.model.channels), dtype=bool)
-    candidates = variant.workspace.draw(inputs.config.next.candidates, rng)
+    candidates = variant.workspace.draw(asked.next.candidates, rng)
     tried = [
-        (label, *_rank(posterior, variant, y, candidates, at, covariance, some, inputs.config.next.shown))
+        (label, *_rank(posterior, variant, y, candidates, at, covariance, some, asked.next.shown))
         for label, some in (("own", variant.internal), ("all", every))
         if label == "own" or (some != variant.internal).any()
     ]
-    verdicts, ridges = _judge(inputs, variant, posterior, y)
+    verdicts, ridges = _judge(asked.units, posterior, y)
     return Knowledge(
         verdicts,
         ridges,
         names,
         units,
-        _rms(at.tool, np.eye(posterior.n_geometry)),
-        _rms(at.tool, covariance),
+        rms(at.tool, np.eye(posterior.n_geometry)),
+        rms(at.tool, covariance),
         np.sqrt(at.noise.mean(axis=0)),
         np.concatenate([pose for _, pose, _ in tried]),
         tuple(label for label, pose, _ in tried for _ in pose),
@@ -98,14 +125,20 @@ def assess(inputs: CalibrationInputs, variant: Variant, fit: Fit) -> Knowledge:
     )
 
 
-def _name_tool(variant: Variant, n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    coordinates = variant.model.coordinates
+def look_around(variant: Variant, posterior: CalibrationPosterior, y: Array, rng: np.random.Generator) -> View:
+    """Return random poses of the workspace seen by the machine's own sensors."""
+    return look(posterior, variant, y, variant.workspace.draw(N_WORKSPACE, rng), variant.internal)
+
+
+def name_tool(model: ReadingModel, n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return names and units of the n numbers that have to be accurate."""
+    coordinates = model.coordinates
     if n == len(coordinates):
         return tuple(one.name for one in coordinates), tuple(one.unit for one in coordinates)
     return tuple(f"tool[{k + 1}]" for k in range(n)), ("mm",) * n
 
 
-def _look(posterior: CalibrationPosterior, variant: Variant, y: Array, pose: Array, some: np.ndarray) -> _View:
+def look(posterior: CalibrationPosterior, variant: Variant, y: Array, pose: Array, some: np.ndarray) -> View:
     """Return poses (W, q) seen by the channels of a mask (K,), with the noise stated for the first reading of each."""
     theta, model = posterior.theta(y[None])[0], variant.model
     white = _typical_noise(posterior, variant, y, some)
@@ -122,7 +155,7 @@ def _look(posterior: CalibrationPosterior, variant: Variant, y: Array, pose: Arr
     tool = direct @ moves.T - by_pose @ (gain @ seen)
     noise = ((by_pose @ gain) ** 2).sum(axis=-1)
     unknown = ~told[:, None]
-    return _View(pose, rows, np.where(unknown[..., None], np.nan, tool), np.where(unknown, np.nan, noise))
+    return View(pose, rows, np.where(unknown[..., None], np.nan, tool), np.where(unknown, np.nan, noise))
 
 
 def _typical_noise(posterior: CalibrationPosterior, variant: Variant, y: Array, some: np.ndarray) -> Array:
@@ -140,7 +173,7 @@ def _typical_given(variant: Variant, n: int) -> Given:
     return {name: np.full(n, np.median(value)) for name, value in variant.data.given.items()}
 
 
-def _rms(tool: Array, covariance: Array) -> Array:
+def rms(tool: Array, covariance: Array) -> Array:
     """Return the root mean square over poses of what parameters of a covariance leave unknown of the tool, (t,)."""
     return np.sqrt(np.einsum("wti,ij,wtj->wt", tool, covariance, tool, optimize=True).mean(axis=0))
 
@@ -150,36 +183,60 @@ def _rank(
     variant: Variant,
     y: Array,
     candidates: Array,
-    at: _View,
+    at: View,
     covariance: Array,
     some: np.ndarray,
     shown: int,
 ) -> tuple[Array, Array]:
     """Return the poses that lower the mean squared error of the tool over the workspace most, and by what part."""
-    lengths = at.tool[:, : max(1, variant.model.pose_units.count("mm"))]
-    weight = np.einsum("wti,wtj->ij", lengths, lengths)
+    weight = weigh(variant, at)
     if not len(candidates) or not some.any() or not np.isfinite(weight).all():
         return np.empty((0, candidates.shape[1])), np.empty(0)
-    tried = _look(posterior, variant, y, candidates, some)
-    rows, seen = tried.rows, tried.rows @ covariance
-    inner = np.eye(rows.shape[1]) + seen @ np.swapaxes(rows, -1, -2)
-    fall = np.einsum("cki,ij,clj->ckl", seen, weight, seen, optimize=True)
-    gain = np.trace(np.linalg.solve(inner, fall), axis1=-2, axis2=-1) / np.trace(weight @ covariance)
+    tried = look(posterior, variant, y, candidates, some)
+    gain = compute_gains(tried.rows, covariance, weight)
     best = np.argsort(-gain, kind="stable")[:shown]
     return tried.pose[best], gain[best]
 
 
-def _judge(
-    inputs: CalibrationInputs, variant: Variant, posterior: CalibrationPosterior, y: Array
-) -> tuple[tuple[str, ...], list[tuple[str, float, str]]]:
-    """Return the verdict on each parameter, and directions that contract too little, in words."""
+def weigh(variant: Variant, at: View) -> Array:
+    """Return W (m, m) such that tr(W C) is the sum over poses of the tool's squared error, of lengths only."""
+    lengths = at.tool[:, : max(1, variant.model.pose_units.count("mm"))]
+    return np.asarray(np.einsum("wti,wtj->ij", lengths, lengths))
+
+
+def compute_gains(rows: Array, covariance: Array, weight: Array) -> Array:
+    """Return by what part tr(W C) falls with the readings of each pose: tr(W C Rᵀ (1 + R C Rᵀ)⁻¹ R C) / tr(W C).
+
+    Parameters
+    ----------
+    rows : ndarray, shape (c, K, m)
+        R, white, poses eliminated.
+    covariance, weight : ndarray, shape (m, m)
+        C and W.
+    """
+    seen = rows @ covariance
+    inner = np.eye(rows.shape[1]) + seen @ np.swapaxes(rows, -1, -2)
+    fall = np.einsum("cki,ij,clj->ckl", seen, weight, seen, optimize=True)
+    gain = np.trace(np.linalg.solve(inner, fall), axis1=-2, axis2=-1) / np.trace(weight @ covariance)
+    return np.asarray(gain)
+
+
+def see(posterior: CalibrationPosterior, y: Array) -> Array:
+    """Return the white derivative of the readings by the parameters' coordinates, poses eliminated, (P, K, m)."""
     white, stand = posterior.stand(y[None])
     error, slope, by_parameters = posterior.rows(y, white, stand.pose)
     del error
-    rows = by_parameters - slope @ (np.linalg.pinv(slope) @ by_parameters)
+    return np.asarray(by_parameters - slope @ (np.linalg.pinv(slope) @ by_parameters))
+
+
+def _judge(
+    section: UnitsConfig, posterior: CalibrationPosterior, y: Array
+) -> tuple[tuple[str, ...], list[tuple[str, float, str]]]:
+    """Return the verdict on each parameter, and directions that contract too little, in words."""
+    rows = see(posterior, y)
     information = information_of_rows(rows, np.ones(posterior.n_geometry))
     nothing = np.empty((posterior.n_geometry, 0))
-    units = Units(inputs.config.units.length, inputs.config.units.angle)
+    units = Units(section.length, section.angle)
     ridges = []
     for direction in find_directions(information, nothing, ()):
         if direction.pivot is None:
@@ -189,7 +246,7 @@ def _judge(
         largest = scale[pivot] * min(1.0, abs(direction.vector[pivot]) / np.abs(direction.vector).max())
         size = factor * round_below(largest / factor) / (direction.vector[pivot] * scale[pivot])
         move = direction.vector * scale * size
-        text = describe_move(posterior.geometry_names, kinds, direction, move, units, variant.model.member)
+        text = describe_move(posterior.geometry_names, kinds, direction, move, units, posterior.likelihood.model.member)
         left = float(np.abs(rows @ (direction.vector * size)).max())
         sentence = f"{text} changes no reading by more than {left:.2g} of its noise."
         ridges.append((posterior.geometry_names[pivot], direction.contraction, sentence))

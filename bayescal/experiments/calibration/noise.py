@@ -40,6 +40,13 @@ def stated_noise(sensors: Mapping[str, ChannelConfig], readings: PoseReadings, m
     return result
 
 
+def noise_of_channels(sensors: Mapping[str, ChannelConfig], model: ReadingModel) -> Array:
+    """Return what the config says of each channel, (K,); NaN where it says nothing."""
+    nothing = np.full((1, len(model.channels)), np.nan)
+    empty = PoseReadings(("",), np.zeros(1, dtype=bool), nothing, nothing.copy(), None)
+    return stated_noise(sensors, empty, model)[0]
+
+
 def _given(section: ChannelConfig) -> tuple[str, float | list[float]]:
     field = next(name for name in ("noise", *NOISE_UNITS) if getattr(section, name) is not None)
     return field, getattr(section, field)

@@ -7,7 +7,11 @@ from collections.abc import Mapping, Sequence
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.schema import FixedConfig, NormalConfig, PriorConfig
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationSimulationConfig
+from bayescal.experiments.calibration.schema import (
+    CalibrationAuditConfig,
+    CalibrationConfig,
+    CalibrationSimulationConfig,
+)
 from bayescal.experiments.shared.per_leg import spread_over_legs
 from bayescal.identifiability.units import Units
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
@@ -17,7 +21,7 @@ type Chosen = tuple[dict[str, Prior], dict[str, float], dict[str, tuple[str, ...
 
 
 def choose_priors(
-    config: CalibrationConfig | CalibrationSimulationConfig,
+    config: CalibrationConfig | CalibrationSimulationConfig | CalibrationAuditConfig,
     wanted: list[str] | None,
     alike: list[str | list[str]],
     model: ReadingModel,
@@ -26,7 +30,7 @@ def choose_priors(
 
     Parameters
     ----------
-    config : CalibrationConfig or CalibrationSimulationConfig
+    config : CalibrationConfig, CalibrationSimulationConfig or CalibrationAuditConfig
     wanted : list of str or None
         Symbols or parameters that are free; None for all with a prior.
     alike : list of str or list of str

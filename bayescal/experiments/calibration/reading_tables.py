@@ -102,7 +102,7 @@ def read_tables(
         {name: np.full(n, np.nan) for name in given},
     )
     for table, one in zip(tables, sections, strict=True):
-        _fill(found, table, known, channels, [poses.index(name) for name in _names(table)], one)
+        _fill(found, table, known, channels, [poses.index(name) for name in pose_names(table)], one)
     _check_poses(found, folder / sections[0].file)
     return found
 
@@ -142,7 +142,8 @@ def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channe
     return table
 
 
-def _names(table: Table) -> list[str]:
+def pose_names(table: Table) -> list[str]:
+    """Return the names of a table's poses; InputError where one stands there twice."""
     names = table.text("pose")
     for row, name in enumerate(names):
         if (first := names.index(name)) != row:

@@ -139,14 +139,21 @@ class CalibrationConfig(ExperimentConfig):
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
-        names = [variant.name for variant in self.variants]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"variants: found {name!r} twice, expected each name once")
-        for name, (low, high) in self.workspace.items():
-            if not low < high:
-                raise ValueError(f"workspace.{name}: found {low:g} to {high:g}, expected the smaller number first")
+        _check_once([variant.name for variant in self.variants])
+        _check_bounds(self.workspace)
         return self
+
+
+def _check_once(names: list[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"variants: found {name!r} twice, expected each name once")
+
+
+def _check_bounds(workspace: dict[str, list[float]]) -> None:
+    for name, (low, high) in workspace.items():
+        if not low < high:
+            raise ValueError(f"workspace.{name}: found {low:g} to {high:g}, expected the smaller number first")
 
 
 class TrueParametersConfig(Section):
@@ -174,3 +181,69 @@ class CalibrationSimulationConfig(ExperimentConfig):
     given: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
     n_poses: Annotated[int, Field(ge=1, le=100_000)]
     verification_poses: Annotated[int, Field(ge=0, le=100_000)] = 0
+
+
+class PlannedPosesConfig(Section):
+    """Where it is planned to measure: that many random poses of the workspace, or those of a CSV file.
+
+    The file has ``pose``, the coordinates with their units such as ``x_mm``, and what the machine has to know of each.
+    """
+
+    count: Annotated[int, Field(ge=1, le=10_000)] | None = None
+    file: InputFile | None = None
+
+    @model_validator(mode="after")
+    def _check_one(self) -> Self:
+        if (self.count is None) == (self.file is None):
+            raise ValueError("found both or none of count and file, expected one of them")
+        return self
+
+
+class AuditVariantConfig(Section):
+    """A set of sensors and what is free with it; as in variants of a calibration."""
+
+    name: Name
+    title: str
+    sensors: Annotated[list[str], Field(min_length=1)] | None = None
+    free: Annotated[list[str], Field(min_length=1)] | None = None
+    common: list[str | list[str]] = Field(default=[])
+
+
+class SelectionConfig(Section):
+    """How many poses to choose, one by one, out of how many random ones of the workspace."""
+
+    count: Annotated[int, Field(ge=1, le=1000)]
+    candidates: Annotated[int, Field(ge=1, le=10_000)] = 300
+
+    @model_validator(mode="after")
+    def _check_enough(self) -> Self:
+        if self.candidates < self.count:
+            raise ValueError(f"found {self.candidates} candidates for {self.count} poses, expected at least as many")
+        return self
+
+
+class CalibrationAuditConfig(ExperimentConfig):
+    """What a calibration of any machine would tell, before there is a machine.
+
+    ``requirements`` are the largest rms errors over the workspace with the machine's own sensors, by coordinate, in
+    the units of [units]; ``given`` as in simulations.
+    """
+
+    kind: Literal["calibration_audit"]
+    machine: InputFile
+    sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
+    units: UnitsConfig = UnitsConfig()
+    parameters: Annotated[dict[str, PriorConfig], Field(min_length=1)]
+    workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    given: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    poses: PlannedPosesConfig = PlannedPosesConfig(count=40)
+    requirements: dict[str, Positive] = Field(default={})
+    variants: Annotated[list[AuditVariantConfig], Field(min_length=1)]
+    next: NextConfig = NextConfig()
+    selection: SelectionConfig | None = None
+
+    @model_validator(mode="after")
+    def _check_names(self) -> Self:
+        _check_once([variant.name for variant in self.variants])
+        _check_bounds(self.workspace)
+        return self

@@ -16,12 +16,17 @@ from bayescal.data.truth import (
     round_as_written,
 )
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
-from bayescal.errors import InputError
-from bayescal.experiments.calibration.noise import stated_noise
+from bayescal.experiments.calibration.noise import noise_of_channels
 from bayescal.experiments.calibration.priors import choose_priors
-from bayescal.experiments.calibration.reading_tables import USES, PoseReadings, stem_of
+from bayescal.experiments.calibration.reading_tables import USES, stem_of
 from bayescal.experiments.calibration.schema import CalibrationSimulationConfig
-from bayescal.experiments.calibration.workspace import Workspace, build_workspace
+from bayescal.experiments.calibration.workspace import (
+    Workspace,
+    build_workspace,
+    check_given,
+    draw_given,
+    draw_standing,
+)
 from bayescal.experiments.shared.simulated_data import Simulated, tabulate_truth
 from bayescal.files.csv_tables import format_table
 from bayescal.machines.read import read_reading_model
@@ -29,7 +34,6 @@ from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
 DECIMALS = {"mm": 6, "rad": 9}
-MOST_TRIES = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +53,8 @@ class SimulationInputs:
 def read_simulation(config: CalibrationSimulationConfig, folder: Path) -> SimulationInputs:
     """Return what is simulated; InputError for every fault of the config or its files."""
     whole = read_reading_model(folder / config.machine)
-    for name in config.given:
-        if name not in whole.given:
-            raise InputError(f"given: found {name!r}, expected some of {', '.join(whole.given) or 'none'}")
-    for name in whole.given:
-        if name not in config.given:
-            raise InputError(f"given: found no {name}, expected its smallest and its largest value")
-    nothing = np.full((1, len(whole.channels)), np.nan)
-    empty = PoseReadings(("",), np.zeros(1, dtype=bool), nothing, nothing.copy(), None)
-    noise = stated_noise(config.sensors, empty, whole)[0]
+    check_given(config.given, whole)
+    noise = noise_of_channels(config.sensors, whole)
     chosen = whole.select(config.sensors)
     priors, fixed, common = choose_priors(config, None, config.common, whole)
     truth = None if config.truth is None else read_true_parameters(folder / config.truth.parameters, whole.layout)
@@ -71,8 +68,8 @@ def simulate(inputs: SimulationInputs, rng: np.random.Generator) -> Simulated:
     drawn = _draw_machine(inputs, rng)
     theta = round_as_written(drawn if inputs.truth is None else inputs.truth)
     count = config.n_poses + config.verification_poses
-    given = {name: round_as_written(rng.uniform(bounds[0], bounds[1], count)) for name, bounds in config.given.items()}
-    pose, exact = _draw_poses(inputs, theta, given, count, rng)
+    given = draw_given(config.given, count, rng)
+    pose, exact = draw_standing(model, inputs.workspace, theta, given, count, rng)
     measured = exact + inputs.noise * rng.standard_normal(exact.shape)
     names = [f"C{k:03d}" for k in range(1, config.n_poses + 1)]
     names += [f"V{k:02d}" for k in range(1, config.verification_poses + 1)]
@@ -117,17 +114,3 @@ def _draw(prior: Prior, rng: np.random.Generator) -> float:
         return float(rng.uniform(prior.lower, prior.upper))
     assert isinstance(prior, NormalPrior)
     return float(rng.normal(prior.centre, prior.scale))
-
-
-def _draw_poses(
-    inputs: SimulationInputs, theta: Array, given: dict[str, Array], count: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Return poses (P, q) of the workspace at which the machine stands, and its readings there (P, K)."""
-    pose = round_as_written(inputs.workspace.draw(count, rng))
-    for _ in range(MOST_TRIES):
-        exact = inputs.model.read(theta, pose, given)
-        lost = ~np.isfinite(exact).all(axis=1)
-        if not lost.any():
-            return pose, exact
-        pose[lost] = round_as_written(inputs.workspace.draw(int(lost.sum()), rng))
-    raise InputError("workspace: found hardly a pose at which the machine stands, expected a smaller workspace")

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 
-from bayescal.config.registry import hash_modules
+from bayescal.experiments.calibration.machine_files import hash_machine_modules, list_sources
 from bayescal.experiments.calibration.schema import CalibrationSimulationConfig
 from bayescal.experiments.calibration.simulate import SimulationInputs, read_simulation, simulate
 from bayescal.experiments.shared.simulated_data import Simulated, SimulatedData
-from bayescal.machines.read import find_machine_class, list_machine_sources
 
 
 class CalibrationSimulation(SimulatedData[CalibrationSimulationConfig, SimulationInputs]):
@@ -21,14 +19,11 @@ class CalibrationSimulation(SimulatedData[CalibrationSimulationConfig, Simulatio
 
     def files(self, config: CalibrationSimulationConfig, folder: Path) -> list[str]:
         """Return the input files, the source of the machine's own class among them."""
-        beside = Path(config.machine).parent
-        own = [os.path.normpath(beside / one) for one in list_machine_sources(folder / config.machine)]
-        return [*super().files(config, folder), *own]
+        return [*super().files(config, folder), *list_sources([config.machine], folder)]
 
     def modules(self, config: CalibrationSimulationConfig, folder: Path) -> dict[str, str]:
         """Return the hash of the installed module that the machine's class stands in."""
-        own = find_machine_class(folder / config.machine)
-        return super().modules(config, folder) | hash_modules([] if own is None else [own])
+        return super().modules(config, folder) | hash_machine_modules([config.machine], folder)
 
     def read(self, config: CalibrationSimulationConfig, folder: Path) -> SimulationInputs:
         """Return machine, noise and workspace."""

@@ -13,6 +13,13 @@ from scipy.stats import chi2
 from bayescal.experiments.calibration.fit import Fit
 from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
 from bayescal.experiments.calibration.knowledge import Knowledge
+from bayescal.experiments.calibration.knowledge_tables import (
+    list_next,
+    list_ridges,
+    name_data,
+    plain,
+    tabulate_accuracy,
+)
 from bayescal.experiments.calibration.validation import Held
 from bayescal.numerics.geometry import Array
 
@@ -66,15 +73,9 @@ def tabulate(inputs: CalibrationInputs, found: Mapping[str, Findings]) -> dict[s
         "residuals": pd.DataFrame([row for one in every for row in _list_residuals(*one)]),
         "poses": pd.concat([_list_poses(*one) for one in every], ignore_index=True),
         "predictions": predictions,
-        "accuracy": pd.concat([_list_accuracy(*one) for one in every], ignore_index=True),
-        "ridges": pd.DataFrame(
-            [
-                {"variant": variant.name, "parameter": name, "contraction": share, "sentence": text}
-                for variant, one in every
-                for name, share, text in one.knowledge.ridges
-            ]
-        ),
-        "next": pd.DataFrame([row for one in every for row in _list_next(*one)]),
+        "accuracy": pd.concat([tabulate_accuracy(variant, one.knowledge) for variant, one in every], ignore_index=True),
+        "ridges": pd.DataFrame([row for variant, one in every for row in list_ridges(variant, one.knowledge)]),
+        "next": pd.DataFrame([row for variant, one in every for row in list_next(variant, one.knowledge)]),
         "beside": pd.DataFrame([row for one in every for row in _list_beside(inputs, *one)]),
     }
     return {name: table for name, table in tables.items() if not table.empty}
@@ -86,7 +87,7 @@ def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dic
     row: dict[str, Any] = {
         "variant": variant.name,
         "title": variant.config.title,
-        "data": _name_data(variant),
+        "data": name_data(variant),
         "robust": variant.config.robust is not None,
         "n_parameters": len(fit.names),
         "n_poses": len(left.square),
@@ -109,12 +110,6 @@ def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dic
         mine = predictions[(predictions["variant"] == variant.name) & ~predictions["external"]]
         row |= {"held_readings": len(mine), "inside_90": float(mine["inside"].mean()) if len(mine) else float("nan")}
     return row
-
-
-def _name_data(variant: Variant) -> str:
-    """Return which readings a variant takes in, in words that are the same for the same ones."""
-    kinds = dict.fromkeys(one.kind for one in variant.model.channels)
-    return f"{' '.join(kinds)}, {variant.data.n_poses} poses, {int(variant.data.present.sum())} readings"
 
 
 def _list_parameters(variant: Variant, one: Findings) -> pd.DataFrame:
@@ -198,27 +193,6 @@ def _list_predictions(variant: Variant, one: Findings) -> Iterator[dict[str, Any
             }
 
 
-def _list_accuracy(variant: Variant, one: Findings) -> pd.DataFrame:
-    known = one.knowledge
-    return pd.DataFrame(
-        {
-            "variant": variant.name,
-            "coordinate": known.coordinates,
-            "unit": known.units,
-            "before": known.before,
-            "after": known.after,
-            "noise": known.noise,
-        }
-    )
-
-
-def _list_next(variant: Variant, one: Findings) -> Iterator[dict[str, Any]]:
-    known = one.knowledge
-    for pose, sensors, gain in zip(known.next_pose, known.next_sensors, known.next_gain, strict=True):
-        coordinates = {f"{c.name}_{c.unit}": pose[k] for k, c in enumerate(variant.model.coordinates)}
-        yield {"variant": variant.name, "sensors": sensors, **coordinates, "gain": gain}
-
-
 def _list_beside(inputs: CalibrationInputs, variant: Variant, one: Findings) -> Iterator[dict[str, Any]]:
     for source, values in zip(inputs.beside, one.beside, strict=True):
         mean, sd = values.mean(axis=0), values.std(axis=0)
@@ -248,7 +222,7 @@ def summarise(inputs: CalibrationInputs, tables: Mapping[str, pd.DataFrame]) -> 
         "member": next(iter(inputs.variants.values())).model.member,
         "converged": bool(variants["converged"].all()),
         "units": config.units.model_dump(),
-        "variants": {str(row.pop("variant")): _plain(row) for row in variants.to_dict("records")},
+        "variants": {str(row.pop("variant")): plain(row) for row in variants.to_dict("records")},
         "rankings": rank_variants(variants),
     }
 
@@ -257,8 +231,3 @@ def rank_variants(variants: pd.DataFrame) -> list[list[str]]:
     """Return the variants of the same readings, the largest evidence first."""
     groups = [some.sort_values("log_evidence", ascending=False) for _, some in variants.groupby("data", sort=False)]
     return [[str(name) for name in some["variant"]] for some in groups]
-
-
-def _plain(row: dict[Any, Any]) -> dict[str, Any]:
-    """Return a row with None for what is no number."""
-    return {str(k): None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}

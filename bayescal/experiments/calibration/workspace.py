@@ -9,15 +9,17 @@ from itertools import product
 
 import numpy as np
 
+from bayescal.data.truth import round_as_written
 from bayescal.density.calibration.likelihood import search_poses
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.identifiability.units import Units
-from bayescal.machines.readings import ReadingModel
+from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
 
 STARTS = 0.6  # of the half widths, from where poses are looked for
+MOST_TRIES = 100
 LARGEST_GRID = 81  # starts; beyond, they are drawn
 SINGULAR = 1e-10  # of the largest singular value of H in units of the workspace, below which a pose is not told
 
@@ -77,6 +79,35 @@ def build_workspace(model: ReadingModel, given: Mapping[str, list[float]], secti
     return Workspace(low, high)
 
 
+def check_given(given: Mapping[str, list[float]], model: ReadingModel) -> None:
+    """Raise InputError where bounds are missing of what the machine has to know of each pose, or of something else."""
+    for name in given:
+        if name not in model.given:
+            raise InputError(f"given: found {name!r}, expected some of {', '.join(model.given) or 'none'}")
+    for name in model.given:
+        if name not in given:
+            raise InputError(f"given: found no {name}, expected its smallest and its largest value")
+
+
+def draw_given(bounds: Mapping[str, list[float]], count: int, rng: np.random.Generator) -> dict[str, Array]:
+    """Return what is known of each of some poses, drawn between bounds and rounded as files have it."""
+    return {name: round_as_written(rng.uniform(low, high, count)) for name, (low, high) in bounds.items()}
+
+
+def draw_standing(
+    model: ReadingModel, workspace: Workspace, theta: Array, given: Given, count: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Return poses (P, q) of the workspace at which a machine (D,) stands, and its readings there (P, K)."""
+    pose = round_as_written(workspace.draw(count, rng))
+    for _ in range(MOST_TRIES):
+        exact = model.read(theta, pose, given)
+        lost = ~np.isfinite(exact).all(axis=1)
+        if not lost.any():
+            return pose, exact
+        pose[lost] = round_as_written(workspace.draw(int(lost.sum()), rng))
+    raise InputError("workspace: found hardly a pose at which the machine stands, expected a smaller workspace")
+
+
 def find_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: int) -> Array:
     """Return the poses (P, q) at which the machine as expected explains the readings best, from any start.
 
@@ -98,11 +129,12 @@ def find_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: int
         pose = found[best, np.arange(n)]
     else:
         pose = pose[0]
-    _check(posterior, pose, workspace)
+    check_told(posterior, pose, workspace)
     return np.asarray(pose)
 
 
-def _check(posterior: CalibrationPosterior, pose: Array, workspace: Workspace) -> None:
+def check_told(posterior: CalibrationPosterior, pose: Array, workspace: Workspace) -> None:
+    """Raise InputError for poses (P, q) whose readings do not tell where the machine stands."""
     likelihood, q = posterior.likelihood, pose.shape[1]
     for k in np.flatnonzero(likelihood.n_readings < q)[:1]:
         raise InputError(

@@ -47,6 +47,7 @@ def write_selection(folder: Path) -> Path:
 MAKE = {
     "audit": write_audit,
     "calibration": calibrations.write_delta,
+    "calibration_audit": calibrations.write_audit,
     "calibration_simulation": calibrations.write_simulation,
     "hexapod_calibrations": take_tiny("hexapod/figure10"),
     "pose_methods": take_tiny("pose_extraction/figure5"),

@@ -29,12 +29,12 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
     sections = [
         _show_variants(tables, summary),
         _show_parameters(tables, best),
-        _show_accuracy(tables),
+        show_accuracy(tables),
         *_show_predictions(tables, best),
         _show_poses(tables, best),
-        *_show_ridges(tables, best),
+        *show_ridges(tables, best),
         *_show_beside(tables, best),
-        *_show_next(tables, best),
+        *show_next(tables, best),
         _show_method(tables),
     ]
     row = next(row for row in list_rows(tables["variants"]) if row["variant"] == best)
@@ -133,7 +133,8 @@ def _show_parameters(tables: dict[str, pd.DataFrame], best: str) -> Section:
     return make_section("Parameters", text, (make_table(caption, columns, rows),), (figure,))
 
 
-def _show_accuracy(tables: dict[str, pd.DataFrame]) -> Section:
+def show_accuracy(tables: dict[str, pd.DataFrame]) -> Section:
+    """Return how well each variant knows where the machine stands."""
     titles = dict(zip(tables["variants"]["variant"], tables["variants"]["title"], strict=True))
     columns = [Column("Variant", kind="text"), Column("Coordinate", kind="text"), Column("Unit", kind="text")]
     columns += [Column("before", group="rms over the workspace"), Column("after", group="rms over the workspace")]
@@ -194,7 +195,8 @@ def _show_poses(tables: dict[str, pd.DataFrame], best: str) -> Section:
     return make_section("Poses", text, tables_shown, (figure,))
 
 
-def _show_ridges(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
+def show_ridges(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
+    """Return the combinations that a variant does not tell; nothing where it tells all."""
     if "ridges" not in tables:
         return []
     mine = tables["ridges"][tables["ridges"]["variant"] == best]
@@ -231,7 +233,8 @@ def _list_beside(row: Row) -> list[str | Cell]:
     ]
 
 
-def _show_next(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
+def show_next(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
+    """Return the poses that promise most to a variant."""
     if "next" not in tables:
         return []
     mine = tables["next"][tables["next"]["variant"] == best].dropna(axis=1, how="all")

@@ -53,7 +53,7 @@ def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> 
     best = choose_best(tables, summary)
     row = _row(tables["variants"], best)
     accuracy = [
-        f"{one['coordinate']} to {_amount(one['after'], one['unit'])}"
+        f"{one['coordinate']} to {format_amount(one['after'], one['unit'])}"
         for one in list_rows(tables["accuracy"])
         if one["variant"] == best and math.isfinite(one["after"])
     ]
@@ -68,14 +68,15 @@ def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> l
     best = choose_best(tables, summary)
     found = [_state_ranking(tables, summary, best), *_state_convergence(tables), *_state_data(tables, best)]
     found += [*_state_coverage(tables, best), *_state_ignorance(tables, best), *_state_doubt(tables, best)]
-    return [*found, *_state_beside(tables, best), *_state_next(tables, best)]
+    return [*found, *_state_beside(tables, best), *state_next(tables, best)]
 
 
 def _row(table: pd.DataFrame, variant: str) -> Row:
     return list_rows(table[table["variant"] == variant])[0]
 
 
-def _amount(value: float, unit: str, digits: int = 2) -> str:
+def format_amount(value: float, unit: str, digits: int = 2) -> str:
+    """Return a value of an inner unit with the unit it is shown in."""
     factor, name = shown_in(unit)
     return f"{format_significant(factor * value, digits)} {name}".rstrip()
 
@@ -204,7 +205,8 @@ def _state_beside(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]
     return found
 
 
-def _state_next(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
+def state_next(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
+    """Return where to measure next with each set of sensors, where that promises something."""
     if "next" not in tables:
         return []
     mine = tables["next"][tables["next"]["variant"] == best]

@@ -1,0 +1,1 @@
+"""What a calibration of any machine would tell, before there is a machine."""

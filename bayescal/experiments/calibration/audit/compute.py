@@ -1,0 +1,37 @@
+"""Computing an audit: what the readings of each set of sensors would tell, to first order about the machine expected.
+
+The information of the readings, poses eliminated, is Λ in units of the priors; what remains unknown of the parameters
+has the covariance (1 + Λ)⁻¹.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayescal.experiments.calibration.audit.inputs import AuditInputs
+from bayescal.experiments.calibration.audit.selection import Selection, select_poses
+from bayescal.experiments.calibration.audit.tables import Prospect, summarise, tabulate
+from bayescal.experiments.calibration.knowledge import Knowledge, assess, see
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results
+from bayescal.identifiability.information import information_of_rows
+
+
+def compute_audit(inputs: AuditInputs, run: Run) -> Results:
+    """Return what all sets of sensors would tell."""
+    names = {name: name for name in inputs.variants}
+    found = run.map("variants", _compute_variant, inputs, names, (Prospect, Knowledge, Selection))
+    tables = tabulate(inputs, found)
+    return Results(summarise(inputs, tables), tables)
+
+
+def _compute_variant(inputs: AuditInputs, name: str) -> Prospect:
+    variant = inputs.variants[name]
+    posterior = variant.posterior()
+    expected = np.zeros(posterior.n_parameters)
+    covariance = information_of_rows(see(posterior, expected), np.ones(posterior.n_geometry)).covariance
+    return Prospect(
+        posterior.prior_sd * np.sqrt(np.diagonal(covariance)),
+        assess(inputs.config, variant, posterior, expected, covariance),
+        select_poses(inputs.config, variant, posterior),
+    )

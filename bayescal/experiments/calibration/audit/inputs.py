@@ -1,0 +1,126 @@
+"""From config and files to the readings that are planned; every fault shows before anything is computed.
+
+The readings are those of the machine as expected, without noise; the noise stands beside them. Priors count by their
+standard deviations: to first order a uniform one is a normal one of the same mean and deviation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.noise import NoiseModel
+from bayescal.density.priors import NormalPrior
+from bayescal.errors import InputError, name_faults
+from bayescal.experiments.calibration.audit.planned_poses import PlannedPoses, plan_poses
+from bayescal.experiments.calibration.inputs import Variant
+from bayescal.experiments.calibration.knowledge import name_tool
+from bayescal.experiments.calibration.noise import noise_of_channels
+from bayescal.experiments.calibration.priors import choose_priors
+from bayescal.experiments.calibration.schema import (
+    AuditVariantConfig,
+    CalibrationAuditConfig,
+    CalibrationVariantConfig,
+)
+from bayescal.experiments.calibration.workspace import Workspace, build_workspace, check_told
+from bayescal.identifiability.units import Units
+from bayescal.machines.read import read_reading_model
+from bayescal.machines.readings import ReadingModel
+from bayescal.numerics.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class AuditInputs:
+    """What is planned.
+
+    Attributes
+    ----------
+    config : CalibrationAuditConfig
+    machine : str
+        Its name.
+    variants : dict of name to Variant
+        Their readings those of the machine as expected, without noise.
+    limits : dict of coordinate to float
+        Largest rms errors, in inner units.
+    """
+
+    config: CalibrationAuditConfig
+    machine: str
+    variants: dict[str, Variant]
+    limits: dict[str, float]
+
+
+def read_audit(config: CalibrationAuditConfig, folder: Path) -> AuditInputs:
+    """Return the inputs of an audit; InputError names the file, the variant, the pose, the coordinate."""
+    model = read_reading_model(folder / config.machine)
+    noise = noise_of_channels(config.sensors, model)
+    workspace = build_workspace(model, config.workspace, config.units)
+    planned = plan_poses(config, folder, model, workspace)
+    variants = {}
+    for one in config.variants:
+        with name_faults(f"variant {one.name!r}"):
+            variants[one.name] = _build(config, one, model, planned, noise, workspace)
+    limits = _read_limits(config, model, next(iter(variants.values())))
+    return AuditInputs(config, getattr(model, "name", config.machine), variants, limits)
+
+
+def _read_limits(config: CalibrationAuditConfig, model: ReadingModel, variant: Variant) -> dict[str, float]:
+    position, _, _ = model.tool(variant.posterior().centre, variant.start[:1])
+    names, units = name_tool(model, position.shape[-1])
+    section = Units(config.units.length, config.units.angle)
+    for name in config.requirements:
+        if name not in names:
+            raise InputError(f"requirements: found {name!r}, expected some of {', '.join(names)}")
+    return {
+        name: section.factor(units[names.index(name)]) * config.requirements[name]
+        for name in names
+        if name in config.requirements
+    }
+
+
+def _build(
+    config: CalibrationAuditConfig,
+    section: AuditVariantConfig,
+    whole: ReadingModel,
+    planned: PlannedPoses,
+    noise: Array,
+    workspace: Workspace,
+) -> Variant:
+    chosen = whole.select(section.sensors if section.sensors is not None else config.sensors)
+    for k in chosen[~np.isfinite(noise[chosen])][:1]:
+        raise InputError(f"sensors: found {whole.names[k]} without noise, expected an entry in [sensors]")
+    model = whole.pick(chosen)
+    priors, fixed, common = choose_priors(config, section.free, section.common, model)
+    shape = (len(planned.names), len(chosen))
+    data = Measurements(planned.names, np.zeros(shape), np.tile(noise[chosen], (shape[0], 1)), planned.given)
+    variant = Variant(
+        CalibrationVariantConfig(**section.model_dump(), noise="stated"),
+        whole,
+        model,
+        {name: NormalPrior(one.mean, one.sd) for name, one in priors.items()},
+        fixed,
+        common,
+        NoiseModel(np.full(len(chosen), -1), np.full(len(chosen), -1)),
+        data,
+        np.zeros(len(planned.names), dtype=bool),
+        planned.pose,
+        workspace,
+    )
+    values = _read(model, variant.posterior().centre, planned)
+    variant = replace(variant, data=replace(data, values=values))
+    check_told(variant.posterior(), planned.pose, workspace)
+    return variant
+
+
+def _read(model: ReadingModel, theta: Array, planned: PlannedPoses) -> Array:
+    """Return the readings (P, K) of the machine as expected; InputError for a pose at which it cannot stand."""
+    values = model.read(theta, planned.pose, planned.given)
+    for k, channel in np.argwhere(~np.isfinite(values))[:1]:
+        raise InputError(
+            f"pose {planned.names[k]!r}: found no reading of {model.names[channel]}, expected a pose at which the "
+            "machine as expected stands"
+        )
+    return values

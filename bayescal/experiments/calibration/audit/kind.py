@@ -1,0 +1,49 @@
+"""Audits of calibrations of any machine as a kind of experiment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+from bayescal.experiments.calibration.audit.compute import compute_audit
+from bayescal.experiments.calibration.audit.inputs import AuditInputs, read_audit
+from bayescal.experiments.calibration.machine_files import hash_machine_modules, list_sources
+from bayescal.experiments.calibration.page.audit import build_page, list_variants
+from bayescal.experiments.calibration.schema import CalibrationAuditConfig
+from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results
+from bayescal.report.blocks import Page
+
+
+class CalibrationAudit(Experiment[CalibrationAuditConfig, AuditInputs]):
+    """What readings of any machine would tell."""
+
+    schema = CalibrationAuditConfig
+
+    def files(self, config: CalibrationAuditConfig, folder: Path) -> list[str]:
+        """Return the input files, the source of the machine's own class among them."""
+        return [*super().files(config, folder), *list_sources([config.machine], folder)]
+
+    def modules(self, config: CalibrationAuditConfig, folder: Path) -> dict[str, str]:
+        """Return the hash of the installed module that the machine's class stands in."""
+        return super().modules(config, folder) | hash_machine_modules([config.machine], folder)
+
+    def read(self, config: CalibrationAuditConfig, folder: Path) -> AuditInputs:
+        """Return machine, planned poses and sets of sensors."""
+        return read_audit(config, folder)
+
+    def compute(self, inputs: AuditInputs, run: Run) -> Results:
+        """Return what each set of sensors would tell."""
+        return compute_audit(inputs, run)
+
+    def page(self, results: Results) -> Page:
+        """Return the page."""
+        return build_page(results.tables, results.summary)
+
+    def show(self, results: Results, page: Page, console: Console) -> None:
+        """Print the verdict, then the sets of sensors."""
+        super().show(results, page, console)
+        for line in list_variants(results.tables):
+            console.print(line, soft_wrap=True)

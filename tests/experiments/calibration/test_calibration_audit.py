@@ -1,0 +1,201 @@
+"""Audits of a machine of one function: they agree with calibrations, with themselves, and refuse what cannot be."""
+
+import calibrations
+import numpy as np
+import pandas as pd
+import pytest
+
+from bayescal.experiments.calibration.audit.inputs import read_audit
+from bayescal.experiments.calibration.inputs import read_inputs
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.run import run_experiment
+from bayescal.inference.exploration import explore
+from bayescal.inference.importance import resample
+
+POSES = 'file = "poses.csv"'
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return calibrations.write_audit(tmp_path).parent
+
+
+@pytest.fixture
+def run(folder, no_pictures):
+    """Return a function that runs the audit with some texts of its config replaced: the results, the page's words."""
+
+    def run_changed(*changes):
+        path = folder / "audit.toml"
+        original = path.read_text()
+        for old, new in changes:
+            calibrations.change(path, old, new)
+        out = folder / f"out{len(list(folder.glob('out*')))}"
+        done = run_experiment(load(path)[1], folder, out, quiet=True)
+        path.write_text(original)
+        return done.results, (out / "report.html").read_text()
+
+    return run_changed
+
+
+def take(results, table, variant="both"):
+    found = results.table(table)
+    return found[found["variant"] == variant].reset_index(drop=True)
+
+
+def write_poses(folder, table):
+    table.to_csv(folder / "poses.csv", index=False)
+    return ("count = 40", POSES)
+
+
+def test_deviations_are_those_of_a_calibration_of_simulated_data(folder, run):
+    """Predicted at the poses of the data, against draws from the posterior of the data: another machine, with noise."""
+    true = pd.read_csv(folder / "data" / "true_poses.csv", comment="#")
+    results, _ = run(write_poses(folder, true[true["pose"].str.startswith("C")]))
+    predicted = take(results, "parameters").set_index("parameter")
+    variant = read_inputs(load(folder / "study.toml")[1], folder).variants["all"]
+    posterior, rng = variant.posterior().anchored(), np.random.default_rng(1)
+    found = explore(posterior, np.random.SeedSequence(1), 48, max_pilots=0)
+    drawn = resample(found.straight.log_density, found.proposal, rng, 16000, 2000)
+    sd = posterior.natural(found.straight.y_from_x(drawn.draws)).std(axis=0)
+    np.testing.assert_allclose(sd / predicted.loc[list(posterior.names), "sd"], 1.0, atol=0.15)
+    assert (predicted["sd"] < 0.5 * predicted["prior_sd"]).all()
+
+
+def test_the_verdict_turns_with_the_limit(run):
+    results, _ = run()
+    error = take(results, "requirements").set_index("coordinate")["error"]["z"]
+    met, above = run(("z = 0.03 }", f"z = {1.001 * error:.9f} }}"))
+    missed, below = run(("z = 0.03 }", f"z = {0.999 * error:.9f} }}"))
+    assert take(met, "variants")["met"].all()
+    assert not take(missed, "variants")["met"].any()
+    assert "What is required is met with “Camera and probe”, not otherwise." in above
+    assert "No set of sensors meets what is required." in below
+
+
+def test_noise_that_is_too_much_by_itself_is_said(run):
+    results, page = run(("x = 0.05", "x = 0.0001"))
+    assert not take(results, "variants")["met"].any()
+    assert "no calibration helps" in page
+
+
+def test_chosen_poses_tell_what_they_promise(folder, run):
+    """What is left after the last chosen pose is what an audit of just these poses finds."""
+    results, _ = run()
+    chosen = take(results, "selected")
+    names = ["x_mm", "y_mm", "z_mm"]
+    again, _ = run(write_poses(folder, chosen[names].assign(pose=[f"S{k}" for k in chosen["step"]])))
+    after = chosen[[f"after_{name}" for name in names]].to_numpy()
+    np.testing.assert_allclose(take(again, "accuracy")["after"], after[-1], rtol=1e-5)
+    assert (np.diff((after**2).sum(axis=1)) < 0.0).all()
+
+
+def test_chosen_poses_beat_as_many_random_ones(run):
+    results, _ = run(("count = 40", "count = 4"))
+    chosen = take(results, "selected").iloc[-1][["after_x_mm", "after_y_mm", "after_z_mm"]]
+    assert (chosen**2).sum() < 0.9 * (take(results, "accuracy")["after"] ** 2).sum()
+
+
+def test_fewer_equations_than_unknowns_are_said(run):
+    results, page = run(("count = 40", "count = 4"))
+    assert take(results, "variants")["n_equations"][0] == 12
+    assert "12 equations for 14 unknowns" in page
+    assert np.isfinite(take(results, "parameters")["sd"]).all()
+
+
+def test_own_sensors_alone_tell_nothing_of_the_machine(run):
+    results, page = run(('sensors = ["s", "height"]', 'sensors = ["s"]'))
+    found = take(results, "parameters", "probe")
+    np.testing.assert_allclose(found["sd"], found["prior_sd"])
+    assert set(found["verdict"]) == {"not"}
+    assert "0 equations for 14 unknowns" in page
+
+
+def test_what_own_sensors_do_not_tell_is_not_met(run):
+    results, page = run(('sensors = ["s", "height"]', 'sensors = ["cam_x", "cam_y", "height"]'))
+    assert not take(results, "requirements", "probe")["met"].any()
+    assert "x is not told by the machine" in page
+
+
+def test_untold_parameters_are_named_by_the_machines_member(run):
+    _, page = run(('title = "Camera and probe"\n', 'title = "Camera and probe"\nsensors = ["s", "cam_x", "cam_y"]\n'))
+    assert "of columns 1, 2 and 3" in page
+    assert "of leg" not in page
+
+
+def test_a_uniform_prior_counts_by_its_deviation(run):
+    normal, _ = run()
+    half = 0.5 * np.sqrt(3.0)
+    old = 's0 = { prior = "normal", sd = 0.5 }'
+    uniform, _ = run((old, f's0 = {{ prior = "uniform", half_width = {half:.12f} }}'))
+    np.testing.assert_allclose(take(uniform, "parameters")["sd"], take(normal, "parameters")["sd"], rtol=1e-6)
+
+
+def test_nothing_required_is_a_statement_of_accuracy(run):
+    results, page = run(("requirements = {", "workspace = {"), ("x = 0.05, y = 0.05, z = 0.03", "z = [10.0, 30.0]"))
+    assert "requirements" not in results.tables
+    assert "With “Camera and probe” the machine would know x to" in page
+
+
+REFUSED = {
+    "unknown coordinate": ("z = 0.03 }", "w = 0.03 }", "requirements: found 'w', expected some of x, y, z"),
+    "limit of zero": ("z = 0.03 }", "z = 0.0 }", "requirements.z"),
+    "count and file": ("count = 40", f"count = 40\n{POSES}", "found both or none of count and file"),
+    "sensor without noise": ("height = { noise_um = 10.0 }", "", "found height without noise"),
+    "unknown sensor": ('"cam_y"]', '"cam_z"]', "variant 'camera': sensor 'cam_z': unknown here"),
+    "variant twice": ('name = "probe"', 'name = "both"', "variants: found 'both' twice"),
+    "too few candidates": ("candidates = 30", "candidates = 3", "found 3 candidates for 4 poses"),
+    "workspace beyond reach": ("[sensors]", "[workspace]\nx = [900.0, 901.0]\n[sensors]", "found hardly a pose"),
+    "unknown symbol": ("l = { prior", "length = { prior", "parameters: found 'length'"),
+    "given to a machine that needs nothing": ("[sensors]", "[given]\nt = [0.0, 1.0]\n[sensors]", "given: found 't'"),
+}
+POSE_FILES = {
+    "pose out of reach": ("pose,x_mm,y_mm,z_mm\nA,0,0,20\nB,900,0,20\n", "pose 'B': found no reading of s[1], expected"),
+    "unit of another kind": ("pose,x_deg,y_mm,z_mm\nA,0,0,20\n", "found column 'x_deg', did you mean"),
+    "missing coordinate": ("pose,x_mm,y_mm\nA,0,0\n", "found no column of z"),
+    "coordinate twice": ("pose,x_mm,x_m,y_mm,z_mm\nA,0,0,0,20\n", "found column 'x_m' besides another of x"),
+    "pose twice": ("pose,x_mm,y_mm,z_mm\nA,0,0,20\nA,0,0,20\n", "stands already on line 2"),
+    "no names": ("x_mm,y_mm,z_mm\n0,0,20\n", "found no column 'pose'"),
+}
+
+
+@pytest.fixture
+def refuse(call, folder):
+    def check(message):
+        code, out, said = call("run", folder / "audit.toml", "--out", folder / "out", "--quiet")
+        assert (code, out) == (2, "")
+        assert message in said
+        assert said.count("\n") == 1
+        assert not list(folder.glob("out*"))
+
+    return check
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_faulty_configs_are_one_line(case, folder, refuse):
+    old, new, message = REFUSED[case]
+    calibrations.change(folder / "audit.toml", old, new)
+    refuse(message)
+
+
+@pytest.mark.parametrize("case", POSE_FILES)
+def test_faulty_poses_are_one_line(case, folder, refuse):
+    content, message = POSE_FILES[case]
+    (folder / "poses.csv").write_text(content)
+    calibrations.change(folder / "audit.toml", "count = 40", POSES)
+    refuse(message)
+
+
+def test_units_of_a_file_are_taken_for_what_they_are(folder):
+    (folder / "poses.csv").write_text("pose,x_m,y_mm,z_um\nA,0.05,1,20000\n")
+    calibrations.change(folder / "audit.toml", "count = 40", POSES)
+    inputs = read_audit(load(folder / "audit.toml")[1], folder)
+    np.testing.assert_allclose(inputs.variants["both"].start, [[50.0, 1.0, 20.0]])
+
+
+def test_the_terminal_says_the_verdict_and_every_set_of_sensors(folder, call, no_pictures):
+    code, said, complaint = call("run", folder / "audit.toml", "--out", folder / "out", "--workers", 1)
+    assert code == 0, complaint
+    lines = said.splitlines()
+    assert lines[0].startswith("What is required is met with “Camera and probe”")
+    table = next(k for k, line in enumerate(lines) if line.startswith("variant"))
+    assert [line.split()[0] for line in lines[table + 1 : table + 4]] == ["both", "camera", "probe"]
