@@ -149,7 +149,10 @@ REFUSED = {
     "given to a machine that needs nothing": ("[sensors]", "[given]\nt = [0.0, 1.0]\n[sensors]", "given: found 't'"),
 }
 POSE_FILES = {
-    "pose out of reach": ("pose,x_mm,y_mm,z_mm\nA,0,0,20\nB,900,0,20\n", "pose 'B': found no reading of s[1], expected"),
+    "pose out of reach": (
+        "pose,x_mm,y_mm,z_mm\nA,0,0,20\nB,900,0,20\n",
+        "pose 'B': found no reading of s[1], expected",
+    ),
     "unit of another kind": ("pose,x_deg,y_mm,z_mm\nA,0,0,20\n", "found column 'x_deg', did you mean"),
     "missing coordinate": ("pose,x_mm,y_mm\nA,0,0\n", "found no column of z"),
     "coordinate twice": ("pose,x_mm,x_m,y_mm,z_mm\nA,0,0,0,20\n", "found column 'x_m' besides another of x"),
