@@ -38,7 +38,8 @@ class Coordinate:
     home : float
         Where the workspace has its middle.
     reach : float
-        Half the workspace's width: it holds what is between home - reach and home + reach.
+        Half the workspace's width: it holds what is between home - reach and home + reach. Zero where a config has to
+        say it.
     """
 
     name: str

@@ -122,7 +122,7 @@ class SlidingPlatform(ReadingModel):
     def coordinates(self) -> tuple[Coordinate, ...]:
         """x, y and φ of the platform's frame."""
         kinds = zip(("x", "y", "phi"), ("mm", "mm", "rad"), self.home, strict=True)
-        return tuple(Coordinate(name, unit, float(home)) for name, unit, home in kinds)
+        return tuple(Coordinate(name, unit, float(home), reach=0.0) for name, unit, home in kinds)
 
     def frame_parameters(self) -> tuple[str, ...]:
         """Return x_P1, y_P1 and β_1, which place the base frame, and ξ_B1, η_B1, η_B2, which place the platform's."""

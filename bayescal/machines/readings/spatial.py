@@ -90,7 +90,7 @@ class SpatialMachine(ReadingModel):
     def coordinates(self) -> tuple[Coordinate, ...]:
         """Position and rotation vector of the platform's frame."""
         kinds = zip(POSE, ("mm",) * 3 + ("rad",) * 3, self.home, strict=True)
-        return tuple(Coordinate(name, unit, float(home)) for name, unit, home in kinds)
+        return tuple(Coordinate(name, unit, float(home), reach=0.0) for name, unit, home in kinds)
 
     @property
     def pose_units(self) -> tuple[str, ...]:
