@@ -68,7 +68,7 @@ def test_the_verdict_turns_with_the_limit(run):
     missed, below = run(("z = 0.03 }", f"z = {0.999 * error:.9f} }}"))
     assert take(met, "variants")["met"].all()
     assert not take(missed, "variants")["met"].any()
-    assert "What is required is met with “Camera and probe”, not otherwise." in above
+    assert "What is required is met with “Camera and probe” (0 % margin), not otherwise." in above
     assert "No set of sensors meets what is required." in below
 
 

@@ -26,7 +26,7 @@ def state_headline(tables: dict[str, pd.DataFrame]) -> str:
     """Return with which sensors the machine meets what is required; else how well it would know where it stands."""
     rows = list_rows(tables["variants"])
     if "requirements" in tables:
-        met = [f"“{row['title']}”" for row in rows if row["met"]]
+        met = [f"“{row['title']}” ({format_percent(row['margin'])} margin)" for row in rows if row["met"]]
         if not met:
             return "No set of sensors meets what is required."
         others = "" if len(met) == len(rows) else ", not otherwise"
@@ -43,7 +43,7 @@ def state_headline(tables: dict[str, pd.DataFrame]) -> str:
 def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Statement]:
     """Return what was found, the most important first."""
     best = choose_best(tables)
-    found = [*_state_requirements(tables), *_state_data(tables), *_state_ignorance(tables, best, summary["member"])]
+    found = [*_state_requirements(tables), *_state_data(tables), *_state_ignorance(tables, summary["member"])]
     return [*found, *state_next(tables, best), *_state_selected(tables, summary, best)]
 
 
@@ -85,16 +85,17 @@ def _state_data(tables: dict[str, pd.DataFrame]) -> list[Statement]:
     ]
 
 
-def _state_ignorance(tables: dict[str, pd.DataFrame], best: str, member: str) -> list[Statement]:
-    mine = tables["parameters"][tables["parameters"]["variant"] == best]
-    title = next(row["title"] for row in list_rows(tables["variants"]) if row["variant"] == best)
+def _state_ignorance(tables: dict[str, pd.DataFrame], member: str) -> list[Statement]:
     found = []
-    for verdict, words in (("not", "hardly told at all"), ("weak", "not even twice as well known as before")):
-        names = [str(name) for name in mine[mine["verdict"] == verdict]["parameter"]]
-        if names:
-            found.append(Statement(f"With “{title}”, {words}: {_name(names, member)}.", "warning", "Parameters"))
-    if not found:
-        return [Statement(f"With “{title}” every free parameter becomes known twice as well.", "good", "Parameters")]
+    for row in list_rows(tables["variants"]):
+        mine = tables["parameters"][tables["parameters"]["variant"] == row["variant"]]
+        words = []
+        for verdict, said in (("not", "tells hardly anything of"), ("weak", "does not halve the tolerances of")):
+            names = [str(name) for name in mine[mine["verdict"] == verdict]["parameter"]]
+            words += [f"{said} {_name(names, member)}"] if names else []
+        level: Level = "warning" if words else "good"
+        text = "; it ".join(words) or "at least halves the tolerance of every free parameter"
+        found.append(Statement(f"“{row['title']}” {text}.", level, "Parameters"))
     return found
 
 
@@ -107,7 +108,7 @@ def _name(names: list[str], member: str) -> str:
             words += [f"{symbol}[{one}]" if one else symbol for one in numbers]
         else:
             words.append(f"{symbol} of {member}{'s' if len(numbers) > 1 else ''} {join_words(numbers)}")
-    return "; ".join(words)
+    return ", ".join(words)
 
 
 def _state_selected(tables: dict[str, pd.DataFrame], summary: dict[str, Any], best: str) -> list[Statement]:
