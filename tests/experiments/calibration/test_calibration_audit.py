@@ -1,5 +1,7 @@
 """Audits of a machine of one function: they agree with calibrations, with themselves, and refuse what cannot be."""
 
+import html
+
 import calibrations
 import numpy as np
 import pandas as pd
@@ -32,7 +34,7 @@ def run(folder, no_pictures):
         out = folder / f"out{len(list(folder.glob('out*')))}"
         done = run_experiment(load(path)[1], folder, out, quiet=True)
         path.write_text(original)
-        return done.results, (out / "report.html").read_text()
+        return done.results, html.unescape((out / "report.html").read_text()).replace("\xa0", " ")
 
     return run_changed
 
@@ -120,6 +122,7 @@ def test_untold_parameters_are_named_by_the_machines_member(run):
     _, page = run(('title = "Camera and probe"\n', 'title = "Camera and probe"\nsensors = ["s", "cam_x", "cam_y"]\n'))
     assert "of columns 1, 2 and 3" in page
     assert "of leg" not in page
+    assert "tells hardly anything of s0 of columns 1, 2 and 3, t_x, t_y;" in page
 
 
 def test_a_uniform_prior_counts_by_its_deviation(run):
