@@ -82,7 +82,7 @@ def tabulate(inputs: CalibrationInputs, found: Mapping[str, Findings]) -> dict[s
 
 
 def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dict[str, Any]:
-    fit, left, problems = one.fit, one.residuals, one.fit.list_problems()
+    fit, left = one.fit, one.residuals
     freedom = int(left.freedom.sum()) - len(fit.names)
     row: dict[str, Any] = {
         "variant": variant.name,
@@ -92,19 +92,10 @@ def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dic
         "n_parameters": len(fit.names),
         "n_poses": len(left.square),
         "n_equations": int(left.freedom.sum()),
-        "log_evidence": fit.log_evidence,
-        "log_evidence_se": fit.log_evidence_se,
-        "log_evidence_importance": fit.importance.log_evidence,
-        "log_evidence_bridge": fit.bridge.log_evidence,
-        "efficiency": fit.importance.efficiency,
-        "pareto_k": fit.importance.pareto_k,
+        **fit.describe_evidence(),
         "elpd": sum(held.elpd for held in one.held) if one.held else float("nan"),
         "misfit": float(np.sqrt(left.square.sum() / freedom)) if freedom > 0 else float("nan"),
-        "rhat_max": float(fit.diagnostics.rhat.max()),
-        "ess_bulk_min": float(fit.diagnostics.ess_bulk.min()),
-        "ess_tail_min": float(fit.diagnostics.ess_tail.min()),
-        "converged": not problems,
-        "problems": "; ".join(problems),
+        **fit.describe_chains(),
     }
     if not predictions.empty:
         mine = predictions[(predictions["variant"] == variant.name) & ~predictions["external"]]

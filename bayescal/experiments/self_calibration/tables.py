@@ -62,7 +62,6 @@ def tabulate(inputs: ReadingInputs, outcomes: Mapping[str, VariantFindings]) -> 
 
 def _describe_variant(inputs: ReadingInputs, variant: Variant, outcome: VariantFindings) -> dict[str, Any]:
     fit, accuracy, prediction = outcome.fit, outcome.accuracy, outcome.prediction
-    problems = fit.list_problems()
     row: dict[str, Any] = {
         "variant": variant.name,
         "title": variant.config.title,
@@ -72,19 +71,10 @@ def _describe_variant(inputs: ReadingInputs, variant: Variant, outcome: VariantF
         "plain": variant.config.is_plain,
         "n_parameters": len(fit.names),
         "n_equations": variant.sensors.redundancy * len(fit.square),
-        "log_evidence": fit.log_evidence,
-        "log_evidence_se": fit.log_evidence_se,
-        "log_evidence_importance": fit.importance.log_evidence,
-        "log_evidence_bridge": fit.bridge.log_evidence,
-        "efficiency": fit.importance.efficiency,
-        "pareto_k": fit.importance.pareto_k,
+        **fit.describe_evidence(),
         "elpd": fit.elpd,
         "misfit": _misfit(variant, fit),
-        "rhat_max": float(fit.diagnostics.rhat.max()),
-        "ess_bulk_min": float(fit.diagnostics.ess_bulk.min()),
-        "ess_tail_min": float(fit.diagnostics.ess_tail.min()),
-        "converged": not problems,
-        "problems": "; ".join(problems),
+        **fit.describe_chains(),
         "calibrability": outcome.calibrability.metres_radians,
         "calibrability_scaled": outcome.calibrability.scaled,
         **{f"tool_{name}_um": MICROMETRES * value for name, value in vars(accuracy).items()},

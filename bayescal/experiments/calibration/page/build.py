@@ -15,6 +15,7 @@ from bayescal.experiments.calibration.page.verdict import (
     state_headline,
     state_verdict,
 )
+from bayescal.experiments.shared.diagnostics_table import tabulate_diagnostics
 from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Section, make_section, make_table
 from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant
 
@@ -255,30 +256,11 @@ def show_next(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
 
 
 def _show_method(tables: dict[str, pd.DataFrame]) -> Section:
-    columns = [Column("Variant", kind="text"), Column("importance", group="log-evidence")]
-    columns += [Column("bridge", group="log-evidence"), Column("Efficiency"), Column("Pareto k")]
-    columns += [Column("R-hat, largest"), Column("bulk, least", group="ESS"), Column("tail, least", group="ESS")]
-    columns += [Column("Converged", kind="text")]
-    rows: list[list[str | Cell]] = [
-        [
-            str(row["title"]),
-            format_fixed(row["log_evidence_importance"], 2),
-            format_fixed(row["log_evidence_bridge"], 2),
-            format_fixed(row["efficiency"], 2),
-            format_fixed(row["pareto_k"], 2),
-            format_fixed(row["rhat_max"], 4),
-            format_fixed(row["ess_bulk_min"], 0),
-            format_fixed(row["ess_tail_min"], 0),
-            Cell("yes", "good") if row["converged"] else Cell(row["problems"], "bad"),
-        ]
-        for row in list_rows(tables["variants"])
-    ]
     text = (
         "Each pose may lie anywhere in the workspace alike and is integrated out, to first order about the one that "
         "explains its readings best; what is left of the readings in the space that no pose reaches is the likelihood. "
         "A robust variant gives each pose a precision of its own, so that a bad one loses its weight. Unknown noise is "
         "a factor on the stated one, lognormal about one beforehand.",
     )
-    return make_section(
-        "Method and diagnostics", text, (make_table("Evidence in two ways, and the chains.", columns, rows),)
-    )
+    table = tabulate_diagnostics("Evidence in two ways, and the chains.", list_rows(tables["variants"]))
+    return make_section("Method and diagnostics", text, (table,))

@@ -16,7 +16,8 @@ from bayescal.experiments.self_calibration.page.verdict import (
     state_verdict,
     write_names,
 )
-from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Section, Table, make_section, make_table
+from bayescal.experiments.shared.diagnostics_table import tabulate_diagnostics
+from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Section, make_section, make_table
 from bayescal.report.numbers import (
     NOTHING,
     count_decimals,
@@ -254,28 +255,10 @@ def _show_predictions(tables: dict[str, pd.DataFrame]) -> list[Section]:
 
 
 def _show_method(tables: dict[str, pd.DataFrame]) -> Section:
-    columns = [Column("Variant", kind="text"), Column("importance", group="log-evidence")]
-    columns += [Column("bridge", group="log-evidence"), Column("Efficiency"), Column("Pareto k")]
-    columns += [Column("R-hat, largest"), Column("bulk, least", group="ESS"), Column("tail, least", group="ESS")]
-    columns += [Column("Converged", kind="text")]
-    rows: list[list[str | Cell]] = [
-        [
-            str(row["title"]),
-            format_fixed(row["log_evidence_importance"], 2),
-            format_fixed(row["log_evidence_bridge"], 2),
-            format_fixed(row["efficiency"], 2),
-            format_fixed(row["pareto_k"], 2),
-            format_fixed(row["rhat_max"], 4),
-            format_fixed(row["ess_bulk_min"], 0),
-            format_fixed(row["ess_tail_min"], 0),
-            Cell("yes", "good") if row["converged"] else Cell(row["problems"], "bad"),
-        ]
-        for row in list_rows(tables["variants"])
-    ]
     text = (
         "Each pose may lie anywhere in the workspace alike and is integrated out, to first order about the one that "
         "explains its readings best; what is left of the readings in the space that no pose reaches is the likelihood. "
         "Parameters have their tolerances as normal priors, and what defines the frames of base and platform is given.",
     )
-    table: Table = make_table("Two estimates of the log-evidence, and the chains.", columns, rows)
+    table = tabulate_diagnostics("Two estimates of the log-evidence, and the chains.", list_rows(tables["variants"]))
     return make_section("Method and diagnostics", text, (table,))

@@ -1,0 +1,136 @@
+"""What inference finds of one posterior, whatever its density: draws with diagnostics, evidence in two ways."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayescal.inference.bridge import BridgeEvidence, estimate_by_bridge
+from bayescal.inference.diagnostics import Diagnostics
+from bayescal.inference.exploration import explore
+from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
+from bayescal.inference.sampling import sample_posterior
+from bayescal.inference.schema import EvidenceConfig, SamplerConfig
+from bayescal.inference.target import Target
+from bayescal.limits import AGREEMENT, PARETO_K_LIMIT
+from bayescal.numerics.geometry import Array
+
+KEPT_DRAWS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What was found of a posterior of n coordinates.
+
+    Attributes
+    ----------
+    natural : ndarray, shape (S, n)
+        All draws, in their own units.
+    kept : ndarray, shape (T, n)
+        Some of them, in sampling coordinates.
+    mode : ndarray, shape (n,)
+        The best mode, in sampling coordinates.
+    diagnostics : Diagnostics
+    importance : ImportanceEvidence
+    bridge : BridgeEvidence
+    modes_converged : bool
+    """
+
+    natural: Array
+    kept: Array
+    mode: Array
+    diagnostics: Diagnostics
+    importance: ImportanceEvidence
+    bridge: BridgeEvidence
+    modes_converged: bool
+
+    @property
+    def log_evidence(self) -> float:
+        """By importance sampling, or by the bridge where the weights have too heavy a tail."""
+        return self.importance.log_evidence if self.is_importance_trusted else self.bridge.log_evidence
+
+    @property
+    def log_evidence_se(self) -> float:
+        """Its standard error."""
+        return self.importance.standard_error if self.is_importance_trusted else self.bridge.standard_error
+
+    @property
+    def is_importance_trusted(self) -> bool:
+        """Whether the weights' tail is light enough."""
+        return self.importance.pareto_k <= PARETO_K_LIMIT
+
+    def list_problems(self) -> list[str]:
+        """Return what speaks against it in words; empty where it converged."""
+        problems = self.diagnostics.list_problems()
+        if not self.modes_converged:
+            problems.append("the mode search did not converge")
+        if not self.bridge.converged:
+            problems.append("bridge sampling did not converge")
+        gap = abs(self.importance.log_evidence - self.bridge.log_evidence)
+        if not gap <= AGREEMENT:
+            problems.append(f"the two log-evidences differ by {gap:.2f}, limit {AGREEMENT}")
+        return problems
+
+    def describe_evidence(self) -> dict[str, Any]:
+        """Return the evidence as columns of a table."""
+        return {
+            "log_evidence": self.log_evidence,
+            "log_evidence_se": self.log_evidence_se,
+            "log_evidence_importance": self.importance.log_evidence,
+            "log_evidence_bridge": self.bridge.log_evidence,
+            "efficiency": self.importance.efficiency,
+            "pareto_k": self.importance.pareto_k,
+        }
+
+    def describe_chains(self) -> dict[str, Any]:
+        """Return how the chains went as columns of a table."""
+        problems = self.list_problems()
+        return {
+            "rhat_max": float(self.diagnostics.rhat.max()),
+            "ess_bulk_min": float(self.diagnostics.ess_bulk.min()),
+            "ess_tail_min": float(self.diagnostics.ess_tail.min()),
+            "converged": not problems,
+            "problems": "; ".join(problems),
+        }
+
+
+def estimate_posterior(
+    posterior: Target, seed: int, name: str, sampler: SamplerConfig, effort: EvidenceConfig
+) -> Estimate:
+    """Return what inference finds of a posterior; its random numbers depend on the seed and the name alone."""
+    explore_seed, importance_seed, ensemble_seed, bridge_seed = np.random.SeedSequence(
+        [seed, zlib.crc32(name.encode())]
+    ).spawn(4)
+    found = explore(posterior, explore_seed, sampler.walkers)
+    density = found.straight.log_density
+    importance = estimate_by_importance(
+        density,
+        found.proposal,
+        np.random.default_rng(importance_seed),
+        effort.draws,
+        effort.target_error,
+        effort.max_draws,
+    )
+    sample = sample_posterior(found, ensemble_seed, sampler.ensembles, sampler.walkers, sampler.burn_in, sampler.steps)
+    bridge = estimate_by_bridge(
+        density,
+        sample.straight,
+        sample.log_density,
+        np.random.default_rng(bridge_seed),
+        effort.draws,
+        found.proposal,
+    )
+    flat = sample.y.reshape(-1, posterior.n_parameters)
+    chosen = np.linspace(0, len(flat) - 1, min(KEPT_DRAWS, len(flat))).astype(int)
+    return Estimate(
+        sample.natural.reshape(flat.shape),
+        flat[chosen],
+        found.modes[0].y,
+        sample.diagnostics,
+        importance,
+        bridge,
+        all(mode.converged for mode in found.modes),
+    )
