@@ -1,7 +1,9 @@
-"""The command line: exit code 0 for success, 2 for bad input, 3 for a numerical failure, 130 for an interrupt."""
+"""The command line: exit code 0 for success, 2 for bad input, 3 for a failure on the way, 130 for an interrupt."""
 
 from __future__ import annotations
 
+import errno
+import io
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -178,6 +180,9 @@ def _make_console(width: int = WIDTH) -> Console:
 
 def main() -> None:
     """Run the command line; errors become one line on standard error and an exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without Greek letters
     try:
         code = app(standalone_mode=False)
     except typer.TyperException as error:
@@ -185,7 +190,12 @@ def main() -> None:
     except BayescalError as error:
         code = _complain(str(error), error.exit_code)
     except OSError as error:  # a file or directory that may not be read or written, a full disk
-        code = _complain(f"{error.filename}: {error.strerror}, expected to read or write there", InputError.exit_code)
+        where = error.filename or "a file of the results"
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+        code = _complain(
+            f"{where}: {error.strerror}, expected {'room to write' if full else 'to read or write there'}",
+            NumericalError.exit_code if full else InputError.exit_code,
+        )
     except (KeyboardInterrupt, typer.Abort):
         code = _complain("interrupted", INTERRUPTED)
     sys.exit(code or 0)

@@ -59,7 +59,7 @@ def study(tmp_path, monkeypatch) -> Path:
 @pytest.fixture
 def quick(monkeypatch) -> None:
     """Leave the page out of the results: its figures take most of a tiny study's time."""
-    monkeypatch.setattr(frame, "write_page", lambda page, folder, more: folder)
+    monkeypatch.setattr(frame, "write_page", lambda page, folder, *more: folder)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def finished(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("finished")
     path = studies.write_tiny_study(folder)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(frame, "write_page", lambda page, folder, more: folder)
+        patched.setattr(frame, "write_page", lambda page, folder, *more: folder)
         frame.run_experiment(load_experiment(path), folder, folder / "out")
     return folder / "out"
 

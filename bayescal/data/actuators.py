@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,10 @@ from bayescal.errors import InputError
 from bayescal.files.csv_tables import Table, read_table
 from bayescal.numerics.geometry import Array
 
+OVERTRAVEL = 0.05
+"""Share of the range by which a position that was read may lie outside of it."""
+STIRRING = 0.1
+"""Share of the range below which a plan hardly moves the machine: nobody meant that."""
 USES = ("calibration", "verification")
 
 
@@ -33,6 +38,46 @@ def read_uses(table: Table) -> np.ndarray:
         if use not in USES:
             raise InputError(f"{table.where(row)}: use: found {use!r}, expected one of {', '.join(USES)}")
     return np.array([use == "verification" for use in uses])
+
+
+def check_range(actuators: Array, home: Array, largest: float, names: Sequence[str]) -> None:
+    """Raise InputError where actuators have moved further than they can; the message tries what may have gone wrong.
+
+    Parameters
+    ----------
+    actuators : ndarray, shape (P, N)
+        Positions, mm.
+    home : ndarray, shape (N,)
+        The initial positions, mm.
+    largest : float
+        Largest displacement from there, mm.
+    names : sequence of str
+        Of the poses.
+    """
+    moved = np.abs(actuators - home)
+    limit = largest * (1.0 + OVERTRAVEL)
+    if not np.any(moved > limit):
+        return
+    pose, leg = divmod(int(np.argmax(moved)), len(home))
+    raise InputError(
+        f"pose {names[pose]!r}, leg {leg + 1}: found {actuators[pose, leg]:g} mm, {moved[pose, leg]:.3g} mm from the "
+        f"initial position, expected at most the actuator range of {largest:g} mm{_explain(actuators, home, limit)}"
+    )
+
+
+def _explain(actuators: Array, home: Array, limit: float) -> str:
+    """Return what was perhaps written in place of positions in mm, found by trying it."""
+    tried = {
+        "; they look like displacements from the initial positions": actuators + home,
+        "; they look like metres": 1e3 * actuators,
+        "; they look like micrometres": 1e-3 * actuators,
+        "; they look like displacements in metres": 1e3 * actuators + home,
+        "; they look like displacements in micrometres": 1e-3 * actuators + home,
+    }
+    travel = {word: float(np.ptp(other, axis=0).max()) for word, other in tried.items()}
+    fits = [word for word, other in tried.items() if np.all(np.abs(other - home) <= limit)]
+    best = max(fits, key=travel.__getitem__, default="")
+    return best if best and travel[best] > STIRRING * limit else ""
 
 
 def check_calibration(path: Path, verification: np.ndarray) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import difflib
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
 from bayescal.numerics.geometry import Array
 
+LEG_NUMBER = re.compile(r"_([1-9][0-9]*)(?=_|$)")
 SHOWN = 12  # columns that may be there, listed in a message
 LARGEST = 1e9
 """Numbers beyond this size are taken for slips: as millimetres, a thousand kilometres."""
@@ -142,11 +144,42 @@ def _stem(name: str) -> str:
 
 
 def read_matrix(path: Path, n_columns: int) -> Array:
-    """Read a table of numbers with a header, shape (rows, n_columns)."""
+    """Read a table of numbers with a column for each leg, shape (rows, n_columns), in the order of the legs.
+
+    The columns say which leg they are of, as in ``drho_1`` or ``rho_6_mm``; their order in the file does not matter.
+    """
     table = read_table(path, None)
     if len(table.columns) != n_columns:
         raise InputError(f"{path}: found {len(table.columns)} columns, expected {n_columns}, one per leg")
-    return table.numbers(table.columns)
+    legs = [LEG_NUMBER.search(name) for name in table.columns]
+    by_leg = {int(leg[1]): name for leg, name in zip(legs, table.columns, strict=True) if leg}
+    if set(by_leg) != set(range(1, n_columns + 1)):
+        raise InputError(
+            f"{path}: found columns {', '.join(table.columns)}, "
+            f"expected one per leg with its number, such as drho_1 to drho_{n_columns}"
+        )
+    return table.numbers([by_leg[leg] for leg in sorted(by_leg)])
+
+
+def read_by_leg(path: Path, columns: Sequence[str], n_legs: int) -> Array:
+    """Read a table with a row for each leg, named in the column ``leg``; shape (N, columns), in the order of the legs.
+
+    Raises
+    ------
+    InputError
+        Where a leg is missing, stands twice or is none of the machine's.
+    """
+    table = read_table(path, ("leg", *columns))
+    legs = table.text("leg")
+    table.check_unique([(leg,) for leg in legs], "leg")
+    expected = [str(leg) for leg in range(1, n_legs + 1)]
+    for row, leg in enumerate(legs):
+        if leg not in expected:
+            raise InputError(f"{table.where(row)}: leg: found {leg!r}, expected a number from 1 to {n_legs}")
+    if len(legs) < n_legs:
+        missing = next(leg for leg in expected if leg not in legs)
+        raise InputError(f"{path}: found no row of leg {missing}, expected one of each leg from 1 to {n_legs}")
+    return table.numbers(columns)[[legs.index(leg) for leg in expected]]
 
 
 def format_table(comments: Sequence[str], columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
-from matplotlib import rc_context
+from matplotlib import rc_context, rcdefaults, rcParams
 from matplotlib.figure import Figure
 
+from bayescal.errors import InputError
+from bayescal.files.atomic import write_atomically
 from bayescal.report.blocks import Page, Section
 from bayescal.report.style import RC
 from bayescal.report.symbols import split_symbol
@@ -20,11 +22,12 @@ from bayescal.report.symbols import split_symbol
 DPI = 120
 PAGE = "report.html"
 FIGURES = "figures"
+FIGURE = re.compile(rf"{FIGURES}/[A-Za-z0-9_-]+\.png")
 SUBSCRIPT = re.compile(r"(?<![\w&#;.])(Δ?[A-Za-zα-ω])_([A-Za-z0-9]{1,2})(?!\w)")
 SUPERSCRIPT = re.compile(r"(?<![\w&#])([A-Za-zα-ω])\^([A-Za-z0-9])(?!\w)")
 
 
-def write_page(page: Page, folder: Path, more: Sequence[Section] = ()) -> Path:
+def write_page(page: Page, folder: Path, more: Sequence[Section] = (), earlier: Iterable[str] = ()) -> Path:
     """Write ``figures/*.png`` and ``report.html`` into a results directory.
 
     Parameters
@@ -33,25 +36,32 @@ def write_page(page: Page, folder: Path, more: Sequence[Section] = ()) -> Path:
     folder : Path
     more : sequence of Section
         Stand after the page's own, such as where the results come from.
+    earlier : iterable of str
+        Files that an earlier page wrote there; those of its figures that this one does not show are removed.
 
     Returns
     -------
     Path
-        The page; it holds its figures and its style and refers to no other file. Figures of an earlier page that it
-        does not show are removed.
+        The page; it holds its figures and its style and refers to no other file.
+
+    Raises
+    ------
+    InputError
+        Where the folder of the figures is a link.
     """
     images = {figure.name: render_png(figure.draw) for figure in page.figures() if figure.draw is not None}
     text = render_page(page, images, more)
     figures = folder / FIGURES
-    for path in figures.glob("*.png"):
-        if path.stem not in images:
-            path.unlink()
+    if figures.is_symlink():
+        raise InputError(f"{figures}: found a link, expected a directory; nothing is written through links")
+    for name in set(earlier) - {f"{FIGURES}/{image}.png" for image in images}:
+        if FIGURE.fullmatch(name):
+            (folder / name).unlink(missing_ok=True)
     for name, image in images.items():
         figures.mkdir(exist_ok=True)
-        (figures / f"{name}.png").write_bytes(image)
-    temporary = folder / f"{PAGE}.tmp"
-    temporary.write_text(text, encoding="utf-8")
-    return temporary.replace(folder / PAGE)
+        write_atomically(figures / f"{name}.png", image)
+    write_atomically(folder / PAGE, text.encode())
+    return folder / PAGE
 
 
 def render_page(page: Page, images: Mapping[str, bytes], more: Sequence[Section] = ()) -> str:
@@ -72,7 +82,9 @@ def render_page(page: Page, images: Mapping[str, bytes], more: Sequence[Section]
 def render_png(draw: Callable[[], Figure]) -> bytes:
     """Return a figure as PNG; the same figure gives the same bytes."""
     buffer = io.BytesIO()
-    with rc_context(RC):  # type: ignore[arg-type]  # its keys are a literal type of three hundred names
+    with rc_context():
+        rcdefaults()  # whatever somebody's matplotlibrc says
+        rcParams.update(RC)  # type: ignore[arg-type]  # its keys are a literal type of three hundred names
         draw().savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
     return buffer.getvalue()
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayescal.errors import InputError
-from bayescal.files.csv_tables import format_table, read_matrix, read_table
+from bayescal.files.csv_tables import format_table, read_by_leg, read_matrix, read_table
 
 COLUMNS = ("pose", "x_mm", "y_mm")
 
@@ -97,7 +97,7 @@ def test_line_numbers_count_comments_and_blanks(path):
 
 
 def test_matrix_of_another_width(path):
-    path.write_text("a,b\n1,2\n")
+    path.write_text("rho_1,rho_2\n1,2\n")
     np.testing.assert_array_equal(read_matrix(path, 2), [[1, 2]])
     with pytest.raises(InputError, match="found 2 columns, expected 6, one per leg"):
         read_matrix(path, 6)
@@ -107,3 +107,34 @@ def test_format_and_read_round_trip(path):
     path.write_text(format_table(["Note, with a comma"], COLUMNS, [("A", 0.1, 2.0), ("B", -1e-7, 3.0)]))
     table = read_table(path, COLUMNS)
     np.testing.assert_array_equal(table.numbers(("x_mm", "y_mm")), [[0.1, 2.0], [-1e-7, 3.0]])
+
+
+def test_a_matrix_has_its_legs_by_name(path):
+    path.write_text("drho_2_1e-3,drho_1_1e-3\n1,2\n3,4\n")
+    np.testing.assert_array_equal(read_matrix(path, 2), [[2, 1], [4, 3]])
+
+
+@pytest.mark.parametrize("header", ["a,b", "rho_1,rho_3", "rho_01,rho_2", "rho_1_mm,rho_1"])
+def test_a_matrix_without_the_legs_numbers(path, header):
+    path.write_text(f"{header}\n1,2\n")
+    with pytest.raises(InputError, match="expected one per leg with its number, such as drho_1 to drho_2"):
+        read_matrix(path, 2)
+
+
+def test_rows_of_legs_in_any_order(path):
+    path.write_text("dx,leg\n1,2\n3,1\n")
+    np.testing.assert_array_equal(read_by_leg(path, ("dx",), 2), [[3], [1]])
+
+
+@pytest.mark.parametrize(
+    ("rows", "fault"),
+    [
+        ("1,1\n1,2\n", "leg '1' stands already on line 2, expected once"),
+        ("1,1\n3,2\n", "leg: found '3', expected a number from 1 to 2"),
+        ("2,1\n", "found no row of leg 1, expected one of each leg from 1 to 2"),
+    ],
+)
+def test_rows_of_legs_at_fault(path, rows, fault):
+    path.write_text(f"leg,dx\n{rows}")
+    with pytest.raises(InputError, match=fault):
+        read_by_leg(path, ("dx",), 2)

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 from html_reader import Reader
+from matplotlib import rc_context
 from matplotlib.figure import Figure as Drawing
 
+from bayescal.errors import InputError
 from bayescal.report import page as setting
 from bayescal.report.blocks import (
     Absent,
@@ -138,9 +140,33 @@ def test_same_page_gives_same_bytes(tmp_path):
 
 def test_figures_of_an_earlier_page_are_removed(tmp_path):
     (tmp_path / "figures").mkdir()
-    (tmp_path / "figures" / "old.png").write_bytes(b"of an earlier page")
-    write_page(make_page(Figure("a", "A", draw)), tmp_path)
-    assert {one.name for one in (tmp_path / "figures").iterdir()} == {"a.png"}
+    for name in ("old", "mine"):
+        (tmp_path / "figures" / f"{name}.png").write_bytes(b"")
+    write_page(make_page(Figure("a", "A", draw)), tmp_path, earlier=["figures/old.png", "figures/a.png", "table.csv"])
+    assert {one.name for one in (tmp_path / "figures").iterdir()} == {"a.png", "mine.png"}
+
+
+def test_nothing_is_written_through_links(tmp_path):
+    folder, other = tmp_path / "results", tmp_path / "other"
+    (folder / "figures").mkdir(parents=True)
+    other.write_bytes(b"precious")
+    for name in ("report.html", "report.html.tmp", "figures/a.png"):
+        (folder / name).symlink_to(other)
+    write_page(make_page(Figure("a", "A", draw)), folder)
+    assert other.read_bytes() == b"precious"
+    assert "<html" in (folder / "report.html").read_text()
+    elsewhere = tmp_path / "elsewhere"
+    (folder / "figures").rename(elsewhere)
+    (folder / "figures").symlink_to(elsewhere)
+    with pytest.raises(InputError, match="found a link, expected a directory"):
+        write_page(make_page(Figure("b", "B", draw)), folder)
+    assert not (elsewhere / "b.png").exists()
+
+
+def test_a_figure_is_the_same_whatever_matplotlibrc_says():
+    plain = render_png(draw)
+    with rc_context({"text.usetex": True, "axes.facecolor": "red", "figure.figsize": (2, 2)}):
+        assert render_png(draw) == plain
 
 
 def test_figures_need_names_of_their_own():

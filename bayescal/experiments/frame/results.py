@@ -16,6 +16,8 @@ from bayescal.files.atomic import read_json
 
 SUMMARY_FILE = "summary.json"
 PROVENANCE_FILE = "provenance.json"
+WRITTEN = "written"
+"""Key of the provenance that lists what a run has written: everything else in its directory is somebody's own."""
 TABLE_NAME = re.compile(r"([A-Za-z0-9_-]+/)?[A-Za-z0-9_-]+\.csv")
 KINDS: dict[str, Callable[[str], Any]] = {
     "number": lambda cell: float(cell) if cell else float("nan"),
@@ -94,6 +96,12 @@ def write_results(results: Results, folder: Path, tables_in: str = "", digits: i
         else:
             content(folder / name)
     write_json(folder / PROVENANCE_FILE, {**results.provenance, "tables": kinds, "empty_tables": empty})
+
+
+def list_written(folder: Path) -> None:
+    """Add to a new results directory's provenance which files it has."""
+    names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    write_json(folder / PROVENANCE_FILE, {**read_json(folder / PROVENANCE_FILE), WRITTEN: names})
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

@@ -19,7 +19,15 @@ from bayescal.experiments.frame.load import AnyExperiment, find_kind
 from bayescal.experiments.frame.lock import hold_lock
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.progress import Progress
-from bayescal.experiments.frame.results import SUMMARY_FILE, Results, read_results, write_json, write_results
+from bayescal.experiments.frame.results import (
+    SUMMARY_FILE,
+    WRITTEN,
+    Results,
+    list_written,
+    read_results,
+    write_json,
+    write_results,
+)
 from bayescal.experiments.frame.store import Store
 from bayescal.report.blocks import Page, Statement
 from bayescal.report.page import PAGE, write_page
@@ -106,7 +114,7 @@ def run_experiment(
         identity = identify(config, folder, _list_files(experiment, config, folder), modules)
         store.check(identity, resume)
         with hold_lock(store.lock, out):
-            store.begin(identity, resume)
+            store = store.begin(identity, resume)
             try:
                 results = experiment.compute(inputs, Run(workers, store, Progress(quiet)))
             except InputError:
@@ -138,6 +146,7 @@ def _write(experiment: AnyExperiment, results: Results, folder: Path) -> Page:
     page = _write_page(experiment, folder)
     said = {"headline": page.headline, "verdict": [_say(one) for one in page.verdict]}
     write_json(folder / SUMMARY_FILE, {**summary, **said})
+    list_written(folder)
     return page
 
 
@@ -148,7 +157,8 @@ def _say(statement: Statement) -> dict[str, str]:
 def _write_page(experiment: AnyExperiment, folder: Path) -> Page:
     results = read_results(folder)
     page = experiment.page(results)
-    write_page(page, folder, (show_provenance(results.provenance),))
+    earlier = results.provenance.get(WRITTEN, [])
+    write_page(page, folder, (show_provenance(results.provenance),), earlier if isinstance(earlier, list) else [])
     return page
 
 

@@ -1,18 +1,20 @@
 """Where results live: finished work kept as it comes, the results directory replaced in one step.
 
-``OUT.partial`` holds the finished tasks of a run, one file each, and what determines them. ``OUT`` appears, or is
-replaced, only when everything in it is written: a killed run leaves the old results or the new, never half.
+``OUT.partial`` holds the finished tasks of a run, one file each, what determines them, and new results while they are
+put together. ``OUT`` appears, or is replaced, only when everything in it is written: a killed run leaves the old
+results or the new, never half. What others have put into either directory stays.
 """
 
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import io
 import json
 import os
 import shutil
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +22,28 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.identity import hash_identity
-from bayescal.experiments.frame.results import PROVENANCE_FILE
+from bayescal.experiments.frame.results import PROVENANCE_FILE, WRITTEN
 from bayescal.files.atomic import read_json, write_atomically
 from bayescal.numerics.geometry import Array
 
 IDENTITY_FILE = "identity.json"
+STAGED = "results"
+CHECKSUM = "checksum"
 
 
 @dataclass(frozen=True)
 class Store:
-    """The results directory of an experiment and the work in progress beside it."""
+    """The results directory of an experiment and the work in progress beside it.
+
+    Attributes
+    ----------
+    out : Path
+    run : str
+        What determines the run's numbers, as a hash; a task of another run counts as not finished.
+    """
 
     out: Path
+    run: str = ""
 
     @property
     def partial(self) -> Path:
@@ -41,7 +53,7 @@ class Store:
     @property
     def staged(self) -> Path:
         """Directory in which new results are put together."""
-        return self._beside(".new.partial")
+        return self.partial / STAGED
 
     @property
     def lock(self) -> Path:
@@ -74,11 +86,15 @@ class Store:
         self.check_results(identity)
         if resume:
             self._check_resumed(identity)
-        else:
-            self._check_partial()
+        self._check_partial()
 
-    def begin(self, identity: dict[str, Any], resume: bool) -> None:
+    def begin(self, identity: dict[str, Any], resume: bool) -> Store:
         """Make the partial directory ready: empty, or with the finished tasks of the run to resume.
+
+        Returns
+        -------
+        Store
+            That knows the run.
 
         Raises
         ------
@@ -86,11 +102,13 @@ class Store:
             Where there is nothing to resume, or it differs in what matters; the message names the differences.
         """
         self.check(identity, resume)
+        begun = replace(self, run=hash_identity(identity))
         if resume:
-            return
-        shutil.rmtree(self.partial, ignore_errors=True)
+            return begun
+        self.discard()
         self.partial.mkdir(parents=True)
         write_atomically(self.partial / IDENTITY_FILE, json.dumps(identity, indent=1).encode())
+        return begun
 
     def _check_resumed(self, identity: dict[str, Any]) -> None:
         if not (self.partial / IDENTITY_FILE).is_file():
@@ -100,38 +118,59 @@ class Store:
             raise InputError(f"{self.partial}: cannot resume, the config differs: {'; '.join(changes)}")
 
     def discard(self) -> None:
-        """Remove the work in progress: it is of no use."""
-        shutil.rmtree(self.partial, ignore_errors=True)
+        """Remove the work in progress, and nothing else that stands there: it is of no use any more."""
+        if not self.partial.is_dir():
+            return
+        shutil.rmtree(self.staged, ignore_errors=True)
+        for path in self.partial.iterdir():
+            if _is_ours(path) and path.name != IDENTITY_FILE:
+                path.unlink(missing_ok=True)
+        if {path.name for path in self.partial.iterdir()} <= {IDENTITY_FILE}:  # last: it says that this is a run's
+            (self.partial / IDENTITY_FILE).unlink(missing_ok=True)
+            self.partial.rmdir()
 
     def _check_partial(self) -> None:
-        """Refuse to empty a directory that no run has made."""
+        """Refuse to work in a directory that no run has made, or that holds what no run has."""
         if not self.partial.exists():
             return
-        ours = self.partial.is_dir() and all(
-            path.name.removesuffix(".tmp") == IDENTITY_FILE or path.name.removesuffix(".tmp").endswith(".npz")
-            for path in self.partial.iterdir()
-        )
-        if not ours:
+        if not self.partial.is_dir():
             raise InputError(f"{self.partial}: exists and is no interrupted run, expected nothing there; remove it")
+        there = list(self.partial.iterdir())
+        if there and not any(path.name.removesuffix(".tmp") == IDENTITY_FILE for path in there):
+            raise InputError(f"{self.partial}: exists and is no interrupted run, expected nothing there; remove it")
+        for path in there:
+            if not _is_ours(path) and path.name != STAGED:
+                raise InputError(f"{path}: found what no run has written, expected an interrupted run; move it away")
 
     # --- tasks ---------------------------------------------------------------------------------------------------
 
     def save_task(self, key: str, arrays: dict[str, Array]) -> None:
-        """Keep the arrays of a finished task."""
+        """Keep the arrays of a finished task, with a checksum that only this run's have."""
         buffer = io.BytesIO()
-        np.savez(buffer, allow_pickle=False, **arrays)
+        np.savez(buffer, allow_pickle=False, **arrays, **{CHECKSUM: self._sum(arrays)})
         write_atomically(self.partial / f"{key}.npz", buffer.getvalue())
 
     def load_task(self, key: str) -> dict[str, Array] | None:
-        """Return the arrays of a finished task, or None; a damaged file counts as not finished."""
+        """Return the arrays of a finished task, or None; a damaged file, or another run's, counts as not finished."""
         path = self.partial / f"{key}.npz"
         if not path.is_file():
             return None
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-                return {name: stored[name] for name in stored.files}
+                arrays = {name: stored[name] for name in stored.files}
         except (OSError, ValueError, EOFError, RuntimeError, AttributeError, TypeError, zipfile.BadZipFile):
             return None  # among them what a flipped bit looks like: an encrypted archive, a bare array
+        found = arrays.pop(CHECKSUM, None)
+        return arrays if found is not None and np.array_equal(found, self._sum(arrays)) else None
+
+    def _sum(self, arrays: dict[str, Array]) -> Array:
+        """Return the SHA-256, shape (32,), of the run and everything in its arrays."""
+        digest = hashlib.sha256(self.run.encode())
+        for name in sorted(arrays):
+            values = np.ascontiguousarray(arrays[name])
+            digest.update(f"{name} {values.dtype.str} {values.shape}".encode())
+            digest.update(values.tobytes())
+        return np.frombuffer(digest.digest(), dtype=np.uint8)
 
     # --- after the run -------------------------------------------------------------------------------------------
 
@@ -142,13 +181,36 @@ class Store:
         return self.staged
 
     def publish(self) -> None:
-        """Put the staged results in place of the old ones in one step, then remove the old and the partial work."""
+        """Put the staged results in place of the old ones in one step, then remove the old and the partial work.
+
+        Files that the old run did not write stay in the results directory.
+        """
         if self.out.exists():
             _exchange(self.staged, self.out.resolve())
-            shutil.rmtree(self.staged, ignore_errors=True)
+            _move_foreign(self.staged, self.out.resolve())
         else:
             self.staged.rename(self.out.resolve())
-        shutil.rmtree(self.partial, ignore_errors=True)
+        self.discard()
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether a run has written a file of the partial directory."""
+    name = path.name.removesuffix(".tmp")
+    return (name == IDENTITY_FILE or name.endswith(".npz")) and path.is_file()
+
+
+def _move_foreign(old: Path, new: Path) -> None:
+    """Move what a run has not written from its results to those that replaced them; nothing of these is touched."""
+    provenance = old / PROVENANCE_FILE
+    written = read_json(provenance).get(WRITTEN) if provenance.is_file() else None
+    if not isinstance(written, list):  # of an earlier version: nothing tells
+        return
+    for path in sorted(old.rglob("*")):
+        name = path.relative_to(old)
+        if path.is_dir() or name.as_posix() in written or (new / name).exists():
+            continue
+        (new / name).parent.mkdir(parents=True, exist_ok=True)
+        path.rename(new / name)
 
 
 def _exchange(one: Path, other: Path) -> None:
@@ -158,8 +220,7 @@ def _exchange(one: Path, other: Path) -> None:
     function = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if os.name == "posix" else None
     if function is not None and function(at_cwd, os.fsencode(one), at_cwd, os.fsencode(other), exchange) == 0:
         return
-    aside = other.with_name(other.name + ".old.partial")
-    shutil.rmtree(aside, ignore_errors=True)
+    aside = one.with_name(f"{one.name}.old")
     other.rename(aside)
     one.rename(other)
     aside.rename(one)

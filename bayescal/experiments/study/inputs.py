@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.config.load import look_up
+from bayescal.data.actuators import check_range
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import (
     JointDeflection,
@@ -28,6 +29,7 @@ from bayescal.experiments.study.measurement import (
     Measurement,
     TargetMeasurement,
     check_measurement,
+    name_actuator_table,
     name_data,
     read_measurement,
 )
@@ -255,7 +257,10 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
         For anything at fault in the config's files, before any long computation.
     """
     mechanism = load_mechanism(folder / config.mechanism)
-    inputs = StudyInputs(config, folder, mechanism, read_measurement(config, folder, mechanism))
+    measured = read_measurement(config, folder, mechanism)
+    with name_faults(name_actuator_table(config.data, folder)):
+        check_range(measured.actuators, mechanism.initial_actuator_positions, mechanism.actuator_range, measured.names)
+    inputs = StudyInputs(config, folder, mechanism, measured)
     with name_faults(name_data(config.data, folder)):
         _measure_deflection(inputs)
     for variant in config.variants:

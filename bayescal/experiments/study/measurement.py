@@ -169,6 +169,11 @@ def name_data(data: DataConfig, folder: Path) -> Path:
     return folder / (data.poses if isinstance(data, PoseDataConfig) else data.points)
 
 
+def name_actuator_table(data: DataConfig, folder: Path) -> Path:
+    """Return the file of the actuator positions: that of the measurements where they stand in it."""
+    return name_data(data, folder) if data.actuators is None else folder / data.actuators
+
+
 def read_measurement(config: StudyConfig, folder: Path, mechanism: Mechanism) -> Measurement:
     """Return what a study measured.
 

@@ -12,7 +12,7 @@ import pandas as pd
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.files.csv_tables import read_table
+from bayescal.files.csv_tables import read_by_leg, read_table
 from bayescal.numerics.geometry import Array
 from bayescal.reproductions.yu2023.describe import PERCENTILES, describe, list_records
 from bayescal.reproductions.yu2023.evaluate import PoseErrors
@@ -208,7 +208,7 @@ def _list_parameters(setup: Setup, study: AccuracyStudyConfig, truth: Array, fou
         return table
     path = setup.folder / study.published_parameters
     columns = tuple(ERROR_SYMBOLS)[:-1]  # the printed table has no dh
-    values = read_table(path, ("leg", *columns)).numbers(columns)
+    values = read_by_leg(path, columns, setup.machine.mechanism.n_legs)
     published = np.full(layout.size, np.nan)
     for k, name in enumerate(columns):
         published[layout.index[ERROR_SYMBOLS[name]]] = values[:, k]

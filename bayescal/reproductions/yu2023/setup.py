@@ -11,7 +11,7 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.parallel import Run
-from bayescal.files.csv_tables import read_table
+from bayescal.files.csv_tables import read_by_leg
 from bayescal.identifiability.design import Knowledge
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import Machine, build_machine, check_home_pose
@@ -109,10 +109,8 @@ class Setup:
     def read_machine(self, table: str) -> Array:
         """Return the parameters (D,) that a table of errors, one row a hardpoint, makes of the nominal ones."""
         path, layout = self.folder / table, self.machine.layout
-        read = read_table(path, ("leg", *ERROR_SYMBOLS))
-        values, theta = read.numbers(tuple(ERROR_SYMBOLS)), layout.nominal.copy()
-        if len(values) != self.machine.mechanism.n_legs:
-            raise InputError(f"{path}: found {len(values)} legs, expected {self.machine.mechanism.n_legs}")
+        values = read_by_leg(path, tuple(ERROR_SYMBOLS), self.machine.mechanism.n_legs)
+        theta = layout.nominal.copy()
         for k, symbol in enumerate(ERROR_SYMBOLS.values()):
             theta[layout.index[symbol]] += values[:, k]
         return theta

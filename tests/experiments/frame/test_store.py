@@ -17,6 +17,7 @@ from studies import snapshot
 from bayescal.errors import InputError
 from bayescal.experiments.frame import store as store_module
 from bayescal.experiments.frame.identity import hash_identity
+from bayescal.experiments.frame.results import list_written
 from bayescal.experiments.frame.store import IDENTITY_FILE, PROVENANCE_FILE, Store, list_differences
 from bayescal.files.atomic import read_json, write_atomically
 
@@ -353,3 +354,51 @@ def test_read_json_says_what_is_wrong(tmp_path):
         with pytest.raises(InputError, match=expected) as caught:
             read_json(path)
         assert "\n" not in str(caught.value)
+
+
+def test_a_task_of_another_run_is_not_finished(store):
+    other = json.loads(json.dumps(IDENTITY))
+    other["config"]["seed"] = 2
+    store.save_task("k", ARRAYS)
+    task = (store.partial / "k.npz").read_bytes()
+    begun = store.begin(other, resume=False)
+    (begun.partial / "k.npz").write_bytes(task)
+    assert begun.load_task("k") is None
+    begun.save_task("k", ARRAYS)
+    assert begun.load_task("k") is not None
+
+
+# --- files of others -------------------------------------------------------------------------------------------------
+
+
+def test_files_of_others_stay_in_the_results(store):
+    fill(store.stage(), "old")
+    list_written(store.staged)
+    store.publish()
+    (store.out / "notes").mkdir()
+    for name in ("letter.txt", "notes/one.txt", "tables/mine.csv"):
+        (store.out / name).write_text("mine")
+    store.begin(IDENTITY, resume=False)
+    publish(store, "new")
+    assert contents(store.out) == {"new"}
+    for name in ("letter.txt", "notes/one.txt", "tables/mine.csv"):
+        assert (store.out / name).read_text() == "mine"
+    assert list_names(store.out.parent) == ["study"]
+
+
+def test_a_file_of_others_among_the_work_is_named_and_stays(store):
+    (store.partial / "thesis.tex").write_text("years of work")
+    for resume in (False, True):
+        with pytest.raises(InputError, match=r"thesis.tex: found what no run has written"):
+            store.begin(IDENTITY, resume=resume)
+    publish(store, "new")
+    assert contents(store.out) == {"new"}
+    assert (store.partial / "thesis.tex").read_text() == "years of work"
+
+
+def test_a_directory_that_looks_staged_is_left_alone(store):
+    beside = store.out.with_name("study.new.partial")
+    beside.mkdir()
+    (beside / "thesis.tex").write_text("years of work")
+    publish(store, "new")
+    assert (beside / "thesis.tex").read_text() == "years of work"

@@ -59,7 +59,7 @@ def summary(result) -> dict[str, Any]:
 @pytest.fixture(autouse=True)
 def _skip_reports(monkeypatch):
     """Let only the first run, made before, write its report: the numbers do not depend on it."""
-    monkeypatch.setattr(frame, "write_page", lambda page, folder, more: folder)
+    monkeypatch.setattr(frame, "write_page", lambda page, folder, *more: folder)
 
 
 def without_wall_seconds(out: Path) -> str:
