@@ -263,16 +263,28 @@ class PoseLikelihood(Likelihood):
 
     # --- density -------------------------------------------------------------------------------------------------
 
-    @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
+    def evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
+        """Return `pointwise` and rᵀ C⁻¹ r of each pose, shapes (B, P); infinite where there is no machine."""
+        density, square = np.empty((2, len(theta), self.n_poses))
+        for part in batches(len(theta)):
+            some = model_error if model_error.ndim == 1 else model_error[part]
+            density[part], square[part] = self._evaluate(theta[part], some)
+        return density, square
+
     def _pointwise(self, theta: Array, model_error: Array) -> Array:
+        return self._evaluate(theta, model_error)[0]
+
+    @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
+    def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
         errors = self._leg_errors(theta)
         if model_error.ndim == 1:
-            density = self._density_fixed(errors, model_error)
+            density, square = self._density_fixed(errors, model_error)
         else:
-            density = self._density_varying(errors, model_error)
+            density, square = self._density_varying(errors, model_error)
         density += self._constant[:, None]
         density[~np.isfinite(density)] = -np.inf
-        return density.T
+        square[~np.isfinite(square)] = np.inf
+        return density.T, square.T
 
     def _whiten(self, model_error: Array) -> tuple[Array, Array]:
         """Return the inverse Cholesky factors (P, N, N) and half log-determinants (P,) at τ; kept for the next call."""
@@ -282,15 +294,15 @@ class PoseLikelihood(Likelihood):
             self._whitening = (model_error.copy(), np.linalg.inv(factor), half_log_det)
         return self._whitening[1:]
 
-    def _density_fixed(self, errors: Array, model_error: Array) -> Array:
+    def _density_fixed(self, errors: Array, model_error: Array) -> tuple[Array, Array]:
         whitening, half_log_det = self._whiten(model_error)
         n_legs, n_poses, n_batch = errors.shape
         white = self._scratch.take("white", n_poses, n_legs, n_batch)
         np.matmul(whitening, errors.transpose(1, 0, 2), out=white)
         square = np.einsum("pib,pib->pb", white, white)
-        return -0.5 * square - half_log_det[:, None]
+        return -0.5 * square - half_log_det[:, None], square
 
-    def _density_varying(self, errors: Array, model_error: Array) -> Array:
+    def _density_varying(self, errors: Array, model_error: Array) -> tuple[Array, Array]:
         """Cholesky factors of all poses and batch entries at once, by columns.
 
         The errors are carried along as one more row of the matrix; in the factor that row holds the whitened errors.
@@ -311,4 +323,5 @@ class PoseLikelihood(Likelihood):
             inverse = 1.0 / np.sqrt(column[0])
             column[1:] *= inverse
             determinant *= inverse
-        return np.log(determinant) - 0.5 * np.einsum("kpb,kpb->pb", factor[n], factor[n])
+        square = np.einsum("kpb,kpb->pb", factor[n], factor[n])
+        return np.log(determinant) - 0.5 * square, square

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -170,8 +170,12 @@ class Posterior:
 
     def all_priors(self) -> dict[str, Prior]:
         """Return the priors of the free parameters and of the model errors by name, in order."""
-        result = dict(zip(self.names, self._ordered_priors, strict=False))
-        for name in self.names[self.n_geometry :]:
+        return self._name_priors(self.names)
+
+    def _name_priors(self, names: Sequence[str]) -> dict[str, Prior]:
+        """Return the priors of the geometry, then of the model errors τ, of these names."""
+        result = dict(zip(names, self._ordered_priors, strict=False))
+        for name in names[self.n_geometry :]:
             assert self.model_error.scale is not None
             result[name] = HalfNormalPrior(self.model_error.scale)
         return result
@@ -218,12 +222,20 @@ class Posterior:
             theta = self.theta(y)
             inside = self._layout.inside(theta)
             theta[~inside] = self.coordinates.start  # keeps what is no machine out of the models
-            total = self._log_prior(y, theta) + self.likelihood(theta, self.tau(y))
+            total = self._log_prior(y, theta) + self._log_likelihood(y, theta)
         return np.where(inside & np.isfinite(total), total, -np.inf)
+
+    def _log_likelihood(self, y: Array, theta: Array) -> Array:
+        """Return the log-likelihood, shape (B,), of coordinates (B, n) and their parameters (B, D)."""
+        return self.likelihood(theta, self.tau(y))
 
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each pose, shape (B, P)."""
-        return self.likelihood.pointwise(self.theta(y), self.tau(y))
+        return self.evaluate_poses(self.likelihood, y)
+
+    def evaluate_poses(self, likelihood: Likelihood, y: Array) -> Array:
+        """Return the log-likelihood of each pose, of these or of others, shape (B, P), for coordinates (B, n)."""
+        return likelihood.pointwise(self.theta(y), self.tau(y))
 
     # --- derivatives ---------------------------------------------------------------------------------------------
 
@@ -332,10 +344,15 @@ class Posterior:
         """Return y, shape (n,), with the geometry of least squares at its model errors."""
         return self._fit_geometry(y, np.broadcast_to(self.tau(y[None]), (1, self.likelihood.n_legs))[0])
 
-    def _fit_geometry(self, start: Array, tau: Array) -> Array:
-        """Return y with the geometry of least squares, whitened errors and priors together, at model errors (N,)."""
+    def _fit_geometry(self, start: Array, tau: Array, weight: Array | None = None) -> Array:
+        """Return y with the geometry of least squares, whitened errors and priors together, at model errors (N,).
+
+        A ``weight``, shape (P,), says how much each pose counts.
+        """
         n = self.n_geometry
         whitening = np.linalg.inv(np.linalg.cholesky(self.likelihood.error_covariance(tau)))
+        if weight is not None:
+            whitening *= np.sqrt(weight)[:, None, None]
 
         def residual(y: Array) -> Array:
             theta = self.coordinates.theta_from_y(y[None])
