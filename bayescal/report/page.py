@@ -7,15 +7,17 @@ import io
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
-from matplotlib import rc_context
-from matplotlib.figure import Figure
 
 from bayescal.report.blocks import Page, Section
 from bayescal.report.style import RC
 from bayescal.report.symbols import split_symbol
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DPI = 120
 PAGE = "report.html"
@@ -71,6 +73,8 @@ def render_page(page: Page, images: Mapping[str, bytes], more: Sequence[Section]
 
 def render_png(draw: Callable[[], Figure]) -> bytes:
     """Return a figure as PNG; the same figure gives the same bytes."""
+    from matplotlib import rc_context  # a second to import, for those who draw
+
     buffer = io.BytesIO()
     with rc_context(RC):  # type: ignore[arg-type]  # its keys are a literal type of three hundred names
         draw().savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})

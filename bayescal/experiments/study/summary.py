@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import arviz as az
 import numpy as np
 import xarray as xr
+from arviz_base import from_dict  # arviz itself brings plots, which every worker would load
+from arviz_stats import loo
 
 from bayescal.density.prediction import Prediction, compute_elpd
 from bayescal.experiments.study.fit import Arrays, read_prediction
@@ -72,7 +73,7 @@ def build_tree(inputs: StudyInputs, variant: str, with_model_error: bool, arrays
         "axis": list("xyz"),
         "platform_axis": list("xyz"),
     }
-    tree = az.from_dict(data, coords=coords, dims=dims, pred_dims=dims, pred_coords=coords)
+    tree = from_dict(data, coords=coords, dims=dims, pred_dims=dims, pred_coords=coords)
     tree.attrs = {"variant": variant, "model_error": "free" if with_model_error else "zero", "length_unit": "mm"}
     return tree
 
@@ -81,8 +82,8 @@ def compute_loo(tree: xr.DataTree) -> Loo:
     """Return PSIS-LOO over the calibration poses; poses with a large Pareto k are counted, not hidden."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Estimated shape parameter of Pareto distribution")
-        loo = az.loo(tree, var_name=ELPD_VARIABLE, pointwise=True)
-    return Loo(float(loo.elpd), float(loo.se), np.asarray(loo.pareto_k, dtype=np.float64))
+        found = loo(tree, var_name=ELPD_VARIABLE, pointwise=True)
+    return Loo(float(found.elpd), float(found.se), np.asarray(found.pareto_k, dtype=np.float64))
 
 
 def summarise_fit(
