@@ -5,12 +5,9 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
-from arviz_base import from_dict  # arviz itself brings plots, which every worker would load
-from arviz_stats import loo
 
 from bayescal.density.prediction import Prediction, compute_elpd
 from bayescal.experiments.study.fit import Arrays, read_prediction
@@ -18,6 +15,9 @@ from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.diagnostics import Diagnostics
 from bayescal.limits import AGREEMENT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 ELPD_VARIABLE = "measured_pose"
 
@@ -38,6 +38,8 @@ class Loo:
 
 def build_tree(inputs: StudyInputs, variant: str, with_model_error: bool, arrays: Arrays) -> xr.DataTree:
     """Return a posterior as an ArviZ DataTree: draws with chain = ensemble, densities, predictions, data."""
+    from arviz_base import from_dict  # seconds to import, for those who sample; arviz itself brings its plots too
+
     names = inputs.posterior(inputs.variant(variant), with_model_error).names
     draws = arrays["draws"]
     symbols: dict[str, list[int]] = {}
@@ -80,6 +82,8 @@ def build_tree(inputs: StudyInputs, variant: str, with_model_error: bool, arrays
 
 def compute_loo(tree: xr.DataTree) -> Loo:
     """Return PSIS-LOO over the calibration poses; poses with a large Pareto k are counted, not hidden."""
+    from arviz_stats import loo
+
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Estimated shape parameter of Pareto distribution")
         found = loo(tree, var_name=ELPD_VARIABLE, pointwise=True)
