@@ -29,7 +29,7 @@ from bayescal.numerics.geometry import Array
 ROWS = 4096  # poses of machines that are looked at together
 CLOSE = 0.03  # deviations of a reading, below which a step is taken to first order: what that leaves enters squared
 NEAR = 0.3  # deviations of a reading, within which H is taken for constant
-CHORD = 0.01  # of a pose's deviations, where chords end
+CHORD, ASTRAY = 0.1, 1.0  # length of white readings that a chord moves by, where chords end and where they are lost
 MAX_STEPS, MAX_CHORDS, MAX_SEARCH, PATIENCE = 30, 8, 60, 4
 SINGULAR = 1e-14  # of a column's square, below which the others leave nothing of it
 GAUSSIAN = np.inf
@@ -61,8 +61,12 @@ class Whitening:
 
     def rows(self, slope: Array) -> Array:
         """Return white derivatives (C, P, K, n)."""
-        if self.diagonal is not None:
-            return np.asarray(self.diagonal[..., None] * slope)
+        if self.diagonal is not None:  # column by column: n is small, and a last axis that short is slow
+            shape = np.broadcast_shapes(self.diagonal.shape, slope.shape[:-1])
+            result = np.empty((*shape, slope.shape[-1]))
+            for i in range(slope.shape[-1]):
+                np.multiply(self.diagonal, slope[..., i], out=result[..., i])
+            return result
         assert self.matrix is not None
         return np.asarray(self.matrix @ slope)
 
@@ -189,8 +193,9 @@ class CalibrationLikelihood:
         return left, rows, white.rows(self._pull_back(error, here.values, here.by_parameters))
 
     def _pull_back(self, error: Array, values: Array, slope: Array) -> Array:
-        there = self.data.present[..., None]
-        return np.where(there, self.comparison.pull_back(error, values, slope), 0.0)
+        result = np.array(self.comparison.pull_back(error, values, slope))
+        result[:, ~self.data.present] = 0.0
+        return result
 
     def stand(self, theta: Array, white: Whitening, start: Array | None = None) -> Stand:
         """Return machines (C, D) where they explain the readings best, by Gauss and Newton's method.
@@ -203,7 +208,7 @@ class CalibrationLikelihood:
             error, slope, _ = self.linearise(theta, pose, white)
             return Stand(pose, error, slope)
         if self.anchor is not None and start is None:
-            pose = self._follow_chords(theta, pose)
+            pose = self._follow_chords(theta, pose, white)
         found = Stand(pose, *(np.empty((*pose.shape[:2], *shape)) for shape in self._shapes))
         going = np.arange(len(theta))
         for _ in range(MAX_STEPS):
@@ -241,34 +246,32 @@ class CalibrationLikelihood:
         error = self.comparison.subtract(self.data.values, read)
         return white.vector(np.where(self.data.present, error, 0.0))
 
-    def _follow_chords(self, theta: Array, pose: Array) -> Array:
+    def _follow_chords(self, theta: Array, pose: Array, white: Whitening) -> Array:
         """Return poses (C, P, q) close to where machines explain the readings; where they start if chords go astray."""
-        gain, size = self._chord
-        pose, first = pose.copy(), pose
-        going, step = np.arange(len(theta)), np.zeros_like(pose)
+        slope, first = white.rows(self._anchored_slope), pose
+        pose, going = pose.copy(), np.arange(len(theta))
+        size = np.full(pose.shape[:2], np.inf)
+        with np.errstate(all="ignore"):
+            factor = _factorise(slope)
         for _ in range(MAX_CHORDS):  # each machine by itself, so that it stands where it would alone
-            read = self.model.read(theta[going, None], pose[going], self._given)
-            error = np.where(self.data.present, self.comparison.subtract(self.data.values, read), 0.0)
-            step[going] = np.einsum("pqk,cpk->cpq", gain, error)
-            pose[going] += step[going]
-            going = going[np.any(np.abs(step[going]) > CHORD * size, axis=(1, 2))]
+            every = len(going) == len(theta)
+            own = (theta, pose, white) if every else (theta[going], pose[going], white.pick(going))
+            part = (slope, factor) if every else (slope[going], [[one[going] for one in row] for row in factor])
+            step, size[going] = _solve(*part, self._errors(*own))
+            pose[going] += step
+            going = going[np.any(size[going] > CHORD, axis=1)]
             if not len(going):
                 break
-        astray = ~(np.isfinite(pose) & (np.abs(step) < size)).all(axis=-1, keepdims=True)
+        astray = ~(np.isfinite(pose).all(axis=-1) & (size < ASTRAY))[..., None]
         return np.where(astray, first, pose)
 
     @cached_property
-    def _chord(self) -> tuple[Array, Array]:
-        """Return the inverse of H at the anchor, of raw readings, (P, q, K), and the poses' deviations (P, q)."""
+    def _anchored_slope(self) -> Array:
+        """H at the anchor, of raw readings, (1, P, K, q)."""
         assert self.anchor is not None
-        white = self.whiten(self.sd[None], np.zeros((1, 1, self.sd.shape[1])))
-        _, slope, _ = self.linearise(self.anchor[None], self.start[None], white)
-        inverse = np.linalg.pinv(slope[0])
-        size = np.sqrt(np.einsum("pqk,pqk->pq", inverse, inverse))
-        if white.diagonal is not None:
-            return inverse * white.diagonal[0][:, None], size
-        assert white.matrix is not None
-        return inverse @ white.matrix[0], size
+        here = self.model.linearise(self.anchor[None, None], self.start[None], False, self._given)
+        error = self.comparison.subtract(self.data.values, here.values)
+        return self._pull_back(error, here.values, here.by_pose)
 
     # --- density -------------------------------------------------------------------------------------------------
 
@@ -345,15 +348,23 @@ def _step(slope: Array, error: Array) -> tuple[Array, Array]:
     NaN where H (..., K, q) is singular.
     """
     with np.errstate(all="ignore"):
-        factor, q = _factorise(slope), slope.shape[-1]
-        solved: list[Array] = []
+        step, _ = _solve(slope, _factorise(slope), error)
+        left = error - sum(slope[..., i] * step[..., i, None] for i in range(slope.shape[-1]))
+    return step, np.asarray(left)
+
+
+def _solve(slope: Array, factor: list[list[Array]], error: Array) -> tuple[Array, Array]:
+    """Return the same step from H and the factor of HᵀH, and by how much white readings move with it, |H v| (...)."""
+    q = slope.shape[-1]
+    solved: list[Array] = []
+    with np.errstate(all="ignore"):
         for i in range(q):
             side = np.einsum("...k,...k->...", slope[..., i], error) - sum(factor[i][k] * solved[k] for k in range(i))
             solved.append(side / factor[i][i])
+        length = np.sqrt(sum(one * one for one in solved))
         for i in reversed(range(q)):
             solved[i] = (solved[i] - sum(factor[k][i] * solved[k] for k in range(i + 1, q))) / factor[i][i]
-        left = error - sum(slope[..., i] * solved[i][..., None] for i in range(q))
-    return np.stack(solved, axis=-1), np.asarray(left)
+    return np.stack(solved, axis=-1), length
 
 
 def search_poses(
