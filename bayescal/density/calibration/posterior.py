@@ -309,11 +309,11 @@ class CalibrationPosterior:
         return []
 
     def tau(self, y: Array) -> Array:
-        """Return the readings' noise as a whole, (B, n) to (B, 1): what the geometry's uncertainty grows with."""
+        """Return the noise of each group of channels over the stated one, (B, n) to (B, N), rms of its readings."""
         own, tau = self.deviations(y)
-        there = self.likelihood.data.present
-        ratio = (own**2 + tau**2) / self.likelihood.sd**2
-        return np.sqrt(np.where(there, ratio, 0.0).sum(axis=(1, 2)) / there.sum())[:, None]
+        there, square = self.likelihood.data.present, (own**2 + tau**2) / self.likelihood.sd**2
+        mine = there * self.noise.groups[:, None]
+        return np.sqrt(np.einsum("bpk,gpk->bg", square, mine) / np.maximum(mine.sum(axis=(1, 2)), 1))
 
     def groups(self) -> list[np.ndarray]:
         """Return all of the geometry as one group."""
@@ -327,9 +327,14 @@ class CalibrationPosterior:
         """Return how the geometry depends on the noise at y, shape (n,); None where that is known."""
         if not self.noise.n_parameters:
             return None
-        m = self.n_geometry
-        information = -self.gradient(y)[1][:m, :m] - np.eye(m)
-        return Funnel(information, np.eye(m), np.full(1, 1e-12), self.tau(y[None])[0])
+        with np.errstate(all="ignore"):
+            white, at = self.stand(y[None])
+            _, slope, by_parameters = self.rows(y, white, at.pose)
+        rows = np.sqrt(self.likelihood.trust(at.square)[0])[:, None, None] * (_project(slope) @ by_parameters)
+        # information is a sum over white readings, homogeneous in their precisions: each group's share is its readings'
+        parts = np.einsum("gk,pki,pkj->gij", self.noise.groups, rows, rows, optimize=True)
+        tau = self.tau(y[None])[0]
+        return Funnel(parts.sum(axis=0), np.eye(self.n_geometry), np.full(len(tau), 1e-12), tau, parts)
 
 
 def _project(slope: Array) -> Array:
