@@ -107,14 +107,19 @@ def check_derivatives(model: FunctionModel) -> None:
 
 def _check_closed(model: FunctionModel, where: str, theta: Array, pose: Array, given: Given, exact: Array) -> None:
     """Raise InputError where derivatives in closed form are not those by complex step, (n, K, q)."""
-    closed = model.closed_slopes(theta, pose, given)
+    where = f"{where.removesuffix('read')}slopes"
+    try:
+        closed = model.closed_slopes(theta, pose, given)
+    except Exception as error:  # whatever somebody else's code raises
+        text = " ".join(str(error).split())
+        raise InputError(f"{where}: failed with {type(error).__name__}: {text}, expected K rows of q") from error
     if closed is None:
         return
     scale = np.max(np.abs(exact), axis=(0, 2), keepdims=True, initial=0.0, where=np.isfinite(exact))
     wrong = np.isfinite(exact) & ~(np.abs(closed - exact) <= CLOSED * scale)
     for point, k, i in np.argwhere(wrong)[:1]:
         raise InputError(
-            f"{where.removesuffix('read')}slopes: {model.channels[k].name}: found ∂/∂{model.coordinates[i].name} = "
+            f"{where}: {model.channels[k].name}: found ∂/∂{model.coordinates[i].name} = "
             f"{closed[point, k, i]:.6g}, expected {exact[point, k, i]:.6g}, that of read"
         )
 

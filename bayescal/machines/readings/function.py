@@ -237,10 +237,10 @@ class FunctionModel(ReadingModel):
         if rows is None:
             return None
         rows = rows if self.places is None else [rows[k] for k in self.places]
-        shape = (*np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1]), len(rows), len(self.coordinates))
-        result = np.empty(shape)
-        for k, row in enumerate(rows):
-            for i, one in enumerate(row):
+        n, q = len(self.channels), len(self.coordinates)
+        result = np.empty((*np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1]), n, q))
+        for k, row in zip(range(n), rows, strict=True):
+            for i, one in zip(range(q), row, strict=True):
                 result[..., k, i] = one
         return result
 
