@@ -4,7 +4,8 @@ Three things keep it from being one. The posterior of a group of coordinates is 
 error: a funnel. Around a mode the information of group i is close to P + q B, with P the prior precision, B the
 information of the data at the mode and q = (m + τ̂²) / (m + τ²), m the rest of the group's variance. In the basis that
 makes both diagonal each axis is stretched by sqrt((1 + λ) / (1 + q λ)): in the stretched coordinates the funnel is a
-cylinder. Where several model errors govern the same coordinates, q λ is the sum of their parts. The coordinate ζ of a model error is skewed, the more the smaller the model error:
+cylinder. Where several model errors govern the same coordinates, q λ is the sum of their parts. The
+coordinate ζ of a model error is skewed, the more the smaller the model error:
 ζ = c + A η + B sqrt(1 + η²) takes three quantiles of its draws to those of a standard normal η. Last, where the data
 see a quadratic of one coordinate u that others make up for, these have to follow it: a shear by β (u - u_0)² of unit
 volume straightens this ridge too.

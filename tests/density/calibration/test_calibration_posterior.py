@@ -172,7 +172,11 @@ def test_the_noise_of_each_group_is_counted_by_itself(rng):
     posterior, y, _ = lines_posterior(rng, noise=unknown_noise(4, True, True, 0.1))
     tau, own = posterior.tau(y[None])[0], posterior.noise.natural(y[posterior.n_geometry :])
     sd = posterior.likelihood.sd[0, 0]
-    expected = {(1, 0, 0, 0): own[0], (0, 1, 1, 0): np.hypot(own[0], own[1] / sd), (0, 0, 0, 1): np.hypot(1.0, own[1] / sd)}
+    expected = {
+        (1, 0, 0, 0): own[0],
+        (0, 1, 1, 0): np.hypot(own[0], own[1] / sd),
+        (0, 0, 0, 1): np.hypot(1.0, own[1] / sd),
+    }
     found = {tuple(group.astype(int)): value for group, value in zip(posterior.noise.groups, tau, strict=True)}
     assert found == pytest.approx(expected)
 
