@@ -12,8 +12,9 @@ from scipy.linalg import null_space
 from scipy.optimize import least_squares
 from scipy.stats import halfnorm, lognorm, norm, uniform
 
+from bayescal.density.calibration.elimination import project_out
 from bayescal.density.calibration.noise import NoiseModel
-from bayescal.density.calibration.posterior import CalibrationPosterior, _project
+from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError, NumericalError
 
@@ -138,7 +139,7 @@ def test_projections_hold_beside_constraints(weight, rng):
     """Six coordinates, one reading 10⁴ times as sharp as the others: HᵀH would be singular to rounding."""
     slope = rng.standard_normal((5, 9, 6)) * np.array([1.0, 300.0, 0.01, 1.0, 1.0, 1.0])
     slope[:, 4] *= weight
-    projection = _project(slope)
+    projection = project_out(slope)
     for one, across in zip(slope, projection, strict=True):
         left = null_space((one / np.linalg.norm(one, axis=0)).T)
         np.testing.assert_allclose(across, left @ left.T, rtol=0, atol=1e-9)
