@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,6 +52,7 @@ def tabulate(inputs: AuditInputs, found: Mapping[str, Prospect]) -> dict[str, pd
         "ridges": pd.DataFrame([row for variant, one in every for row in list_ridges(variant, one.knowledge)]),
         "next": pd.DataFrame([row for variant, one in every for row in list_next(variant, one.knowledge)]),
         "selected": pd.DataFrame([row for one in every for row in _list_selected(*one)]),
+        "pose_counts": pd.DataFrame([row for one in every for row in _list_counts(*one)]),
         "poses": pd.DataFrame(
             [{"pose": n, **_place(first, v)} for n, v in zip(first.data.poses, first.start, strict=True)]
         ),
@@ -130,6 +131,30 @@ def _list_selected(variant: Variant, one: Prospect) -> Iterator[dict[str, Any]]:
         }
 
 
+def _list_counts(variant: Variant, one: Prospect) -> Iterator[dict[str, Any]]:
+    """Return what every number of poses leaves of the error, chosen and at random, and what the last of them gained."""
+    chosen = one.selection
+    if chosen is None:
+        return
+    names = [f"{name}_{unit}" for name, unit in zip(one.knowledge.coordinates, one.knowledge.units, strict=True)]
+    size = _measure([one.knowledge.before, *chosen.curve], variant)
+    for k, (curve, random) in enumerate(zip(chosen.curve, chosen.random, strict=True)):
+        yield {
+            "variant": variant.name,
+            "n_poses": k + 1,
+            **{f"after_{name}": value for name, value in zip(names, curve, strict=True)},
+            **{f"random_{name}": value for name, value in zip(names, random, strict=True)},
+            "size": size[k + 1],
+            "gain": 1.0 - size[k + 1] / size[k],
+        }
+
+
+def _measure(errors: Sequence[Array], variant: Variant) -> list[float]:
+    """Return the size of errors (t,) of the tool, of its lengths only, as poses are chosen by it."""
+    n_lengths = max(1, variant.model.pose_units.count("mm"))
+    return [float(np.linalg.norm(one[:n_lengths])) for one in errors]
+
+
 def _place(variant: Variant, pose: Array) -> dict[str, float]:
     return {f"{one.name}_{one.unit}": pose[k] for k, one in enumerate(variant.model.coordinates)}
 
@@ -147,6 +172,15 @@ def summarise(inputs: AuditInputs, tables: Mapping[str, pd.DataFrame]) -> dict[s
         "n_poses": next(iter(inputs.variants.values())).data.n_poses,
         "poses": config.poses.file or "random ones of the workspace",
         "candidates": None if selection is None else selection.candidates,
+        "selection": None if selection is None else selection.method,
+        "sensor_choice": _summarise_choice(inputs),
         "requirements": dict(config.requirements),
         "variants": {str(row.pop("variant")): plain(row) for row in tables["variants"].to_dict("records")},
     }
+
+
+def _summarise_choice(inputs: AuditInputs) -> dict[str, Any] | None:
+    asked = inputs.config.sensor_choice
+    if asked is None:
+        return None
+    return {"candidates": [one.name for one in inputs.choices], "always": asked.always}

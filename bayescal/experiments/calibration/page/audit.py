@@ -6,6 +6,7 @@ from typing import Any
 
 import pandas as pd
 
+from bayescal.experiments.calibration.page.audit_sets import show_counts, show_sets
 from bayescal.experiments.calibration.page.audit_verdict import choose_best, state_headline, state_verdict
 from bayescal.experiments.calibration.page.build import VERDICT_LEVELS, show_accuracy, show_next, show_ridges
 from bayescal.experiments.calibration.page.verdict import list_rows, shown_in
@@ -24,8 +25,10 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
         show_accuracy(tables),
         _show_parameters(tables, best, summary["member"]),
         *show_ridges(tables, best),
+        *show_sets(tables, summary),
         *show_next(tables, best),
         *_show_selected(tables, best),
+        *show_counts(tables, best),
         _show_method(),
     ]
     return Page(
@@ -139,12 +142,10 @@ def _show_selected(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
         for row in list_rows(mine)
     ]
     text = (
-        "Chosen one by one: the pose that lowers the mean squared error over the workspace most, given all before it. "
-        "Beside each, what is then left of the error by unknown parameters.",
+        "In the order in which each lowers the mean squared error over the workspace most, given all before it. Beside "
+        "each, what is then left of the error by unknown parameters.",
     )
-    return (
-        [make_section("Poses to measure", text, (make_table("In the order chosen.", columns, rows),))] if rows else []
-    )
+    return [make_section("Poses to measure", text, (make_table("The poses chosen.", columns, rows),))] if rows else []
 
 
 def _make_column(name: str) -> Column:

@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from bayescal.experiments.calibration.page.audit_sets import state_counts, state_sets
 from bayescal.experiments.calibration.page.verdict import Row, format_amount, list_rows, state_next
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_percent, join_words
@@ -44,7 +45,8 @@ def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> l
     """Return what was found, the most important first."""
     best = choose_best(tables)
     found = [*_state_requirements(tables), *_state_data(tables), *_state_ignorance(tables, summary["member"])]
-    return [*found, *state_next(tables, best), *_state_selected(tables, summary, best)]
+    found += [*state_sets(tables, summary), *state_next(tables, best)]
+    return [*found, *_state_selected(tables, summary, best), *state_counts(tables, best)]
 
 
 def _state_requirements(tables: dict[str, pd.DataFrame]) -> list[Statement]:
