@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.experiments.calibration.audit.inputs import AuditInputs
+from bayescal.experiments.calibration.audit.outlook import Outlook
 from bayescal.experiments.calibration.audit.selection import Selection
 from bayescal.experiments.calibration.inputs import Variant
 from bayescal.experiments.calibration.knowledge import Knowledge
@@ -32,11 +33,13 @@ class Prospect:
     sd : ndarray, shape (m,)
         What remains of each free parameter's deviation, in its inner unit.
     knowledge : Knowledge
+    outlook : Outlook
     selection : Selection or None
     """
 
     sd: Array
     knowledge: Knowledge
+    outlook: Outlook
     selection: Selection | None
 
 
@@ -74,6 +77,7 @@ def _describe(variant: Variant, one: Prospect, limits: Mapping[str, float]) -> d
         "left": float(np.sqrt(np.mean((known.after / known.before) ** 2))),
         "margin": min((row["margin"] for row in required), default=float("nan"), key=_worst),
         "met": all(row["met"] for row in required),
+        "probability": one.outlook.together if required else float("nan"),
     }
 
 
@@ -115,6 +119,11 @@ def _list_requirements(variant: Variant, one: Prospect, limits: Mapping[str, flo
                 "noise": known.noise[k],
                 "margin": 1.0 - error / limits[name],
                 "met": error <= limits[name],
+                "worst": one.outlook.worst[k],
+                **{f"worst_at_{c}": v for c, v in _place(variant, one.outlook.worst_pose[k]).items()},
+                "probability_before": one.outlook.before[k],
+                "probability": one.outlook.probability[k],
+                "probability_everywhere": one.outlook.everywhere[k],
             }
 
 

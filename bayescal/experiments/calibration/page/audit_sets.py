@@ -7,7 +7,7 @@ from typing import Any
 import pandas as pd
 
 from bayescal.experiments.calibration.page import audit_figures as figures
-from bayescal.experiments.calibration.page.verdict import Row, list_rows, shown_in
+from bayescal.experiments.calibration.page.verdict import Asked, Row, list_rows, shown_in
 from bayescal.report.blocks import Cell, Column, Figure, Section, Statement, make_section, make_table
 from bayescal.report.numbers import format_count, format_fixed, format_percent, format_significant, join_words
 
@@ -121,15 +121,15 @@ def show_sets(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[
 
 
 def _tabulate_best(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Any:
-    best = tables["best_sets"]
+    best, asked = tables["best_sets"], summary["units"]
     names = [str(name).removeprefix("error_") for name in best.columns if str(name).startswith("error_")]
     group = "rms error over the workspace"
     columns = [Column("Sensors"), Column("Which", kind="text"), Column("Sets"), Column("of them no good")]
-    columns += [Column(n.rpartition("_")[0], shown_in(n.rpartition("_")[2])[1], group=group) for n in names]
+    columns += [Column(n.rpartition("_")[0], shown_in(n.rpartition("_")[2], asked)[1], group=group) for n in names]
     columns += [Column("Margin")] if "requirements" in tables else []
     rows: list[list[str | Cell]] = []
     for row in list_rows(best):
-        factors = [shown_in(n.rpartition("_")[2])[0] for n in names]
+        factors = [shown_in(n.rpartition("_")[2], asked)[0] for n in names]
         errors = [format_significant(f * row[f"error_{n}"]) for f, n in zip(factors, names, strict=True)]
         margin = [_judge_margin(1.0 - row["goal"])] if "requirements" in tables else []
         counts = [format_count(row["n_sets"]), format_count(row["n_hopeless"])]
@@ -169,7 +169,7 @@ def _tabulate_hopeless(tables: dict[str, pd.DataFrame]) -> Any:
     return make_table(f"The largest sets that are no good, nor is any part of them{more}.", columns, rows)
 
 
-def show_counts(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
+def show_counts(tables: dict[str, pd.DataFrame], best: str, asked: Asked) -> list[Section]:
     """Return what every number of poses leaves of the error."""
     if "pose_counts" not in tables:
         return []
@@ -178,20 +178,21 @@ def show_counts(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
         return []
     names = [str(name).removeprefix("after_") for name in mine.columns if str(name).startswith("after_")]
     columns = [Column("Poses")]
-    for part, group in (("after", "chosen, rms then left"), ("random", "at random")):
-        columns += [Column(n.rpartition("_")[0], shown_in(n.rpartition("_")[2])[1], group=group) for n in names]
-        del part
+    for group in ("chosen, rms then left", "at random"):
+        columns += [Column(n.rpartition("_")[0], shown_in(n.rpartition("_")[2], asked)[1], group=group) for n in names]
     columns += [Column("the last lowers the error by")]
     rows: list[list[str | Cell]] = []
     for row in list_rows(mine):
         values = [
-            (shown_in(n.rpartition("_")[2])[0] * row[f"{part}_{n}"]) for part in ("after", "random") for n in names
+            (shown_in(n.rpartition("_")[2], asked)[0] * row[f"{part}_{n}"])
+            for part in ("after", "random")
+            for n in names
         ]
         rows.append([str(row["n_poses"]), *map(format_significant, values), format_percent(row["gain"], 1)])
     figure = Figure(
         "pose_counts",
         "Error over the workspace by unknown parameters, by the number of poses: chosen, and as many at random.",
-        lambda: figures.draw_counts(mine, find_last_worth(mine)),
+        lambda: figures.draw_counts(mine, find_last_worth(mine), asked),
     )
     text = ("The best set of poses found of every number; where the curve is flat more of them do not pay.",)
     return [make_section("How many poses", text, (make_table("By the number of poses.", columns, rows),), (figure,))]
