@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from bayescal.experiments.calibration.page.verdict import Asked, shown_in
+from bayescal.report.numbers import format_plain
 from bayescal.report.style import GREY, INK, LEG_COLOURS, MARKERS, PALE, RED
 from bayescal.report.symbols import quote
 
@@ -54,7 +56,7 @@ def draw_requirements(requirements: pd.DataFrame, titles: dict[str, str]) -> Fig
     axes.axvline(1.0, color=RED, linewidth=0.9)
     lines = zip(requirements["variant"], requirements["coordinate"], strict=True)
     axes.set_yticks(place, [quote(f"{titles[str(variant)]}: {coordinate}") for variant, coordinate in lines])
-    axes.set_xscale("log")
+    _scale_log(axes.xaxis)
     axes.set_xlabel("Error over its limit")
     axes.grid(axis="x")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
@@ -65,13 +67,13 @@ def draw_sets(sets: pd.DataFrame, best: pd.DataFrame, required: bool) -> Figure:
     """Return the error of every set of sensors against their number, the best of each joined."""
     figure = Figure(figsize=(8.4, 4.0))
     axes = figure.subplots()
-    good = sets[sets["goal"] < SHOWN * best["goal"].min()]
-    shift = 0.5 * (((0.618034 * np.arange(len(good))) % 1.0) - 0.5)
-    axes.plot(good["n_sensors"] + shift, good["goal"], ".", color=PALE, markersize=5.0, label="a set of sensors")
+    good = sets[(sets["goal"] < SHOWN * best["goal"].min()) & ~sets["sensors"].isin(best["sensors"])]
+    shift = 0.3 * (((0.618034 * np.arange(len(good))) % 1.0) - 0.5)
+    axes.plot(good["n_sensors"] + shift, good["goal"], ".", color=PALE, markersize=5.0, label="another set")
     axes.plot(best["n_sensors"], best["goal"], "-o", color=BEST, markersize=5.0, label="best of each number")
     if required:
         axes.axhline(1.0, color=RED, linewidth=0.9, label="what is required")
-    axes.set_yscale("log")
+    _scale_log(axes.yaxis)
     axes.set_ylabel("Largest share of a limit" if required else "Error, lengths together")
     axes.set_xlabel("Number of sensors")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -95,11 +97,20 @@ def draw_counts(counts: pd.DataFrame, enough: int, asked: Asked) -> Figure:
             )
             axes.plot(counts["n_poses"], factor * counts[f"random_{name}"], ":", color=colour)
         axes.plot([], [], ":", color=GREY, label="at random")
-        axes.axvline(enough, color=INK, linewidth=0.8, linestyle="--")
-        axes.set_yscale("log")
-        axes.set_xlabel("Number of poses; beyond the dashed line more hardly pay")
+        if flat := enough < counts["n_poses"].max():
+            axes.axvline(enough, color=INK, linewidth=0.8, linestyle="--")
+        _scale_log(axes.yaxis)
+        axes.set_xlabel(f"Number of poses{'; beyond the dashed line more hardly pay' if flat else ''}")
         axes.set_ylabel(f"rms over the workspace ({shown})" if shown else "rms over the workspace")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.grid(axis="y")
         axes.legend(loc="upper right")
     return figure
+
+
+def _scale_log(axis: Axis) -> None:
+    """Make an axis logarithmic, its ticks plain numbers, two in a decade at least."""
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
+    axis.set_minor_formatter(NullFormatter())
