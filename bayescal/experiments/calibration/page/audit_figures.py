@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pandas as pd
-from matplotlib.axis import Axis
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
@@ -56,7 +58,7 @@ def draw_requirements(requirements: pd.DataFrame, titles: dict[str, str]) -> Fig
     axes.axvline(1.0, color=RED, linewidth=0.9)
     lines = zip(requirements["variant"], requirements["coordinate"], strict=True)
     axes.set_yticks(place, [quote(f"{titles[str(variant)]}: {coordinate}") for variant, coordinate in lines])
-    _scale_log(axes.xaxis)
+    _scale_log(axes, "x")
     axes.set_xlabel("Error over its limit")
     axes.grid(axis="x")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
@@ -73,7 +75,7 @@ def draw_sets(sets: pd.DataFrame, best: pd.DataFrame, required: bool) -> Figure:
     axes.plot(best["n_sensors"], best["goal"], "-o", color=BEST, markersize=5.0, label="best of each number")
     if required:
         axes.axhline(1.0, color=RED, linewidth=0.9, label="what is required")
-    _scale_log(axes.yaxis)
+    _scale_log(axes, "y")
     axes.set_ylabel("Largest share of a limit" if required else "Error, lengths together")
     axes.set_xlabel("Number of sensors")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -99,7 +101,7 @@ def draw_counts(counts: pd.DataFrame, enough: int, asked: Asked) -> Figure:
         axes.plot([], [], ":", color=GREY, label="at random")
         if flat := enough < counts["n_poses"].max():
             axes.axvline(enough, color=INK, linewidth=0.8, linestyle="--")
-        _scale_log(axes.yaxis)
+        _scale_log(axes, "y")
         axes.set_xlabel(f"Number of poses{'; beyond the dashed line more hardly pay' if flat else ''}")
         axes.set_ylabel(f"rms over the workspace ({shown})" if shown else "rms over the workspace")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -108,9 +110,10 @@ def draw_counts(counts: pd.DataFrame, enough: int, asked: Asked) -> Figure:
     return figure
 
 
-def _scale_log(axis: Axis) -> None:
-    """Make an axis logarithmic, its ticks plain numbers, two in a decade at least."""
-    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+def _scale_log(axes: Axes, which: Literal["x", "y"]) -> None:
+    """Make an axis logarithmic, its ticks plain numbers, several in a decade."""
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    axes.set(**{f"{which}scale": "log"})
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
     axis.set_minor_formatter(NullFormatter())
