@@ -214,7 +214,7 @@ def test_full_disk_is_one_line(call, study, monkeypatch, quick):
 
     monkeypatch.setattr(compute, "run_task", fail)
     code, _, err = call("run", study, "--out", "out", "--workers", 1, "--quiet")
-    assert code == 2
+    assert code == 3
     assert err.count("\n") == 1
     assert "No space left on device" in err
 
