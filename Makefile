@@ -8,7 +8,7 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 help:
 	@echo "make study      the telescope study: environment, run, ranking, report (about a minute)"
-	@echo "make real       a real machine, really measured: the Hangprinter HP4 (a few minutes)"
+	@echo "make real       a real machine, really measured: the Hangprinter HP4 (about two minutes)"
 	@echo "make audits     all shipped identifiability audits"
 	@echo "make test       environment and the test suite"
 	@echo "make test-slow  the slow statistical suites"

@@ -11,9 +11,9 @@ from bayescal.config.registry import list_sources, load_class
 from bayescal.config.sections import FileMark, Section
 
 
-def find_files(section: Section) -> list[str]:
+def find_files(section: Section, folder: Path) -> list[str]:
     """Return the names in all fields of a config that are marked as `InputFile`, and the files of its classes."""
-    return list(dict.fromkeys(_find(section)))
+    return list(dict.fromkeys(_find(section, folder)))
 
 
 def find_classes(section: Section, folder: Path) -> list[type]:
@@ -35,9 +35,9 @@ def _walk(value: Any) -> Iterator[Any]:
         yield from _walk(one)
 
 
-def _find(value: Any) -> Iterator[str]:
+def _find(value: Any, folder: Path) -> Iterator[str]:
     if isinstance(value, ClassName):
-        yield from list_sources(value.registry, value)
+        yield from list_sources(value.registry, value, folder)
     elif isinstance(value, Section):
         for name, field in type(value).model_fields.items():
             inner = getattr(value, name)
@@ -46,10 +46,10 @@ def _find(value: Any) -> Iterator[str]:
             if isinstance(inner, str) and mark is not None:
                 yield from (() if inner in mark.but else (inner,))
             else:
-                yield from _find(inner)
+                yield from _find(inner, folder)
     elif isinstance(value, dict | list | tuple):
         for one in value.values() if isinstance(value, dict) else value:
-            yield from _find(one)
+            yield from _find(one, folder)
 
 
 def _list_metadata(annotation: Any) -> Iterator[Any]:

@@ -24,6 +24,7 @@ from typing import Any
 import cloudpickle
 
 from bayescal.config.load import describe_unknown
+from bayescal.config.local_imports import find_local_imports, import_from
 from bayescal.errors import InputError
 
 
@@ -177,9 +178,16 @@ def is_file(name: str) -> bool:
     return name.partition(":")[0].endswith(".py")
 
 
-def list_sources(what: str, name: str) -> list[str]:
-    """Return the file of a class beside the config, relative to it: a part of what determines results; else nothing."""
-    return [name.partition(":")[0]] if is_file(name) and name not in list_references(what) else []
+def list_sources(what: str, name: str, folder: Path) -> list[str]:
+    """Return the file of a class beside the config, and what it imports from beside itself, relative to the folder.
+
+    They are a part of what determines results. Of a class that stands elsewhere it is nothing.
+    """
+    if not is_file(name) or name in list_references(what):
+        return []
+    file = name.partition(":")[0]
+    local = find_local_imports(folder / file, folder).values()
+    return [file, *(one.relative_to(folder.resolve()).as_posix() for one in local)]
 
 
 def hash_modules(classes: Iterable[type]) -> dict[str, str]:
@@ -203,7 +211,8 @@ def is_own(found: type) -> bool:
 
 def _is_foreign(module: str) -> bool:
     top = module.partition(".")[0]
-    return not (top == "bayescal" or top in sys.stdlib_module_names or top.startswith(_FILE_MODULE))
+    beside = top.startswith(_FILE_MODULE) or module in cloudpickle.list_registry_pickle_by_value()
+    return not (top == "bayescal" or top in sys.stdlib_module_names or beside)
 
 
 def _hash_module(name: str) -> str:
@@ -219,7 +228,10 @@ def _import(location: str, folder: Path | None) -> ModuleType:
     path = (folder / location).resolve()
     if not path.is_file():
         raise InputError(f"{path}: no such file, expected a Python module")
-    content = zlib.crc32(path.read_bytes(), zlib.crc32(str(path).encode()))  # a file that was changed is another module
+    local = find_local_imports(path, folder)
+    content = zlib.crc32(str(path).encode())  # a file that was changed, or what it imports, is another module
+    for file in (path, *local.values()):
+        content = zlib.crc32(file.read_bytes(), content)
     name = f"{_FILE_MODULE}{path.stem}_{content:08x}"
     if name in sys.modules:
         return sys.modules[name]
@@ -229,11 +241,13 @@ def _import(location: str, folder: Path | None) -> ModuleType:
     module = importlib.util.module_from_spec(specification)
     sys.modules[name] = module
     try:
-        specification.loader.exec_module(module)
+        with import_from(path.parent, local):
+            specification.loader.exec_module(module)
     except BaseException:
         del sys.modules[name]
         raise
-    _send_by_value(module)
+    for one in (module, *(sys.modules[other] for other in local if other in sys.modules)):
+        _send_by_value(one)
     return module
 
 

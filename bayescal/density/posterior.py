@@ -64,6 +64,7 @@ class Funnel:
     prior: Array
     rest: Array
     tau: Array
+    parts: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from bayescal.identifiability.sensitivity import Sensitivity, root_of
 from bayescal.numerics.geometry import Array
 
 DRAWS = 2000
-CHUNK = 500
+CHUNK = 500  # a divisor of these
 COMPONENTS = ("x", "y", "z", "rotation_x", "rotation_y", "rotation_z")
 NORMS = {"position": slice(0, 3), "rotation": slice(3, 6)}
 
@@ -148,14 +149,10 @@ class Forecast:
         self, requirements: list[Requirement], root: Array, noise: Array, rng: np.random.Generator
     ) -> Array:
         """Return the share of draws of which no pose exceeds the limit."""
-        slope = (self.slope @ root).reshape(-1, root.shape[1])
-        noise_root = np.swapaxes(root_of(noise), -1, -2)
         good = np.zeros(len(requirements))
-        for _ in range(DRAWS // CHUNK):
-            error = (slope @ rng.standard_normal((root.shape[1], CHUNK))).T.reshape(CHUNK, -1, 6)
-            error += np.einsum("wij,bwj->bwi", noise_root, rng.standard_normal(error.shape))
+        for error in draw_errors(self.slope @ root, np.swapaxes(root_of(noise), -1, -2), rng):
             good += [np.sum((r.take(error) <= r.limit).all(axis=1)) for r in requirements]
-        return good / (DRAWS // CHUNK * CHUNK)
+        return good / DRAWS
 
     def share_of_limit(self, vector: Array, requirements: list[Requirement]) -> tuple[float, str]:
         """Return the largest share of a limit that a move along a direction takes anywhere, and of which limit."""
@@ -163,6 +160,23 @@ class Forecast:
         shares = {r.name: float(r.take(effect).max()) / r.limit for r in requirements}
         worst = max(shares, key=lambda name: shares[name])
         return shares[worst], worst
+
+
+def draw_errors(slope: Array, noise_root: Array, rng: np.random.Generator) -> Iterator[Array]:
+    """Yield the errors of `DRAWS` machines at W poses, with noise, in parts of shape (`CHUNK`, W, t).
+
+    Parameters
+    ----------
+    slope : ndarray, shape (W, t, n)
+        What standard normal numbers, n for each machine, make of the errors at the poses.
+    noise_root : ndarray, shape (W, t, k)
+        The same of the noise at one pose, k for each machine and pose.
+    """
+    flat = slope.reshape(-1, slope.shape[-1])
+    for _ in range(DRAWS // CHUNK):
+        error = (flat @ rng.standard_normal((slope.shape[-1], CHUNK))).T.reshape(CHUNK, *slope.shape[:2])
+        error += np.einsum("wij,bwj->bwi", noise_root, rng.standard_normal((*error.shape[:2], noise_root.shape[-1])))
+        yield error
 
 
 def _largest(requirement: Requirement, covariance: Array) -> float:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from arviz_stats.base import array_stats
 from scipy.special import expit, logsumexp
 
 from bayescal.errors import NumericalError
@@ -96,6 +95,8 @@ def _fit_proposal(draws: Array, modes: MixtureProposal | None) -> MixtureProposa
 
 def _effective_size(density: Array) -> float:
     """Return the effective number of draws of the log-density, chains are ensembles."""
+    from arviz_stats.base import array_stats  # seconds to import, for those who sample
+
     chains = density.reshape(len(density), -1)
     return float(min(array_stats.ess(chains, method="mean"), chains.size))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from arviz_stats.base import array_stats
 
 from bayescal.limits import ESS_BULK_LIMIT, ESS_TAIL_LIMIT, RHAT_LIMIT
 from bayescal.numerics.geometry import Array
@@ -38,6 +37,8 @@ def diagnose(draws: Array) -> Diagnostics:
     R-hat splits every ensemble in time, so that a drift of all walkers shows. The effective sizes take the draws walker
     by walker: then the autocorrelation along the chain is that of the walkers in time.
     """
+    from arviz_stats.base import array_stats  # seconds to import, for those who sample
+
     n_ensembles, n_walkers, n_steps, _ = draws.shape
     walker_by_walker = np.moveaxis(draws.reshape(n_ensembles, n_walkers * n_steps, -1), -1, 0)
     step_by_step = np.moveaxis(np.swapaxes(draws, 1, 2).reshape(n_ensembles, n_walkers * n_steps, -1), -1, 0)

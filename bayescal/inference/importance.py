@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from arviz_stats.base import array_stats
 from scipy.special import logsumexp
 
 from bayescal.errors import NumericalError
@@ -59,6 +58,8 @@ def estimate_by_importance(
     Draws come in blocks of n_draws until the standard error reaches its target or max_draws are used. Stopping on the
     standard error biases the estimate by a small part of it.
     """
+    from arviz_stats.base import array_stats  # seconds to import, for those who sample
+
     log_weights = np.empty(0)
     while True:
         draws = proposal.draw(n_draws, rng)
@@ -97,6 +98,8 @@ def resample(
     log_density: LogDensity, proposal: MixtureProposal, rng: np.random.Generator, n_draws: int, n_kept: int
 ) -> Resampled:
     """Return n_kept draws out of n_draws of the proposal, by their Pareto-smoothed weights."""
+    from arviz_stats.base import array_stats  # seconds to import, for those who sample
+
     draws = proposal.draw(n_draws, rng)
     log_weights = evaluate_in_batches(log_density, draws) - proposal.log_density(draws)
     finite = np.isfinite(log_weights)

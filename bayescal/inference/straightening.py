@@ -4,7 +4,8 @@ Three things keep it from being one. The posterior of a group of coordinates is 
 error: a funnel. Around a mode the information of group i is close to P + q B, with P the prior precision, B the
 information of the data at the mode and q = (m + τ̂²) / (m + τ²), m the rest of the group's variance. In the basis that
 makes both diagonal each axis is stretched by sqrt((1 + λ) / (1 + q λ)): in the stretched coordinates the funnel is a
-cylinder. The coordinate ζ of a model error is skewed, the more the smaller the model error:
+cylinder. Where several model errors govern the same coordinates, q λ is the sum of their parts. The
+coordinate ζ of a model error is skewed, the more the smaller the model error:
 ζ = c + A η + B sqrt(1 + η²) takes three quantiles of its draws to those of a standard normal η. Last, where the data
 see a quadratic of one coordinate u that others make up for, these have to follow it: a shear by β (u - u_0)² of unit
 volume straightens this ridge too.
@@ -91,13 +92,15 @@ def fit_curve(y: Array, base: int, others: np.ndarray) -> Curve:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """One group's coordinates and the generalised eigenbasis of its information against its prior."""
+    """One group's coordinates and the generalised eigenbasis of its information against its prior.
 
-    group: int
+    ``shares`` (N, k) say what of the k eigenvalues each model error governs.
+    """
+
     index: np.ndarray
     basis: Array
     inverse: Array
-    eigenvalues: Array
+    shares: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +136,7 @@ class Straightening:
             return []
         tau = self.posterior.tau(y)
         q = (self.rest + self.tau**2) / (self.rest + tau**2)
-        return [np.sqrt((1.0 + b.eigenvalues) / (1.0 + q[:, b.group, None] * b.eigenvalues)) for b in self.blocks]
+        return [np.sqrt((1.0 + b.shares.sum(axis=0)) / (1.0 + q @ b.shares)) for b in self.blocks]
 
     def _stretch(self, result: Array, stretches: list[Array]) -> Array:
         for block, stretch in zip(self.blocks, stretches, strict=True):
@@ -193,5 +196,10 @@ def straighten(posterior: Target, mode: Mode) -> Straightening:
     for group, index in enumerate(posterior.groups()):
         local = np.ix_(index, index)
         eigenvalues, basis = eigh(funnel.information[local], funnel.prior[local])
-        blocks.append(Block(group, index, basis, np.linalg.inv(basis), np.maximum(eigenvalues, 0.0)))
+        if funnel.parts is None:
+            shares = np.zeros((len(funnel.tau), len(index)))
+            shares[group] = eigenvalues
+        else:
+            shares = np.array([np.diag(basis.T @ part[local] @ basis) for part in funnel.parts])
+        blocks.append(Block(index, basis, np.linalg.inv(basis), np.maximum(shares, 0.0)))
     return Straightening(posterior, mode.y, tuple(blocks), funnel.rest, funnel.tau)

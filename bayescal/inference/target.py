@@ -83,3 +83,7 @@ class Funnel(Protocol):
     @property
     def tau(self) -> Array:
         """Each group's model error, shape (N,)."""
+
+    @property
+    def parts(self) -> Array | None:
+        """What of the information each model error governs, shape (N, m, m); None where group i's governs group i."""

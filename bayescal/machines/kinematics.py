@@ -8,22 +8,21 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.errors import InputError, NumericalError
+from bayescal.machines.branch import Branch, compute_signs, place_carriages
 from bayescal.machines.deformations.base import Deformation, DeformationBasis
 from bayescal.machines.mechanism import Drive, Mechanism
 from bayescal.machines.models import MODELS
-from bayescal.machines.models.base import Closure, KinematicModel, Linearisation, newton_step
+from bayescal.machines.models.base import KinematicModel, Linearisation
 from bayescal.machines.models.home import guess_level_pose
-from bayescal.machines.models.legs import actuator_directions, dot
-from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.parameters import HomeStart, ParameterLayout
-from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
+from bayescal.machines.paths import comes_straight, follow_path, step_pose
+from bayescal.numerics.geometry import Array
 
 STEP_TOLERANCE = 1e-10
 SINGULAR_CONDITION = 1e8
 LEVEL = 1e-3  # of a leg's direction along z, below which it is level
 ACROSS = 1e-3  # of a leg's direction along its actuator, below which the actuator does not move it
-STRIDE = 0.25  # of the shortest leg, that actuators move from one pose of a path to the next one
-STEPS_ON_THE_WAY = 4  # of Newton's method at each pose of a path
+TILTED = 1.0  # deg, of the platform at home, which legs of rounded lengths may leave
 NEAR = 200.0  # mm from the initial positions, within which actuator positions are searched from there
 FURTHEST = 2.0  # actuator ranges, within which they are searched from where perfect joints want them
 DRIVEN: dict[Drive, str] = {"base": "actuators at the base", "strut": "struts"}
@@ -53,12 +52,33 @@ class Machine:
 
         Of the two positions from which a leg of given length reaches a point it has the one on the side of home.
         """
-        mechanism = self.mechanism
-        home = solve_forward_kinematics(
-            self, self.layout.nominal, mechanism.initial_actuator_positions, check=False, follow=False
-        )
+        mechanism, home = self.mechanism, self.nominal_home
         legs = home.position + mechanism.platform_points @ home.rotation.T - mechanism.home_joints
         return np.asarray(np.sign(np.sum(mechanism.directions * legs, axis=1)))
+
+    @cached_property
+    def nominal_home(self) -> ForwardKinematics:
+        """The nominal machine's pose at the initial actuator positions, as Newton's method leaves it."""
+        start = self.mechanism.initial_actuator_positions
+        return solve_forward_kinematics(self, self.layout.nominal, start, check=False, follow=False)
+
+    @cached_property
+    def branch(self) -> Branch | None:
+        """The assembly branch of home, by perfect legs; None for a model without joints a and b."""
+        layout, theta, start = self.layout, self.layout.nominal, self.mechanism.initial_actuator_positions
+        if not {"a_x", "b_x"} <= set(layout.symbols):
+            return None
+        home = self.nominal_home
+        signs = compute_signs(self.mechanism.drive, layout, theta, home.position, home.rotation, start)
+        sides, turn = (np.nan_to_num(sign) for sign in signs)
+        return Branch(self.mechanism.drive, sides, float(turn))
+
+    def holds_branch(self, theta: Array, position: Array, rotation: Array, actuators: Array) -> np.ndarray:
+        """Return whether poses are on the assembly branch of home, shape (...)."""
+        shape = np.broadcast_shapes(theta.shape[:-1], position.shape[:-1])
+        if self.branch is None:
+            return np.ones(shape, dtype=bool)
+        return np.broadcast_to(self.branch.holds(self.layout, theta, position, rotation, actuators), shape)
 
     def basis(self, actuators: Array) -> DeformationBasis:
         """Return displacements from the nominal initial positions with their deflections, positions (..., N) in mm."""
@@ -115,7 +135,8 @@ def solve_forward_kinematics(
     """Find the poses in which the closure vanishes.
 
     Far from home they are found along the straight path of the actuators from there, since the legs of long guides
-    have other poses, too.
+    have other poses, too. A pose on another assembly branch than home's counts as not converged: one whose signs are
+    others, and one to which neither straight way leads, of the actuators or of the platform.
 
     Parameters
     ----------
@@ -130,7 +151,8 @@ def solve_forward_kinematics(
     check : bool
         Raise where a pose is not found; otherwise the result's ``converged`` says so.
     follow : bool
-        Go along the path; otherwise Newton's method starts at home however far that is.
+        Go along the path and keep to the branch; otherwise Newton's method starts at home however far that is, and
+        whatever closes is taken.
 
     Returns
     -------
@@ -141,7 +163,7 @@ def solve_forward_kinematics(
     Raises
     ------
     NumericalError
-        Where Newton's method does not converge, naming the first such pose.
+        Where Newton's method does not converge, or on another branch, naming the first such pose.
     """
     position, rotation = guess_home_pose(machine.mechanism)
     shape = np.broadcast_shapes(theta.shape[:-1], actuators.shape[:-1])
@@ -150,47 +172,37 @@ def solve_forward_kinematics(
     actuators = np.broadcast_to(actuators, (*shape, actuators.shape[-1]))
     basis = machine.basis(actuators)
     closure = machine.model.prepare(machine.layout, theta)
+    kept = np.ones(shape, dtype=bool)
     if follow:
-        position, rotation = _follow_path(machine, theta, position, rotation, actuators)
+        position, rotation, kept = follow_path(machine, theta, position, rotation, actuators)
     converged = np.zeros(shape, dtype=bool)
     iteration = 0
     while iteration < max_iterations and not converged.all():
-        position, rotation, step = _step_pose(closure, position, rotation, basis)
+        position, rotation, step = step_pose(closure, position, rotation, basis)
         converged = np.max(np.abs(step), axis=-1, initial=0.0) < STEP_TOLERANCE
         iteration += 1
-    if check and not converged.all():
-        index = int(np.argmin(converged.ravel()))
-        raise NumericalError(
-            f"forward kinematics: pose {index + 1} of {converged.size} not found in {max_iterations} Newton steps"
-        )
+    if follow:
+        kept = _keep_to_branch(machine, theta, position, rotation, actuators, kept)
+    if check and not (converged & kept).all():
+        index = int(np.argmin((converged & kept).ravel()))
+        fault = f"not found in {max_iterations} Newton steps"
+        if converged.ravel()[index]:
+            fault = "not reached from home without a jump, only on another assembly branch"
+        raise NumericalError(f"forward kinematics: pose {index + 1} of {converged.size} {fault}")
+    converged = np.asarray(converged & kept)
     return ForwardKinematics(position, rotation, converged, iteration)
 
 
-def _step_pose(
-    closure: Closure, position: Array, rotation: Array, basis: DeformationBasis
-) -> tuple[Array, Array, Array]:
-    """Return the poses after a Newton step, and the step."""
-    step = newton_step(closure(position, rotation, basis, with_parameters=False))
-    return position + step[..., :3], matrix_from_rotation_vector(step[..., 3:]) @ rotation, step
-
-
-def _follow_path(
-    machine: Machine, theta: Array, position: Array, rotation: Array, actuators: Array
-) -> tuple[Array, Array]:
-    """Return poses of perfect joints near those of actuators (..., N), from home poses.
-
-    Machines whose actuators travel little by design have theirs near enough to home: these poses are returned.
-    """
-    mechanism = machine.mechanism
-    n_strides = int(np.ceil(mechanism.actuator_range / (STRIDE * mechanism.leg_lengths.min())))
-    if mechanism.drive == "strut" or n_strides < 2:
-        return position, rotation
-    closure, start = SixPus().prepare(machine.layout, theta), mechanism.initial_actuator_positions
-    for share in np.arange(1, n_strides + 1) / n_strides:
-        basis = machine.basis(start + share * (actuators - start))
-        for _ in range(STEPS_ON_THE_WAY):
-            position, rotation, _ = _step_pose(closure, position, rotation, basis)
-    return position, rotation
+def _keep_to_branch(
+    machine: Machine, theta: Array, position: Array, rotation: Array, actuators: Array, kept: np.ndarray
+) -> np.ndarray:
+    """Return which poses are on home's branch: by their signs, and by the path that kept to it or a straight way."""
+    good = np.array(machine.holds_branch(theta, position, rotation, actuators))
+    strayed = good & ~kept & np.isfinite(position).all(axis=-1)
+    if strayed.any():
+        some = np.broadcast_to(theta, (*good.shape, theta.shape[-1]))[strayed]
+        good[strayed] = comes_straight(machine, some, position[strayed], rotation[strayed])
+    return good
 
 
 @dataclass(frozen=True)
@@ -257,20 +269,13 @@ def _start_actuators(machine: Machine, theta: Array, position: Array, rotation: 
     """Return where Newton's method starts, shape (..., N): the initial positions where these lead to the right ones.
 
     Where the pose has taken a leg to the other side of its initial foot, or far along a long guide, that is the
-    position on the side of home for perfect joints without deformation, ρ = u · d - s sqrt(l² - |d|² + (u · d)²) with
-    d = p + R b - a and s the side.
+    position on the side of home for perfect joints without deformation.
     """
     mechanism, layout = machine.mechanism, machine.layout
     initial = np.broadcast_to(mechanism.initial_actuator_positions, (*shape, mechanism.n_legs))
     if mechanism.drive == "strut":
         return initial
-    u = actuator_directions(layout, theta)
-    reach = np.einsum("...jk,...ik->...ij", rotation, layout.take_vector(theta, "b")) + position[..., None, :]
-    reach = reach - layout.take_vector(theta, "a")
-    foot = dot(u, reach)
-    with np.errstate(invalid="ignore"):
-        beyond = np.sqrt(layout.take(theta, "l") ** 2 - dot(reach, reach) + foot**2)
-    direct = foot - machine.sides * beyond
+    direct, foot = place_carriages(layout, theta, position, rotation, machine.sides)
     travel = np.abs(direct - initial)
     far = (travel > NEAR) & (travel < FURTHEST * mechanism.actuator_range)
     astray = np.sign(foot - initial) != machine.sides
@@ -289,7 +294,7 @@ def _actuator_step(here: Linearisation) -> Array:
 
 
 def check_home_pose(machine: Machine) -> ForwardKinematics:
-    """Return the nominal home pose; InputError where it does not exist or is singular.
+    """Return the nominal home pose; InputError where it does not exist, is singular or tilted.
 
     The condition number is taken with lengths scaled by the platform's size, so that it does not depend on units.
     """
@@ -310,6 +315,7 @@ def check_home_pose(machine: Machine) -> ForwardKinematics:
             f"mechanism {mechanism.name!r}: singular geometry, the home pose Jacobian has condition {condition:.1e}, "
             f"expected below {SINGULAR_CONDITION:.0e}"
         )
+    _check_level(mechanism, home)
     _check_actuators(mechanism, home)
     return home
 
@@ -324,6 +330,17 @@ def _name_widest_gap(mechanism: Mechanism) -> str:
         f" (leg {leg + 1} of {mechanism.leg_lengths[leg]:g} mm has its joints {spans[leg]:.4g} mm apart with the "
         f"platform level at {x:.4g}, {y:.4g}, {z:.4g} mm, where the search began)"
     )
+
+
+def _check_level(mechanism: Mechanism, home: ForwardKinematics) -> None:
+    """Raise InputError where the legs close with a tilted platform only: home is level by definition."""
+    tilt = float(np.degrees(np.arccos(np.clip(home.rotation[2, 2], -1.0, 1.0))))
+    if tilt > TILTED:
+        raise InputError(
+            f"mechanism {mechanism.name!r}: found legs that close at home only with the platform tilted by "
+            f"{tilt:.3g} deg, expected it level to {TILTED:g} deg: other lengths, or [home] with position_mm, which "
+            "gives them"
+        )
 
 
 def _check_actuators(mechanism: Mechanism, home: ForwardKinematics) -> None:

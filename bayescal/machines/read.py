@@ -251,9 +251,9 @@ def find_machine_class(path: Path) -> type[ReadingMachine] | None:
 
 
 def list_machine_sources(path: Path) -> list[str]:
-    """Return the Python file that a machine's file takes its class from, relative to it; nothing for built-in ones."""
+    """Return the Python files that a machine's file takes its class from, relative to it; nothing for built-in ones."""
     kind = read_toml(path)[0].get("kind")
-    return list_sources("MACHINES", kind) if isinstance(kind, str) else []
+    return list_sources("MACHINES", kind, path.parent) if isinstance(kind, str) else []
 
 
 def read_sliding_platform(path: Path) -> SlidingPlatform:

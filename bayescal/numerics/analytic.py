@@ -12,6 +12,19 @@ from typing import Any
 import numpy as np
 
 
+def sqrt(value: Any) -> Any:
+    """Return the root; of a complex number to first order in its imaginary part, several times as fast as NumPy's.
+
+    NaN where the real part is negative: there a step goes no way that is one of real numbers.
+    """
+    if not np.iscomplexobj(value):
+        return np.sqrt(value)
+    found = np.empty_like(value)
+    found.real = np.sqrt(np.real(value))
+    found.imag = 0.5 * np.imag(value) / found.real
+    return found
+
+
 def norm(vector: Any, axis: int = -1) -> Any:
     """Return the length sqrt(Σ x²) of vectors along an axis."""
     return np.sqrt((np.asarray(vector) ** 2).sum(axis=axis))

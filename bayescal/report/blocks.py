@@ -6,9 +6,10 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
-from matplotlib import figure as mpl
+if TYPE_CHECKING:  # it takes a second to import, and only pages that are drawn need it
+    from matplotlib import figure as mpl
 
 type Level = Literal["plain", "good", "warning", "bad"]
 

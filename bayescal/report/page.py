@@ -7,17 +7,19 @@ import io
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
-from matplotlib import rc_context, rcdefaults, rcParams
-from matplotlib.figure import Figure
 
 from bayescal.errors import InputError
 from bayescal.files.atomic import write_atomically
 from bayescal.report.blocks import Page, Section
 from bayescal.report.style import RC
 from bayescal.report.symbols import split_symbol
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DPI = 120
 PAGE = "report.html"
@@ -81,6 +83,8 @@ def render_page(page: Page, images: Mapping[str, bytes], more: Sequence[Section]
 
 def render_png(draw: Callable[[], Figure]) -> bytes:
     """Return a figure as PNG; the same figure gives the same bytes."""
+    from matplotlib import rc_context, rcdefaults, rcParams  # a second to import, for those who draw
+
     buffer = io.BytesIO()
     with rc_context():
         rcdefaults()  # whatever somebody's matplotlibrc says

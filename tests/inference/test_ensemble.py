@@ -11,7 +11,7 @@ from bayescal.errors import NumericalError
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.proposal import MixtureProposal
 
-N_ENSEMBLES, N_WALKERS, N_BURN_IN, N_STEPS = 4, 40, 100, 500
+N_ENSEMBLES, N_WALKERS, N_BURN_IN, N_STEPS = 4, 160, 60, 125  # a step costs as much with many walkers as with few
 LIMIT = 4.0
 PRECISION = np.linalg.inv(np.array([[1.0, 0.9, 0.0], [0.9, 1.0, -0.3], [0.0, -0.3, 4.0]]))
 BEND = 0.5

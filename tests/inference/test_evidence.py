@@ -208,7 +208,7 @@ def test_known_constant_of_a_target_that_is_no_gaussian(target):
     proposal = proposal_from_draws(exact_draws(target, 4000, np.random.default_rng(4)), 4.0)
     importance = estimate_by_importance(target, proposal, np.random.default_rng(6), 40_000)
     assert abs(importance.log_evidence - LOG_CONSTANT) < min(4 * importance.standard_error, 2 * TOLERANCE)
-    draws, densities = draw_chains(target, proposal, seed=8, n_walkers=32, n_burn_in=60, n_steps=250)
+    draws, densities = draw_chains(target, proposal, seed=8, n_walkers=128, n_burn_in=30, n_steps=62)
     bridge = estimate_by_bridge(target, draws, densities, np.random.default_rng(9), 20_000)
     assert abs(bridge.log_evidence - LOG_CONSTANT) < min(4 * bridge.standard_error, 2 * TOLERANCE)
     assert importance.standard_error < TOLERANCE

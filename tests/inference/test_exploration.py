@@ -41,7 +41,7 @@ def test_proposal_is_efficient(explored):
 def test_evidences_agree(explored):
     posterior, found = explored
     density = found.straight.log_density
-    importance = estimate_by_importance(density, found.proposal, np.random.default_rng(3), 10_000, 0.02, 100_000)
+    importance = estimate_by_importance(density, found.proposal, np.random.default_rng(3), 10_000, 0.03, 100_000)
     walkers = count_walkers(posterior.n_parameters, 128)
     seeds = np.random.SeedSequence(5).spawn(4)
     runs = [run_ensemble(density, found.proposal, seed, walkers, 30, 50) for seed in seeds]

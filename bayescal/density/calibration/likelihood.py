@@ -22,49 +22,18 @@ from functools import cached_property
 import numpy as np
 from scipy.special import gammaln
 
+from bayescal.density.calibration.elimination import factorise, find_step, half_log_volume, solve_step
 from bayescal.density.calibration.measurements import Comparison, Measurements
+from bayescal.density.calibration.whitening import Whitening
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
 
 ROWS = 4096  # poses of machines that are looked at together
 CLOSE = 0.03  # deviations of a reading, below which a step is taken to first order: what that leaves enters squared
 NEAR = 0.3  # deviations of a reading, within which H is taken for constant
-CHORD = 0.01  # of a pose's deviations, where chords end
+CHORD, ASTRAY = 0.1, 1.0  # length of white readings that a chord moves by, where chords end and where they are lost
 MAX_STEPS, MAX_CHORDS, MAX_SEARCH, PATIENCE = 30, 8, 60, 4
-SINGULAR = 1e-14  # of a column's square, below which the others leave nothing of it
 GAUSSIAN = np.inf
-
-
-@dataclass(frozen=True, eq=False)
-class Whitening:
-    """What makes readings of C machines at P poses independent and of unit noise, those not taken zero.
-
-    ``diagonal`` (C, P, K), or ``matrix`` (C, P, K, K) where the noise is correlated; ``log_det`` (C, P) is that of the
-    whitening, of the readings taken.
-    """
-
-    diagonal: Array | None
-    matrix: Array | None
-    log_det: Array
-
-    def pick(self, some: np.ndarray) -> Whitening:
-        """Return that of some of the machines."""
-        diagonal = None if self.diagonal is None else self.diagonal[some]
-        return Whitening(diagonal, None if self.matrix is None else self.matrix[some], self.log_det[some])
-
-    def vector(self, error: Array) -> Array:
-        """Return white errors (C, P, K)."""
-        if self.diagonal is not None:
-            return np.asarray(self.diagonal * error)
-        assert self.matrix is not None
-        return np.asarray((self.matrix @ error[..., None])[..., 0])
-
-    def rows(self, slope: Array) -> Array:
-        """Return white derivatives (C, P, K, n)."""
-        if self.diagonal is not None:
-            return np.asarray(self.diagonal[..., None] * slope)
-        assert self.matrix is not None
-        return np.asarray(self.matrix @ slope)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,8 +158,9 @@ class CalibrationLikelihood:
         return left, rows, white.rows(self._pull_back(error, here.values, here.by_parameters))
 
     def _pull_back(self, error: Array, values: Array, slope: Array) -> Array:
-        there = self.data.present[..., None]
-        return np.where(there, self.comparison.pull_back(error, values, slope), 0.0)
+        result = np.array(self.comparison.pull_back(error, values, slope))
+        result[:, ~self.data.present] = 0.0
+        return result
 
     def stand(self, theta: Array, white: Whitening, start: Array | None = None) -> Stand:
         """Return machines (C, D) where they explain the readings best, by Gauss and Newton's method.
@@ -203,7 +173,7 @@ class CalibrationLikelihood:
             error, slope, _ = self.linearise(theta, pose, white)
             return Stand(pose, error, slope)
         if self.anchor is not None and start is None:
-            pose = self._follow_chords(theta, pose)
+            pose = self._follow_chords(theta, pose, white)
         found = Stand(pose, *(np.empty((*pose.shape[:2], *shape)) for shape in self._shapes))
         going = np.arange(len(theta))
         for _ in range(MAX_STEPS):
@@ -224,13 +194,13 @@ class CalibrationLikelihood:
         """Move some of the machines by a step, or two where H is as good as that of the next pose; return the sizes."""
         theta, white = theta[going], white.pick(going)
         error, slope, _ = self.linearise(theta, found.pose[going], white)
-        step, left = _step(slope, error)
+        step, left = find_step(slope, error)
         pose, size = found.pose[going] + step, np.abs(error - left).max(axis=-1)
         largest = np.nanmax(size, axis=1, initial=0.0)
         near = np.flatnonzero((largest > CLOSE) & (largest <= NEAR))
         if len(near):
             again = self._errors(theta[near], pose[near], white.pick(near))
-            step, left[near] = _step(slope[near], again)
+            step, left[near] = find_step(slope[near], again)
             pose[near] += step
         found.pose[going], found.error[going], found.slope[going] = pose, left, slope
         return np.asarray(size)
@@ -241,34 +211,32 @@ class CalibrationLikelihood:
         error = self.comparison.subtract(self.data.values, read)
         return white.vector(np.where(self.data.present, error, 0.0))
 
-    def _follow_chords(self, theta: Array, pose: Array) -> Array:
+    def _follow_chords(self, theta: Array, pose: Array, white: Whitening) -> Array:
         """Return poses (C, P, q) close to where machines explain the readings; where they start if chords go astray."""
-        gain, size = self._chord
-        pose, first = pose.copy(), pose
-        going, step = np.arange(len(theta)), np.zeros_like(pose)
+        slope, first = white.rows(self._anchored_slope), pose
+        pose, going = pose.copy(), np.arange(len(theta))
+        size = np.full(pose.shape[:2], np.inf)
+        with np.errstate(all="ignore"):
+            factor = factorise(slope)
         for _ in range(MAX_CHORDS):  # each machine by itself, so that it stands where it would alone
-            read = self.model.read(theta[going, None], pose[going], self._given)
-            error = np.where(self.data.present, self.comparison.subtract(self.data.values, read), 0.0)
-            step[going] = np.einsum("pqk,cpk->cpq", gain, error)
-            pose[going] += step[going]
-            going = going[np.any(np.abs(step[going]) > CHORD * size, axis=(1, 2))]
+            every = len(going) == len(theta)
+            own = (theta, pose, white) if every else (theta[going], pose[going], white.pick(going))
+            part = (slope, factor) if every else (slope[going], [[one[going] for one in row] for row in factor])
+            step, size[going] = solve_step(*part, self._errors(*own))
+            pose[going] += step
+            going = going[np.any(size[going] > CHORD, axis=1)]
             if not len(going):
                 break
-        astray = ~(np.isfinite(pose) & (np.abs(step) < size)).all(axis=-1, keepdims=True)
+        astray = ~(np.isfinite(pose).all(axis=-1) & (size < ASTRAY))[..., None]
         return np.where(astray, first, pose)
 
     @cached_property
-    def _chord(self) -> tuple[Array, Array]:
-        """Return the inverse of H at the anchor, of raw readings, (P, q, K), and the poses' deviations (P, q)."""
+    def _anchored_slope(self) -> Array:
+        """H at the anchor, of raw readings, (1, P, K, q)."""
         assert self.anchor is not None
-        white = self.whiten(self.sd[None], np.zeros((1, 1, self.sd.shape[1])))
-        _, slope, _ = self.linearise(self.anchor[None], self.start[None], white)
-        inverse = np.linalg.pinv(slope[0])
-        size = np.sqrt(np.einsum("pqk,pqk->pq", inverse, inverse))
-        if white.diagonal is not None:
-            return inverse * white.diagonal[0][:, None], size
-        assert white.matrix is not None
-        return inverse @ white.matrix[0], size
+        here = self.model.linearise(self.anchor[None, None], self.start[None], False, self._given)
+        error = self.comparison.subtract(self.data.values, here.values)
+        return self._pull_back(error, here.values, here.by_pose)
 
     # --- density -------------------------------------------------------------------------------------------------
 
@@ -311,51 +279,6 @@ class CalibrationLikelihood:
         return np.asarray((self.freedom + self.n_spare) / (self.freedom + square))
 
 
-def half_log_volume(slope: Array) -> Array:
-    """Return ½ log |HᵀΣ⁻¹H| for white H (..., K, q)."""
-    if not slope.shape[-1]:
-        return np.zeros(slope.shape[:-2])
-    with np.errstate(all="ignore"):
-        factor = _factorise(slope)
-        return np.asarray(sum(np.log(factor[k][k]) for k in range(slope.shape[-1])))
-
-
-def _factorise(slope: Array) -> list[list[Array]]:
-    """Return the Cholesky factor L of HᵀH for H (..., K, q), L[i][j] of shape (...); NaN where there is none.
-
-    By entries, for q is small: a few passes over whole batches, where LAPACK would be called for each pose.
-    """
-    columns = [np.ascontiguousarray(slope[..., k]) for k in range(slope.shape[-1])]
-    factor: list[list[Array]] = []
-    for i, column in enumerate(columns):
-        row: list[Array] = []
-        for j in range(i):
-            rest = np.einsum("...k,...k->...", column, columns[j]) - sum(row[k] * factor[j][k] for k in range(j))
-            row.append(rest / factor[j][j])
-        square = np.einsum("...k,...k->...", column, column)
-        rest = square - sum(one * one for one in row)
-        row.append(np.sqrt(np.where(rest > SINGULAR * square, rest, np.nan)))
-        factor.append(row)
-    return factor
-
-
-def _step(slope: Array, error: Array) -> tuple[Array, Array]:
-    """Return the step of the pose (..., q) that leaves least of white errors (..., K), and what it leaves.
-
-    NaN where H (..., K, q) is singular.
-    """
-    with np.errstate(all="ignore"):
-        factor, q = _factorise(slope), slope.shape[-1]
-        solved: list[Array] = []
-        for i in range(q):
-            side = np.einsum("...k,...k->...", slope[..., i], error) - sum(factor[i][k] * solved[k] for k in range(i))
-            solved.append(side / factor[i][i])
-        for i in reversed(range(q)):
-            solved[i] = (solved[i] - sum(factor[k][i] * solved[k] for k in range(i + 1, q))) / factor[i][i]
-        left = error - sum(slope[..., i] * solved[i][..., None] for i in range(q))
-    return np.stack(solved, axis=-1), np.asarray(left)
-
-
 def search_poses(
     likelihood: CalibrationLikelihood, theta: Array, white: Whitening, start: Array
 ) -> tuple[Array, Array]:
@@ -370,7 +293,7 @@ def search_poses(
         # damping as further readings, of each coordinate by itself, that say it stays
         size = np.sqrt(damping)[..., None] * np.linalg.norm(slope, axis=-2)
         rows = np.concatenate([slope, size[..., None] * np.eye(slope.shape[-1])], axis=-2)
-        step, _ = _step(rows, np.concatenate([error, np.zeros_like(size)], axis=-1))
+        step, _ = find_step(rows, np.concatenate([error, np.zeros_like(size)], axis=-1))
         moved = np.where(np.isfinite(step), pose + step, pose)
         other, there, _ = likelihood.linearise(theta, moved, white)
         found = np.einsum("cpk,cpk->cp", other, other)

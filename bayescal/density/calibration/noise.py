@@ -7,6 +7,7 @@ model error τ_g half normal. Their sampling coordinates are standard normal und
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.special import erfcinv, erfinv, ndtr
@@ -54,6 +55,13 @@ class NoiseModel:
     def units(self) -> tuple[str, ...]:
         """Units of all."""
         return ("1",) * len(self.scale_names) + self.tau_units
+
+    @cached_property
+    def groups(self) -> Array:
+        """Which channels have the same unknowns of their noise, or none, ones and zeros (N, K)."""
+        both = np.stack([self.scale_of, self.tau_of])
+        kinds = np.unique(both, axis=1)
+        return (both[:, None, :] == kinds[:, :, None]).all(axis=0).astype(np.float64)
 
     def natural(self, zeta: Array) -> Array:
         """Return factors and model errors (..., n) from their coordinates."""

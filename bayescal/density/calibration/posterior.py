@@ -13,8 +13,10 @@ from functools import cached_property
 import numpy as np
 from scipy.special import ndtr
 
-from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand, Whitening, half_log_volume
+from bayescal.density.calibration.elimination import half_log_volume, invert, left_of, project_out
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
 from bayescal.density.calibration.noise import NoiseModel
+from bayescal.density.calibration.whitening import Whitening
 from bayescal.density.posterior import Funnel
 from bayescal.density.priors import Prior, UniformPrior
 from bayescal.errors import InputError, NumericalError
@@ -25,7 +27,6 @@ STEP = 1e-4  # of a coordinate, for the slope of the poses' volume
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
 GAIN = 1e-12  # of the squares, below which the search has arrived
 MAX_ITERATIONS = 200
-RANK = 1e-7  # of the largest singular value of H, below which a pose is not told
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +193,7 @@ class CalibrationPosterior:
             white, at = self.stand(y[None])
             error, slope, by_parameters = self.rows(y, white, at.pose)
             trust = self.likelihood.trust(at.square)[0]
-            left = _project(slope)
+            left = project_out(slope)
             rows = left @ by_parameters
             m, n = self.n_geometry, self.n_parameters
             gradient, hessian = -y, -np.eye(n)
@@ -292,7 +293,7 @@ class CalibrationPosterior:
         m = self.n_geometry
         trust = np.sqrt(self.likelihood.trust(np.einsum("pk,pk->p", error, error)))
         # a little of the damping keeps poses that readings hardly tell from running away
-        stiff = _invert(slope, 1e-9 * damping / DAMPING)
+        stiff = invert(slope, 1e-9 * damping / DAMPING)
         left = np.eye(slope.shape[1]) - slope @ stiff
         rows = trust[:, None, None] * (left @ by_parameters)
         right = trust[:, None] * left_of(left, error)
@@ -309,11 +310,11 @@ class CalibrationPosterior:
         return []
 
     def tau(self, y: Array) -> Array:
-        """Return the readings' noise as a whole, (B, n) to (B, 1): what the geometry's uncertainty grows with."""
+        """Return the noise of each group of channels over the stated one, (B, n) to (B, N), rms of its readings."""
         own, tau = self.deviations(y)
-        there = self.likelihood.data.present
-        ratio = (own**2 + tau**2) / self.likelihood.sd**2
-        return np.sqrt(np.where(there, ratio, 0.0).sum(axis=(1, 2)) / there.sum())[:, None]
+        there, square = self.likelihood.data.present, (own**2 + tau**2) / self.likelihood.sd**2
+        mine = there * self.noise.groups[:, None]
+        return np.sqrt(np.einsum("bpk,gpk->bg", square, mine) / np.maximum(mine.sum(axis=(1, 2)), 1))
 
     def groups(self) -> list[np.ndarray]:
         """Return all of the geometry as one group."""
@@ -327,32 +328,11 @@ class CalibrationPosterior:
         """Return how the geometry depends on the noise at y, shape (n,); None where that is known."""
         if not self.noise.n_parameters:
             return None
-        m = self.n_geometry
-        information = -self.gradient(y)[1][:m, :m] - np.eye(m)
-        return Funnel(information, np.eye(m), np.full(1, 1e-12), self.tau(y[None])[0])
-
-
-def _project(slope: Array) -> Array:
-    """Return 1 - H (HᵀH)⁻¹ Hᵀ for H (P, K, q), shape (P, K, K)."""
-    return np.asarray(np.eye(slope.shape[1]) - slope @ _invert(slope, 0.0))
-
-
-def _invert(slope: Array, damping: float) -> Array:
-    """Return (HᵀH + λ diag HᵀH)⁻¹ Hᵀ for H (P, K, q), shape (P, q, K); zero where H is singular.
-
-    By singular values: beside a constraint all else is so small that HᵀH would not hold it.
-    """
-    scale = np.linalg.norm(slope, axis=-2, keepdims=True)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    left, values, right = np.linalg.svd(np.nan_to_num(slope / scale), full_matrices=False)
-    good = np.isfinite(slope).all(axis=(-1, -2)) & (slope.shape[-2] >= slope.shape[-1])
-    if slope.shape[-1]:
-        good &= values[:, -1] > RANK * values[:, 0]
-    gain = values / np.where(good[:, None], values**2 + damping, 1.0)
-    inverse = np.swapaxes(left * gain[:, None] @ right, -1, -2) / np.swapaxes(scale, -1, -2)
-    return np.asarray(np.where(good[:, None, None], inverse, 0.0))
-
-
-def left_of(matrix: Array, vector: Array) -> Array:
-    """Return matrices (P, i, k) times vectors (P, k)."""
-    return np.asarray((matrix @ vector[..., None])[..., 0])
+        with np.errstate(all="ignore"):
+            white, at = self.stand(y[None])
+            _, slope, by_parameters = self.rows(y, white, at.pose)
+        rows = np.sqrt(self.likelihood.trust(at.square)[0])[:, None, None] * (project_out(slope) @ by_parameters)
+        # information is a sum over white readings, homogeneous in their precisions: each group's share is its readings'
+        parts = np.einsum("gk,pki,pkj->gij", self.noise.groups, rows, rows, optimize=True)
+        tau = self.tau(y[None])[0]
+        return Funnel(parts.sum(axis=0), np.eye(self.n_geometry), np.full(len(tau), 1e-12), tau, parts)

@@ -8,27 +8,22 @@ from rich.console import Console
 
 from bayescal.experiments.calibration.compute import compute_calibration
 from bayescal.experiments.calibration.inputs import CalibrationInputs, list_machines, read_inputs
-from bayescal.experiments.calibration.machine_files import hash_machine_modules, list_sources
+from bayescal.experiments.calibration.machine_kind import MachineExperiment
 from bayescal.experiments.calibration.page.build import build_page, list_variants
 from bayescal.experiments.calibration.schema import CalibrationConfig
-from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.report.blocks import Page
 
 
-class Calibration(Experiment[CalibrationConfig, CalibrationInputs]):
+class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs]):
     """Any machine calibrated from any of its readings."""
 
     schema = CalibrationConfig
 
-    def files(self, config: CalibrationConfig, folder: Path) -> list[str]:
-        """Return the input files, the source of a machine's own class among them."""
-        return [*super().files(config, folder), *list_sources(list_machines(config), folder)]
-
-    def modules(self, config: CalibrationConfig, folder: Path) -> dict[str, str]:
-        """Return the hashes of installed modules that the machines' classes stand in."""
-        return super().modules(config, folder) | hash_machine_modules(list_machines(config), folder)
+    def machines(self, config: CalibrationConfig) -> list[str]:
+        """Return the files of the machine, those of single variants too."""
+        return list_machines(config)
 
     def read(self, config: CalibrationConfig, folder: Path) -> CalibrationInputs:
         """Return machine, readings and variants."""

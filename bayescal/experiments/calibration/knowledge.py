@@ -62,13 +62,47 @@ class View:
     """Poses (W, q) seen by some channels at one machine, to first order; those where it cannot stand are left out.
 
     ``rows`` (W, K, m): white derivative of the readings by the coordinates of the posterior, poses eliminated; ``tool``
-    (W, t, m): what the tool's place, as located with these channels, errs by them; ``noise`` (W, t): its variance.
+    (W, t, m): what the tool's place, as located with these channels, errs by them; ``noise`` (W, t): its variance, that
+    of ``located`` (W, t, K), how white readings move it.
     """
 
     pose: Array
     rows: Array
     tool: Array
     noise: Array
+    located: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Derivatives at poses (W, q) of one machine.
+
+    ``white`` (K,): one over the noise of each channel; ``by_pose`` (W, K, q) and ``by_parameters`` (W, K, D) of the
+    readings, ``tool_by_pose`` (W, t, q) and ``tool_by_parameters`` (W, t, D) of the tool; ``moves`` (m, D): what the
+    posterior's coordinates move; ``half`` (q,): half widths of the workspace.
+    """
+
+    pose: Array
+    white: Array
+    by_pose: Array
+    by_parameters: Array
+    tool_by_pose: Array
+    tool_by_parameters: Array
+    moves: Array
+    half: Array
+
+    def seen_by(self, some: np.ndarray) -> View:
+        """Return the poses seen by the channels of a mask (K,)."""
+        white = np.where(some, self.white, 0.0)[:, None]
+        slope, seen = white * self.by_pose, (white * self.by_parameters) @ self.moves.T
+        gain = np.linalg.pinv(slope)
+        told = np.linalg.matrix_rank(slope * self.half) == slope.shape[-1]
+        rows = seen - slope @ (gain @ seen)
+        located = self.tool_by_pose @ gain
+        tool = self.tool_by_parameters @ self.moves.T - self.tool_by_pose @ (gain @ seen)
+        unknown = ~told[:, None]
+        noise = np.where(unknown, np.nan, (located**2).sum(axis=-1))
+        return View(self.pose, rows, np.where(unknown[..., None], np.nan, tool), noise, located)
 
 
 class Asked(Protocol):
@@ -140,22 +174,27 @@ def name_tool(model: ReadingModel, n: int) -> tuple[tuple[str, ...], tuple[str, 
 
 def look(posterior: CalibrationPosterior, variant: Variant, y: Array, pose: Array, some: np.ndarray) -> View:
     """Return poses (W, q) seen by the channels of a mask (K,), with the noise stated for the first reading of each."""
+    return differentiate(posterior, variant, y, pose).seen_by(some)
+
+
+def differentiate(posterior: CalibrationPosterior, variant: Variant, y: Array, pose: Array) -> Slopes:
+    """Return what moves readings and tool at poses (W, q) of one machine, of which any channels make a `View`."""
     theta, model = posterior.theta(y[None])[0], variant.model
-    white = _typical_noise(posterior, variant, y, some)
+    white = _typical_noise(posterior, variant, y, np.ones(len(model.channels), dtype=bool))
     here = model.linearise(theta, pose, True, _typical_given(variant, len(pose)))
-    slope, by_parameters = (white[:, None] * one for one in (here.by_pose, here.by_parameters))
-    good = np.isfinite(slope).all(axis=(1, 2)) & np.isfinite(by_parameters).all(axis=(1, 2))
-    slope, by_parameters, pose = slope[good], by_parameters[good], pose[good]
-    moves = posterior.moves(y)
-    gain = np.linalg.pinv(slope)
-    told = np.linalg.matrix_rank(slope * variant.workspace.half) == slope.shape[-1]
+    good = np.isfinite(here.by_pose).all(axis=(1, 2)) & np.isfinite(here.by_parameters).all(axis=(1, 2))
+    pose = pose[good]
     _, by_pose, direct = model.tool(theta, pose)
-    seen = by_parameters @ moves.T
-    rows = seen - slope @ (gain @ seen)
-    tool = direct @ moves.T - by_pose @ (gain @ seen)
-    noise = ((by_pose @ gain) ** 2).sum(axis=-1)
-    unknown = ~told[:, None]
-    return View(pose, rows, np.where(unknown[..., None], np.nan, tool), np.where(unknown, np.nan, noise))
+    return Slopes(
+        pose,
+        white,
+        here.by_pose[good],
+        here.by_parameters[good],
+        by_pose,
+        direct,
+        posterior.moves(y),
+        variant.workspace.half,
+    )
 
 
 def _typical_noise(posterior: CalibrationPosterior, variant: Variant, y: Array, some: np.ndarray) -> Array:

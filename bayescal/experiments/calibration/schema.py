@@ -210,16 +210,36 @@ class AuditVariantConfig(Section):
 
 
 class SelectionConfig(Section):
-    """How many poses to choose, one by one, out of how many random ones of the workspace."""
+    """How many poses to choose out of how many random ones of the workspace.
+
+    ``greedy`` ones are added one by one; ``exchange`` goes on to put others in their place for as long as that helps.
+    """
 
     count: Annotated[int, Field(ge=1, le=1000)]
     candidates: Annotated[int, Field(ge=1, le=10_000)] = 300
+    method: Literal["greedy", "exchange"] = "greedy"
 
     @model_validator(mode="after")
     def _check_enough(self) -> Self:
         if self.candidates < self.count:
             raise ValueError(f"found {self.candidates} candidates for {self.count} poses, expected at least as many")
         return self
+
+
+class SensorChoiceConfig(Section):
+    """Sensors to choose from, for the poses planned.
+
+    A name among ``candidates`` is one sensor, a kind each of its sensors by itself, a list an instrument whose readings
+    are there together. Those of ``always`` are in every set, ``largest`` is how many candidates a set has at most. All
+    sets are judged where these are no more than ``exhaustive``; else sensors are added one by one and exchanged.
+    """
+
+    candidates: Annotated[list[str | Annotated[list[str], Field(min_length=1)]], Field(min_length=1)]
+    always: list[str] = Field(default=[])
+    largest: Annotated[int, Field(ge=1)] | None = None
+    exhaustive: Annotated[int, Field(ge=0, le=100_000)] = 4096
+    free: Annotated[list[str], Field(min_length=1)] | None = None
+    common: list[str | list[str]] = Field(default=[])
 
 
 class CalibrationAuditConfig(ExperimentConfig):
@@ -241,6 +261,7 @@ class CalibrationAuditConfig(ExperimentConfig):
     variants: Annotated[list[AuditVariantConfig], Field(min_length=1)]
     next: NextConfig = NextConfig()
     selection: SelectionConfig | None = None
+    sensor_choice: SensorChoiceConfig | None = None
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:

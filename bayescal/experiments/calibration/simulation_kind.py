@@ -6,24 +6,23 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.experiments.calibration.machine_files import hash_machine_modules, list_sources
+from bayescal.experiments.calibration.machine_kind import MachineExperiment
 from bayescal.experiments.calibration.schema import CalibrationSimulationConfig
 from bayescal.experiments.calibration.simulate import SimulationInputs, read_simulation, simulate
 from bayescal.experiments.shared.simulated_data import Simulated, SimulatedData
 
 
-class CalibrationSimulation(SimulatedData[CalibrationSimulationConfig, SimulationInputs]):
+class CalibrationSimulation(
+    MachineExperiment[CalibrationSimulationConfig, SimulationInputs],
+    SimulatedData[CalibrationSimulationConfig, SimulationInputs],
+):
     """Readings of any machine, with the truth beside them."""
 
     schema = CalibrationSimulationConfig
 
-    def files(self, config: CalibrationSimulationConfig, folder: Path) -> list[str]:
-        """Return the input files, the source of the machine's own class among them."""
-        return [*super().files(config, folder), *list_sources([config.machine], folder)]
-
-    def modules(self, config: CalibrationSimulationConfig, folder: Path) -> dict[str, str]:
-        """Return the hash of the installed module that the machine's class stands in."""
-        return super().modules(config, folder) | hash_machine_modules([config.machine], folder)
+    def machines(self, config: CalibrationSimulationConfig) -> list[str]:
+        """Return the machine's file."""
+        return [config.machine]
 
     def read(self, config: CalibrationSimulationConfig, folder: Path) -> SimulationInputs:
         """Return machine, noise and workspace."""

@@ -48,8 +48,7 @@ class Experiment[C: ExperimentConfig, I](ABC):
 
         By default all that stand in its config as `bayescal.config.sections.InputFile`, and those of its classes.
         """
-        del folder
-        return find_files(config)
+        return find_files(config, folder)
 
     def modules(self, config: C, folder: Path) -> dict[str, str]:
         """Return the SHA-256 of the installed modules that somebody else's classes of the config stand in, by name."""

@@ -129,7 +129,7 @@ def run_experiment(
 def _list_files(experiment: AnyExperiment, config: ExperimentConfig, folder: Path) -> Iterable[str]:
     """Return all files that belong to an experiment's identity, the source of its kind among them."""
     yield from experiment.files(config, folder)
-    yield from list_sources("KINDS", config.kind)
+    yield from list_sources("KINDS", config.kind, folder)
 
 
 def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1) -> Results:

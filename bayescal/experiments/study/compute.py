@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any
-
-import xarray as xr
+from typing import TYPE_CHECKING, Any
 
 from bayescal.config.classes import label_class
 from bayescal.density.least_squares import LeastSquaresFit
@@ -28,6 +26,9 @@ from bayescal.experiments.study.tables import (
     tabulate_ring,
     tabulate_sensitivity,
 )
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Results:

@@ -5,11 +5,9 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import arviz as az
 import numpy as np
-import xarray as xr
 
 from bayescal.density.prediction import Prediction, compute_elpd
 from bayescal.experiments.study.fit import Arrays, read_prediction
@@ -17,6 +15,9 @@ from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.diagnostics import Diagnostics
 from bayescal.limits import AGREEMENT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 ELPD_VARIABLE = "measured_pose"
 
@@ -37,6 +38,8 @@ class Loo:
 
 def build_tree(inputs: StudyInputs, variant: str, with_model_error: bool, arrays: Arrays) -> xr.DataTree:
     """Return a posterior as an ArviZ DataTree: draws with chain = ensemble, densities, predictions, data."""
+    from arviz_base import from_dict  # seconds to import, for those who sample; arviz itself brings its plots too
+
     names = inputs.posterior(inputs.variant(variant), with_model_error).names
     draws = arrays["draws"]
     symbols: dict[str, list[int]] = {}
@@ -72,17 +75,19 @@ def build_tree(inputs: StudyInputs, variant: str, with_model_error: bool, arrays
         "axis": list("xyz"),
         "platform_axis": list("xyz"),
     }
-    tree = az.from_dict(data, coords=coords, dims=dims, pred_dims=dims, pred_coords=coords)
+    tree = from_dict(data, coords=coords, dims=dims, pred_dims=dims, pred_coords=coords)
     tree.attrs = {"variant": variant, "model_error": "free" if with_model_error else "zero", "length_unit": "mm"}
     return tree
 
 
 def compute_loo(tree: xr.DataTree) -> Loo:
     """Return PSIS-LOO over the calibration poses; poses with a large Pareto k are counted, not hidden."""
+    from arviz_stats import loo
+
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Estimated shape parameter of Pareto distribution")
-        loo = az.loo(tree, var_name=ELPD_VARIABLE, pointwise=True)
-    return Loo(float(loo.elpd), float(loo.se), np.asarray(loo.pareto_k, dtype=np.float64))
+        found = loo(tree, var_name=ELPD_VARIABLE, pointwise=True)
+    return Loo(float(found.elpd), float(found.se), np.asarray(found.pareto_k, dtype=np.float64))
 
 
 def summarise_fit(

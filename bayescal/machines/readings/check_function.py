@@ -21,6 +21,8 @@ POINTS = 5
 DIFFERENCE = 1e-6  # of an entry's size
 AGREEMENT = 1e-4  # of the largest slope of its channel; differences of this step keep six digits
 
+CLOSED = 1e-9  # of the same, for derivatives in closed form against complex steps: rounding
+
 
 def check_members(name: str, machine: ReadingMachine) -> None:
     """Raise InputError for a machine that lacks parameters, coordinates or channels, or has wrong ones."""
@@ -94,11 +96,31 @@ def check_derivatives(model: FunctionModel) -> None:
     rounding = np.max(apart, axis=(0, 1), initial=0.0, where=np.isfinite(apart))
     scale = np.max(np.abs(slope), axis=1, keepdims=True, initial=0.0, where=np.isfinite(slope))
     wrong = np.isfinite(slope) & (np.abs(slope - exact) > AGREEMENT * scale + 10.0 * rounding / steps)
+    _check_closed(model, where, theta, pose, given, np.moveaxis(exact[model.layout.size :], 0, -1))
     for entry, point, k in np.argwhere(wrong)[:1]:
         raise InputError(
             f"{where}: {model.channels[k].name}: found ∂/∂{_name(model, entry)} = {exact[entry, point, k]:.6g} by "
             f"complex step and {slope[entry, point, k]:.6g} by differences, expected an analytic function; "
             "abs, norm and arctan2 of NumPy are none, those of bayescal.numerics.analytic are"
+        )
+
+
+def _check_closed(model: FunctionModel, where: str, theta: Array, pose: Array, given: Given, exact: Array) -> None:
+    """Raise InputError where derivatives in closed form are not those by complex step, (n, K, q)."""
+    where = f"{where.removesuffix('read')}slopes"
+    try:
+        closed = model.closed_slopes(theta, pose, given)
+    except Exception as error:  # whatever somebody else's code raises
+        text = " ".join(str(error).split())
+        raise InputError(f"{where}: failed with {type(error).__name__}: {text}, expected K rows of q") from error
+    if closed is None:
+        return
+    scale = np.max(np.abs(exact), axis=(0, 2), keepdims=True, initial=0.0, where=np.isfinite(exact))
+    wrong = np.isfinite(exact) & ~(np.abs(closed - exact) <= CLOSED * scale)
+    for point, k, i in np.argwhere(wrong)[:1]:
+        raise InputError(
+            f"{where}: {model.channels[k].name}: found ∂/∂{model.coordinates[i].name} = "
+            f"{closed[point, k, i]:.6g}, expected {exact[point, k, i]:.6g}, that of read"
         )
 
 

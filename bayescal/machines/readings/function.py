@@ -72,6 +72,14 @@ class ReadingMachine(ABC):
         given : mapping of str to ndarray, shape (...)
         """
 
+    def slopes(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> Sequence[Sequence[Any]] | None:
+        """Return ∂h/∂v in closed form, for each channel q real values that broadcast to (...).
+
+        None by default: complex steps do as well, a little slower. Checked against them when the machine is read.
+        """
+        del parameters, v, given
+        return None
+
     def tool(self, parameters: Parameters, v: Any) -> Any:
         """Return what has to be accurate, (..., m), in the machine's own coordinates: all of them by default."""
         del parameters
@@ -214,10 +222,27 @@ class FunctionModel(ReadingModel):
         if not len(steps.places):
             values = self.read(theta, pose, given)
             return Readings(values, np.zeros((*values.shape, q)), np.zeros((*values.shape, n)))
+        if not with_parameters and (closed := self.closed_slopes(theta, pose, given)) is not None:
+            return Readings(self.read(theta, pose, given), closed)
         values, slopes = self.differentiate(theta, pose, given, steps.places)
-        every = np.zeros((*values.shape, n + q))
-        every[..., steps.rows, steps.entries] = np.moveaxis(slopes, 0, -2)[..., steps.rounds, steps.rows]
-        return Readings(values, every[..., n:], every[..., :n] if with_parameters else np.empty(0))
+        first = 0 if with_parameters else n
+        every = np.zeros((*values.shape, n + q - first))
+        every[..., steps.rows, steps.entries - first] = np.moveaxis(slopes, 0, -2)[..., steps.rounds, steps.rows]
+        return Readings(values, every[..., n - first :], every[..., :n] if with_parameters else np.empty(0))
+
+    def closed_slopes(self, theta: Array, pose: Array, given: Given) -> Array | None:
+        """Return ∂h/∂v (..., K, q) where the machine has it in closed form."""
+        with np.errstate(all="ignore"):
+            rows = self.machine.slopes(Parameters(self.layout, theta), pose, given)
+        if rows is None:
+            return None
+        rows = rows if self.places is None else [rows[k] for k in self.places]
+        n, q = len(self.channels), len(self.coordinates)
+        result = np.empty((*np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1]), n, q))
+        for k, row in zip(range(n), rows, strict=True):
+            for i, one in zip(range(q), row, strict=True):
+                result[..., k, i] = one
+        return result
 
     @cached_property
     def _pattern(self) -> np.ndarray:

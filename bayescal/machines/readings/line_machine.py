@@ -29,6 +29,7 @@ from bayescal.config.sections import NotNegative, Number, Positive, Section, Vec
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel, Coordinate
 from bayescal.machines.readings.function import Parameters, ReadingMachine
+from bayescal.numerics.analytic import sqrt
 
 GRAVITY = 9.80665
 PER_MILLION = 1e-6
@@ -99,13 +100,18 @@ class LineMachine(ReadingMachine):
 
     def read(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> Any:
         """Return the motors' angles, the point as an instrument sees it, and the lines' lengths."""
-        length, now = self._pay_out(parameters, [v[..., k, None] for k in range(len(AXES))], given)
+        lengths, now = self._pay_out(parameters, [v[..., k] for k in range(len(AXES))], given)
         _, before = self._pay_out(parameters, [0.0, 0.0, 0.0], None)
-        paid_out, radius = now - before, parameters["R"]
-        wound = np.sqrt(radius**2 - self.parallel * parameters["Q"][..., None] * paid_out)
-        motor = 2.0 * self.gear * self.parallel * paid_out / (radius + wound)
-        seen = [np.broadcast_to(one[..., None], (*motor.shape[:-1], 1)) for one in self._see(parameters, v)]
-        return np.concatenate([motor, *seen, length], axis=-1)
+        motors = [
+            self._wind(parameters["R"][..., k], parameters["Q"], away - home, self.parallel[k])
+            for k, (away, home) in enumerate(zip(now, before, strict=True))
+        ]
+        return np.stack(np.broadcast_arrays(*motors, *self._see(parameters, v), *lengths), axis=-1)
+
+    def _wind(self, radius: Any, buildup: Any, paid_out: Any, parallel: float) -> Any:
+        """Return by how much the motor of a spool has turned."""
+        wound = sqrt(radius * radius - parallel * buildup * paid_out)
+        return 2.0 * self.gear * parallel * paid_out / (radius + wound)
 
     def _see(self, parameters: Parameters, v: Any) -> Any:
         """Return the point as an instrument sees it, three arrays (...)."""
@@ -115,33 +121,105 @@ class LineMachine(ReadingMachine):
         return [parameters[f"o_{axis}"] + scale * one for axis, one in zip(AXES, turned, strict=True)]
 
     def _pay_out(self, parameters: Parameters, p: list[Any], given: Mapping[str, Any] | None) -> Any:
-        """Return the lines' lengths at p and what of them has left the spools, both (..., N)."""
-        span = [parameters[f"A_{axis}"] - one for axis, one in zip(AXES, p, strict=True)]
-        length = np.sqrt(span[0] * span[0] + span[1] * span[1] + span[2] * span[2])
+        """Return the lines' lengths at p and what of them has left the spools, N arrays (...) each."""
+        lengths, directions = self._span(parameters, p)
         if self.tension == "none":
-            return length, length
-        if self.tension == "hanging":
-            force = self._hang(parameters, [one / length for one in span])
-        elif given is None:
-            force = self.at_origin
-        else:
-            force = np.stack([given[name] for name in self.given], axis=-1)
-        return length, length / (1.0 + PER_MILLION * parameters["c"][..., None] * force)
+            return lengths, lengths
+        forces = self._pull(parameters, directions, given)
+        compliance = PER_MILLION * parameters["c"]
+        return lengths, [one / (1.0 + compliance * by) for one, by in zip(lengths, forces, strict=True)]
 
-    def _hang(self, parameters: Parameters, directions: list[Any]) -> Any:
-        """Return the tensions (..., N) of a point that hangs in its lines of directions x, y, z, (..., N) each."""
-        even = parameters["T"][..., None]
-        # U Uᵀ by its six entries, and W - U T: Cramer's rule is quicker than LAPACK for a pose each
+    def _span(self, parameters: Parameters, p: list[Any]) -> tuple[list[Any], list[list[Any]]]:
+        """Return the lines' lengths, N arrays (...), and directions u, as many by axes.
+
+        Line by line: arrays whose last axis is as short as that of the lines are slow ones.
+        """
+        anchors = [parameters[f"A_{axis}"] for axis in AXES]
+        spans = [[one[..., k] - at for one, at in zip(anchors, p, strict=True)] for k in range(len(self.parallel))]
+        lengths = [sqrt(x * x + y * y + z * z) for x, y, z in spans]
+        return lengths, [[one / by for one in span] for span, by in zip(spans, lengths, strict=True)]
+
+    def _pull(self, parameters: Parameters, directions: list[list[Any]], given: Mapping[str, Any] | None) -> Any:
+        """Return the lines' tensions, N arrays (...)."""
+        if self.tension == "hanging":
+            return self._hang(parameters["T"], directions)[0]
+        return self.at_origin if given is None else [given[name] for name in self.given]
+
+    def _hang(self, even: Any, directions: list[list[Any]]) -> tuple[list[Any], list[Any], list[list[Any]]]:
+        """Return tensions F = T + uᵀλ, N arrays (...), of a point that hangs in its lines, λ and M⁻¹ = (U Uᵀ)⁻¹."""
+        # by its six entries: Cramer's rule is quicker than LAPACK for a pose each
         xx, yy, zz, xy, xz, yz = (
-            (directions[i] * directions[j]).sum(axis=-1) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+            sum(one[i] * one[j] for one in directions) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
         )
-        weight = (0.0, 0.0, self.weight)
-        a, b, c = (w - (even * one).sum(axis=-1) for w, one in zip(weight, directions, strict=True))
         p, q, r = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-        determinant = xx * p + xy * q + xz * r
-        solved = (
-            (p * a + q * b + r * c) / determinant,
-            (q * a + (xx * zz - xz * xz) * b + (xy * xz - xx * yz) * c) / determinant,
-            (r * a + (xy * xz - xx * yz) * b + (xx * yy - xy * xy) * c) / determinant,
-        )
-        return even + sum(one * by[..., None] for one, by in zip(directions, solved, strict=True))
+        share = 1.0 / (xx * p + xy * q + xz * r)
+        p, q, r = p * share, q * share, r * share
+        s, t, u = (xx * zz - xz * xz) * share, (xy * xz - xx * yz) * share, (xx * yy - xy * xy) * share
+        inverse = [[p, q, r], [q, s, t], [r, t, u]]
+        open_ = [w - even * sum(one[i] for one in directions) for i, w in enumerate((0.0, 0.0, self.weight))]
+        solved = [dot(row, open_) for row in inverse]
+        return [even + dot(one, solved) for one in directions], solved, inverse
+
+    # --- by the pose ---------------------------------------------------------------------------------------------
+
+    def slopes(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> list[list[Any]]:
+        """Return ∂h/∂v in closed form: ∂l/∂p = -u, ∂θ/∂Δ = g m / r."""
+        point = [v[..., k] for k in range(len(AXES))]
+        lengths, directions = self._span(parameters, point)
+        _, before = self._pay_out(parameters, [0.0, 0.0, 0.0], None)
+        away, by_point = self._stretch(parameters, lengths, directions, given)
+        motors = []
+        for k, slope in enumerate(by_point):
+            paid_out = self.parallel[k] * parameters["Q"] * (away[k] - before[k])
+            gain = self.gear * self.parallel[k] / np.sqrt(parameters["R"][..., k] ** 2 - paid_out)
+            motors.append([gain * one for one in slope])
+        turn, scale = parameters["omega"], 1.0 + parameters["s"]
+        seen = [[scale, -scale * turn, 0.0], [scale * turn, scale, 0.0], [0.0, 0.0, scale]]
+        return [*motors, *seen, *([-one for one in u] for u in directions)]
+
+    def _stretch(
+        self, parameters: Parameters, lengths: list[Any], directions: list[list[Any]], given: Mapping[str, Any]
+    ) -> tuple[list[Any], list[list[Any]]]:
+        """Return what has left the spools, N arrays (...), and its derivatives by the point, as many by axes."""
+        rigid = [[-one for one in u] for u in directions]
+        if self.tension == "none":
+            return lengths, rigid
+        compliance, paid_out, slopes = PER_MILLION * parameters["c"], [], []
+        if self.tension == "hanging":
+            forces, by_point = self._differentiate_forces(parameters["T"], lengths, directions)
+        else:
+            forces, by_point = self._pull(parameters, directions, given), [[0.0] * len(AXES)] * len(lengths)
+        for length, force, by, slope in zip(lengths, forces, by_point, rigid, strict=True):
+            share = 1.0 / (1.0 + compliance * force)
+            paid_out.append(length * share)
+            slopes.append([share * (one - paid_out[-1] * compliance * two) for one, two in zip(slope, by, strict=True)])
+        return paid_out, slopes
+
+    def _differentiate_forces(
+        self, even: Any, lengths: list[Any], directions: list[list[Any]]
+    ) -> tuple[list[Any], list[list[Any]]]:
+        """Return the tensions of a point that hangs and their derivatives by the point.
+
+        With ∂u/∂p = -(1 - u uᵀ)/l and e = (λ - u uᵀλ)/l they are ∂F/∂p = -e + Bᵀ M⁻¹ u, where
+        M ∂λ/∂p = B = Σ F (1 - u uᵀ)/l + u eᵀ.
+        """
+        forces, solved, inverse = self._hang(even, directions)
+        by_length = [force / length for force, length in zip(forces, lengths, strict=True)]
+        across = [
+            [(one - (force - even) * axis) / length for one, axis in zip(solved, u, strict=True)]
+            for force, length, u in zip(forces, lengths, directions, strict=True)
+        ]
+        every, axes = list(zip(by_length, directions, across, strict=True)), range(len(AXES))
+        load = [[sum(u[i] * (e[m] - by * u[m]) for by, u, e in every) for m in axes] for i in axes]
+        for i in axes:
+            load[i][i] = load[i][i] + sum(by_length)
+        slopes = []
+        for u, e in zip(directions, across, strict=True):
+            share = [dot(row, u) for row in inverse]
+            slopes.append([sum(share[i] * load[i][m] for i in axes) - e[m] for m in axes])
+        return forces, slopes
+
+
+def dot(one: list[Any], other: list[Any]) -> Any:
+    """Return the scalar product of vectors given by their three components."""
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]

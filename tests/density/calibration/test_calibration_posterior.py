@@ -12,8 +12,9 @@ from scipy.linalg import null_space
 from scipy.optimize import least_squares
 from scipy.stats import halfnorm, lognorm, norm, uniform
 
+from bayescal.density.calibration.elimination import project_out
 from bayescal.density.calibration.noise import NoiseModel
-from bayescal.density.calibration.posterior import CalibrationPosterior, _project
+from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError, NumericalError
 
@@ -138,7 +139,7 @@ def test_projections_hold_beside_constraints(weight, rng):
     """Six coordinates, one reading 10⁴ times as sharp as the others: HᵀH would be singular to rounding."""
     slope = rng.standard_normal((5, 9, 6)) * np.array([1.0, 300.0, 0.01, 1.0, 1.0, 1.0])
     slope[:, 4] *= weight
-    projection = _project(slope)
+    projection = project_out(slope)
     for one, across in zip(slope, projection, strict=True):
         left = null_space((one / np.linalg.norm(one, axis=0)).T)
         np.testing.assert_allclose(across, left @ left.T, rtol=0, atol=1e-9)
@@ -148,6 +149,37 @@ def test_fit_says_where_there_is_no_machine(rng):
     posterior, _, pose = lines_posterior(rng)
     with pytest.raises(NumericalError, match="no reading of the machine as expected"):
         posterior.fit(np.zeros(posterior.n_parameters), np.full_like(pose, np.nan))
+
+
+@pytest.mark.parametrize("correlation", [None, MIXED], ids=["independent", "correlated"])
+def test_each_noise_governs_its_share_of_the_information(correlation, rng):
+    """The information of the first group's readings grows with their precision, that of the others stays."""
+    noise = unknown_noise(4)
+    posterior, y, _ = lines_posterior(rng, noise=noise, correlation=correlation)
+    m, step = posterior.n_geometry, 1e-3
+    funnel = posterior.funnel(y)
+    assert funnel.parts.shape == (2, m, m)
+    information = -posterior.gradient(y)[1][:m, :m] - np.eye(m)
+    np.testing.assert_allclose(funnel.parts.sum(axis=0), information, rtol=0, atol=1e-9 * information.max())
+    if correlation is None:  # with correlated noise what is white belongs to no group alone
+        first = int(np.flatnonzero(noise.groups[:, 0])[0])
+        ahead, behind = (posterior.gradient(y + sign * step * np.eye(len(y))[m])[1][:m, :m] for sign in (1.0, -1.0))
+        np.testing.assert_allclose(
+            (ahead - behind) / (2.0 * step), 2.0 * 0.4 * funnel.parts[first], rtol=0, atol=0.01 * information.max()
+        )
+
+
+def test_the_noise_of_each_group_is_counted_by_itself(rng):
+    posterior, y, _ = lines_posterior(rng, noise=unknown_noise(4, True, True, 0.1))
+    tau, own = posterior.tau(y[None])[0], posterior.noise.natural(y[posterior.n_geometry :])
+    sd = posterior.likelihood.sd[0, 0]
+    expected = {
+        (1, 0, 0, 0): own[0],
+        (0, 1, 1, 0): np.hypot(own[0], own[1] / sd),
+        (0, 0, 0, 1): np.hypot(1.0, own[1] / sd),
+    }
+    found = {tuple(group.astype(int)): value for group, value in zip(posterior.noise.groups, tau, strict=True)}
+    assert found == pytest.approx(expected)
 
 
 def test_coordinates_are_standard_normal_under_the_priors(rng):

@@ -85,9 +85,9 @@ def rank_linear(rng, n, spoil=1.0, **case):
 CASES = {"plain": {}, "robust": {"nu": 4.0}, "correlated": {"correlation": correlation_of(np.random.default_rng(1), 5)}}
 
 
-@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-def test_ranks_of_linear_problems_are_uniform(case, rng):
-    assert (p_values(rank_linear(rng, 40, **case)) > 0.01).all()
+@pytest.mark.parametrize("name", ["plain", "robust"])  # correlated noise takes four times as long: with the slow ones
+def test_ranks_of_linear_problems_are_uniform(name, rng):
+    assert (p_values(rank_linear(rng, 40, **CASES[name])) > 0.01).all()
 
 
 def test_a_wrong_noise_shows(rng):

@@ -85,7 +85,7 @@ def test_hanging_lines_carry_the_weight():
     anchors = np.stack([theta[hanging.layout.index[f"A_{axis}"]] for axis in "xyz"], axis=-1)
     span = anchors - np.array([50.0, 100.0, 700.0])
     directions = span / np.linalg.norm(span, axis=-1, keepdims=True)
-    force = machine._hang({"T": np.array(13.0)}, list(directions.T))
+    force = np.array(machine._hang(13.0, directions.tolist())[0])
     np.testing.assert_allclose(force @ directions, [0.0, 0.0, machine.weight], atol=1e-9)
 
 

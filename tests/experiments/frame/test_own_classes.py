@@ -103,7 +103,7 @@ def test_a_twin_of_an_own_model(call, tmp_path):
     path = own_classes.write_study(tmp_path).with_name("simulate.toml")
     path.write_text(path.read_text().replace('"six_pus"', '"own.py:Longer"'))
     assert call("simulate", path, "--out", tmp_path / "data2")[0] == 0
-    assert "own.py" in find_files(load_experiment(path))
+    assert "own.py" in find_files(load_experiment(path), path.parent)
 
 
 @pytest.mark.parametrize(

@@ -86,7 +86,7 @@ def test_run_report_workers_and_compare(call, tmp_path, monkeypatch):
 
 def test_results_name_no_code_that_is_run(call, tmp_path):
     path = toys.write_toy(tmp_path)
-    assert call("run", path, "--out", tmp_path / "out", "--quiet")[0] == 0
+    assert call("run", path, "--out", tmp_path / "out", "--workers", 1, "--quiet")[0] == 0
     code, _, complaint = call("report", tmp_path / "out")
     assert code == 2
     assert "whose code results do not decide on, expected --kind" in complaint
@@ -140,7 +140,7 @@ def test_a_module_that_raises_is_one_line(call, tmp_path):
 
 def test_quiet_says_nothing_and_results_of_another_config_are_kept(call, tmp_path):
     path, out = toys.write_toy(tmp_path), tmp_path / "out"
-    assert call("run", path, "--out", out, "--quiet") == (0, "", "")
+    assert call("run", path, "--out", out, "--workers", 1, "--quiet") == (0, "", "")
     before = read_all(out)
     path.write_text(path.read_text().replace('title = "A toy"', 'title = "Another title"'))
     assert call("run", path, "--out", out, "--quiet")[0] == 0  # a title changes no result
@@ -204,14 +204,14 @@ def test_a_second_run_on_the_same_results_is_refused(call, tmp_path):
 
 def test_a_failure_on_the_way_leaves_the_old_results(call, tmp_path, monkeypatch):
     path, out = toys.write_toy(tmp_path), tmp_path / "out"
-    assert call("run", path, "--out", out, "--quiet")[0] == 0
+    assert call("run", path, "--out", out, "--workers", 1, "--quiet")[0] == 0
     before = read_all(out)
 
     def fail(page, folder, *more):
         raise OSError(28, "No space left on device", str(folder))
 
     monkeypatch.setattr(frame, "write_page", fail)
-    code, said, complaint = call("run", path, "--out", out, "--quiet")
+    code, said, complaint = call("run", path, "--out", out, "--workers", 1, "--quiet")
     assert (code, said, complaint.count("\n")) == (3, "", 1)
     assert "No space left" in complaint
     assert "expected room to write" in complaint

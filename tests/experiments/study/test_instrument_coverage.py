@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 import studies
 
+from bayescal.data.instruments.points import PointReadings
 from bayescal.data.instruments.poses import PoseReadings
+from bayescal.data.instruments.read_points import PointNoise, convert_polar, spread_polar
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior
@@ -12,10 +14,20 @@ from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit
 from bayescal.identifiability.calibration import simulate_measurements
 from bayescal.identifiability.fits import Fitter
-from bayescal.numerics.geometry import rotation_vector_from_matrix
+from bayescal.machines.frames import N_FRAME_PARAMETERS, move_frames
+from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
 DESIGNS = ("camera_hexapod", "camera_hexapod_frames", "m2_hexapod")
+TRACKED = ("camera_hexapod_frames", "m2_hexapod")  # frames of station and probe unknown, and known
 QUANTILE = 1.6448536269514722  # of a standard normal, 95 %
+
+
+PROBE = np.array([[400.0, 0.0, 60.0], [-250.0, 350.0, 20.0], [-200.0, -380.0, 90.0], [50.0, 80.0, 300.0]])
+STATION = np.array([2800.0, -900.0, 650.0])  # mm
+TURN = matrix_from_rotation_vector(np.array([0.02, -0.03, 2.7]))  # from the station's frame to the base's
+TRACKER = PointNoise((), range_um=5.0, range_ppm=0.5, azimuth_arcsec=1.0, elevation_arcsec=1.5)
+MISSED = 0.3  # of the points: some poses have fewer than three
 
 
 def calibrate(knowledge, readings, actuator_noise):
@@ -32,10 +44,14 @@ def calibrate(knowledge, readings, actuator_noise):
     return y, covariance
 
 
+def read_design(design):
+    folder = studies.EXPERIMENTS / "audit"
+    return read_inputs(load_audit(folder / f"{design}.toml"), folder)
+
+
 def simulate(design, n, seed):
     """Return z-scores (n, parameters) of the truth under n calibrations of machines of the design's tolerances."""
-    config = load_audit(studies.EXPERIMENTS / "audit" / f"{design}.toml")
-    inputs = read_inputs(config, studies.EXPERIMENTS / "audit")
+    inputs = read_design(design)
     knowledge, plan = inputs.knowledge, inputs.plan
     fitter, rng = Fitter(knowledge, plan), np.random.default_rng(seed)
     truth = rng.standard_normal((n, len(knowledge.names)))
@@ -53,6 +69,46 @@ def simulate(design, n, seed):
     return np.array(scores)
 
 
+def track(position, rotation, rng):
+    """Return points (P, Q, 3) as a tracker reads them by range and angles, base frame, NaN where missed, covariances.
+
+    ``position`` (P, 3) and ``rotation`` (P, 3, 3) are those of the probe as it truly stands.
+    """
+    places = position[:, None] + np.einsum("pij,qj->pqi", rotation, PROBE)
+    x, y, z = np.moveaxis((places - STATION) @ TURN, -1, 0)
+    true = np.stack([np.sqrt(x**2 + y**2 + z**2), np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=-1)
+    read = true + spread_polar(TRACKER, true[..., 0]) * rng.standard_normal(true.shape)
+    values, slopes = convert_polar(read)
+    root = TURN @ (slopes * spread_polar(TRACKER, read[..., 0])[..., None, :])
+    values = STATION + values @ TURN.T
+    missed = rng.random(values.shape[:2]) < MISSED
+    missed[missed.all(axis=1), 0] = False
+    return np.where(missed[..., None], np.nan, values), root @ np.swapaxes(root, -1, -2)
+
+
+def simulate_tracked(design, n, seed):
+    """Return z-scores as `simulate` does, of calibrations by points that one station tracks."""
+    inputs = read_design(design)
+    knowledge, plan = inputs.knowledge, inputs.plan
+    assert plan.model_error == 0.0
+    fitter, rng = Fitter(knowledge, plan), np.random.default_rng(seed)
+    truth = rng.standard_normal((n, len(knowledge.names)))
+    theta = fitter.theta(truth)
+    stood = plan.actuators + plan.actuator_noise * rng.standard_normal((n, *plan.actuators.shape))
+    found = solve_forward_kinematics(knowledge.machine, theta[:, None, :-N_FRAME_PARAMETERS], stood, check=False)
+    good = knowledge.layout.inside(theta) & found.converged.all(axis=1)
+    position, rotation = move_frames(theta[:, -N_FRAME_PARAMETERS:], found.position, found.rotation)
+    names, points = tuple(f"C{k}" for k in range(plan.n_poses)), tuple(f"P{k}" for k in range(len(PROBE)))
+    scores = []
+    for k in np.flatnonzero(good):
+        values, covariance = track(position[k], rotation[k], rng)
+        seen = (names, plan.actuators, ("A",), points, PROBE, values[:, None], covariance[:, None])
+        y, spread = calibrate(knowledge, PointReadings(*seen), plan.actuator_noise)
+        scores.append((y - truth[k]) / np.sqrt(np.diagonal(spread)))
+    assert good.mean() > 0.95
+    return np.array(scores)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("design", DESIGNS)
 def test_ninety_percent_intervals_hold_the_truth(design):
@@ -61,6 +117,21 @@ def test_ninety_percent_intervals_hold_the_truth(design):
     assert 0.88 < inside.mean() < 0.92
     assert inside.mean(axis=0).min() > 0.80  # five standard errors of 200 below
     np.testing.assert_allclose(np.sqrt(np.mean(scores**2)), 1.0, atol=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("design", TRACKED)
+def test_ninety_percent_intervals_of_tracked_points_hold_the_truth(design):
+    scores = simulate_tracked(design, 200, 2027)
+    inside = np.abs(scores) < QUANTILE
+    assert 0.88 < inside.mean() < 0.92
+    assert inside.mean(axis=0).min() > 0.80
+    np.testing.assert_allclose(np.sqrt(np.mean(scores**2)), 1.0, atol=0.03)
+
+
+def test_few_calibrations_by_tracked_points_hold_the_truth():
+    inside = np.abs(simulate_tracked("camera_hexapod_frames", 4, 3)) < QUANTILE
+    assert 0.84 < inside.mean() < 0.96
 
 
 def test_few_calibrations_hold_the_truth():

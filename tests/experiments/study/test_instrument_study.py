@@ -176,7 +176,7 @@ def test_positions_alone_are_a_study_with_a_page(fed, tmp_path, call):
     first = text.index("[[variants]]")
     second = text.index("[[variants]]", first + 1)
     (fed / "positions.toml").write_text(text[:second] + text[text.index("[sampler]") :])
-    code, _, err = call("run", fed / "positions.toml", "--out", tmp_path / "out", "--quiet")
+    code, _, err = call("run", fed / "positions.toml", "--out", tmp_path / "out", "--workers", 1, "--quiet")
     assert code in (0, 3), err  # so few steps may not converge
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Frames of instrument and tool" in page or "Frames found" in page

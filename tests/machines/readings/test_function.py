@@ -260,6 +260,39 @@ def test_analytic_functions_are_taken(read):
     assert model.linearise(model.layout.nominal, np.zeros((1, 2))).values.shape == (1, 2)
 
 
+SLOPES = {
+    "another": ([[1.0, 0.0], [0.0, 2.0]], "Arm.slopes: far: found ∂/∂y = 2, expected 1, that of read"),
+    "nan": ([[1.0, 0.0], [0.0, np.nan]], "Arm.slopes: far: found ∂/∂y = nan, expected 1, that of read"),
+    "too few": ([[1.0, 0.0]], "Arm.slopes: failed with ValueError: zip()"),
+}
+
+
+@pytest.mark.parametrize(("slopes", "text"), SLOPES.values(), ids=SLOPES)
+def test_wrong_closed_forms_are_refused_in_one_line(slopes, text):
+    arm = Arm(lambda x, y: np.stack([x, y], axis=-1))
+    arm.slopes = lambda *_: slopes
+    with pytest.raises(InputError, match=re.escape(text)) as caught:
+        FunctionModel("arm", arm)
+    assert "\n" not in str(caught.value)
+
+
+def test_closed_forms_stand_in_for_complex_steps(rng):
+    def slopes(parameters, v, given):
+        asked.append(v.shape)
+        return [[1.0, 2.0], [v[..., 1] - parameters["y0"], v[..., 0] - parameters["x0"]]]
+
+    arm, asked = Arm(plain), []
+    exact = FunctionModel("arm", Arm(plain))
+    arm.slopes = slopes
+    model = FunctionModel("arm", arm)
+    theta, pose = exact.layout.nominal + rng.uniform(-1.0, 1.0, (3, 1, 2)), rng.uniform(-1.0, 1.0, (5, 2))
+    asked.clear()
+    found, expected = (one.linearise(theta, pose, with_parameters=False) for one in (model, exact))
+    np.testing.assert_allclose(found.by_pose, expected.by_pose, rtol=1e-14)
+    np.testing.assert_array_equal(found.values, expected.values)
+    assert asked == [(5, 2)]
+
+
 def test_a_small_slope_beside_large_numbers_is_no_fault():
     """Differences cannot see it for rounding, which is no reason to refuse it."""
 

@@ -9,9 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from bayescal.experiments.calibration.audit.inputs import AuditInputs
+from bayescal.experiments.calibration.audit.outlook import Outlook, foresee
 from bayescal.experiments.calibration.audit.selection import Selection, select_poses
+from bayescal.experiments.calibration.audit.sensor_sets import build_sensor_sets
+from bayescal.experiments.calibration.audit.set_search import FoundSets, search_sets
+from bayescal.experiments.calibration.audit.set_tables import tabulate_sets
 from bayescal.experiments.calibration.audit.tables import Prospect, summarise, tabulate
-from bayescal.experiments.calibration.knowledge import Knowledge, assess, see
+from bayescal.experiments.calibration.knowledge import Knowledge, assess, look_around, name_tool, see
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.identifiability.information import information_of_rows
@@ -20,8 +24,10 @@ from bayescal.identifiability.information import information_of_rows
 def compute_audit(inputs: AuditInputs, run: Run) -> Results:
     """Return what all sets of sensors would tell."""
     names = {name: name for name in inputs.variants}
-    found = run.map("variants", _compute_variant, inputs, names, (Prospect, Knowledge, Selection))
+    found = run.map("variants", _compute_variant, inputs, names, (Prospect, Knowledge, Outlook, Selection))
     tables = tabulate(inputs, found)
+    if inputs.sensors is not None:
+        tables |= tabulate_sets(inputs, run.once("sets of sensors", _search_sets, inputs, (FoundSets,)))
     return Results(summarise(inputs, tables), tables)
 
 
@@ -30,8 +36,23 @@ def _compute_variant(inputs: AuditInputs, name: str) -> Prospect:
     posterior = variant.posterior()
     expected = np.zeros(posterior.n_parameters)
     covariance = information_of_rows(see(posterior, expected), np.ones(posterior.n_geometry)).covariance
+    knowledge = assess(inputs.config, variant, posterior, expected, covariance)
+    at = look_around(variant, posterior, expected, np.random.default_rng([inputs.config.seed, 5]))
+    limits = np.array([inputs.limits.get(one, np.inf) for one in knowledge.coordinates])
     return Prospect(
         posterior.prior_sd * np.sqrt(np.diagonal(covariance)),
-        assess(inputs.config, variant, posterior, expected, covariance),
+        knowledge,
+        foresee(at, covariance, limits, np.random.default_rng([inputs.config.seed, 11])),
         select_poses(inputs.config, variant, posterior),
     )
+
+
+def _search_sets(inputs: AuditInputs) -> FoundSets:
+    assert inputs.sensors is not None
+    asked, variant = inputs.config.sensor_choice, inputs.sensors
+    assert asked is not None
+    names, _ = name_tool(variant.model, variant.model.tool(variant.posterior().centre, variant.start[:1])[0].shape[-1])
+    limits = np.array([inputs.limits.get(name, np.inf) for name in names])
+    posterior = variant.posterior()
+    sets = build_sensor_sets(variant, posterior, inputs.choices, asked.always, limits, inputs.config.seed)
+    return search_sets(sets, min(asked.largest or len(inputs.choices), len(inputs.choices)), asked.exhaustive)

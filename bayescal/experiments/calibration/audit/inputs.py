@@ -16,6 +16,7 @@ from bayescal.density.calibration.noise import NoiseModel
 from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.audit.planned_poses import PlannedPoses, plan_poses
+from bayescal.experiments.calibration.audit.sensor_sets import Choice, list_choices
 from bayescal.experiments.calibration.inputs import Variant
 from bayescal.experiments.calibration.knowledge import name_tool
 from bayescal.experiments.calibration.noise import noise_of_channels
@@ -45,12 +46,18 @@ class AuditInputs:
         Their readings those of the machine as expected, without noise.
     limits : dict of coordinate to float
         Largest rms errors, in inner units.
+    sensors : Variant or None
+        With all sensors there are to choose from; None where none are to be chosen.
+    choices : tuple of Choice
+        Of these sensors.
     """
 
     config: CalibrationAuditConfig
     machine: str
     variants: dict[str, Variant]
     limits: dict[str, float]
+    sensors: Variant | None = None
+    choices: tuple[Choice, ...] = ()
 
 
 def read_audit(config: CalibrationAuditConfig, folder: Path) -> AuditInputs:
@@ -64,7 +71,17 @@ def read_audit(config: CalibrationAuditConfig, folder: Path) -> AuditInputs:
         with name_faults(f"variant {one.name!r}"):
             variants[one.name] = _build(config, one, model, planned, noise, workspace)
     limits = _read_limits(config, model, next(iter(variants.values())))
-    return AuditInputs(config, getattr(model, "name", config.machine), variants, limits)
+    name, asked = getattr(model, "name", config.machine), config.sensor_choice
+    if asked is None:
+        return AuditInputs(config, name, variants, limits)
+    with name_faults("sensor_choice"):
+        choices = list_choices(model, asked.candidates, asked.always)
+        names = [*asked.always, *(one for choice in choices for one in choice.channels)]
+        section = AuditVariantConfig(
+            name="sensor_choice", title="", sensors=names, free=asked.free, common=asked.common
+        )
+        sensors = _build(config, section, model, planned, noise, workspace)
+    return AuditInputs(config, name, variants, limits, sensors, choices)
 
 
 def _read_limits(config: CalibrationAuditConfig, model: ReadingModel, variant: Variant) -> dict[str, float]:

@@ -8,27 +8,22 @@ from rich.console import Console
 
 from bayescal.experiments.calibration.audit.compute import compute_audit
 from bayescal.experiments.calibration.audit.inputs import AuditInputs, read_audit
-from bayescal.experiments.calibration.machine_files import hash_machine_modules, list_sources
+from bayescal.experiments.calibration.machine_kind import MachineExperiment
 from bayescal.experiments.calibration.page.audit import build_page, list_variants
 from bayescal.experiments.calibration.schema import CalibrationAuditConfig
-from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.report.blocks import Page
 
 
-class CalibrationAudit(Experiment[CalibrationAuditConfig, AuditInputs]):
+class CalibrationAudit(MachineExperiment[CalibrationAuditConfig, AuditInputs]):
     """What readings of any machine would tell."""
 
     schema = CalibrationAuditConfig
 
-    def files(self, config: CalibrationAuditConfig, folder: Path) -> list[str]:
-        """Return the input files, the source of the machine's own class among them."""
-        return [*super().files(config, folder), *list_sources([config.machine], folder)]
-
-    def modules(self, config: CalibrationAuditConfig, folder: Path) -> dict[str, str]:
-        """Return the hash of the installed module that the machine's class stands in."""
-        return super().modules(config, folder) | hash_machine_modules([config.machine], folder)
+    def machines(self, config: CalibrationAuditConfig) -> list[str]:
+        """Return the machine's file."""
+        return [config.machine]
 
     def read(self, config: CalibrationAuditConfig, folder: Path) -> AuditInputs:
         """Return machine, planned poses and sets of sensors."""

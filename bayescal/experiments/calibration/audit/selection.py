@@ -1,4 +1,8 @@
-"""Choosing poses before any are measured: one by one, those that lower the mean squared error of the tool most."""
+"""Choosing poses before any are measured: those that lower the mean squared error of the tool most.
+
+They are added one by one; by exchange, each time others are then put in their place for as long as that helps. What
+every number of poses leaves of the error says where more of them stop paying.
+"""
 
 from __future__ import annotations
 
@@ -12,24 +16,34 @@ from bayescal.experiments.calibration.knowledge import compute_gains, look, look
 from bayescal.experiments.calibration.schema import CalibrationAuditConfig
 from bayescal.numerics.geometry import Array
 
+RANDOM_SETS = 20  # of as many poses, to compare with
+MOST_ROUNDS = 20  # of exchanges
+LEAST_FALL = 1e-9  # of the mean squared error, for which poses are exchanged
+
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Poses in the order in which they were chosen.
+    """Poses in the order in which they were chosen, or would have been among themselves.
 
     Attributes
     ----------
     pose : ndarray, shape (N, q)
     after : ndarray, shape (N, t)
         Root mean square error of the tool over the workspace by what is then unknown of the parameters.
+    curve : ndarray, shape (N, t)
+        The same with the best set found of 1 to N poses.
+    random : ndarray, shape (N, t)
+        The same with as many of the candidates at random, root mean square of several sets.
     """
 
     pose: Array
     after: Array
+    curve: Array
+    random: Array
 
 
 def select_poses(config: CalibrationAuditConfig, variant: Variant, posterior: CalibrationPosterior) -> Selection | None:
-    """Return poses chosen greedily out of random ones of the workspace, read by all sensors of a variant.
+    """Return poses chosen out of random ones of the workspace, read by all sensors of a variant.
 
     None where none are asked for, or where the machine's own sensors do not tell what has to be accurate.
     """
@@ -43,16 +57,77 @@ def select_poses(config: CalibrationAuditConfig, variant: Variant, posterior: Ca
     candidates = variant.workspace.draw(config.selection.candidates, np.random.default_rng([config.seed, 9]))
     every = np.ones(len(variant.model.channels), dtype=bool)
     tried = look(posterior, variant, expected, candidates, every)
-    covariance, left = np.eye(posterior.n_geometry), np.ones(len(tried.pose), dtype=bool)
-    chosen, after = [], []
-    for _ in range(min(config.selection.count, len(tried.pose))):
-        gains = compute_gains(tried.rows, covariance, weight)
-        best = int(np.where(left, gains, -np.inf).argmax())
-        left[best] = False
-        covariance = _learn(covariance, tried.rows[best])
+    count = min(config.selection.count, len(tried.pose))
+    order, left = _add(tried.rows, weight, count, np.arange(len(tried.pose)))
+    curve = left
+    if config.selection.method == "exchange":
+        order, curve = _exchange_all(tried.rows, weight, count)
+        order, left = _add(tried.rows, weight, count, np.array(order, dtype=int))
+    rng = np.random.default_rng([config.seed, 10])
+    orders = [rng.permutation(len(tried.pose))[:count] for _ in range(RANDOM_SETS)]
+    spread = [[rms(at.tool, one) for one in _learn_in_turn(tried.rows, some)] for some in orders]
+    random = np.sqrt(np.mean(np.square(np.array(spread).reshape(RANDOM_SETS, count, -1)), axis=0))
+    after, best = (np.array([rms(at.tool, one) for one in some]).reshape(count, -1) for some in (left, curve))
+    return Selection(tried.pose[order], after, best, random)
+
+
+def _add(rows: Array, weight: Array, count: int, places: np.ndarray) -> tuple[list[int], list[Array]]:
+    """Return candidates, among those at some places, in the order in which they lower tr(W C) most, and each C then."""
+    covariance, free = np.eye(rows.shape[-1]), np.isin(np.arange(len(rows)), places)
+    chosen, left = [], []
+    for _ in range(count):
+        gains = compute_gains(rows, covariance, weight)
+        best = int(np.where(free, gains, -np.inf).argmax())
+        free[best] = False
+        covariance = _learn(covariance, rows[best])
         chosen.append(best)
-        after.append(rms(at.tool, covariance))
-    return Selection(tried.pose[chosen], np.array(after).reshape(len(chosen), -1))
+        left.append(covariance)
+    return chosen, left
+
+
+def _exchange_all(rows: Array, weight: Array, count: int) -> tuple[list[int], list[Array]]:
+    """Return the best candidates found by adding and exchanging, and what 1 to ``count`` of them leave, C (m, m)."""
+    chosen: list[int] = []
+    left = []
+    for _ in range(count):
+        gains = compute_gains(rows, _know(rows, chosen), weight)
+        gains[chosen] = -np.inf
+        chosen.append(int(gains.argmax()))
+        for _ in range(MOST_ROUNDS):
+            if not _exchange_one(rows, weight, chosen):
+                break
+        left.append(_know(rows, chosen))
+    return chosen, left
+
+
+def _exchange_one(rows: Array, weight: Array, chosen: list[int]) -> bool:
+    """Put a better candidate in the place of one, in place, where that lowers tr(W C) most; whether any did."""
+    least, swap = (1.0 - LEAST_FALL) * float(np.trace(weight @ _know(rows, chosen))), None
+    for place in range(len(chosen)):
+        without = _know(rows, chosen[:place] + chosen[place + 1 :])
+        gains = compute_gains(rows, without, weight)
+        gains[chosen] = -np.inf
+        best = int(gains.argmax())
+        value = float(np.trace(weight @ without)) * (1.0 - gains[best])
+        if value < least:
+            least, swap = value, (place, best)
+    if swap is not None:
+        chosen[swap[0]] = swap[1]
+    return swap is not None
+
+
+def _know(rows: Array, chosen: list[int]) -> Array:
+    """Return (1 + Σ RᵀR)⁻¹ of some candidates."""
+    some = rows[chosen].reshape(-1, rows.shape[-1])
+    return np.asarray(np.linalg.inv(np.eye(rows.shape[-1]) + some.T @ some))
+
+
+def _learn_in_turn(rows: Array, places: np.ndarray) -> list[Array]:
+    covariance, left = np.eye(rows.shape[-1]), []
+    for place in places:
+        covariance = _learn(covariance, rows[place])
+        left.append(covariance)
+    return left
 
 
 def _learn(covariance: Array, rows: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.experiments.calibration.audit.inputs import AuditInputs
+from bayescal.experiments.calibration.audit.outlook import Outlook
 from bayescal.experiments.calibration.audit.selection import Selection
 from bayescal.experiments.calibration.inputs import Variant
 from bayescal.experiments.calibration.knowledge import Knowledge
@@ -32,11 +33,13 @@ class Prospect:
     sd : ndarray, shape (m,)
         What remains of each free parameter's deviation, in its inner unit.
     knowledge : Knowledge
+    outlook : Outlook
     selection : Selection or None
     """
 
     sd: Array
     knowledge: Knowledge
+    outlook: Outlook
     selection: Selection | None
 
 
@@ -52,6 +55,7 @@ def tabulate(inputs: AuditInputs, found: Mapping[str, Prospect]) -> dict[str, pd
         "ridges": pd.DataFrame([row for variant, one in every for row in list_ridges(variant, one.knowledge)]),
         "next": pd.DataFrame([row for variant, one in every for row in list_next(variant, one.knowledge)]),
         "selected": pd.DataFrame([row for one in every for row in _list_selected(*one)]),
+        "pose_counts": pd.DataFrame([row for one in every for row in _list_counts(*one)]),
         "poses": pd.DataFrame(
             [{"pose": n, **_place(first, v)} for n, v in zip(first.data.poses, first.start, strict=True)]
         ),
@@ -73,6 +77,7 @@ def _describe(variant: Variant, one: Prospect, limits: Mapping[str, float]) -> d
         "left": float(np.sqrt(np.mean((known.after / known.before) ** 2))),
         "margin": min((row["margin"] for row in required), default=float("nan"), key=_worst),
         "met": all(row["met"] for row in required),
+        "probability": one.outlook.together if required else float("nan"),
     }
 
 
@@ -114,6 +119,11 @@ def _list_requirements(variant: Variant, one: Prospect, limits: Mapping[str, flo
                 "noise": known.noise[k],
                 "margin": 1.0 - error / limits[name],
                 "met": error <= limits[name],
+                "worst": one.outlook.worst[k],
+                **{f"worst_at_{c}": v for c, v in _place(variant, one.outlook.worst_pose[k]).items()},
+                "probability_before": one.outlook.before[k],
+                "probability": one.outlook.probability[k],
+                "probability_everywhere": one.outlook.everywhere[k],
             }
 
 
@@ -128,6 +138,30 @@ def _list_selected(variant: Variant, one: Prospect) -> Iterator[dict[str, Any]]:
             **_place(variant, pose),
             **dict(zip(names, after, strict=True)),
         }
+
+
+def _list_counts(variant: Variant, one: Prospect) -> Iterator[dict[str, Any]]:
+    """Return what every number of poses leaves of the error, chosen and at random, and what the last of them gained."""
+    chosen = one.selection
+    if chosen is None:
+        return
+    names = [f"{name}_{unit}" for name, unit in zip(one.knowledge.coordinates, one.knowledge.units, strict=True)]
+    size = _measure([one.knowledge.before, *chosen.curve], variant)
+    for k, (curve, random) in enumerate(zip(chosen.curve, chosen.random, strict=True)):
+        yield {
+            "variant": variant.name,
+            "n_poses": k + 1,
+            **{f"after_{name}": value for name, value in zip(names, curve, strict=True)},
+            **{f"random_{name}": value for name, value in zip(names, random, strict=True)},
+            "size": size[k + 1],
+            "gain": 1.0 - size[k + 1] / size[k],
+        }
+
+
+def _measure(errors: Sequence[Array], variant: Variant) -> list[float]:
+    """Return the size of errors (t,) of the tool, of its lengths only, as poses are chosen by it."""
+    n_lengths = max(1, variant.model.pose_units.count("mm"))
+    return [float(np.linalg.norm(one[:n_lengths])) for one in errors]
 
 
 def _place(variant: Variant, pose: Array) -> dict[str, float]:
@@ -147,6 +181,15 @@ def summarise(inputs: AuditInputs, tables: Mapping[str, pd.DataFrame]) -> dict[s
         "n_poses": next(iter(inputs.variants.values())).data.n_poses,
         "poses": config.poses.file or "random ones of the workspace",
         "candidates": None if selection is None else selection.candidates,
+        "selection": None if selection is None else selection.method,
+        "sensor_choice": _summarise_choice(inputs),
         "requirements": dict(config.requirements),
         "variants": {str(row.pop("variant")): plain(row) for row in tables["variants"].to_dict("records")},
     }
+
+
+def _summarise_choice(inputs: AuditInputs) -> dict[str, Any] | None:
+    asked = inputs.config.sensor_choice
+    if asked is None:
+        return None
+    return {"candidates": [one.name for one in inputs.choices], "always": asked.always}

@@ -6,10 +6,12 @@ from typing import Any
 
 import pandas as pd
 
+from bayescal.experiments.calibration.page import audit_figures as figures
+from bayescal.experiments.calibration.page.audit_sets import show_counts, show_sets
 from bayescal.experiments.calibration.page.audit_verdict import choose_best, state_headline, state_verdict
 from bayescal.experiments.calibration.page.build import VERDICT_LEVELS, show_accuracy, show_next, show_ridges
-from bayescal.experiments.calibration.page.verdict import list_rows, shown_in
-from bayescal.report.blocks import Cell, Column, Page, Section, make_section, make_table
+from bayescal.experiments.calibration.page.verdict import Asked, format_place, list_rows, name_unit, shown_in
+from bayescal.report.blocks import Cell, Column, Figure, Page, Section, make_section, make_table
 from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant
 
 KIND = "Audit of a calibration"
@@ -17,15 +19,17 @@ KIND = "Audit of a calibration"
 
 def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page:
     """Return the page of an experiment's tables."""
-    best = choose_best(tables)
+    best, asked = choose_best(tables), summary["units"]
     sections = [
         _show_variants(tables),
-        *_show_requirements(tables),
-        show_accuracy(tables),
-        _show_parameters(tables, best, summary["member"]),
+        *_show_requirements(tables, summary),
+        show_accuracy(tables, asked),
+        _show_parameters(tables, best, summary),
         *show_ridges(tables, best),
-        *show_next(tables, best),
-        *_show_selected(tables, best),
+        *show_sets(tables, summary),
+        *show_next(tables, best, asked),
+        *_show_selected(tables, best, asked),
+        *show_counts(tables, best, asked),
         _show_method(),
     ]
     return Page(
@@ -33,7 +37,7 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
         summary["experiment"],
         summary["title"],
         f"Computed before anything is measured: {summary['n_poses']} poses, {summary['poses']}",
-        state_headline(tables),
+        state_headline(tables, summary),
         tuple(state_verdict(tables, summary)),
         tuple(sections),
         (("Machine", str(summary["machine"])), ("Details of", _titles(tables)[best])),
@@ -79,34 +83,44 @@ def _show_variants(tables: dict[str, pd.DataFrame]) -> Section:
     return make_section("Which sensors", text, (make_table("Sets of sensors.", columns, rows),))
 
 
-def _show_requirements(tables: dict[str, pd.DataFrame]) -> list[Section]:
+def _show_requirements(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Section]:
     if "requirements" not in tables:
         return []
     titles, group = _titles(tables), "rms over the workspace"
     columns = [Column("Sensors", kind="text"), Column("Coordinate", kind="text"), Column("Unit", kind="text")]
     columns += [Column("Limit"), Column("before", group=group), Column("after", group=group)]
-    columns += [Column("of it noise", group=group), Column("Margin"), Column("Met", kind="text")]
+    columns += [Column("of it noise", group=group), Column("at the worst pose")]
+    columns += [Column("before", group="kept with probability"), Column("after", group="kept with probability")]
+    columns += [Column("everywhere", group="kept with probability"), Column("Margin"), Column("Met", kind="text")]
     rows: list[list[str | Cell]] = []
     for row in list_rows(tables["requirements"]):
-        factor, unit = shown_in(row["unit"])
-        numbers = [format_significant(factor * row[name]) for name in ("limit", "before", "error", "noise")]
+        factor, unit = shown_in(row["unit"], summary["units"])
+        numbers = [format_significant(factor * row[name]) for name in ("limit", "before", "error", "noise", "worst")]
+        chances = [format_percent(row[f"probability{part}"]) for part in ("_before", "", "_everywhere")]
         met = Cell("yes", "good") if row["met"] else Cell("no", "bad")
         margin = format_percent(row["margin"])
-        rows.append([titles[row["variant"]], str(row["coordinate"]), unit, *numbers, margin, met])
+        rows.append([titles[row["variant"]], str(row["coordinate"]), unit, *numbers, *chances, margin, met])
     text = (
         "Errors of where the machine stands, by its own sensors alone: by what is unknown of the parameters and by the "
-        "noise of one set of readings together.",
+        "noise of one set of readings together. At the worst pose: the largest standard deviation anywhere. The limit "
+        "is kept where a machine's rms over the workspace is within it; everywhere, where none of its poses exceeds "
+        "it: shares of machines drawn from what is unknown of them.",
     )
-    return [make_section("What is required", text, (make_table("Requirements.", columns, rows),))]
+    figure = Figure(
+        "requirements",
+        "Errors over their limits, before and after: rms over the workspace, and at the worst pose.",
+        lambda: figures.draw_requirements(tables["requirements"], titles),
+    )
+    return [make_section("What is required", text, (make_table("Requirements.", columns, rows),), (figure,), wide=True)]
 
 
-def _show_parameters(tables: dict[str, pd.DataFrame], best: str, member: str) -> Section:
+def _show_parameters(tables: dict[str, pd.DataFrame], best: str, summary: dict[str, Any]) -> Section:
     mine = tables["parameters"][tables["parameters"]["variant"] == best]
     columns = [Column("Parameter", kind="text"), Column("Unit", kind="text"), Column("beforehand")]
     columns += [Column("Deviation after"), Column("Contraction"), Column("Told", kind="text")]
     rows: list[list[str | Cell]] = []
     for row in list_rows(mine):
-        factor, unit = shown_in(row["unit"])
+        factor, unit = shown_in(row["unit"], summary["units"])
         rows.append(
             [
                 str(row["parameter"]),
@@ -118,44 +132,49 @@ def _show_parameters(tables: dict[str, pd.DataFrame], best: str, member: str) ->
             ]
         )
     text = (
-        f"A number in brackets is that of a {member}. Contraction is the part of the prior's variance that the "
-        "readings would remove: 0.75 halves the tolerance.",
+        f"A number in brackets is that of a {summary['member']}. Contraction is the part of the prior's variance that "
+        "the readings would remove: 0.75 halves the tolerance.",
     )
     caption = f"Parameters with “{_titles(tables)[best]}”."
-    return make_section("Parameters", text, (make_table(caption, columns, rows),))
+    figure = Figure(
+        "contraction",
+        "Contraction of every parameter with each set of sensors; at the line a tolerance is halved.",
+        lambda: figures.draw_contraction(tables["parameters"], _titles(tables)),
+    )
+    return make_section("Parameters", text, (make_table(caption, columns, rows),), (figure,))
 
 
-def _show_selected(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
+def _show_selected(tables: dict[str, pd.DataFrame], best: str, asked: Asked) -> list[Section]:
     if "selected" not in tables:
         return []
     mine = tables["selected"][tables["selected"]["variant"] == best].dropna(axis=1, how="all")
     names = [str(name) for name in mine.columns if name not in ("variant", "step")]
-    columns = [Column("Pose"), *(_make_column(name) for name in names)]
+    columns = [Column("Pose"), *(_make_column(name, asked) for name in names)]
     rows: list[list[str | Cell]] = [
         [
             str(row["step"]),
-            *(format_significant(row[n]) if n.startswith("after_") else _format_place(n, row[n]) for n in names),
+            *(_format(n, row[n], asked) for n in names),
         ]
         for row in list_rows(mine)
     ]
     text = (
-        "Chosen one by one: the pose that lowers the mean squared error over the workspace most, given all before it. "
-        "Beside each, what is then left of the error by unknown parameters.",
+        "In the order in which each lowers the mean squared error over the workspace most, given all before it. Beside "
+        "each, what is then left of the error by unknown parameters.",
     )
-    return (
-        [make_section("Poses to measure", text, (make_table("In the order chosen.", columns, rows),))] if rows else []
-    )
+    return [make_section("Poses to measure", text, (make_table("The poses chosen.", columns, rows),))] if rows else []
 
 
-def _make_column(name: str) -> Column:
-    stem, _, unit = name.rpartition("_")
+def _make_column(name: str, asked: Asked) -> Column:
+    stem = name.rpartition("_")[0]
     if stem.startswith("after_"):
-        return Column(stem.removeprefix("after_"), unit, group="rms then left")
-    return Column(stem, unit)
+        return Column(stem.removeprefix("after_"), name_unit(name, asked), group="rms then left")
+    return Column(stem, name_unit(name, asked))
 
 
-def _format_place(name: str, value: float) -> str:
-    return format_fixed(value, 0 if name.endswith("_mm") else 3)
+def _format(name: str, value: float, asked: Asked) -> str:
+    if not name.startswith("after_"):
+        return format_place(name, value, asked)
+    return format_significant(shown_in(name.rpartition("_")[2], asked)[0] * value)
 
 
 def _show_method() -> Section:

@@ -8,9 +8,12 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.experiments.calibration.page.verdict import Row, format_amount, list_rows, state_next
+from bayescal.experiments.calibration.page.audit_sets import state_counts, state_sets
+from bayescal.experiments.calibration.page.verdict import Asked, Row, format_amount, list_rows, state_next
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_percent, join_words
+
+LIKELY = 0.9  # probability, from which what is required counts as safely met
 
 
 def choose_best(tables: dict[str, pd.DataFrame]) -> str:
@@ -22,7 +25,7 @@ def choose_best(tables: dict[str, pd.DataFrame]) -> str:
     return str(min(rows, key=lambda row: row["left"] if math.isfinite(row["left"]) else math.inf)["variant"])
 
 
-def state_headline(tables: dict[str, pd.DataFrame]) -> str:
+def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> str:
     """Return with which sensors the machine meets what is required; else how well it would know where it stands."""
     rows = list_rows(tables["variants"])
     if "requirements" in tables:
@@ -33,7 +36,7 @@ def state_headline(tables: dict[str, pd.DataFrame]) -> str:
         return f"What is required is met with {join_words(met)}{others}."
     best = choose_best(tables)
     mine = [row for row in list_rows(tables["accuracy"]) if row["variant"] == best and math.isfinite(row["after"])]
-    words = [f"{row['coordinate']} to {format_amount(row['after'], row['unit'])}" for row in mine]
+    words = [f"{row['coordinate']} to {format_amount(row['after'], row['unit'], 2, summary['units'])}" for row in mine]
     title = next(row["title"] for row in rows if row["variant"] == best)
     if not words:
         return "The machine's own sensors do not tell where it stands."
@@ -43,28 +46,32 @@ def state_headline(tables: dict[str, pd.DataFrame]) -> str:
 def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Statement]:
     """Return what was found, the most important first."""
     best = choose_best(tables)
-    found = [*_state_requirements(tables), *_state_data(tables), *_state_ignorance(tables, summary["member"])]
-    return [*found, *state_next(tables, best), *_state_selected(tables, summary, best)]
+    found = [*_state_requirements(tables, summary), *_state_data(tables), *_state_ignorance(tables, summary["member"])]
+    found += [*state_sets(tables, summary), *state_next(tables, best, summary["units"])]
+    return [*found, *_state_selected(tables, summary, best), *state_counts(tables, best)]
 
 
-def _state_requirements(tables: dict[str, pd.DataFrame]) -> list[Statement]:
+def _state_requirements(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Statement]:
     if "requirements" not in tables:
         return [Statement("Nothing is required: [requirements] says what has to be met.", "plain", "Requirement")]
     titles = {row["variant"]: row["title"] for row in list_rows(tables["variants"])}
+    together = {row["variant"]: row["probability"] for row in list_rows(tables["variants"])}
     found = []
     for name, rows in groupby(list_rows(tables["requirements"]), key=lambda row: row["variant"]):
         mine = list(rows)
-        level: Level = "good" if all(row["met"] for row in mine) else "bad"
-        words = "; ".join(_compare(row) for row in mine)
-        found.append(Statement(f"“{titles[name]}”: {words}.", level, "Requirement"))
+        met, sure = all(row["met"] for row in mine), together[name] >= LIKELY
+        level: Level = "good" if met and sure else "warning" if met else "bad"
+        words = "; ".join(_compare(row, summary["units"]) for row in mine)
+        chance = f"; all of it with {format_percent(together[name])} probability" if together[name] >= 0.0 else ""
+        found.append(Statement(f"“{titles[name]}”: {words}{chance}.", level, "Requirement"))
     return found
 
 
-def _compare(row: Row) -> str:
-    limit = format_amount(row["limit"], row["unit"], 3)
+def _compare(row: Row, asked: Asked) -> str:
+    limit = format_amount(row["limit"], row["unit"], 3, asked)
     if not math.isfinite(row["error"]):
         return f"{row['coordinate']} is not told by the machine's own sensors"
-    words = f"{row['coordinate']} errs by {format_amount(row['error'], row['unit'], 3)} rms, {limit} allowed"
+    words = f"{row['coordinate']} errs by {format_amount(row['error'], row['unit'], 3, asked)} rms, {limit} allowed"
     if row["met"]:
         return f"{words}, {format_percent(row['margin'])} margin"
     if row["noise"] > row["limit"]:
@@ -119,8 +126,8 @@ def _state_selected(tables: dict[str, pd.DataFrame], summary: dict[str, Any], be
     if not mine:
         return []
     words = [
-        f"{name} to {format_amount(mine[-1][f'after_{name}_{row["unit"]}'], row['unit'])} "
-        f"({format_amount(row['after'], row['unit'])})"
+        f"{name} to {format_amount(mine[-1][f'after_{name}_{row["unit"]}'], row['unit'], 2, summary['units'])} "
+        f"({format_amount(row['after'], row['unit'], 2, summary['units'])})"
         for name, row in planned.items()
     ]
     return [

@@ -8,9 +8,12 @@ import pandas as pd
 
 from bayescal.experiments.calibration.page import figures
 from bayescal.experiments.calibration.page.verdict import (
+    Asked,
     Row,
     choose_best,
+    format_place,
     list_rows,
+    name_unit,
     shown_in,
     state_headline,
     state_verdict,
@@ -134,7 +137,7 @@ def _show_parameters(tables: dict[str, pd.DataFrame], best: str) -> Section:
     return make_section("Parameters", text, (make_table(caption, columns, rows),), (figure,))
 
 
-def show_accuracy(tables: dict[str, pd.DataFrame]) -> Section:
+def show_accuracy(tables: dict[str, pd.DataFrame], asked: Asked = None) -> Section:
     """Return how well each variant knows where the machine stands."""
     titles = dict(zip(tables["variants"]["variant"], tables["variants"]["title"], strict=True))
     columns = [Column("Variant", kind="text"), Column("Coordinate", kind="text"), Column("Unit", kind="text")]
@@ -142,7 +145,7 @@ def show_accuracy(tables: dict[str, pd.DataFrame]) -> Section:
     columns += [Column("noise of one reading", group="rms over the workspace")]
     rows: list[list[str | Cell]] = []
     for row in list_rows(tables["accuracy"]):
-        factor, unit = shown_in(row["unit"])
+        factor, unit = shown_in(row["unit"], asked)
         numbers = (format_significant(factor * row[name]) for name in ("before", "after", "noise"))
         rows.append([str(titles[row["variant"]]), str(row["coordinate"]), unit, *numbers])
     text = (
@@ -234,19 +237,19 @@ def _list_beside(row: Row) -> list[str | Cell]:
     ]
 
 
-def show_next(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
+def show_next(tables: dict[str, pd.DataFrame], best: str, asked: Asked = None) -> list[Section]:
     """Return the poses that promise most to a variant."""
     if "next" not in tables:
         return []
     mine = tables["next"][tables["next"]["variant"] == best].dropna(axis=1, how="all")
     names = [str(name) for name in mine.columns if name not in ("variant", "sensors", "gain")]
     columns = [Column("Sensors", kind="text")]
-    columns += [Column(name.rpartition("_")[0], name.rpartition("_")[2]) for name in names]
+    columns += [Column(name.rpartition("_")[0], name_unit(name, asked)) for name in names]
     columns += [Column("Mean squared error falls by")]
     rows: list[list[str | Cell]] = [
         [
             "all" if row["sensors"] == "all" else "the machine's own",
-            *(format_fixed(row[name], 0 if name.endswith("_mm") else 3) for name in names),
+            *(format_place(name, row[name], asked) for name in names),
             format_percent(row["gain"], 1),
         ]
         for row in list_rows(mine)

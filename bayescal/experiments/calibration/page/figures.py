@@ -25,7 +25,7 @@ def draw_parameters(parameters: pd.DataFrame, titles: dict[str, str]) -> Figure:
         axes.plot(
             place,
             remains,
-            "osD^vPX*"[k % 8],
+            "osD^vPX*p"[k % 9],
             color=LEG_COLOURS[k % 6],
             markersize=4.5,
             label=quote(title),

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
 
+from bayescal.numerics.units import ARCSECOND, MICROMETRE
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import (
     format_estimate,
@@ -26,8 +28,24 @@ COVERAGE, DOUBT = 0.90, 2.5  # what intervals should hold, and binomial deviatio
 MANY = 8
 FEW = 40  # held-back readings, from which little can be said of coverage
 TELLING = 0.01  # of the mean squared error; what promises less is no advice
+INNER = {"mm": "length", "rad": "angle"}
 SHOWN = {"mm": (1.0, "mm"), "rad": (1e3, "mrad")}
-"""Factor and unit in which values of a unit are shown."""
+"""Factor and unit in which values of a unit are shown where nothing else is said."""
+ASKED = {
+    "um": (1.0 / MICROMETRE, "µm"),
+    "mm": (1.0, "mm"),
+    "m": (1e-3, "m"),
+    "arcsec": (1.0 / ARCSECOND, "arcsec"),
+    "mrad": (1e3, "mrad"),
+    "deg": (math.degrees(1.0), "°"),
+    "rad": (1.0, "rad"),
+}
+"""The same of the units that a config may ask for, which inside are mm or rad."""
+PLACES = {"mm": 0, "um": 0, "arcsec": 0, "deg": 1, "mrad": 1}
+"""Decimals of coordinates that say where to measure."""
+
+type Asked = Mapping[str, str] | None
+"""The units of a config, ``length`` and ``angle``; None for `SHOWN`."""
 
 
 def list_rows(table: pd.DataFrame) -> list[Row]:
@@ -35,8 +53,10 @@ def list_rows(table: pd.DataFrame) -> list[Row]:
     return [{str(key): value for key, value in row.items()} for row in table.to_dict("records")]
 
 
-def shown_in(unit: str) -> tuple[float, str]:
-    """Return factor and name of the unit that values of an inner unit are shown in."""
+def shown_in(unit: str, asked: Asked = None) -> tuple[float, str]:
+    """Return factor and name of the unit that values of an inner unit are shown in: that of the config if asked for."""
+    if asked is not None and unit in INNER:
+        return ASKED[asked[INNER[unit]]]
     return SHOWN.get(unit, (1.0, "" if unit == "1" else unit))
 
 
@@ -75,10 +95,24 @@ def _row(table: pd.DataFrame, variant: str) -> Row:
     return list_rows(table[table["variant"] == variant])[0]
 
 
-def format_amount(value: float, unit: str, digits: int = 2) -> str:
+def format_amount(value: float, unit: str, digits: int = 2, asked: Asked = None) -> str:
     """Return a value of an inner unit with the unit it is shown in."""
-    factor, name = shown_in(unit)
-    return f"{format_significant(factor * value, digits)} {name}".rstrip()
+    factor, name = shown_in(unit, asked)
+    return f"{format_significant(factor * value, digits)} {name}".rstrip().replace(" °", "°")
+
+
+def format_place(column: str, value: float, asked: Asked = None) -> str:
+    """Return a coordinate of a column such as ``x_mm`` in the unit that places are shown in."""
+    unit = column.rpartition("_")[2]
+    if asked is None or unit not in INNER:
+        return format_fixed(value, 0 if unit == "mm" else 3)
+    return format_fixed(shown_in(unit, asked)[0] * value, PLACES.get(asked[INNER[unit]], 3))
+
+
+def name_unit(column: str, asked: Asked = None) -> str:
+    """Return the unit of a column such as ``x_mm`` as places are shown."""
+    unit = column.rpartition("_")[2]
+    return unit if asked is None or unit not in INNER else shown_in(unit, asked)[1]
 
 
 def _state_ranking(tables: dict[str, pd.DataFrame], summary: dict[str, Any], best: str) -> Statement:
@@ -205,7 +239,7 @@ def _state_beside(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]
     return found
 
 
-def state_next(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
+def state_next(tables: dict[str, pd.DataFrame], best: str, asked: Asked = None) -> list[Statement]:
     """Return where to measure next with each set of sensors, where that promises something."""
     if "next" not in tables:
         return []
@@ -216,7 +250,9 @@ def state_next(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
         if first["gain"] < TELLING:
             continue
         coordinates = [
-            _place(name, value) for name, value in first.items() if name not in ("variant", "sensors", "gain")
+            f"{name.rpartition('_')[0]} = {format_place(name, value, asked)} {name_unit(name, asked)}"
+            for name, value in first.items()
+            if name not in ("variant", "sensors", "gain")
         ]
         with_what = "with all sensors" if sensors == "all" else "with the machine's own sensors"
         found.append(
@@ -228,8 +264,3 @@ def state_next(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
             )
         )
     return found
-
-
-def _place(column: str, value: float) -> str:
-    name, _, unit = column.rpartition("_")
-    return f"{name} = {format_fixed(value, 0 if unit == 'mm' else 3)} {unit}"

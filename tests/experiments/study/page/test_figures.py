@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from functools import cache, partial
 from itertools import pairwise
 
 import numpy as np
@@ -54,6 +55,12 @@ def draw(page, name):
     return figure
 
 
+@pytest.fixture(scope="module")
+def drawn(page):
+    """Return the page's figures by name, each drawn once for all tests of this file."""
+    return cache(partial(draw, page))
+
+
 def list_texts(figure) -> list[str]:
     return [text.get_text() for axes in figure.axes for text in axes.texts]
 
@@ -72,8 +79,8 @@ def test_every_figure_is_drawn_without_a_warning(page):
 # --- bars of the errors ----------------------------------------------------------------------------------------------
 
 
-def test_bars_reach_the_largest_error_and_the_line_is_the_mean(page):
-    figure = draw(page, "errors_linear")
+def test_bars_reach_the_largest_error_and_the_line_is_the_mean(drawn):
+    figure = drawn("errors_linear")
     for axes, largest, mean in zip(figure.axes, (80.0, 40.0), (35.0, 25.0), strict=True):
         heights = [bar.get_height() for bar in axes.patches]  # calibration and verification of each model
         assert heights[4] == pytest.approx(largest)  # beam is the third model
@@ -90,8 +97,8 @@ def test_bars_reach_the_largest_error_and_the_line_is_the_mean(page):
     assert [axes.get_ylabel() for axes in figure.axes] == ["Position error (µm)", "Orientation error (mdeg)"]
 
 
-def test_all_deformations_have_the_same_axes(page):
-    figures = [draw(page, f"errors_{name}") for name in ("none", "linear", "matrix")]
+def test_all_deformations_have_the_same_axes(page, drawn):
+    figures = [drawn(f"errors_{name}") for name in ("none", "linear", "matrix")]
     for k in (0, 1):
         assert len({figure.axes[k].get_ylim() for figure in figures}) == 1
     assert figures[0].axes[0].get_ylim()[1] > 80
@@ -114,8 +121,8 @@ def test_without_verification_poses_there_is_one_bar_each(make_results):
 # --- the ranking as a figure -----------------------------------------------------------------------------------------
 
 
-def test_the_ranking_figure_has_a_row_per_variant_in_order(page):
-    figure = draw(page, "errors")
+def test_the_ranking_figure_has_a_row_per_variant_in_order(drawn):
+    figure = drawn("errors")
     labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert labels[:4] == ["stiffness/matrix", "6-PUS/matrix", "beam/matrix", "Jacobian/matrix"]
     assert len(labels) == 12
@@ -132,8 +139,8 @@ def test_the_ranking_figure_has_a_row_per_variant_in_order(page):
 
 
 @pytest.mark.parametrize("name", ["errors", "bounds", "errors_none", "model_error", "parameters", "hardpoints"])
-def test_tick_labels_and_numbers_do_not_cover_each_other(page, name):
-    figure = draw(page, name)
+def test_tick_labels_and_numbers_do_not_cover_each_other(drawn, name):
+    figure = drawn(name)
     for axes in figure.axes:
         rows = [label.get_window_extent() for label in axes.get_yticklabels() if label.get_text()]
         rows.sort(key=lambda box: box.y0)
@@ -146,8 +153,8 @@ def test_tick_labels_and_numbers_do_not_cover_each_other(page, name):
             assert not any(one.overlaps(other) for k, one in enumerate(texts) for other in texts[k + 1 :])
 
 
-def test_poses_beyond_their_bounds_are_counted(page, twelve):
-    texts = [text.get_text() for text in draw(page, "bounds").axes[0].texts]
+def test_poses_beyond_their_bounds_are_counted(drawn, twelve):
+    texts = [text.get_text() for text in drawn("bounds").axes[0].texts]
     names = twelve.ranking
     assert texts[names.index("beam/linear")] == "4 of 6 beyond, bound 6.5 µm"
     assert texts[names.index("beam/none")] == "1 of 6 beyond, bound 6.5 µm"
@@ -156,8 +163,8 @@ def test_poses_beyond_their_bounds_are_counted(page, twelve):
 # --- parameters and joints -------------------------------------------------------------------------------------------
 
 
-def test_parameters_show_the_first_of_the_best_models(page):
-    figure = draw(page, "parameters")
+def test_parameters_show_the_first_of_the_best_models(drawn):
+    figure = drawn("parameters")
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert labels == ["6-PUS/none", "6-PUS/linear", "6-PUS/matrix", "prior, central 90 %", "published"]
     means = [line for line in figure.axes[0].lines if line.get_marker() == "o"]
@@ -177,8 +184,8 @@ def test_moves_of_the_joints_are_measured_over_all_points(twelve):
     assert moves["six_pus/none"] == pytest.approx(3 * np.sqrt(5.0))
 
 
-def test_joints_have_a_mark_per_deformation(page, twelve):
-    figure = draw(page, "hardpoints")
+def test_joints_have_a_mark_per_deformation(drawn, twelve):
+    figure = drawn("hardpoints")
     joints = locate_joints(twelve.parameters[twelve.parameters["model_error"] == "free"])
     factor = find_magnification(joints)
     base = joints[(joints["point"] == "a") & joints["variant"].str.startswith("six_pus/")].set_index(["variant", "leg"])

@@ -1,0 +1,87 @@
+"""What a Python file beside a config imports from beside itself: other files that results depend on.
+
+They are found in its text, without importing anything: modules and packages next to the file, and what these import in
+turn, as far as all of it lies in the folder of the config. Installed modules of the same name go first, as everywhere.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.machinery import PathFinder
+from pathlib import Path
+
+
+def find_local_imports(path: Path, folder: Path) -> dict[str, Path]:
+    """Return the files that a file imports from beside itself, and these in turn, by their modules' names.
+
+    Parameters
+    ----------
+    path : Path
+        A Python file; one that cannot be read as such imports nothing here, and fails when it is imported.
+    folder : Path
+        Files elsewhere do not count.
+    """
+    root, folder = path.resolve().parent, folder.resolve()
+    found: dict[str, Path] = {}
+    waiting = [(path.resolve(), "")]
+    while waiting:
+        file, package = waiting.pop()
+        for name in _list_names(file, package):
+            for module, place in _locate(name, root):
+                if module not in found and place.is_relative_to(folder) and place != path.resolve():
+                    found[module] = place
+                    inside = module if place.name == "__init__.py" else module.rpartition(".")[0]
+                    waiting.append((place, inside))
+    return dict(sorted(found.items()))
+
+
+def _list_names(file: Path, package: str) -> Iterator[str]:
+    """Yield the dotted names that a file imports, wherever it does; those of members may be modules, too."""
+    try:
+        tree = ast.parse(file.read_bytes())
+    except (SyntaxError, ValueError, OSError):
+        return
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (one.name for one in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            parents = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            base = ".".join([*parents, *([node.module] if node.module else [])])
+            yield base
+            yield from (f"{base}.{one.name}" for one in node.names)
+
+
+def _locate(name: str, root: Path) -> Iterator[tuple[str, Path]]:
+    """Yield the modules of a dotted name that are files beside a root, its packages first."""
+    parts = name.split(".")
+    if not parts[0] or _is_installed(parts[0], root):
+        return
+    for n in range(1, len(parts) + 1):
+        place = root.joinpath(*parts[:n])
+        for file in (place / "__init__.py", place.with_suffix(".py")):
+            if file.is_file():
+                yield ".".join(parts[:n]), file.resolve()
+                break
+
+
+def _is_installed(top: str, root: Path) -> bool:
+    """Whether Python finds a module before it looks beside the root."""
+    if top in sys.stdlib_module_names or top in sys.builtin_module_names:
+        return True
+    elsewhere = [one for one in sys.path if Path(one or ".").resolve() != root]
+    return PathFinder.find_spec(top, elsewhere) is not None
+
+
+@contextmanager
+def import_from(root: Path, modules: dict[str, Path]) -> Iterator[None]:
+    """Let a file import from beside itself: what modules of these names were before, of other files, is forgotten."""
+    for name in modules:
+        sys.modules.pop(name, None)
+    sys.path.append(str(root))
+    try:
+        yield
+    finally:
+        sys.path.remove(str(root))

@@ -1,0 +1,34 @@
+"""What kinds of experiment on a machine of one function have in common: its class belongs to their identity."""
+
+from __future__ import annotations
+
+import os
+from abc import abstractmethod
+from pathlib import Path
+
+from bayescal.config.registry import hash_modules
+from bayescal.config.sections import ExperimentConfig
+from bayescal.experiments.frame.experiment import Experiment
+from bayescal.machines.read import find_machine_class, list_machine_sources
+
+
+class MachineExperiment[C: ExperimentConfig, I](Experiment[C, I]):
+    """A kind of experiment whose config names machines' files; these name the machines' classes."""
+
+    @abstractmethod
+    def machines(self, config: C) -> list[str]:
+        """Return the files of the machines, relative to the config's folder."""
+
+    def files(self, config: C, folder: Path) -> list[str]:
+        """Return the input files, the sources of machines' own classes among them."""
+        sources = [
+            os.path.normpath(Path(name).parent / one)
+            for name in self.machines(config)
+            for one in list_machine_sources(folder / name)
+        ]
+        return [*super().files(config, folder), *sources]
+
+    def modules(self, config: C, folder: Path) -> dict[str, str]:
+        """Return the hashes of installed modules that the machines' classes stand in."""
+        own = [find_machine_class(folder / name) for name in self.machines(config)]
+        return super().modules(config, folder) | hash_modules([one for one in own if one is not None])

@@ -1,0 +1,131 @@
+"""Sensors to choose from: sets agree with audits of the same sensors, searches with each other; counts of poses."""
+
+import html
+
+import calibrations
+import numpy as np
+import pytest
+
+from bayescal.errors import InputError
+from bayescal.experiments.calibration.audit.compute import _search_sets
+from bayescal.experiments.calibration.audit.inputs import read_audit
+from bayescal.experiments.calibration.audit.selection import select_poses
+from bayescal.experiments.calibration.audit.set_search import find_hopeless
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.run import run_experiment
+
+ALL = 'candidates = ["s", "cam_x", "cam_y", "height"]'
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return calibrations.write_audit(tmp_path).parent
+
+
+@pytest.fixture
+def read(folder):
+    """Return a function that reads the audit with sensors to choose from, and other changes."""
+
+    def read_changed(choice, *changes):
+        path = folder / "audit.toml"
+        original = path.read_text()
+        path.write_text(f"{original}\n[sensor_choice]\n{choice}\n")
+        for old, new in changes:
+            calibrations.change(path, old, new)
+        try:
+            return read_audit(load(path)[1], folder)
+        finally:
+            path.write_text(original)
+
+    return read_changed
+
+
+def names_of(inputs, found, place):
+    return [one.name for one, there in zip(inputs.choices, found.sets[place], strict=True) if there]
+
+
+def test_a_set_is_as_good_as_an_audit_of_the_same_sensors_says(folder, read, no_pictures):
+    path = folder / "audit.toml"
+    path.write_text(f"{path.read_text()}\n[sensor_choice]\n{ALL}\n")
+    done = run_experiment(load(path)[1], folder, folder / "out", quiet=True).results
+    sets, accuracy = done.table("sensor_sets").set_index("sensors"), done.table("requirements")
+    for variant, sensors in (("both", "s[1], s[2], s[3], cam_x, cam_y, height"), ("probe", "s[1], s[2], s[3], height")):
+        wanted = accuracy[accuracy["variant"] == variant]["error"]
+        np.testing.assert_allclose(sets.loc[sensors, ["error_x_mm", "error_y_mm", "error_z_mm"]], wanted, rtol=1e-6)
+    told = done.table("parameters")
+    told = told[told["variant"] == "both"].set_index("parameter")["sd"]
+    best = done.table("best_set_parameters")
+    best = best[best["n_sensors"] == 6].set_index("parameter")["sd"]
+    np.testing.assert_allclose(best, told[best.index], rtol=1e-6)
+    page = html.unescape((folder / "out" / "report.html").read_text()).replace("\xa0", " ")
+    assert "The fewest sensors that meet what is required: s[1], s[2], s[3], cam_x, cam_y and height, 6 of 6" in page
+    assert "the machine's own sensors of the set do not tell where it stands in use" in page
+
+
+def test_adding_and_exchanging_finds_the_best_of_all_sets(read):
+    every = _search_sets(read(ALL))
+    inputs = read(f"{ALL}\nexhaustive = 0")
+    some = _search_sets(inputs)
+    assert every.exhaustive
+    assert not some.exhaustive
+    for number in range(3, 7):
+        first, second = (found.best_of(number) for found in (every, some))
+        assert every.accuracy[first].goal == some.accuracy[second].goal
+    assert names_of(inputs, some, some.best_of(4)) == ["s[1]", "s[2]", "s[3]", "height"]
+
+
+def test_what_is_no_good_is_named_by_its_largest_sets(read):
+    inputs = read(ALL)
+    found = _search_sets(inputs)
+    hopeless = [names_of(inputs, found, k) for k in find_hopeless(found)]
+    assert [sorted({"s[1]", "s[2]", "s[3]"} - set(one)) for one in hopeless] == [["s[3]"], ["s[2]"], ["s[1]"]]
+    assert all(len(one) == 5 for one in hopeless)
+    bad = {tuple(row) for row, one in zip(found.sets, found.accuracy, strict=True) if one.reason}
+    parts = {tuple(row) for row in found.sets if any((row <= found.sets[k]).all() for k in find_hopeless(found))}
+    assert bad == parts
+
+
+def test_an_instrument_is_bought_whole_and_what_is_always_there_does_not_count(read):
+    inputs = read('candidates = [["cam_x", "cam_y"], "height"]\nalways = ["s"]')
+    found = _search_sets(inputs)
+    assert [one.name for one in inputs.choices] == ["cam_x + cam_y", "height"]
+    assert found.sets.tolist() == [[False, False], [True, False], [False, True], [True, True]]
+    assert [one.n_readings for one in found.accuracy] == [3, 5, 4, 6]
+    assert not any(one.reason for one in found.accuracy)
+
+
+def test_a_set_cannot_be_better_than_one_that_holds_it(read):
+    found = _search_sets(read(ALL))
+    goals = np.array([one.goal for one in found.accuracy])
+    for row, goal in zip(found.sets, goals, strict=True):
+        larger = (row <= found.sets).all(axis=1)
+        assert (goals[larger] <= goal * (1.0 + 1e-9)).all()
+
+
+REFUSED = {
+    "unknown": ('candidates = ["s", "cam_z"]', "sensor_choice: sensor 'cam_z': unknown here"),
+    "twice": ('candidates = ["s", "height"]\nalways = ["s"]', "found s\\[1\\] twice in candidates and always"),
+    "not told by all of them": ('candidates = ["cam_x", "cam_y"]', "found 2 readings, expected at least 3"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_faulty_choices_are_one_line(case, read):
+    choice, message = REFUSED[case]
+    with pytest.raises(InputError, match=message):
+        read(choice)
+
+
+def test_exchanged_poses_tell_more_and_curves_fall(read):
+    size = {}
+    for method in ("greedy", "exchange"):
+        inputs = read(ALL, ("candidates = 30", f'candidates = 30\nmethod = "{method}"'))
+        variant = inputs.variants["both"]
+        found = select_poses(inputs.config, variant, variant.posterior())
+        size[method] = np.linalg.norm(found.curve, axis=1)
+        np.testing.assert_allclose(found.after[-1], found.curve[-1], rtol=1e-9)
+        assert (np.diff(size[method]) < 0.0).all()
+        assert (np.linalg.norm(found.random, axis=1) > size[method]).all()
+        assert len(np.unique(found.pose, axis=0)) == 4
+    assert (size["exchange"] <= size["greedy"] * (1.0 + 1e-9)).all()
+    assert size["exchange"][-1] < 0.8 * size["greedy"][-1]
