@@ -7,6 +7,8 @@ ESS_TAIL_LIMIT = 400.0
 PARETO_K_LIMIT = 0.7
 AGREEMENT = 0.1
 """Largest difference of the two log-evidences, nats."""
+TEMPERED_LIMIT = 3.0
+"""Standard errors of the difference by which an evidence may miss that of its check by tempering."""
 
 # what an audit calls determined
 INFORMED = 0.75

@@ -217,6 +217,16 @@ class Posterior:
         total = total + self.coordinates.log_volume(theta)
         return total + self.coordinates.log_scale - np.log(scale).sum() - self.n_parameters * HALF_LOG_TWO_PI
 
+    def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
+        """Return draws of the prior in the coordinates, shape (n_draws, n); NaN where they are no coordinates."""
+        y = rng.standard_normal((n_draws, self.n_parameters))
+        normal, centre, scale = self._normal
+        theta = self.theta(np.where(self._standard, y, 0.0))
+        theta[:, self.coordinates.free[normal]] = centre + scale * y[:, : self.n_geometry][:, normal]
+        with np.errstate(invalid="ignore"):
+            y[:, : self.n_geometry] = self.coordinates.y_from_theta(theta)
+        return y
+
     def log_density(self, y: Array) -> Array:
         """Return log-likelihood plus log-prior, shape (B,), for coordinates (B, n); -inf where there is no machine."""
         with np.errstate(all="ignore"):  # far out numbers overflow; what is not finite has no density

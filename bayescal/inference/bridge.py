@@ -65,7 +65,7 @@ def estimate_by_bridge(
     log_l2 = evaluate_in_batches(log_density, proposed) - proposal.log_density(proposed)
     effective = _effective_size(density)
     offset = float(np.median(log_l1))
-    log_r, converged = _iterate(log_l1 - offset, log_l2 - offset, effective)
+    log_r, converged = iterate_bridge(log_l1 - offset, log_l2 - offset, effective)
     if not np.isfinite(log_r):
         raise NumericalError("bridge sampling: the estimate is not finite, the proposal misses the posterior")
     share = effective / (effective + n_proposal)
@@ -101,7 +101,7 @@ def _effective_size(density: Array) -> float:
     return float(min(array_stats.ess(chains, method="mean"), chains.size))
 
 
-def _iterate(log_l1: Array, log_l2: Array, effective: float) -> tuple[float, bool]:
+def iterate_bridge(log_l1: Array, log_l2: Array, effective: float) -> tuple[float, bool]:
     """Return the fixed point of the optimal bridge and whether it was reached."""
     n1, n2 = effective, float(len(log_l2))
     log_s1, log_s2 = np.log(n1 / (n1 + n2)), np.log(n2 / (n1 + n2))

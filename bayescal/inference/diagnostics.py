@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.limits import ESS_BULK_LIMIT, ESS_TAIL_LIMIT, RHAT_LIMIT
+from bayescal.limits import ESS_BULK_LIMIT, ESS_TAIL_LIMIT, RHAT_LIMIT, TEMPERED_LIMIT
 from bayescal.numerics.geometry import Array
+
+LEAST_ERROR = 0.01  # nats; a few runs tell no smaller standard error
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,3 +49,24 @@ def diagnose(draws: Array) -> Diagnostics:
         ess_bulk=np.asarray(array_stats.ess(walker_by_walker), dtype=np.float64),
         ess_tail=np.asarray(array_stats.ess(walker_by_walker, method="tail", prob=(0.05, 0.95)), dtype=np.float64),
     )
+
+
+def list_check_problems(evidence: tuple[float, float], check: tuple[float, float], settled: bool) -> list[str]:
+    """Return what a check by tempering says against a log-evidence, in words; empty where they agree.
+
+    Parameters
+    ----------
+    evidence, check : pair of float
+        Both log-evidences with their standard errors.
+    settled : bool
+        Whether the chains of the check did.
+    """
+    problems = [] if settled else ["the chains of the check by tempering did not settle"]
+    error = max(float(np.hypot(evidence[1], check[1])), LEAST_ERROR)
+    apart = abs(evidence[0] - check[0]) / error
+    if not apart <= TEMPERED_LIMIT:
+        problems.append(
+            f"log-evidence {evidence[0]:.3f} ± {evidence[1]:.3f}, by tempering {check[0]:.3f} ± {check[1]:.3f}: "
+            f"{apart:.1f} standard errors apart, limit {TEMPERED_LIMIT:g}"
+        )
+    return problems

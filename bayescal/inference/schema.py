@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -19,11 +19,15 @@ class SamplerConfig(Section):
 
 
 class EvidenceConfig(Section):
-    """Effort of the evidence estimators; importance sampling goes on until its standard error is small enough."""
+    """Effort of the evidence estimators; importance sampling goes on until its standard error is small enough.
+
+    On demand each evidence is checked by tempering, which owes nothing to the search for modes.
+    """
 
     draws: Annotated[int, Field(ge=1000)] = 20_000
     max_draws: Annotated[int, Field(ge=1000)] = 100_000
     target_error: Positive = 0.01
+    check: Literal["tempered"] | None = Field(default=None, exclude_if=lambda value: value is None)
 
     @model_validator(mode="after")
     def _check_order(self) -> Self:

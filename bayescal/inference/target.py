@@ -9,7 +9,24 @@ import numpy as np
 from bayescal.numerics.geometry import Array
 
 
-class Target(Protocol):
+class Prospect(Protocol):
+    """What tempering needs: a prior to draw from, in coordinates y of n entries, and what the data make of it."""
+
+    @property
+    def n_parameters(self) -> int:
+        """Number n of coordinates."""
+
+    def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
+        """Return draws of the prior, shape (n_draws, n); NaN where there are no coordinates, which have no density."""
+
+    def log_prior(self, y: Array) -> Array:
+        """Return the log-prior in the coordinates, (B, n) to (B,), normalised over y and what has no coordinates."""
+
+    def log_density(self, y: Array) -> Array:
+        """Return log-likelihood plus log-prior, (B, n) to (B,), -inf where there is no machine."""
+
+
+class Target(Prospect, Protocol):
     """A posterior in sampling coordinates y of n entries, first those of the geometry, then those of model errors.
 
     The geometry's coordinates are in units of the prior standard deviations; zero is the machine as expected. Each of N

@@ -161,6 +161,10 @@ class CalibrationPosterior:
         """Return the log-likelihood of each pose's readings, (B, n) to (B, P)."""
         return self.likelihood.pointwise(self.theta(y), *self.deviations(y))
 
+    def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
+        """Return draws of the prior in the coordinates, shape (n_draws, n)."""
+        return rng.standard_normal((n_draws, self.n_parameters))
+
     def log_density(self, y: Array) -> Array:
         """Return log-likelihood plus log-prior, (B, n) to (B,), -inf where there is no machine."""
         with np.errstate(all="ignore"):

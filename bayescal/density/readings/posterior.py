@@ -113,6 +113,10 @@ class SelfCalibrationPosterior:
         """Return the log-prior in the coordinates, (B, n) to (B,)."""
         return np.asarray(-0.5 * np.einsum("...i,...i->...", y, y) - self.n_parameters * HALF_LOG_TWO_PI)
 
+    def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
+        """Return draws of the prior in the coordinates, shape (n_draws, n)."""
+        return rng.standard_normal((n_draws, self.n_parameters))
+
     def log_density(self, y: Array) -> Array:
         """Return log-likelihood plus log-prior, (B, n) to (B,), -inf where there is no machine."""
         with np.errstate(all="ignore"):

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from bayescal.inference.bridge import BridgeEvidence, estimate_by_bridge
-from bayescal.inference.diagnostics import Diagnostics
+from bayescal.inference.diagnostics import Diagnostics, list_check_problems
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.inference.target import Target
+from bayescal.inference.tempered import TemperedEvidence, estimate_by_tempering
 from bayescal.limits import AGREEMENT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
@@ -37,6 +38,8 @@ class Estimate:
     importance : ImportanceEvidence
     bridge : BridgeEvidence
     modes_converged : bool
+    check : TemperedEvidence or None
+        Where the config asks for it.
     """
 
     natural: Array
@@ -46,6 +49,7 @@ class Estimate:
     importance: ImportanceEvidence
     bridge: BridgeEvidence
     modes_converged: bool
+    check: TemperedEvidence | None
 
     @property
     def log_evidence(self) -> float:
@@ -72,6 +76,9 @@ class Estimate:
         gap = abs(self.importance.log_evidence - self.bridge.log_evidence)
         if not gap <= AGREEMENT:
             problems.append(f"the two log-evidences differ by {gap:.2f}, limit {AGREEMENT}")
+        if self.check is not None:
+            own, check = (self.log_evidence, self.log_evidence_se), self.check
+            problems += list_check_problems(own, (check.log_evidence, check.standard_error), check.mixed)
         return problems
 
     def describe_evidence(self) -> dict[str, Any]:
@@ -81,6 +88,7 @@ class Estimate:
             "log_evidence_se": self.log_evidence_se,
             "log_evidence_importance": self.importance.log_evidence,
             "log_evidence_bridge": self.bridge.log_evidence,
+            **({} if self.check is None else {"log_evidence_tempered": self.check.log_evidence}),
             "efficiency": self.importance.efficiency,
             "pareto_k": self.importance.pareto_k,
         }
@@ -133,4 +141,12 @@ def estimate_posterior(
         importance,
         bridge,
         all(mode.converged for mode in found.modes),
+        _check(posterior, seed, name, effort),
     )
+
+
+def _check(posterior: Target, seed: int, name: str, effort: EvidenceConfig) -> TemperedEvidence | None:
+    """Return the evidence by tempering where it is asked for."""
+    if effort.check is None:
+        return None
+    return estimate_by_tempering(posterior, np.random.SeedSequence([seed, zlib.crc32(f"{name}-tempered".encode())]))

@@ -17,6 +17,7 @@ from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.exploration import Exploration, count_walkers, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
+from bayescal.inference.tempered import estimate_by_tempering
 from bayescal.numerics.geometry import Array
 
 KEPT_DRAWS = 1920  # of each ensemble, for everything after the diagnostics
@@ -131,7 +132,17 @@ def _sample(
         "draws": posterior.natural(kept),
         "log_density": density[:, :, ::keep].reshape(sampler.ensembles, -1),
         **_evaluate(inputs, task, posterior, kept, predict_seed),
+        **_check(inputs, task, posterior),
     }
+
+
+def _check(inputs: StudyInputs, task: Task, posterior: Posterior) -> Arrays:
+    """Return the evidence by tempering where the config asks for it; its random numbers are its own."""
+    if inputs.config.evidence.check is None:
+        return {}
+    seed = np.random.SeedSequence([inputs.config.seed, zlib.crc32(f"{task.key}-tempered".encode())])
+    found = estimate_by_tempering(posterior, seed)
+    return {"tempered": np.array([found.log_evidence, found.standard_error, float(found.mixed)])}
 
 
 def _evaluate(

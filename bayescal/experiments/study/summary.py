@@ -12,7 +12,7 @@ import numpy as np
 from bayescal.density.prediction import Prediction, compute_elpd
 from bayescal.experiments.study.fit import Arrays, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.inference.diagnostics import Diagnostics
+from bayescal.inference.diagnostics import Diagnostics, list_check_problems
 from bayescal.limits import AGREEMENT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
@@ -108,6 +108,7 @@ def summarise_fit(
         "log_evidence_methods": {"importance": float(importance[0]), "bridge": float(bridge[0])},
         "log_evidence_method_se": {"importance": float(importance[1]), "bridge": float(bridge[1])},
         "log_evidence_primary": "importance" if trusted else "bridge",
+        **_describe_check(arrays),
         "log_evidence_agrees": bool(abs(importance[0] - bridge[0]) <= AGREEMENT),
         "importance": {"efficiency": efficiency, "pareto_k": pareto_k, "n_draws": int(n_draws)},
         "elpd_loo": loo.elpd,
@@ -142,7 +143,20 @@ def list_problems(arrays: Arrays) -> list[str]:
     gap = abs(float(arrays["importance"][0] - arrays["bridge"][0]))
     if not gap <= AGREEMENT:
         problems.append(f"the two log-evidences differ by {gap:.2f}, limit {AGREEMENT}")
+    if "tempered" in arrays:
+        trusted = arrays["importance_quality"][1] <= PARETO_K_LIMIT
+        value, se, settled = (float(x) for x in arrays["tempered"])
+        own, own_se = (float(x) for x in arrays["importance" if trusted else "bridge"])
+        problems += list_check_problems((own, own_se), (value, se), bool(settled))
     return problems
+
+
+def _describe_check(arrays: Arrays) -> dict[str, Any]:
+    """Return what the check by tempering found; nothing where none was asked for."""
+    if "tempered" not in arrays:
+        return {}
+    value, se, settled = (float(x) for x in arrays["tempered"])
+    return {"log_evidence_check": {"method": "tempered", "log_evidence": value, "se": se, "settled": bool(settled)}}
 
 
 def summarise_errors(prediction: Prediction) -> dict[str, Any]:

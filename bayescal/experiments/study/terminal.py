@@ -41,8 +41,17 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
     for name in summary["ranking"]:
         fit = summary["variants"][name]
         for setting, one in (("", fit), (" without model error", fit["without_model_error"])):
+            if "log_evidence_check" in one:
+                console.print(_describe_check(f"{name}{setting}", one))
             for problem in one["problems"]:
                 console.print(f"NOT CONVERGED {name}{setting}: {problem}")
+
+
+def _describe_check(name: str, fit: Mapping[str, Any]) -> str:
+    """Return both log-evidences of a posterior that was checked by tempering."""
+    own = format_estimate(fit["log_evidence"], fit["log_evidence_se"], 3)
+    check = fit["log_evidence_check"]
+    return f"checked {name}: log-evidence {own}, by tempering {format_estimate(check['log_evidence'], check['se'], 3)}"
 
 
 def _format_size(size: float | None) -> str:

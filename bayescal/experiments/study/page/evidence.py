@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from bayescal.experiments.study.page.checks import format_factor, measure_gap
 from bayescal.experiments.study.page.results import SHORT_SETTINGS, StudyResults
 from bayescal.experiments.study.page.variants import VARIANT, label_variant
 from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
 from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
-from bayescal.report.numbers import count_decimals, format_count, format_estimate, format_fixed
+from bayescal.report.numbers import NOTHING, count_decimals, format_count, format_estimate, format_fixed
 
 
 def format_evidence(value: float, se: float) -> str:
@@ -28,6 +31,9 @@ def tabulate_evidence(results: StudyResults) -> Table:
         Column("Pareto k", f"limit {PARETO_K_LIMIT}", "Importance sampling"),
         Column("Reported", kind="text"),
     ]
+    checked = any("log_evidence_check" in fit for _, _, fit in results.fits())
+    if checked:
+        columns.append(Column("tempering", "nat", "Checked by"))
     rows = []
     for name, setting, fit in results.fits():
         methods, errors, quality = fit["log_evidence_methods"], fit["log_evidence_method_se"], fit["importance"]
@@ -42,9 +48,14 @@ def tabulate_evidence(results: StudyResults) -> Table:
                 format_fixed(100 * quality["efficiency"], 0),
                 _limited(quality["pareto_k"], quality["pareto_k"] <= PARETO_K_LIMIT, 2),
                 fit["log_evidence_primary"],
+                *([_format_check(fit.get("log_evidence_check"))] if checked else []),
             ]
         )
     return make_table("The log-evidence of every posterior by two independent estimators.", columns, rows)
+
+
+def _format_check(check: Mapping[str, Any] | None) -> str:
+    return NOTHING if check is None else format_evidence(check["log_evidence"], check["se"])
 
 
 def _limited(value: float, fine: bool, decimals: int) -> Cell:
