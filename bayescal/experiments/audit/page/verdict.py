@@ -9,18 +9,16 @@ from typing import Any
 from bayescal.experiments.audit.page.results import AuditResults, Change, Requirement, Ridge
 from bayescal.experiments.audit.page.wording import (
     count,
-    format_contraction,
     format_probability,
     format_range,
     format_share,
-    list_names,
     name_requirement,
     say,
     say_most,
 )
 from bayescal.limits import DEAD
 from bayescal.report.blocks import Level, Statement
-from bayescal.report.numbers import format_count, format_fixed, join_words
+from bayescal.report.numbers import format_count, format_fixed, format_significant, join_words
 
 KEPT = 0.95  # probability from which on a requirement counts as kept
 UNLIKELY = 0.5
@@ -29,6 +27,7 @@ WORTH_SHARE = 0.9  # of the worst predicted sd; a change that leaves more is not
 FIXING_COSTS = 1.25  # growth of a predicted sd from which on fixing the rest is not cheap
 OFF = 3.0  # standard errors of a ratio of simulated to predicted sd
 OFF_SHARE = 0.1
+SIMULATED_LEAD = "Simulated calibrations"
 AGREED_DEG = 10.0  # principal angle between the ridges from draws and from information
 
 
@@ -81,46 +80,68 @@ def list_failures(results: AuditResults) -> list[Statement]:
 def state_verdict(results: AuditResults) -> list[Statement]:
     """Return the sentences below the headline."""
     return [
-        *_state_selection(results),
-        *_state_harm(results),
-        *_state_fixing(results),
+        *_state_freedom(results),
         *_state_requirements(results),
+        *_state_harm(results),
         *_state_help(results),
         *_state_special_case(results),
         *_state_simulated(results),
         *_state_posterior(results),
+        *_state_reduced(results),
     ]
 
 
 # --- what to free, and what stays hidden -----------------------------------------------------------------------------
 
 
-def split_recommended(results: AuditResults) -> tuple[list[str], list[str]]:
-    """Return symbols to free and symbols to fix, in the order of the layout."""
-    by_symbol = results.parameters.groupby("symbol", sort=False)["recommended"].all()
+def split_reduced(results: AuditResults) -> tuple[list[str], list[str]]:
+    """Return symbols of the reduced set and all others, in the order of the layout."""
+    by_symbol = results.parameters.groupby("symbol", sort=False)["in_reduced_set"].all()
     return [s for s in results.symbols if by_symbol[s]], [s for s in results.symbols if not by_symbol[s]]
 
 
-def _state_selection(results: AuditResults) -> list[Statement]:
-    free, fixed = split_recommended(results)
-    if not free:
-        text = "Free nothing: no symbol is determined on all legs, even with all others fixed at nominal."
-        return [Statement(text, "bad", "What to free")]
-    n = int(results.parameters["recommended"].sum())
-    if not fixed:
-        return [
-            Statement(f"Free everything: all {count(n, 'parameter')} are determined together.", "good", "What to free")
-        ]
-    taken = [step for step in results.summary["selection"] if step["taken"]]
-    least = f" (least contraction {format_contraction(taken[-1]['contraction'])})" if taken else ""
+def _state_freedom(results: AuditResults) -> list[Statement]:
+    """Say what to free: everything, always."""
+    n, known, lead = len(results.parameters), results.n_identifiable, "What to free"
+    if known == n:
+        return [Statement(f"Everything: all {count(n, 'parameter')} are determined together.", "good", lead)]
     text = (
-        f"Free {join_words(free)}, {count(n, 'parameter')} that are determined together{least}; fix "
-        f"{join_words(fixed)} at nominal."
+        f"Everything: all {count(n, 'parameter')}, each with its tolerance as prior, which holds what the poses do not"
     )
-    extra = results.summary["could_also_be_freed"]
-    if extra:
-        text += f" On single legs more could be freed: {list_names(extra)}."
-    return [Statement(text, "good", "What to free")]
+    return [Statement(f"{text} tell.", "good", lead)]
+
+
+def _state_reduced(results: AuditResults) -> list[Statement]:
+    """Say what a reduced set claims, and how far it is off; nothing where nothing would be left out."""
+    free, others = split_reduced(results)
+    reduced = results.summary["reduced_set"]
+    if reduced is None or not others:
+        return []
+    n = int(results.parameters["in_reduced_set"].sum())
+    text = (
+        f"For reproductions only: {join_words(free)}, {count(n, 'parameter')}, are determined together where "
+        f"{join_words(others)} are truly nominal. Off by their tolerances these bend the estimates: the true error is "
+        f"{format_significant(reduced['rms_z'], 2)} times the claimed standard deviation (rms), and 90 % intervals "
+        f"hold {format_share(reduced['coverage_90'])} of the true values."
+    )
+    cost = _describe_cost(results)
+    return [Statement(f"{text} {cost}".strip(), "warning", "Reduced set")]
+
+
+def _describe_cost(results: AuditResults) -> str:
+    """Say what it does to the pose that the rest is taken for nominal; nothing where nothing is required."""
+    if not results.requirements:
+        return ""
+    worst = max(results.requirements, key=lambda r: r.reduced_sd / r.limit)
+    factor = max(r.reduced_sd / r.predicted_sd for r in results.requirements)
+    shares = (
+        f"({name_requirement(worst.name)}: {format_share(worst.reduced_sd / worst.limit)} of the limit in place of "
+        f"{format_share(worst.predicted_sd / worst.limit)}, probability to keep it "
+        f"{format_probability(worst.reduced_probability)})"
+    )
+    if factor < FIXING_COSTS:
+        return f"The pose hardly suffers {shares}."
+    return f"The pose becomes up to {format_fixed(factor, 1)} times as uncertain {shares}."
 
 
 def find_worst(results: AuditResults) -> Ridge | None:
@@ -158,27 +179,6 @@ def _state_harm(results: AuditResults) -> list[Statement]:
     if len(matter) == len(results.ridges):
         text = text.replace("; the others are harmless", "")
     return [Statement(text, level, lead)]
-
-
-def _state_fixing(results: AuditResults) -> list[Statement]:
-    """Say what it does to the pose that the rest is taken for nominal; nothing where nothing is fixed or required."""
-    free, fixed = split_recommended(results)
-    if not (free and fixed and results.requirements):
-        return []
-    worst = max(results.requirements, key=lambda r: r.reduced_sd / r.limit)
-    factor = max(r.reduced_sd / r.predicted_sd for r in results.requirements)
-    shares = f"{format_share(worst.predicted_sd / worst.limit)} to {format_share(worst.reduced_sd / worst.limit)}"
-    name = name_requirement(worst.name)
-    if factor < FIXING_COSTS:
-        text = f"Taking the rest for nominal hardly costs: tightest is {name}, whose predicted sd goes from {shares}."
-        return [Statement(text.replace(" to ", " of the limit to ", 1), "good", "What fixing costs")]
-    level: Level = "bad" if worst.reduced_probability < KEPT <= worst.probability else "warning"
-    text = (
-        f"Taking the rest for nominal makes the pose up to {format_fixed(factor, 1)} times as uncertain ({name}: from "
-        f"{shares} of the limit, probability to keep it {format_probability(worst.reduced_probability)}). What the "
-        "poses do not tell apart still moves them: calibrate with everything free within its tolerance instead."
-    )
-    return [Statement(text, level, "What fixing costs")]
 
 
 # --- requirements ----------------------------------------------------------------------------------------------------
@@ -339,28 +339,42 @@ def _state_special_case(results: AuditResults) -> list[Statement]:
 
 
 def _state_simulated(results: AuditResults) -> list[Statement]:
-    leads = {
-        "simulated_calibrations": "Simulated calibrations",
-        "simulated_calibrations_recommended": "Of what to free",
-    }
-    there = {lead: results.summary.get(key) for key, lead in leads.items()}
-    return [_judge_simulated(lead, found) for lead, found in there.items() if found is not None and found["symbols"]]
+    """Say whether simulated calibrations with everything free bear the predictions out."""
+    simulated = results.summary.get("simulated_calibrations")
+    if simulated is None or not simulated["symbols"]:
+        return []
+    return [_judge_simulated(simulated), *_judge_kept(simulated)]
 
 
-def _judge_simulated(lead: str, simulated: dict[str, Any]) -> Statement:
+def _judge_simulated(simulated: dict[str, Any]) -> Statement:
     ratios = {s: v["ratio"] for s, v in simulated["symbols"].items()}
     off = [symbol for symbol, values in simulated["symbols"].items() if is_off(values["ratio"], values["ratio_se"])]
-    made = f"{simulated['n_converged']} of {simulated['n']} simulated calibrations converged"
+    made = f"{simulated['n_converged']} of {simulated['n']} simulated calibrations with everything free converged"
     span = format_range(list(ratios.values()), _two)
+    held = f"their 90 % intervals hold {format_share(simulated['coverage_90'])} of the true values"
     if not off:
-        text = f"{made}; their scatter bears the predicted standard deviations out (ratio {span})."
+        text = f"{made}; {held}, and their errors bear the predicted standard deviations out (ratio {span})."
         level: Level = "good" if simulated["n_converged"] == simulated["n"] else "warning"
-        return Statement(text, level, lead)
+        return Statement(text, level, SIMULATED_LEAD)
     text = (
-        f"{made}; the scatter of {join_words(off)} is not the predicted one (ratio {span} over all symbols): the "
-        "linear prediction does not hold there."
+        f"{made}; {held}, but the errors of {join_words(off)} are not the predicted ones (ratio {span} over all "
+        "symbols): the linear prediction does not hold there."
     )
-    return Statement(text, "warning", lead)
+    return Statement(text, "warning", SIMULATED_LEAD)
+
+
+def _judge_kept(simulated: dict[str, Any]) -> list[Statement]:
+    """Warn where calibrated machines keep a requirement more or less often than is claimed."""
+    off = {name: one for name, one in simulated["requirements"].items() if not one["agrees"]}
+    words = [
+        f"{name_requirement(name)} ({one['kept']} of {one['n']}, expected {one['expected_low']} to "
+        f"{one['expected_high']})"
+        for name, one in off.items()
+    ]
+    if not words:
+        return []
+    text = f"Calibrated machines do not keep {join_words(words)} as often as is claimed."
+    return [Statement(text, "warning", "Requirements, simulated")]
 
 
 def is_off(ratio: float, se: float) -> bool:
