@@ -62,9 +62,7 @@ def audit(
 @app.command(epilog="Example: bayescal check experiments/telescope/study.toml --variant six_pus/matrix")
 def check(
     study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="Config of the study.")],
-    variant: Annotated[
-        list[str] | None, typer.Option(help="Variant to check, again for more; default the best.")
-    ] = None,
+    variant: Annotated[list[str] | None, typer.Option(help="Variant to check; default the best by evidence.")] = None,
     data_sets: Annotated[int | None, typer.Option(min=20, help="Simulated of priors and posterior each.")] = None,
     out: Out = None,
     seed: Seed = None,

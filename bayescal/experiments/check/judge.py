@@ -26,7 +26,8 @@ def judge_ranks(whence: str, names: tuple[str, ...], rank: Array, z: Array, qual
     held, error = measure_coverage(rank)
     rms = float(np.sqrt(np.mean(z**2)))
     poor = float(np.mean(quality[:, 1] > PARETO_K_LIMIT))
-    said = f"90 % intervals hold {100 * held:.1f} ± {100 * error:.1f} % of the truth, estimates are off by {rms:.2f} sd (rms)"
+    said = f"90 % intervals hold {100 * held:.1f} ± {100 * error:.1f} % of the truth"
+    said += f", estimates are off by {rms:.2f} sd (rms)"
     said += f", in {len(rank)} of {n} data sets" if len(rank) < n else f", in {n} data sets"
     said += f"; in {100 * poor:.0f} % of them ensembles took over from importance sampling" if poor else ""
     off = abs(held - COVERAGE) > max(OFF * error, OFF_SHARE)

@@ -29,8 +29,7 @@ def look_at_data(task: tuple[Subject, int, int]) -> Look:
     subject, n_draws, seed = task
     draw_seed, mode_seed, derivative_seed = np.random.SeedSequence([seed, 1]).spawn(3)
     posterior = subject.posterior
-    nominal = np.array([prior.mean for prior in posterior.all_priors().values()])
-    findings = [check_derivatives(subject, nominal, np.random.default_rng(derivative_seed)), check_slips(subject)]
+    findings = [check_derivatives(subject, np.random.default_rng(derivative_seed)), check_slips(subject)]
     nothing = np.empty((0, posterior.n_parameters))
     if any(one.fault in GRAVEST for one in findings):
         return findings, nothing

@@ -40,9 +40,9 @@ NAMES = {
 METHOD = (
     (
         "Are priors, model and sampling consistent?",
-        "Machines are drawn from the priors, measured to the study's own plan with its stated noise, and fitted as the "
-        "study fits; the rank of each true parameter among the draws of its posterior is then uniform (simulation-based "
-        "calibration).",
+        "Machines are drawn from the priors, measured to the study's own plan with its stated noise, and fitted as "
+        "the study fits; the rank of each true parameter among the draws of its posterior is then uniform "
+        "(simulation-based calibration).",
     ),
     (
         "Also near the machine that was measured?",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,6 +60,10 @@ class Subject:
         tau = natural[n:] if len(natural) > n else np.zeros(1)
         return theta, np.broadcast_to(tau, (posterior.likelihood.n_legs,)).copy()
 
+    def with_poses(self, poses: MeasuredPoses) -> Subject:
+        """Return the same variant as if other poses had been measured."""
+        return Subject(replace(self.measured, poses=poses, posterior=self.posterior_of(poses)))
+
     def draw_prior(self, rng: np.random.Generator) -> Array:
         """Return parameters and model errors drawn from their priors, natural units, shape (n,)."""
         posterior = self.posterior
@@ -74,8 +78,10 @@ class Subject:
         errors = 0.0 if scale is None else scale
         return np.concatenate([values, np.abs(rng.normal(0.0, errors, posterior.n_parameters - len(values)))])
 
-    def simulate_from_prior(self, rng: np.random.Generator) -> tuple[Array, MeasuredPoses]:
-        """Return a truth drawn from the priors and what would be measured of it.
+    def simulate_from_prior(
+        self, rng: np.random.Generator, with_model_error: bool = True
+    ) -> tuple[Array, MeasuredPoses]:
+        """Return a truth drawn from the priors, or one without model error, and what would be measured of it.
 
         Raises
         ------
@@ -84,6 +90,7 @@ class Subject:
         """
         for _ in range(TRIES):
             truth = self.draw_prior(rng)
+            truth[self.posterior.n_geometry :] *= with_model_error
             poses = self.simulate(truth, rng)
             if poses is not None:
                 return truth, poses

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
@@ -81,7 +83,8 @@ def _explain(likelihood: PoseLikelihood, errors: Array, share: float, said: str)
     return Finding(CHECK, FAULT, "bad", text)
 
 
-def _maximise(function, low: float, high: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]  # of a float
+def _maximise(function: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
+    """Return the largest value between two bounds, and where it is."""
     found = minimize_scalar(lambda x: -function(x), bounds=(low, high), method="bounded")
     return -float(found.fun), float(found.x)
 

@@ -21,7 +21,7 @@ from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotat
 
 CHECK, UNIT, LEGS = "Units and legs", "unit", "legs"
 CLEARLY = 20.0  # nats by which a slip has to explain the data better
-ERRORS = np.geomspace(1e-4, 1e2, 25)  # mm, of every leg
+ERRORS = np.geomspace(1e-4, 1e2, 13)  # mm, of every leg
 SCALES = {
     "1000 times too large": 1e-3,
     "1000 times too small": 1e3,
