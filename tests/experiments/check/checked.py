@@ -27,11 +27,11 @@ def tiny_subject() -> Subject:
         return read_check(configure_check(path, [VARIANT], None, None), path.parent).subjects[VARIANT]
 
 
-def make_clean(seed: int) -> Subject:
+def make_clean(seed: int, with_model_error: bool = False) -> Subject:
     """Return a study whose data are simulated as it states, of a machine of its priors; photogrammetry aside."""
     subject = tiny_subject()
     subject = Subject(replace(subject.measured, described={}))
-    _, poses = subject.simulate_from_prior(np.random.default_rng([seed, 8]))
+    _, poses = subject.simulate_from_prior(np.random.default_rng([seed, 8]), with_model_error)
     return subject.with_poses(poses)
 
 

@@ -123,8 +123,10 @@ def _set_small(table: Table) -> Table:
 
 def _show_selection(audit: AuditResults) -> tuple[Block, ...]:
     steps = freedom.tabulate_selection(audit)
-    found = [] if steps is None else [Fold("How the reduced set is found", (steps,))]
-    return (Statement(FREEDOM), *_if_any(freedom.tabulate_sets(audit)), *found)
+    found: Block = Absent("No reduced set was looked for.")
+    if steps is not None:
+        found = Fold("How the reduced set is found", (steps,))
+    return (Statement(FREEDOM), *_if_any(freedom.tabulate_sets(audit)), found)
 
 
 def _show_requirements(audit: AuditResults) -> tuple[Block, ...]:

@@ -14,9 +14,10 @@ from bayescal.experiments.check.faults.finding import Finding
 from bayescal.experiments.check.subject import Subject
 from bayescal.limits import INFORMED
 from bayescal.numerics.geometry import Array
+from bayescal.report.numbers import join_words
 
 CHECK, FAULT = "Tolerances", "prior"
-IMPROBABLE = 1e-4
+IMPROBABLE = 1e-3  # of all groups together
 
 
 def check_priors(subject: Subject, draws: Array) -> Finding:
@@ -36,12 +37,14 @@ def check_priors(subject: Subject, draws: Array) -> Finding:
         square, n = found["all together"]
         said = f"{np.sqrt(square / n):.2g} times as far from nominal as expected" if n else "not told by the data"
         return Finding(CHECK, "", "good", f"the machine is {said} (rms along {n} informed directions).")
-    named = {name: one for name, one in off.items() if name in groups} or off
-    times = ", ".join(f"{name} {np.sqrt(square / n):.2g} times" for name, (square, n) in named.items())
+    worst = min(groups, key=lambda name: chi2.sf(*found[name]) if found[name][1] else 1.0)
+    named = [name for name in groups if name in off] or [worst]
+    times = join_words([f"{name} {np.sqrt(found[name][0] / found[name][1]):.2g} times" for name in named])
     text = (
-        f"the machine lies further from nominal than its tolerances allow: {times} as far as expected. Widen the priors"
+        f"the machine lies further from nominal than its tolerances allow: in {times} as far as expected. Widen these "
+        "priors, or look for what bends the estimates."
     )
-    return Finding(CHECK, FAULT, "bad", f"{text} of these, or look for what bends them.")
+    return Finding(CHECK, FAULT, "bad", text)
 
 
 def _measure(mean: Array, expected: Array, places: np.ndarray) -> tuple[float, int]:

@@ -135,7 +135,7 @@ def test_without_requirements_and_changes_the_page_says_so(tmp_path, no_pictures
     text = write_audit_report(write_audit_results(tmp_path, change)).read_text(encoding="utf-8")
     assert "Figure left out: the design states no requirement." in text
     assert "Figure left out: no change of the plan was looked at." in text
-    assert "No selection was made." in text
+    assert "No reduced set was looked for." in text
     assert "whether the accuracy suffices is not told" in text
 
 
