@@ -11,6 +11,7 @@ import telescope_machines as machines
 
 from bayescal.density.likelihood import PoseLikelihood
 from bayescal.density.posterior import ModelError, Posterior
+from bayescal.experiments.check.faults import modes
 from bayescal.experiments.check.faults.derivatives import check_derivatives
 from bayescal.experiments.check.faults.modes import check_modes, list_starts
 from bayescal.experiments.check.faults.noise import check_noise
@@ -123,18 +124,20 @@ def test_a_tolerance_three_times_too_tight_is_named(seed):
 @pytest.fixture(scope="module")
 def folded():
     """Return a posterior with one component of u free and κ fixed: every leg's direction has a mirror image."""
-    machine = machines.build_machine("none")
-    layout, actuators = machine.layout, machines.table_3_actuators()[:20]
-    exact = machines.place_poses(machine, layout.nominal, actuators, np.zeros((20, 6)))
-    slope = machines.build_posterior("none", exact, ModelError(None)).coordinates.legs[:, 0]
+    machine, symbols = machines.build_machine("none"), ("a_x", "a_y", "b_x", "b_y", "l", "u_x")
+    layout, actuators = machine.layout, machines.table_3_actuators()[:10]
+    exact = machines.place_poses(machine, layout.nominal, actuators, np.zeros((10, 6)))
+    slope = machines.build_posterior("none", exact, ModelError(None), symbols).coordinates.legs[:, 0]
     theta = layout.nominal.copy()
     theta[layout.index["u_x"]] = np.sin(np.arctan(slope)) + 0.03 * np.array([1, -1, 1, -1, 1, -1])
     poses = machines.simulate_poses(machine, theta, actuators, np.zeros(6), np.random.default_rng(5))
-    return machines.build_posterior("none", poses, ModelError(None))
+    return machines.build_posterior("none", poses, ModelError(None), symbols)
 
 
 def test_a_missed_mode_is_named(folded, monkeypatch):
     """A search that tries no mirror images finds but one of them."""
+    monkeypatch.setattr(modes, "PAIRS", 2)
+    monkeypatch.setattr(modes, "STARTS", 1)
     every = find_modes(folded)
     assert check_modes(folded, every, np.random.default_rng(0)).fault == ""
     monkeypatch.setattr(Posterior, "jumps", lambda self, y: [])

@@ -14,7 +14,7 @@ from bayescal.machines.coordinates import mirror_direction
 from bayescal.numerics.geometry import Array
 
 CHECK, FAULT = "Modes", "mode"
-MATTERS = 3.0  # nats that a missed mode's mass may lie below the best
+MATTERS = 4.0  # nats that a missed mode's mass may lie below the best
 FAR = 5.0  # posterior sds from a known mode
 STARTS = 4
 PAIRS = 15
