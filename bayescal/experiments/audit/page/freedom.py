@@ -6,9 +6,9 @@ from typing import Any
 
 import pandas as pd
 
+from bayescal.experiments.audit.page.borne_out import is_off
 from bayescal.experiments.audit.page.checks import SIMULATED
 from bayescal.experiments.audit.page.results import AuditResults
-from bayescal.experiments.audit.page.verdict import is_off
 from bayescal.experiments.audit.page.wording import (
     count,
     format_contraction,

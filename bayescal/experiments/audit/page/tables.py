@@ -6,12 +6,11 @@ import math
 
 import pandas as pd
 
+from bayescal.experiments.audit.page.borne_out import KEPT, read_drawn_probabilities
 from bayescal.experiments.audit.page.results import AuditResults, Change
 from bayescal.experiments.audit.page.verdict import (
-    KEPT,
     choose_for_ridge,
     measure_worst,
-    read_drawn_probabilities,
 )
 from bayescal.experiments.audit.page.wording import (
     format_contraction,

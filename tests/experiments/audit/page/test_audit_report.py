@@ -296,11 +296,12 @@ def test_doubt_about_rank_and_draws_opens_the_page(tmp_path, no_pictures):
     assert places == sorted(places)
 
 
-@pytest.mark.parametrize(("ratio", "se", "level"), [(1.02, 0.03, "good"), (1.4, 0.03, "warning"), (1.4, 0.2, "good")])
+@pytest.mark.parametrize(("ratio", "se", "level"), [(1.02, 0.003, "good"), (1.06, 0.01, "warning"), (1.4, 0.2, "good")])
 def test_simulated_calibrations_bear_the_prediction_out_or_not(ratio, se, level):
     def change(summary):
         one = {"predicted_sd": 0.1, "simulated_sd": 0.1 * ratio, "ratio": ratio, "ratio_se": se, "unit": "mm"}
-        summary["simulated_calibrations"] = {"n": 200, "n_converged": 200, "symbols": {"l": one}}
+        whole = {"n": 200, "n_converged": 200, "coverage_90": 0.9, "requirements": {}}
+        summary["simulated_calibrations"] = whole | {"symbols": {"l": one}}
 
     assert say(make(change))["Simulated calibrations"][0] == level
 
