@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 from typing import Any
-
-import xarray as xr
 
 from bayescal.config.classes import label_class
 from bayescal.density.least_squares import LeastSquaresFit
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
+from bayescal.experiments.shared.trees import write_tree
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task
+from bayescal.experiments.study.held_out import describe_stacking, tabulate_left_out
 from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.schema import StudyConfig, stem_of
-from bayescal.experiments.study.summary import build_tree, compute_loo, rank_variants, summarise_fit
+from bayescal.experiments.study.schema import StudyConfig
+from bayescal.experiments.study.summary import rank_variants, summarise_fit
 from bayescal.experiments.study.tables import (
     identify_variants,
     tabulate_deformation,
@@ -28,6 +27,7 @@ from bayescal.experiments.study.tables import (
     tabulate_ring,
     tabulate_sensitivity,
 )
+from bayescal.experiments.study.trees import build_study_tree
 
 
 def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Results:
@@ -48,6 +48,7 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
         "ranking": tabulate_ranking(summary),
         "parameters": tabulate_parameters(summary),
         "predictions": tabulate_predictions(inputs, posteriors),
+        "left_out": tabulate_left_out(inputs, posteriors),
         "sensitivity": tabulate_sensitivity(inputs, fits),
         "least_squares": tabulate_least_squares(inputs, identified),
         "flexure": tabulate_flexure(inputs.mechanism),
@@ -77,11 +78,10 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dic
     variants: dict[str, dict[str, Any]] = {}
     files: dict[str, Writer] = {}
     for task, arrays in posteriors.items():
-        tree = build_tree(inputs, task.variant, task.with_model_error, arrays)
-        fit = summarise_fit(inputs, task.variant, task.with_model_error, arrays, compute_loo(tree))
+        fit = summarise_fit(inputs, task.variant, task.with_model_error, arrays)
+        files[f"posterior/{task.stem}.nc"] = write_tree(partial(build_study_tree, inputs, task, arrays))
         if task.with_model_error:
             variants[task.variant] = fit
-            files[f"posterior/{stem_of(task.variant)}.nc"] = partial(_write_tree, tree)
         else:
             variants[task.variant]["without_model_error"] = fit
     config, held = inputs.config, inputs.verification
@@ -98,8 +98,16 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dic
         **_describe_names(config),
         "variants": variants,
         "ranking": rank_variants(variants),
+        **_stack(inputs, posteriors),
     }
     return summary, files
+
+
+def _stack(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> dict[str, Any]:
+    """Return the stacked prediction of the variants that predict alike, if several do."""
+    free = {task.variant: arrays for task, arrays in posteriors.items() if task.with_model_error}
+    stacked = describe_stacking(inputs, free) if len(free) > 1 else None
+    return {} if stacked is None else {"stacked": stacked}
 
 
 def _describe_names(config: StudyConfig) -> dict[str, dict[str, dict[str, str]]]:
@@ -110,7 +118,3 @@ def _describe_names(config: StudyConfig) -> dict[str, dict[str, dict[str, str]]]
         if variant.has_own_name
     }
     return {"own_names": named} if named else {}
-
-
-def _write_tree(tree: xr.DataTree, path: Path) -> None:
-    tree.to_netcdf(path, engine="h5netcdf")
