@@ -147,10 +147,10 @@ def _split(draws: Draws, values: Array, units: Sequence[str]) -> xr.Dataset:
         places.setdefault(_symbol(name), []).append(k)
     entries = {s: [_entry(draws.names[k]) for k in own] for s, own in places.items()}
     shared = _share_dimensions(entries)
-    variables = {
-        s: ((shared[s],) if shared[s] else (), values[..., own] if shared[s] else values[..., own[0]], units[own[0]], "")
-        for s, own in places.items()
-    }
+    variables: dict[str, tuple[tuple[str, ...], Array, str, str]] = {}
+    for s, own in places.items():
+        chosen = values[..., own] if shared[s] else values[..., own[0]]
+        variables[s] = ((shared[s],) if shared[s] else (), chosen, units[own[0]], "")
     coords = {dim: entries[s] for s, dim in shared.items() if dim}
     return _over(variables, coords)
 

@@ -12,7 +12,7 @@ from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.shared.trees import write_tree
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task
-from bayescal.experiments.study.held_out import describe_stacking, tabulate_left_out
+from bayescal.experiments.study.held_out import compare_variants, describe_stacking, tabulate_left_out
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.schema import StudyConfig
 from bayescal.experiments.study.summary import rank_variants, summarise_fit
@@ -22,6 +22,7 @@ from bayescal.experiments.study.tables import (
     tabulate_flexure,
     tabulate_least_squares,
     tabulate_parameters,
+    tabulate_power_scaling,
     tabulate_predictions,
     tabulate_ranking,
     tabulate_ring,
@@ -45,10 +46,11 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
     identified = run.once("least squares", identify_variants, inputs, (LeastSquaresFit,))
     summary, files = _summarise(inputs, posteriors)
     tables = {
-        "ranking": tabulate_ranking(summary),
+        "ranking": tabulate_ranking(summary, compare_variants(_choose_free(posteriors))),
         "parameters": tabulate_parameters(summary),
         "predictions": tabulate_predictions(inputs, posteriors),
         "left_out": tabulate_left_out(inputs, posteriors),
+        "power_scaling": tabulate_power_scaling(inputs, posteriors),
         "sensitivity": tabulate_sensitivity(inputs, fits),
         "least_squares": tabulate_least_squares(inputs, identified),
         "flexure": tabulate_flexure(inputs.mechanism),
@@ -103,9 +105,14 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dic
     return summary, files
 
 
+def _choose_free(posteriors: dict[Task, Arrays]) -> dict[str, Arrays]:
+    """Return what was found with model error, by variant."""
+    return {task.variant: arrays for task, arrays in posteriors.items() if task.with_model_error}
+
+
 def _stack(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> dict[str, Any]:
     """Return the stacked prediction of the variants that predict alike, if several do."""
-    free = {task.variant: arrays for task, arrays in posteriors.items() if task.with_model_error}
+    free = _choose_free(posteriors)
     stacked = describe_stacking(inputs, free) if len(free) > 1 else None
     return {} if stacked is None else {"stacked": stacked}
 

@@ -11,9 +11,10 @@ import numpy as np
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import Prediction, replicate
-from bayescal.experiments.shared.trees import SAVED_DRAWS, spread
+from bayescal.experiments.shared.trees import SAVED_DRAWS, choose_draws, spread
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.leave_one_out import LeftOut, leave_out, refit_doubtful
+from bayescal.experiments.study.power_scaling import measure_sensitivity
 from bayescal.experiments.study.replicates import replicate_prior
 from bayescal.experiments.study.schema import StudyConfig, stem_of
 from bayescal.experiments.study.soundness import measure_misfit, measure_pulls
@@ -153,9 +154,19 @@ def _check(
     return {
         "misfit_chi2": measure_misfit(posterior, exploration.modes[0].y, arrays["draws"]),
         "pulls_chi2": measure_pulls(posterior, arrays["draws"]),
+        "power_scaling": _scale_power(inputs, posterior, arrays),
         **{f"left_out_{name}": value for name, value in vars(left_out).items()},
         **replicate_prior(posterior, prior_seed),
     }
+
+
+def _scale_power(inputs: StudyInputs, posterior: Posterior, arrays: Arrays) -> Array:
+    """Return how much each parameter hangs on prior and measurements, shape (n, 2), from some of the draws."""
+    chosen = choose_draws(*arrays["draws"].shape[:2])
+    draws, density = (arrays[name].reshape(-1, arrays[name].shape[-1])[chosen] for name in ("draws", "log_likelihood"))
+    priors = posterior.all_priors().values()
+    log_prior = sum(prior.log_density(draws[..., k]) for k, prior in enumerate(priors))
+    return measure_sensitivity(draws, np.asarray(log_prior), density[..., ~inputs.verification].sum(axis=-1))
 
 
 def _evaluate(

@@ -28,11 +28,11 @@ TIED = 2.0
 
 
 def tabulate_left_out(inputs: StudyInputs, fits: Mapping[Task, Arrays]) -> pd.DataFrame:
-    """Return one row per posterior and pose: the density it gives to a pose that it has not seen, and where in the
-    predictive distribution the measured pose lies (PIT, 0 to 1), by components and by the sizes of both errors.
+    """Return one row per posterior and pose: the density it gives to a pose that it has not seen, and where this lies.
 
-    A calibration pose is left out by Pareto-smoothed weights, or by a run where these fail; then the PITs still rest on
-    the weights. A verification pose is none that the posterior has seen.
+    The PIT of a measured pose, 0 to 1, says where in the predictive distribution it lies: by components, and by the
+    sizes of both errors. A calibration pose is left out by Pareto-smoothed weights, or by a run where these fail; then
+    the PITs still rest on the weights. A verification pose is none that the posterior has seen.
     """
     held = inputs.verification
     frames = []

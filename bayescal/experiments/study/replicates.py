@@ -58,7 +58,7 @@ def _spread(posterior: Posterior, tau: Array) -> Array:
 
 
 def measure_deviation(error: Array, whitening: Array) -> Array:
-    """Return the length of pose errors (..., P, 6) in units of the stated noise, rms over what was measured (..., P)."""
+    """Return the size of pose errors (..., P, 6) in units of the stated noise, rms over what was measured, (..., P)."""
     known = np.isfinite(error)
     white = np.einsum("pij,...pj->...pi", whitening, np.where(known, error, 0.0))
     return np.sqrt(np.sum(white**2, axis=-1) / np.maximum(known.sum(axis=-1), 1))

@@ -87,8 +87,10 @@ def _list_groups(inputs: StudyInputs, start: Array, misfit: Array, log_likelihoo
     """Return the poses as they were measured, and what is predicted of their components."""
     poses, held = inputs.measured.poses, inputs.verification
     names = [str(name) for name in inputs.names]
-    own = {use: [name for name, one in zip(names, held, strict=True) if one == (use == "verification_pose")] for use in
-           ("calibration_pose", "verification_pose")}
+    own = {
+        use: [name for name, one in zip(names, held, strict=True) if one == (use == "verification_pose")]
+        for use in ("calibration_pose", "verification_pose")
+    }
     axes, over = {"axis": list("xyz")}, ("chain", "draw")
     calibration = {"calibration_pose": own["calibration_pose"], **axes}
     constant = {

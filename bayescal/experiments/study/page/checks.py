@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from bayescal.experiments.study.page.results import SETTINGS, StudyResults
+from bayescal.experiments.study.page.soundness import choose_setting, describe_bounds
 from bayescal.experiments.study.page.variants import (
     NOT_DISTINGUISHABLE,
     find_leaders,
@@ -244,7 +245,9 @@ def state_coverage(results: StudyResults) -> list[Statement]:
             text += ": too narrow, so the posteriors claim more than the data bear out, for "
             text += name_or_count(shares, len(coverage))
         statements.append(Statement(f"{text}.", "warning" if narrow else "plain", "Coverage"))
-    return statements
+    best = results.ranking[0]
+    bounds = describe_bounds(results, best, choose_setting(results, best))
+    return [*statements, Statement(f"{label_variant(results, best)}: {bounds}.", lead="Coverage")]
 
 
 def _cover_both(results: StudyResults, variant: str, setting: str) -> str:
