@@ -6,6 +6,7 @@ is, the kind of experiment says. Prior and posterior are thinned alike in all gr
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -80,6 +81,11 @@ class Group:
     coords: Mapping[str, Sequence[Any]] = field(default_factory=dict)
 
 
+def name_file(variant: str) -> str:
+    """Return the name of a variant's file in the results directory."""
+    return f"posterior/{re.sub(r'[^\w.-]+', '_', variant)}.nc"
+
+
 def choose_draws(n_chains: int, n_draws: int, n_wanted: int = SAVED_DRAWS) -> Array:
     """Return which draws to keep of chains laid end to end, shape (E, S): about n_wanted, as many of each chain."""
     chosen = spread(n_chains * n_draws, n_wanted)
@@ -145,7 +151,7 @@ def _split(draws: Draws, values: Array, units: Sequence[str]) -> xr.Dataset:
     places: dict[str, list[int]] = {}
     for k, name in enumerate(draws.names):
         places.setdefault(_symbol(name), []).append(k)
-    entries = {s: [_entry(draws.names[k]) for k in own] for s, own in places.items()}
+    entries = {s: _list_entries([draws.names[k] for k in own]) for s, own in places.items()}
     shared = _share_dimensions(entries)
     variables: dict[str, tuple[tuple[str, ...], Array, str, str]] = {}
     for s, own in places.items():
@@ -155,7 +161,7 @@ def _split(draws: Draws, values: Array, units: Sequence[str]) -> xr.Dataset:
     return _over(variables, coords)
 
 
-def _share_dimensions(entries: Mapping[str, list[int | str]]) -> dict[str, str]:
+def _share_dimensions(entries: Mapping[str, Sequence[int | str]]) -> dict[str, str]:
     """Return each symbol's dimension: ``leg`` for all with the entries of the first, a name of its own otherwise."""
     lists = {s: own for s, own in entries.items() if own != [""]}
     first = next(iter(lists.values()), [])
@@ -166,9 +172,10 @@ def _symbol(name: str) -> str:
     return name.partition("[")[0].replace("/", "_")
 
 
-def _entry(name: str) -> int | str:
-    text = name.partition("[")[2].rstrip("]")
-    return int(text) if text.isdigit() else text
+def _list_entries(names: Sequence[str]) -> Sequence[int | str]:
+    """Return what stands in the brackets: numbers, unless some deviate alike as in ``R[1,2,3]``."""
+    texts = [name.partition("[")[2].rstrip("]") for name in names]
+    return [int(text) for text in texts] if all(text.isdigit() for text in texts) else texts
 
 
 def _over(
