@@ -84,7 +84,7 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
     }
     if task.is_fit:
         arrays |= _sample(inputs, task, posterior, exploration, ensemble_seed, bridge_seed, predict_seed)
-        arrays |= _check(inputs, posterior, exploration, arrays, seed)
+        arrays |= _check(inputs, task, posterior, exploration, arrays, seed)
     arrays["wall_seconds"] = np.array(time.perf_counter() - began)
     return arrays
 
@@ -145,14 +145,19 @@ def _sample(
 
 
 def _check(
-    inputs: StudyInputs, posterior: Posterior, exploration: Exploration, arrays: Arrays, seed: np.random.SeedSequence
+    inputs: StudyInputs,
+    task: Task,
+    posterior: Posterior,
+    exploration: Exploration,
+    arrays: Arrays,
+    seed: np.random.SeedSequence,
 ) -> Arrays:
     """Return what judges a posterior: each pose left out, what prior draws predict, what noise and tolerances say."""
     prior_seed, refit_seed = seed.spawn(2)
     left_out = leave_out(arrays["draws"], arrays["log_likelihood"][..., ~inputs.verification])
     left_out = refit_doubtful(left_out, posterior, exploration, inputs.config.sampler.walkers, refit_seed)
     return {
-        "misfit_chi2": measure_misfit(posterior, exploration.modes[0].y, arrays["draws"]),
+        "misfit_chi2": measure_misfit(posterior, exploration.modes[0].y, *inputs.without_shared_errors(task.variant)),
         "pulls_chi2": measure_pulls(posterior, arrays["draws"]),
         "power_scaling": _scale_power(inputs, posterior, arrays),
         **{f"left_out_{name}": value for name, value in vars(left_out).items()},
