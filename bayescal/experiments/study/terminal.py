@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
+from bayescal.report.blocks import Statement
 from bayescal.report.numbers import MICROMETRES, format_estimate, format_fixed
+
+DOUBTS = ("Noise", "Tolerances", "Bounds")
 
 
 def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
@@ -43,6 +46,13 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
         for setting, one in (("", fit), (" without model error", fit["without_model_error"])):
             for problem in one["problems"]:
                 console.print(f"NOT CONVERGED {name}{setting}: {problem}")
+
+
+def show_doubts(verdict: Sequence[Statement], console: Console) -> None:
+    """Print what contradicts the stated noise and tolerances."""
+    for statement in verdict:
+        if statement.lead in DOUBTS and statement.level in ("warning", "bad"):
+            console.print(f"{statement.lead.upper()}: {statement.text}", soft_wrap=True)
 
 
 def _format_size(size: float | None) -> str:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import io
 from functools import partial
 
 import numpy as np
 import pytest
 from made_up_results import TWELVE, edit_table, read_study, write_results
+from rich.console import Console
 from scipy import stats
 
 from bayescal.experiments.study.page.predictive_checks import tabulate_power_scaling
 from bayescal.experiments.study.page.soundness import ChiSquare, judge_bounds, state_soundness
 from bayescal.experiments.study.page.verdict import state_verdict
+from bayescal.experiments.study.terminal import show_doubts
 
 BEST = "stiffness/matrix"
 
@@ -45,6 +48,25 @@ def test_residuals_twice_the_noise_are_said_first(make_results):
     assert "leaves residuals 2.0 times as large as the stated noise" in first.text
     assert "χ² per degree of freedom 4 without model error" in first.text or "4.00" in first.text
     assert "the noise is stated too small, or every variant lacks something real" in first.text
+
+
+def test_nothing_is_called_good_without_a_word_beside_it(make_results):
+    def checks(folder):
+        (found,) = (s for s in state_verdict(read_study(folder)) if s.lead == "Checks")
+        return found
+
+    assert checks(make_results()).level == "good"
+    doubtful = checks(make_results(set_chi2("misfit", 800.0, 200.0, "zero"), name="doubtful"))
+    assert doubtful.level == "plain"
+    assert "which the measurements contradict (above)" in doubtful.text
+
+
+def test_the_terminal_says_it_too(make_results):
+    folder, console = make_results(set_chi2("misfit", 800.0, 200.0, "zero")), Console(file=io.StringIO(), width=90)
+    show_doubts(state_verdict(read_study(folder)), console)
+    said = console.file.getvalue()
+    assert said.startswith("NOISE: stiffness/matrix leaves residuals 2.0 times")
+    assert said.count("\n") == 1
 
 
 def test_residuals_of_half_the_noise_are_said(make_results):
