@@ -38,7 +38,7 @@ def found(posterior):
 
 def log_evidence(posterior, exploration) -> float:
     rng = np.random.default_rng(4)
-    return estimate_by_importance(exploration.straight.log_density, exploration.proposal, rng, 20_000).log_evidence
+    return estimate_by_importance(exploration.straight.log_density, exploration.proposal, rng, 8000).log_evidence
 
 
 def test_a_run_without_a_pose_gives_the_difference_of_evidences(inputs, posterior, found):
