@@ -71,8 +71,9 @@ def compute_pits(arrays: Arrays, held: np.ndarray) -> Array:
     """
     misfit = arrays["misfit"].astype(np.float64)  # measured minus replicated, (P, T, 6)
     flat = arrays["log_likelihood"].reshape(-1, len(held)).T
-    log_weights, _ = array_stats.psislw(flat[:, spread(flat.shape[1], misfit.shape[1])])
-    log_weights[held] = 0.0
+    log_weights = np.zeros(misfit.shape[:2])
+    if not held.all():
+        log_weights[~held], _ = array_stats.psislw(flat[~held][:, spread(flat.shape[1], misfit.shape[1])])
     weights = np.exp(log_weights - logsumexp(log_weights, axis=1, keepdims=True))
     mean = np.einsum("pt,ptk->pk", weights, misfit)
     away = mean[:, None] - misfit  # replicated minus mean prediction
