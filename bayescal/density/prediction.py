@@ -67,8 +67,33 @@ def measure_length(vector: Array) -> Array:
     return np.where(known.any(axis=-1), np.linalg.norm(np.where(known, vector, 0.0), axis=-1), np.nan)
 
 
-def predict(likelihood: Likelihood, theta: Array, model_error: Array, rng: np.random.Generator) -> Prediction:
-    """Return the predictive summary of posterior draws.
+@dataclass(frozen=True, eq=False)
+class Replicates:
+    """What posterior draws predict for P measured poses, measurement errors included.
+
+    Attributes
+    ----------
+    errors : ndarray, shape (S, P, 6)
+        Measured minus predicted pose of each draw (mm, rad; base frame).
+    noise : ndarray, shape (S, P, 6)
+        Errors of the measurement that were drawn with each draw's covariance.
+    """
+
+    errors: Array
+    noise: Array
+
+    @property
+    def misfit(self) -> Array:
+        """Measured minus replicated pose, shape (S, P, 6): the same for every model, whatever it predicts."""
+        return self.errors - self.noise
+
+    def summarise(self) -> Prediction:
+        """Return mean, intervals and bounds."""
+        return _summarise(self.errors.mean(axis=0), self.errors, self.noise)
+
+
+def replicate(likelihood: Likelihood, theta: Array, model_error: Array, rng: np.random.Generator) -> Replicates:
+    """Return replicates of the measured poses.
 
     Parameters
     ----------
@@ -82,8 +107,20 @@ def predict(likelihood: Likelihood, theta: Array, model_error: Array, rng: np.ra
         For the noise of the predicted measurements.
     """
     errors = likelihood.pose_errors(theta)
-    mean = errors.mean(axis=0)
-    noise = _draw_noise(likelihood, model_error, rng.standard_normal(errors.shape))
+    return Replicates(errors, _draw_noise(likelihood, model_error, rng.standard_normal(errors.shape)))
+
+
+def predict(likelihood: Likelihood, theta: Array, model_error: Array, rng: np.random.Generator) -> Prediction:
+    """Return the predictive summary of posterior draws; arguments as those of `replicate`."""
+    return replicate(likelihood, theta, model_error, rng).summarise()
+
+
+def summarise_misfit(mean: Array, misfit: Array) -> Prediction:
+    """Return the predictive summary of a mean prediction's error (P, 6) and of measured minus replicated (S, P, 6)."""
+    return _summarise(mean, misfit, np.zeros_like(misfit))
+
+
+def _summarise(mean: Array, errors: Array, noise: Array) -> Prediction:
     spread = noise - (errors - mean)  # measured minus mean prediction, had the draw been the truth
     low, high = np.quantile(spread, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0)
     distance = measure_length(spread[..., :3])
@@ -102,5 +139,18 @@ def _draw_noise(likelihood: Likelihood, model_error: Array, normal: Array) -> Ar
 
 
 def compute_elpd(pointwise: Array) -> float:
-    """Return the expected log predictive density of poses that did not enter the posterior, draws (S, P)."""
+    """Return the expected log predictive density of poses that did not enter the posterior, draws (S, P).
+
+    Each pose counts by itself: the sum over poses of the logarithm of its mean density.
+    """
     return float(np.sum(logsumexp(pointwise, axis=0) - np.log(len(pointwise))))
+
+
+def compute_joint_elpd(pointwise: Array) -> tuple[float, float]:
+    """Return the log predictive density of all poses together, from draws (S, P), and its Monte Carlo standard error.
+
+    What one such pose tells of the machine counts for the next: log of the mean over draws of the product over poses.
+    """
+    joint = pointwise.sum(axis=1)
+    value = logsumexp(joint) - np.log(len(joint))
+    return float(value), float(np.std(np.exp(joint - value), ddof=1) / np.sqrt(len(joint)))

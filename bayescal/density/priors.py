@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
+from scipy.special import erf, ndtri
 
 from bayescal.numerics.geometry import Array
 
@@ -17,6 +18,14 @@ class Prior(ABC):
     @abstractmethod
     def log_density(self, value: Array) -> Array:
         """Return the normalised log-density, -inf outside the support."""
+
+    @abstractmethod
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """Return n independent draws, shape (n,)."""
+
+    @abstractmethod
+    def standardise(self, value: Array) -> Array:
+        """Return the values whose standard normal has the probability that the prior has below these."""
 
     @property
     @abstractmethod
@@ -39,6 +48,14 @@ class NormalPrior(Prior):
     def log_density(self, value: Array) -> Array:
         """Return the normal log-density."""
         return -0.5 * ((value - self.centre) / self.scale) ** 2 - np.log(self.scale) - 0.5 * np.log(2 * np.pi)
+
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """Return n normal draws."""
+        return rng.normal(self.centre, self.scale, n)
+
+    def standardise(self, value: Array) -> Array:
+        """Return the distance from the centre in standard deviations."""
+        return (value - self.centre) / self.scale
 
     @property
     def mean(self) -> float:
@@ -63,6 +80,14 @@ class UniformPrior(Prior):
         inside = (value >= self.lower) & (value <= self.upper)
         return np.where(inside, -np.log(self.upper - self.lower), -np.inf)
 
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """Return n draws between the bounds."""
+        return rng.uniform(self.lower, self.upper, n)
+
+    def standardise(self, value: Array) -> Array:
+        """Return the normal quantile of the share of the width below each value."""
+        return ndtri((value - self.lower) / (self.upper - self.lower))
+
     @property
     def mean(self) -> float:
         """The middle."""
@@ -84,6 +109,14 @@ class HalfNormalPrior(Prior):
         """Return the half-normal log-density."""
         inside = 0.5 * np.log(2 / np.pi) - np.log(self.scale) - 0.5 * (value / self.scale) ** 2
         return np.where(value >= 0, inside, -np.inf)
+
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """Return n absolute values of normal draws."""
+        return np.abs(rng.normal(0.0, self.scale, n))
+
+    def standardise(self, value: Array) -> Array:
+        """Return the normal quantile of the prior probability of a smaller value."""
+        return ndtri(erf(value / self.scale / np.sqrt(2.0)))
 
     @property
     def mean(self) -> float:

@@ -47,6 +47,9 @@ class Target(Prospect, Protocol):
     def log_density(self, y: Array) -> Array:
         """Return the log-density, (B, n) to (B,), -inf where there is no machine."""
 
+    def pointwise(self, y: Array) -> Array:
+        """Return the log-likelihood of each of P poses given all others, (B, n) to (B, P)."""
+
     def gradient(self, y: Array) -> tuple[Array, Array]:
         """Return the gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
 

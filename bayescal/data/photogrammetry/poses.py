@@ -44,8 +44,18 @@ class PoseExtraction:
     @property
     def chi2_per_dof(self) -> float:
         """Sum of squared residuals over its expectation: one where the stated target noise is right."""
-        fits = (self.base, self.platform)
-        return float(sum(fit.chi2.sum() for fit in fits) / sum(fit.dof.sum() for fit in fits))
+        return float(sum(fit.chi2.sum() for fit in (self.base, self.platform)) / self.dof)
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of all fits."""
+        return float(sum(fit.dof.sum() for fit in (self.base, self.platform)))
+
+    @property
+    def n_targets(self) -> int:
+        """How many rigid targets were given a weight or rejected, each at each pose."""
+        used = sum(int(np.count_nonzero(fit.weights)) for fit in (self.base, self.platform))
+        return used + len(self.rejected)
 
 
 def extract_poses(survey: Survey, noise: float, method: str = "robust") -> PoseExtraction:

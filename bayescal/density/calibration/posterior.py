@@ -19,6 +19,7 @@ from bayescal.density.calibration.noise import NoiseModel
 from bayescal.density.calibration.whitening import Whitening
 from bayescal.density.posterior import Funnel
 from bayescal.density.priors import Prior, UniformPrior
+from bayescal.density.readings.left_over import LeftOver
 from bayescal.errors import InputError, NumericalError
 from bayescal.numerics.geometry import Array
 
@@ -173,6 +174,12 @@ class CalibrationPosterior:
             theta[~inside] = self.centre
             total = self.log_prior(y) + self.likelihood.pointwise(theta, *self.deviations(y)).sum(axis=1)
         return np.where(inside & np.isfinite(total), total, -np.inf)
+
+    def leave_over(self, y: Array) -> LeftOver:
+        """Return what the best poses leave of the readings at coordinates (B, n)."""
+        white, at = self.stand(y)
+        likelihood = self.likelihood
+        return LeftOver(at.error, at.slope, likelihood.data.present, likelihood.freedom, white.vector, white.colour)
 
     def stand(self, y: Array) -> tuple[Whitening, Stand]:
         """Return the whitening and where machines of coordinates (B, n) explain the readings best."""

@@ -33,6 +33,13 @@ class Whitening:
         assert self.matrix is not None
         return np.asarray((self.matrix @ error[..., None])[..., 0])
 
+    def colour(self, white: Array) -> Array:
+        """Return errors of readings (C, P, K) from white ones; those not taken stay zero."""
+        if self.diagonal is not None:
+            return np.where(self.diagonal > 0, white / np.where(self.diagonal > 0, self.diagonal, 1.0), 0.0)
+        assert self.matrix is not None
+        return np.asarray(np.linalg.solve(self.matrix, white[..., None])[..., 0])
+
     def rows(self, slope: Array) -> Array:
         """Return white derivatives (C, P, K, n)."""
         if self.diagonal is not None:  # column by column: n is small, and a last axis that short is slow

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from bayescal.density.readings.left_over import LeftOver
 from bayescal.density.readings.poses import SensorSet, find_poses, solve_least_squares
 from bayescal.numerics.geometry import Array
 
@@ -61,6 +62,13 @@ class ReadingLikelihood:
         Where it ends the rest is orthogonal to another machine's H, so that the last step is Gauss and Newton's.
         """
         return self._stand(theta)[:2]
+
+    def leave_over(self, theta: Array) -> LeftOver:
+        """Return what the best poses leave of the readings with machines (B, D)."""
+        _, error, slope = self._stand(theta)
+        noise = self.sensors.noise
+        present = np.ones(self.measured.shape, dtype=bool)
+        return LeftOver(error, slope, present, np.inf, lambda reading: reading / noise, lambda white: white * noise)
 
     def _stand(self, theta: Array) -> tuple[Array, Array, Array]:
         """Return the same, and H (B, P, K, q)."""

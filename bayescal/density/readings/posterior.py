@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bayescal.density.priors import NormalPrior
+from bayescal.density.readings.left_over import LeftOver
 from bayescal.density.readings.likelihood import ReadingLikelihood
 from bayescal.errors import InputError
 from bayescal.limits import FAR_AWAY
@@ -126,6 +127,10 @@ class SelfCalibrationPosterior:
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each pose's readings, (B, n) to (B, P)."""
         return self.likelihood.pointwise(self.theta(y))
+
+    def leave_over(self, y: Array) -> LeftOver:
+        """Return what the best poses leave of the readings at coordinates (B, n)."""
+        return self.likelihood.leave_over(self.theta(y))
 
     def _rows(self, y: Array) -> tuple[Array, Array]:
         """Return r̂ (m,) and its derivative by the coordinates (m, n) at y (n,)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -12,7 +13,9 @@ from bayescal.experiments.calibration.knowledge import Knowledge, assess
 from bayescal.experiments.calibration.tables import Findings, Residuals, summarise, tabulate
 from bayescal.experiments.calibration.validation import Held, hold_back, list_folds
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.frame.results import Results, Writer
+from bayescal.experiments.shared.reading_trees import build_reading_tree
+from bayescal.experiments.shared.trees import name_file, write_tree
 from bayescal.numerics.geometry import Array
 
 
@@ -49,7 +52,17 @@ def compute_calibration(inputs: CalibrationInputs, run: Run) -> Results:
         for name, one in fitted.items()
     }
     tables = tabulate(inputs, found)
-    return Results(summarise(inputs, tables), tables)
+    return Results(summarise(inputs, tables), tables, _list_files(inputs, found))
+
+
+def _list_files(inputs: CalibrationInputs, found: dict[str, Findings]) -> dict[str, Writer]:
+    """Return what writes the variants' posteriors."""
+    files = {}
+    for name, one in found.items():
+        variant, fit = inputs.variants[name], one.fit
+        poses = [pose for pose, held in zip(variant.data.poses, variant.verification, strict=True) if not held]
+        files[name_file(name)] = write_tree(partial(build_reading_tree, fit.saved, fit.names, fit.units, poses, name))
+    return files
 
 
 def _compute_variant(inputs: CalibrationInputs, name: str) -> _Fitted:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 
 from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
 from bayescal.experiments.shared.estimate import Estimate, estimate_posterior
+from bayescal.experiments.shared.reading_trees import SavedDraws, save_draws
 from bayescal.numerics.geometry import Array
 
 
@@ -18,15 +20,20 @@ class Fit(Estimate):
     names, units : tuple of str
         Of the n coordinates.
     prior_sd : ndarray, shape (n,)
+    saved : SavedDraws
+        What the posterior's file holds.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     prior_sd: Array
+    saved: SavedDraws
 
 
 def fit_variant(inputs: CalibrationInputs, variant: Variant) -> Fit:
     """Compute one variant; all numbers depend on the inputs, the config's seed and the variant's name alone."""
     posterior, config = variant.posterior().anchored(), inputs.config
     found = estimate_posterior(posterior, config.seed, variant.name, config.sampler, config.evidence)
-    return Fit(**vars(found), names=posterior.names, units=posterior.units, prior_sd=posterior.prior_sd)
+    seed = [config.seed, 8, zlib.crc32(variant.name.encode())]
+    saved = save_draws(posterior, found.kept, len(found.natural), config.sampler.ensembles, seed)
+    return Fit(**vars(found), names=posterior.names, units=posterior.units, prior_sd=posterior.prior_sd, saved=saved)

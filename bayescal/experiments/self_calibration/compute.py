@@ -3,24 +3,39 @@
 from __future__ import annotations
 
 import zlib
+from functools import partial
 
 import numpy as np
 
 from bayescal.density.readings.calibrability import compute_calibrability
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.self_calibration.fit import fit_variant
 from bayescal.experiments.self_calibration.identifiability import audit_variant
 from bayescal.experiments.self_calibration.inputs import ReadingInputs
 from bayescal.experiments.self_calibration.tables import VariantFindings, summarise, tabulate
 from bayescal.experiments.self_calibration.tool import assess_tool, predict_tool
+from bayescal.experiments.shared.reading_trees import build_reading_tree
+from bayescal.experiments.shared.trees import name_file, write_tree
 
 
 def compute_self_calibration(inputs: ReadingInputs, run: Run) -> Results:
     """Return the posteriors of all variants, what they say of the tool, and what the sensors can tell."""
     found = compute_variants(inputs, run)
     tables = tabulate(inputs, found)
-    return Results(summarise(inputs, found, tables), tables)
+    return Results(summarise(inputs, found, tables), tables, _list_files(inputs, found))
+
+
+def _list_files(inputs: ReadingInputs, found: dict[str, VariantFindings]) -> dict[str, Writer]:
+    """Return what writes the variants' posteriors."""
+    layout, table = inputs.model.layout, inputs.table
+    poses = [pose for pose, held in zip(table.poses, table.verification, strict=True) if not held]
+    files = {}
+    for name, one in found.items():
+        units = [layout.units[place] for place in inputs.posterior(inputs.variants[name]).free]
+        build = partial(build_reading_tree, one.fit.saved, one.fit.names, units, poses, name)
+        files[name_file(name)] = write_tree(build)
+    return files
 
 
 def compute_variants(inputs: ReadingInputs, run: Run) -> dict[str, VariantFindings]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from bayescal.density.prediction import compute_elpd
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.estimate import Estimate, estimate_posterior
+from bayescal.experiments.shared.reading_trees import SavedDraws, save_draws
 from bayescal.numerics.geometry import Array
 
 
@@ -27,6 +29,8 @@ class Fit(Estimate):
         Of the readings kept for verification; NaN without any.
     square : ndarray, shape (P,)
         What the mode leaves of each calibration pose's readings, squared, in units of the noise.
+    saved : SavedDraws
+        What the posterior's file holds.
     """
 
     names: tuple[str, ...]
@@ -34,6 +38,7 @@ class Fit(Estimate):
     prior_sd: Array
     elpd: float
     square: Array
+    saved: SavedDraws
 
 
 def fit_variant(inputs: ReadingInputs, variant: Variant) -> Fit:
@@ -45,4 +50,14 @@ def fit_variant(inputs: ReadingInputs, variant: Variant) -> Fit:
         elpd = compute_elpd(inputs.likelihood(variant, verification=True).pointwise(theta))
     _, error = posterior.likelihood.find_poses(posterior.theta(found.mode[None]))
     square = np.einsum("pk,pk->p", error[0], error[0])
-    return Fit(**vars(found), names=posterior.names, theta=theta, prior_sd=posterior.scale, elpd=elpd, square=square)
+    seed = [config.seed, 8, zlib.crc32(variant.name.encode())]
+    saved = save_draws(posterior, found.kept, len(found.natural), config.sampler.ensembles, seed)
+    return Fit(
+        **vars(found),
+        names=posterior.names,
+        theta=theta,
+        prior_sd=posterior.scale,
+        elpd=elpd,
+        square=square,
+        saved=saved,
+    )

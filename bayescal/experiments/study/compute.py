@@ -3,32 +3,32 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bayescal.config.classes import label_class
 from bayescal.density.least_squares import LeastSquaresFit
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
+from bayescal.experiments.shared.trees import write_tree
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task
+from bayescal.experiments.study.held_out import compare_variants, describe_stacking, tabulate_left_out
 from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.schema import StudyConfig, stem_of
-from bayescal.experiments.study.summary import build_tree, compute_loo, rank_variants, summarise_fit
+from bayescal.experiments.study.schema import StudyConfig
+from bayescal.experiments.study.summary import rank_variants, summarise_fit
 from bayescal.experiments.study.tables import (
     identify_variants,
     tabulate_deformation,
     tabulate_flexure,
     tabulate_least_squares,
     tabulate_parameters,
+    tabulate_power_scaling,
     tabulate_predictions,
     tabulate_ranking,
     tabulate_ring,
     tabulate_sensitivity,
 )
-
-if TYPE_CHECKING:
-    import xarray as xr
+from bayescal.experiments.study.trees import build_study_tree
 
 
 def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Results:
@@ -46,9 +46,11 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
     identified = run.once("least squares", identify_variants, inputs, (LeastSquaresFit,))
     summary, files = _summarise(inputs, posteriors)
     tables = {
-        "ranking": tabulate_ranking(summary),
+        "ranking": tabulate_ranking(summary, compare_variants(_choose_free(posteriors))),
         "parameters": tabulate_parameters(summary),
         "predictions": tabulate_predictions(inputs, posteriors),
+        "left_out": tabulate_left_out(inputs, posteriors),
+        "power_scaling": tabulate_power_scaling(inputs, posteriors),
         "sensitivity": tabulate_sensitivity(inputs, fits),
         "least_squares": tabulate_least_squares(inputs, identified),
         "flexure": tabulate_flexure(inputs.mechanism),
@@ -78,11 +80,10 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dic
     variants: dict[str, dict[str, Any]] = {}
     files: dict[str, Writer] = {}
     for task, arrays in posteriors.items():
-        tree = build_tree(inputs, task.variant, task.with_model_error, arrays)
-        fit = summarise_fit(inputs, task.variant, task.with_model_error, arrays, compute_loo(tree))
+        fit = summarise_fit(inputs, task.variant, task.with_model_error, arrays)
+        files[f"posterior/{task.stem}.nc"] = write_tree(partial(build_study_tree, inputs, task, arrays))
         if task.with_model_error:
             variants[task.variant] = fit
-            files[f"posterior/{stem_of(task.variant)}.nc"] = partial(_write_tree, tree)
         else:
             variants[task.variant]["without_model_error"] = fit
     config, held = inputs.config, inputs.verification
@@ -99,8 +100,21 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dic
         **_describe_names(config),
         "variants": variants,
         "ranking": rank_variants(variants),
+        **_stack(inputs, posteriors),
     }
     return summary, files
+
+
+def _choose_free(posteriors: dict[Task, Arrays]) -> dict[str, Arrays]:
+    """Return what was found with model error, by variant."""
+    return {task.variant: arrays for task, arrays in posteriors.items() if task.with_model_error}
+
+
+def _stack(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> dict[str, Any]:
+    """Return the stacked prediction of the variants that predict alike, if several do."""
+    free = _choose_free(posteriors)
+    stacked = describe_stacking(inputs, free) if len(free) > 1 else None
+    return {} if stacked is None else {"stacked": stacked}
 
 
 def _describe_names(config: StudyConfig) -> dict[str, dict[str, dict[str, str]]]:
@@ -111,7 +125,3 @@ def _describe_names(config: StudyConfig) -> dict[str, dict[str, dict[str, str]]]
         if variant.has_own_name
     }
     return {"own_names": named} if named else {}
-
-
-def _write_tree(tree: xr.DataTree, path: Path) -> None:
-    tree.to_netcdf(path, engine="h5netcdf")

@@ -10,9 +10,14 @@ import numpy as np
 
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.posterior import Posterior
-from bayescal.density.prediction import Prediction, predict
+from bayescal.density.prediction import Prediction, replicate
+from bayescal.experiments.shared.trees import SAVED_DRAWS, choose_draws, spread
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.leave_one_out import LeftOut, leave_out, refit_doubtful
+from bayescal.experiments.study.power_scaling import measure_sensitivity
+from bayescal.experiments.study.replicates import replicate_prior
 from bayescal.experiments.study.schema import StudyConfig, stem_of
+from bayescal.experiments.study.soundness import measure_misfit, measure_pulls
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.exploration import Exploration, count_walkers, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
@@ -21,7 +26,6 @@ from bayescal.inference.tempered import estimate_by_tempering
 from bayescal.numerics.geometry import Array
 
 KEPT_DRAWS = 1920  # of each ensemble, for everything after the diagnostics
-PREDICTIVE_DRAWS = 2000
 
 type Arrays = dict[str, Array]
 
@@ -40,6 +44,11 @@ class Task:
         setting = "free" if self.with_model_error else "zero"
         end = "" if self.is_fit else f"-factor-{self.factor!r}"
         return f"{stem_of(self.variant)}-tau-{setting}{end}"
+
+    @property
+    def stem(self) -> str:
+        """Name of the posterior's file without its ending."""
+        return stem_of(self.variant) + ("" if self.with_model_error else "-tau-zero")
 
     @property
     def is_fit(self) -> bool:
@@ -76,6 +85,7 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
     }
     if task.is_fit:
         arrays |= _sample(inputs, task, posterior, exploration, ensemble_seed, bridge_seed, predict_seed)
+        arrays |= _check(inputs, task, posterior, exploration, arrays, seed)
     arrays["wall_seconds"] = np.array(time.perf_counter() - began)
     return arrays
 
@@ -132,11 +142,11 @@ def _sample(
         "draws": posterior.natural(kept),
         "log_density": density[:, :, ::keep].reshape(sampler.ensembles, -1),
         **_evaluate(inputs, task, posterior, kept, predict_seed),
-        **_check(inputs, task, posterior),
+        **_check_evidence(inputs, task, posterior),
     }
 
 
-def _check(inputs: StudyInputs, task: Task, posterior: Posterior) -> Arrays:
+def _check_evidence(inputs: StudyInputs, task: Task, posterior: Posterior) -> Arrays:
     """Return the evidence by tempering where the config asks for it; its random numbers are its own."""
     if inputs.config.evidence.check is None:
         return {}
@@ -145,13 +155,43 @@ def _check(inputs: StudyInputs, task: Task, posterior: Posterior) -> Arrays:
     return {"tempered": np.array([found.log_evidence, found.standard_error, float(found.mixed)])}
 
 
+def _check(
+    inputs: StudyInputs,
+    task: Task,
+    posterior: Posterior,
+    exploration: Exploration,
+    arrays: Arrays,
+    seed: np.random.SeedSequence,
+) -> Arrays:
+    """Return what judges a posterior: each pose left out, what prior draws predict, what noise and tolerances say."""
+    prior_seed, refit_seed = seed.spawn(2)
+    left_out = leave_out(arrays["draws"], arrays["log_likelihood"][..., ~inputs.verification])
+    left_out = refit_doubtful(left_out, posterior, exploration, inputs.config.sampler.walkers, refit_seed)
+    return {
+        "misfit_chi2": measure_misfit(posterior, exploration.modes[0].y, *inputs.without_shared_errors(task.variant)),
+        "pulls_chi2": measure_pulls(posterior, arrays["draws"]),
+        "power_scaling": _scale_power(inputs, posterior, arrays),
+        **{f"left_out_{name}": value for name, value in vars(left_out).items()},
+        **replicate_prior(posterior, prior_seed),
+    }
+
+
+def _scale_power(inputs: StudyInputs, posterior: Posterior, arrays: Arrays) -> Array:
+    """Return how much each parameter hangs on prior and measurements, shape (n, 2), from some of the draws."""
+    chosen = choose_draws(*arrays["draws"].shape[:2])
+    draws, density = (arrays[name].reshape(-1, arrays[name].shape[-1])[chosen] for name in ("draws", "log_likelihood"))
+    priors = posterior.all_priors().values()
+    log_prior = sum(prior.log_density(draws[..., k]) for k, prior in enumerate(priors))
+    return measure_sensitivity(draws, np.asarray(log_prior), density[..., ~inputs.verification].sum(axis=-1))
+
+
 def _evaluate(
     inputs: StudyInputs, task: Task, posterior: Posterior, kept: Array, seed: np.random.SeedSequence
 ) -> Arrays:
     """Return pointwise densities and predictions of all poses, in the survey's order, from draws (E, S, n)."""
     variant, flat = inputs.variant(task.variant), kept.reshape(-1, kept.shape[-1])
     theta, tau = posterior.theta(flat), posterior.tau(flat)
-    chosen = np.linspace(0, len(flat) - 1, min(PREDICTIVE_DRAWS, len(flat))).astype(int)
+    chosen = spread(len(flat), SAVED_DRAWS)
     pieces: dict[str, list[Array]] = {}
     held = inputs.verification
     for use, rng_seed in zip((False, True), seed.spawn(2), strict=True):
@@ -160,8 +200,9 @@ def _evaluate(
         likelihood = inputs.likelihood(variant, verification=use)
         pointwise = np.concatenate([_pointwise(likelihood, theta, tau, k) for k in range(0, len(flat), 256)])
         some_tau = tau if tau.ndim == 1 else tau[chosen]
-        prediction = predict(likelihood, theta[chosen], some_tau, np.random.default_rng(rng_seed))
-        for name, value in {"log_likelihood": pointwise.T, **vars(prediction)}.items():
+        made = replicate(likelihood, theta[chosen], some_tau, np.random.default_rng(rng_seed))
+        misfit = made.misfit.astype(np.float32).swapaxes(0, 1)
+        for name, value in {"log_likelihood": pointwise.T, "misfit": misfit, **vars(made.summarise())}.items():
             pieces.setdefault(name, []).append(value)
     order = np.concatenate([np.flatnonzero(held == use) for use in (False, True)])
     back = np.argsort(order)
@@ -178,3 +219,8 @@ def _pointwise(likelihood: Likelihood, theta: Array, tau: Array, start: int) -> 
 def read_prediction(arrays: Arrays) -> Prediction:
     """Return the prediction at all poses that a task's arrays hold."""
     return Prediction(**{field.name: arrays[field.name] for field in fields(Prediction)})
+
+
+def read_left_out(arrays: Arrays) -> LeftOut:
+    """Return what leaving each calibration pose out found, that a task's arrays hold."""
+    return LeftOut(**{field.name: arrays[f"left_out_{field.name}"] for field in fields(LeftOut)})

@@ -197,6 +197,27 @@ class StudyInputs:
             variance[:, leg] = np.einsum("pj,jk,pk->p", travel, blocks[leg, :, leg, :], travel)
         return variance
 
+    def without_shared_errors(self, name: str) -> tuple[Likelihood, Array | None]:
+        """Return the density of a variant's calibration poses without the error of a measured K, and that error.
+
+        The error is what each entry of K, in units of its standard deviation, adds to the legs' errors at all poses,
+        shape (P, N, N²); None where K is none, or known.
+        """
+        variant = self.variant(name)
+        noise = self.config.data.actuator_noise_um * MICROMETRE
+        likelihood = self.measured.likelihood(self.machine(variant), False, noise, None)
+        if self.matrix_variance(variant, verification=False) is None:
+            return likelihood, None
+        assert self.measured_matrix is not None
+        travel, n = self._calibration_travel, self.mechanism.n_legs
+        change = np.zeros((len(travel), n, n, n))
+        for leg in range(n):
+            change[:, leg, leg] = travel
+            change[:, leg, leg, leg] = 0.0  # the diagonal is free or nominal
+        size = np.sqrt(likelihood.actuator_weight)[..., None]
+        root = _square_root(self.measured_matrix.covariance.reshape(n * n, n * n))
+        return likelihood, size * (change.reshape(len(travel), n, n * n) @ root)
+
     def posterior(self, variant: VariantConfig, with_model_error: bool, factor: float = 1.0) -> Posterior:
         """Return the posterior of a variant; ``factor`` multiplies the widths of all parameters' priors."""
         priors, fixed = self.priors(variant, factor)
@@ -231,6 +252,12 @@ class StudyInputs:
                 for name, value, width in zip(block.names, block.nominal, spread, strict=True):
                     priors[name] = NormalPrior(value, width) if normal else UniformPrior(value - width, value + width)
         return priors | self.measured.frame_priors(factor), fixed
+
+
+def _square_root(covariance: Array) -> Array:
+    """Return a matrix whose product with its transpose is a covariance, which may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _measure_deflection(inputs: StudyInputs) -> None:

@@ -23,7 +23,7 @@ from bayescal.experiments.study.compute import compute_study
 from bayescal.experiments.study.inputs import StudyInputs, load_inputs
 from bayescal.experiments.study.page.build import build_page
 from bayescal.experiments.study.schema import StudyConfig, VariantConfig, name_variant
-from bayescal.experiments.study.terminal import show_comparison, show_ranking
+from bayescal.experiments.study.terminal import show_comparison, show_doubts, show_ranking
 from bayescal.numerics.units import MICROMETRE
 from bayescal.report.blocks import Page
 
@@ -62,9 +62,9 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring):
         return build_page(results)
 
     def show(self, results: Results, page: Page, console: Console) -> None:
-        """Print the ranking."""
-        del page
+        """Print the ranking, and what contradicts the stated noise and tolerances."""
         show_ranking(results.summary, console)
+        show_doubts(page.verdict, console)
 
     def list_failures(self, results: Results) -> list[str]:
         """Return whether a posterior, with or without model error, did not converge."""

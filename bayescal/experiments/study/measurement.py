@@ -112,6 +112,8 @@ class TargetMeasurement(Measurement):
             "pose_extraction": {
                 "method": self.method,
                 "chi2_per_dof": self.extraction.chi2_per_dof,
+                "dof": self.extraction.dof,
+                "n_targets": self.extraction.n_targets,
                 "rejected_targets": ["/".join(target) for target in self.extraction.rejected],
             }
         }

@@ -2,97 +2,20 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from bayescal.density.prediction import Prediction, compute_elpd
-from bayescal.experiments.study.fit import Arrays, read_prediction
+from bayescal.density.prediction import Prediction, compute_elpd, compute_joint_elpd
+from bayescal.experiments.study.fit import Arrays, read_left_out, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.diagnostics import Diagnostics, list_check_problems
 from bayescal.limits import AGREEMENT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
-if TYPE_CHECKING:
-    import xarray as xr
 
-ELPD_VARIABLE = "measured_pose"
-
-
-@dataclass(frozen=True, eq=False)
-class Loo:
-    """PSIS-LOO over the calibration poses."""
-
-    elpd: float
-    se: float
-    pareto_k: Array
-
-    @property
-    def n_bad(self) -> int:
-        """Poses whose Pareto k makes the estimate doubtful."""
-        return int(np.sum(self.pareto_k > PARETO_K_LIMIT))
-
-
-def build_tree(inputs: StudyInputs, variant: str, with_model_error: bool, arrays: Arrays) -> xr.DataTree:
-    """Return a posterior as an ArviZ DataTree: draws with chain = ensemble, densities, predictions, data."""
-    from arviz_base import from_dict  # seconds to import, for those who sample; arviz itself brings its plots too
-
-    names = inputs.posterior(inputs.variant(variant), with_model_error).names
-    draws = arrays["draws"]
-    symbols: dict[str, list[int]] = {}
-    for k, name in enumerate(names):
-        symbols.setdefault(name.split("[")[0], []).append(k)
-    legs = list(range(1, inputs.mechanism.n_legs + 1))
-    posterior = {s: draws[..., index] if len(index) > 1 else draws[..., index[0]] for s, index in symbols.items()}
-    dims: dict[str, list[str]] = {s: ["leg"] for s, index in symbols.items() if len(index) > 1}
-    held = inputs.verification
-    names_of = np.array(inputs.names)
-    poses = inputs.measured.poses
-    data = {
-        "posterior": posterior,
-        "sample_stats": {"lp": arrays["log_density"]},
-        "log_likelihood": {ELPD_VARIABLE: arrays["log_likelihood"][..., ~held]},
-        "predictions": {"verification_log_density": arrays["log_likelihood"][..., held]},
-        "observed_data": {"position": poses.position, "rotation": poses.rotation},
-        "constant_data": {"covariance": poses.covariance, "actuators": poses.actuators},
-    }
-    dims |= {
-        ELPD_VARIABLE: ["calibration_pose"],
-        "verification_log_density": ["verification_pose"],
-        "position": ["pose", "axis"],
-        "rotation": ["pose", "axis", "platform_axis"],
-        "covariance": ["pose", "component", "component_other"],
-        "actuators": ["pose", "leg"],
-    }
-    coords = {
-        "leg": legs,
-        "pose": names_of,
-        "calibration_pose": names_of[~held],
-        "verification_pose": names_of[held],
-        "axis": list("xyz"),
-        "platform_axis": list("xyz"),
-    }
-    tree = from_dict(data, coords=coords, dims=dims, pred_dims=dims, pred_coords=coords)
-    tree.attrs = {"variant": variant, "model_error": "free" if with_model_error else "zero", "length_unit": "mm"}
-    return tree
-
-
-def compute_loo(tree: xr.DataTree) -> Loo:
-    """Return PSIS-LOO over the calibration poses; poses with a large Pareto k are counted, not hidden."""
-    from arviz_stats import loo
-
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Estimated shape parameter of Pareto distribution")
-        found = loo(tree, var_name=ELPD_VARIABLE, pointwise=True)
-    return Loo(float(found.elpd), float(found.se), np.asarray(found.pareto_k, dtype=np.float64))
-
-
-def summarise_fit(
-    inputs: StudyInputs, variant: str, with_model_error: bool, arrays: Arrays, loo: Loo
-) -> dict[str, Any]:
+def summarise_fit(inputs: StudyInputs, variant: str, with_model_error: bool, arrays: Arrays) -> dict[str, Any]:
     """Return one posterior's summary; lengths in mm, angles in degrees."""
     posterior = inputs.posterior(inputs.variant(variant), with_model_error)
     importance, bridge = arrays["importance"], arrays["bridge"]
@@ -100,7 +23,8 @@ def summarise_fit(
     trusted = pareto_k <= PARETO_K_LIMIT
     primary = importance if trusted else bridge
     problems, prediction = list_problems(arrays), read_prediction(arrays)
-    held = inputs.verification
+    held, left_out = inputs.verification, read_left_out(arrays)
+    elpd, elpd_se = left_out.summarise()
     summary: dict[str, Any] = {
         "n_parameters": posterior.n_parameters,
         "log_evidence": float(primary[0]),
@@ -111,10 +35,11 @@ def summarise_fit(
         **_describe_check(arrays),
         "log_evidence_agrees": bool(abs(importance[0] - bridge[0]) <= AGREEMENT),
         "importance": {"efficiency": efficiency, "pareto_k": pareto_k, "n_draws": int(n_draws)},
-        "elpd_loo": loo.elpd,
-        "elpd_loo_se": loo.se,
-        "elpd_loo_pareto_k_max": float(loo.pareto_k.max()),
-        "elpd_loo_n_bad_k": loo.n_bad,
+        "elpd_loo": elpd,
+        "elpd_loo_se": elpd_se,
+        "elpd_loo_pareto_k_max": float(left_out.pareto_k.max()),
+        "elpd_loo_n_refitted": int(left_out.was_refitted.sum()),
+        "elpd_loo_n_bad_k": int(left_out.is_doubtful.sum()),
         "converged": not problems,
         "problems": problems,
         "rhat_max": float(arrays["rhat"].max()),
@@ -127,9 +52,17 @@ def summarise_fit(
         "parameters": _summarise_parameters(inputs, variant, posterior.all_priors(), posterior.names, arrays),
     }
     if held.any():
-        pointwise = arrays["log_likelihood"][..., held]
-        summary["verification"]["elpd"] = compute_elpd(pointwise.reshape(-1, pointwise.shape[-1]))
+        pointwise = arrays["log_likelihood"][..., held].reshape(-1, held.sum())
+        joint, monte_carlo = compute_joint_elpd(pointwise)
+        summary["verification"] |= {
+            "elpd": joint,
+            "elpd_monte_carlo_se": monte_carlo,
+            "elpd_pose_by_pose": compute_elpd(pointwise),
+        }
     summary["distance_from_nominal"] = _measure_distance(summary["parameters"])
+    for key in ("misfit", "pulls"):
+        chi2, dof = (float(x) for x in arrays[f"{key}_chi2"])
+        summary[key] = {"chi2": chi2, "dof": dof}
     return summary
 
 

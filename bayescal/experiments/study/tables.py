@@ -20,8 +20,15 @@ BENDING, N_BENDINGS = 1.0, 51  # deg
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 
 
-def tabulate_ranking(summary: dict[str, Any]) -> pd.DataFrame:
-    """Return one row per variant, the best first."""
+def tabulate_ranking(summary: dict[str, Any], differences: pd.DataFrame) -> pd.DataFrame:
+    """Return one row per variant, the best first.
+
+    Parameters
+    ----------
+    summary : dict
+    differences : DataFrame
+        Of elpd by leave-one-out from the best, with standard errors, by variant.
+    """
     best = summary["variants"][summary["ranking"][0]]["log_evidence"]
     rows = []
     for rank, name in enumerate(summary["ranking"], start=1):
@@ -38,7 +45,10 @@ def tabulate_ranking(summary: dict[str, Any]) -> pd.DataFrame:
                 "log_evidence_without_model_error": variant["without_model_error"]["log_evidence"],
                 "elpd_loo": variant["elpd_loo"],
                 "elpd_loo_se": variant["elpd_loo_se"],
+                "elpd_loo_difference": differences["elpd_diff"][name],
+                "elpd_loo_difference_se": differences["dse"][name],
                 "elpd_verification": held.get("elpd", np.nan),
+                "elpd_verification_pose_by_pose": held.get("elpd_pose_by_pose", np.nan),
                 **_error_columns("calibration", variant["calibration"]),
                 **(_error_columns("verification", held) if held else {}),
                 "distance_from_nominal_mm": variant["distance_from_nominal"]["rms_mm"],
@@ -112,6 +122,19 @@ def tabulate_sensitivity(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.Da
             }
         )
     return pd.DataFrame(rows).sort_values(["factor", "log_evidence"], ascending=[True, False], ignore_index=True)
+
+
+def tabulate_power_scaling(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> pd.DataFrame:
+    """Return how much each parameter hangs on its prior and on the measurements, model error free."""
+    frames = []
+    for task, arrays in posteriors.items():
+        if task.with_model_error:
+            names = inputs.posterior(inputs.variant(task.variant), True).names
+            prior, likelihood = arrays["power_scaling"].T
+            frames.append(
+                pd.DataFrame({"variant": task.variant, "parameter": names, "prior": prior, "likelihood": likelihood})
+            )
+    return pd.concat(frames, ignore_index=True)
 
 
 def identify_variants(inputs: StudyInputs) -> dict[str, LeastSquaresFit]:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
+from bayescal.report.blocks import Statement
 from bayescal.report.numbers import MICROMETRES, format_estimate, format_fixed
+
+DOUBTS = ("Noise", "Tolerances", "Bounds")
 
 
 def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
@@ -52,6 +55,13 @@ def _describe_check(name: str, fit: Mapping[str, Any]) -> str:
     own = format_estimate(fit["log_evidence"], fit["log_evidence_se"], 3)
     check = fit["log_evidence_check"]
     return f"checked {name}: log-evidence {own}, by tempering {format_estimate(check['log_evidence'], check['se'], 3)}"
+
+
+def show_doubts(verdict: Sequence[Statement], console: Console) -> None:
+    """Print what contradicts the stated noise and tolerances."""
+    for statement in verdict:
+        if statement.lead in DOUBTS and statement.level in ("warning", "bad"):
+            console.print(f"{statement.lead.upper()}: {statement.text}", soft_wrap=True)
 
 
 def _format_size(size: float | None) -> str:

@@ -7,6 +7,7 @@ import sys
 import calibrations
 import pandas as pd
 import pytest
+from saved_trees import check_tree
 
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
@@ -58,6 +59,13 @@ def test_the_truth_lies_where_the_posterior_says(outcomes):
     z = (every["mean"] - true["value"][every.index]) / every["sd"]
     assert (z.abs() < 4.0).all()
     assert (z**2).mean() < 2.5
+
+
+def test_arviz_judges_every_posterior(outcomes):
+    folder, _ = outcomes
+    files = sorted((folder / "elsewhere" / "1" / "posterior").glob("*.nc"))
+    variants = set(pd.read_csv(folder / "elsewhere" / "1" / "variants.csv")["variant"])
+    assert {check_tree(path).attrs["variant"] for path in files} == variants
 
 
 def test_held_back_readings_lie_in_their_intervals(outcomes):

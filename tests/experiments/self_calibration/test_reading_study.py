@@ -15,6 +15,7 @@ import studies
 from reading_machines import EXPERIMENT
 from reading_studies import copy_shipped, describe_variant, load_small, write_small
 from rich.console import Console
+from saved_trees import check_tree, read_tree
 
 from bayescal.density.readings.calibrability import compute_calibrability
 from bayescal.density.readings.tool import locate_tool
@@ -30,6 +31,8 @@ from bayescal.experiments.self_calibration.kind import SelfCalibration
 from bayescal.experiments.self_calibration.page.verdict import explains, list_rows, write_names
 from bayescal.experiments.self_calibration.tables import rank_models, tabulate
 from bayescal.experiments.self_calibration.tool import assess_tool, predict_tool
+from bayescal.experiments.shared.reading_trees import build_reading_tree
+from bayescal.experiments.shared.trees import write_tree
 
 RESULTS = Path(__file__).parents[3] / "results" / "sliding_star"
 TABLES = {"variants", "parameters", "identifiability", "ridges", "predictions", "residuals"}
@@ -67,6 +70,21 @@ def fits(some):
     return {name: fit_variant(some, some.variants[name]) for name in ("s4", "s8_external")}
 
 
+# --- the saved posterior -----------------------------------------------------------------------------------------
+
+
+def test_arviz_judges_a_saved_posterior(some, fits, tmp_path):
+    fit = fits["s8_external"]
+    poses = some.table.poses[: len(fit.square)]
+    path = tmp_path / "s8.nc"
+    write_tree(lambda: build_reading_tree(fit.saved, fit.names, ["mm"] * len(fit.names), poses, "s8"))(path)
+    tree = check_tree(path)
+    near = tree["posterior_predictive/readings"] - tree["observed_data/readings"]
+    assert float(near.std(("chain", "draw")).mean()) < 2.0  # in units of the noise
+    assert float(np.abs(near.mean(("chain", "draw"))).max()) < 4.0
+    assert float(tree["prior_predictive/readings"].std()) > 10.0
+
+
 # --- the whole -------------------------------------------------------------------------------------------------------
 
 
@@ -80,6 +98,10 @@ def test_shipped_experiment_runs_tiny(tmp_path, no_pictures, search_little):
     assert all(name in said for name in kept)
     assert {p.stem for p in out.glob("*.csv")} == TABLES
     assert {p.stem for p in (out / "figures").iterdir()} == {"tool", "parameters", "predictions"}
+    assert {p.stem for p in (out / "posterior").iterdir()} == set(kept)
+    tree = read_tree(out / "posterior" / "s8.nc")
+    assert tree["posterior/l"].attrs["units"] == "mm"
+    assert tree["posterior/beta"].attrs["units"] == "rad"
     summary = json.loads((out / "summary.json").read_text())
     assert summary == finished.summary
     assert summary["rankings"][0][0] == "s8_one_length"

@@ -182,7 +182,8 @@ def test_netcdf_opens_with_the_named_groups(result, summary, name):
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Estimated shape parameter of Pareto")  # so few draws
             loo = az.loo(tree, var_name="measured_pose")
-        assert abs(float(loo.elpd) - summary["variants"][name]["elpd_loo"]) < 1e-6
+        fit = summary["variants"][name]
+        assert abs(float(loo.elpd) - fit["elpd_loo"]) < (1.0 if fit["elpd_loo_n_refitted"] else 1e-6)
     assert az.from_netcdf(path, engine="h5netcdf")["posterior"]["l"].shape[0] == 4
 
 

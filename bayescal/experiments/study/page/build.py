@@ -14,6 +14,8 @@ from bayescal.experiments.study.page.frames import show_frames
 from bayescal.experiments.study.page.model_error import tabulate_model_error
 from bayescal.experiments.study.page.notation import show_notation
 from bayescal.experiments.study.page.parameter_tables import fold_parameters, state_agreement, tabulate_contraction
+from bayescal.experiments.study.page.prediction import tabulate_stacking
+from bayescal.experiments.study.page.predictive_checks import fold_checks
 from bayescal.experiments.study.page.published import tabulate_published
 from bayescal.experiments.study.page.ranking import tabulate_effects, tabulate_ranking
 from bayescal.experiments.study.page.results import StudyResults
@@ -86,9 +88,7 @@ def build_page(results: Results) -> Page:
 
 def _show_ranking(study: StudyResults) -> Section:
     blocks: list[Block] = [RANKING, show.illustrate_ranking(study), tabulate_ranking(study, "free")]
-    effects = tabulate_effects(study)
-    if effects is not None:
-        blocks.append(effects)
+    blocks += [table for table in (tabulate_effects(study), tabulate_stacking(study)) if table is not None]
     blocks.append(Fold("The same ranking without model error (τ = 0)", (tabulate_ranking(study, "zero"),)))
     return Section("Ranking", tuple(blocks), anchor="ranking")
 
@@ -158,6 +158,6 @@ def _show_evidence(study: StudyResults) -> Section:
 
 
 def _show_diagnostics(study: StudyResults) -> Section:
-    """Return the convergence of every posterior, open where something failed."""
+    """Return the convergence of every posterior, open where something failed, and further checks."""
     fold = Fold("Convergence of every posterior", (tabulate_diagnostics(study),), bool(list_failures(study)))
-    return Section("Diagnostics", (fold,), anchor="diagnostics")
+    return Section("Diagnostics", (fold, *fold_checks(study)), anchor="diagnostics")

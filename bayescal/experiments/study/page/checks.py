@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from bayescal.experiments.study.page.results import SETTINGS, StudyResults
+from bayescal.experiments.study.page.soundness import choose_setting, describe_bounds, state_soundness
 from bayescal.experiments.study.page.variants import (
     NOT_DISTINGUISHABLE,
     find_leaders,
@@ -81,6 +82,9 @@ def state_convergence(results: StudyResults) -> Statement:
         f"at least {format_fixed(bulk, 0)} (limit {format_fixed(ESS_BULK_LIMIT, 0)}). Both evidence estimators agree "
         f"to {format_fixed(gap, 3)} nat or better (limit {AGREEMENT})."
     )
+    if state_soundness(results):
+        caveat = "That follows from what was stated of noise and tolerances, which the measurements contradict (above)."
+        return Statement(f"{text} {caveat}", "plain", "Checks")
     return Statement(text, "good", "Checks")
 
 
@@ -244,7 +248,9 @@ def state_coverage(results: StudyResults) -> list[Statement]:
             text += ": too narrow, so the posteriors claim more than the data bear out, for "
             text += name_or_count(shares, len(coverage))
         statements.append(Statement(f"{text}.", "warning" if narrow else "plain", "Coverage"))
-    return statements
+    best = results.ranking[0]
+    bounds = describe_bounds(results, best, choose_setting(results, best))
+    return [*statements, Statement(f"{label_variant(results, best)}: {bounds}.", lead="Coverage")]
 
 
 def _cover_both(results: StudyResults, variant: str, setting: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from bayescal.experiments.study.page.evidence import format_evidence
+from bayescal.experiments.study.page.prediction import measure_error, read_verification_elpd
 from bayescal.experiments.study.page.results import USES, StudyResults, get_number
 from bayescal.experiments.study.page.variants import (
     VARIANT,
@@ -18,7 +19,6 @@ from bayescal.experiments.study.page.variants import (
     read_evidence,
     split_variant,
 )
-from bayescal.experiments.study.page.verdict import read_verification_elpd
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
 from bayescal.report.numbers import (
@@ -45,6 +45,7 @@ def tabulate_ranking(results: StudyResults, setting: str) -> Table:
         Column("Log-evidence", "nat"),
         Column("Difference", "nat"),
         Column("LOO", "nat", "elpd"),
+        Column("LOO, from the best", "nat", "elpd"),
         Column("verification", "nat", "elpd"),
         *(Column(use, "µm", "Position error, mean / max") for use in uses),
         *(Column(use, "mdeg", "Orientation error, mean / max") for use in uses),
@@ -63,6 +64,7 @@ def tabulate_ranking(results: StudyResults, setting: str) -> Table:
                 format_evidence(fit["log_evidence"], fit["log_evidence_se"]),
                 format_fixed(fit["log_evidence"] - best, 1),
                 _format_loo(fit),
+                _format_loo_difference(results, name, setting),
                 format_fixed(read_verification_elpd(fit), 1),
                 *(_format_errors(fit[use], "position_error_mm", MICROMETRES) for use in uses),
                 *(_format_errors(fit[use], "orientation_error_deg", MILLIDEGREES) for use in uses),
@@ -76,7 +78,8 @@ def tabulate_ranking(results: StudyResults, setting: str) -> Table:
     if any(results.fit(name, setting)["elpd_loo_n_bad_k"] for name in names):
         notes.append(
             Statement(
-                f"(n) n poses with Pareto k above {PARETO_K_LIMIT}: there elpd LOO is not to be trusted.", "warning"
+                f"(n) n poses with Pareto k above {PARETO_K_LIMIT} that no run left out: elpd LOO is doubtful.",
+                "warning",
             )
         )
     if setting == "free":
@@ -145,6 +148,15 @@ def _format_loo(fit: dict[str, Any]) -> Cell:
     text = format_estimate(fit["elpd_loo"], fit["elpd_loo_se"], 1)
     bad = int(fit["elpd_loo_n_bad_k"])
     return Cell(f"{text} ({bad})", "warning") if bad else Cell(text)
+
+
+def _format_loo_difference(results: StudyResults, name: str, setting: str) -> str:
+    """Return how far a variant's elpd lies below the best one's, with the standard error of the difference."""
+    best = max(results.ranking, key=lambda other: results.fit(other, setting)["elpd_loo"])
+    if name == best:
+        return format_fixed(0.0, 1)
+    gap = results.fit(name, setting)["elpd_loo"] - results.fit(best, setting)["elpd_loo"]
+    return format_estimate(gap, measure_error(results, name, best, "calibration", setting), 1)
 
 
 def _format_errors(errors: dict[str, Any] | None, key: str, factor: float) -> str:

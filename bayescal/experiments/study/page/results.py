@@ -11,14 +11,12 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-import h5py  # type: ignore[import-untyped]  # ships no types
-import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import SUMMARY_FILE, Results
+from bayescal.experiments.study.page.posterior_files import Replicates, read_posteriors, read_replicates
 from bayescal.experiments.study.page.publication import Publication, read_publication
-from bayescal.experiments.study.schema import stem_of
 from bayescal.report.reading import NUMBER, Kinds, check_keys
 from bayescal.report.symbols import split_name
 
@@ -49,7 +47,7 @@ FIT_KEYS: dict[str, Kinds] = {
     **dict.fromkeys(("elpd_loo_n_bad_k", "elpd_loo_pareto_k_max", "rhat_max", "ess_bulk_min", "ess_tail_min"), NUMBER),
     **dict.fromkeys(("acceptance", "wall_seconds"), NUMBER),
     **dict.fromkeys(("log_evidence_methods", "log_evidence_method_se", "importance", "calibration"), dict),
-    **dict.fromkeys(("parameters", "distance_from_nominal"), dict),
+    **dict.fromkeys(("parameters", "distance_from_nominal", "misfit", "pulls"), dict),
     "log_evidence_primary": str,
     "log_evidence_agrees": bool,
     "converged": bool,
@@ -60,6 +58,8 @@ NESTED_KEYS = {
     "log_evidence_method_se": ("importance", "bridge"),
     "importance": ("efficiency", "pareto_k", "n_draws"),
     "distance_from_nominal": ("rms_mm", "rms_prior_sd"),
+    "misfit": ("chi2", "dof"),
+    "pulls": ("chi2", "dof"),
 }
 ERROR_KEYS: dict[str, Kinds] = {
     "position_error_mm": dict,
@@ -79,6 +79,11 @@ TABLE_COLUMNS = {
         "orientation_error_deg",
         "orientation_bound_95_deg",
     ),
+    "left_out": (
+        *("variant", "model_error", "pose", "use", "elpd", "pareto_k", "refitted"),
+        *("x_pit", "y_pit", "z_pit", "rx_pit", "ry_pit", "rz_pit", "position_pit", "orientation_pit"),
+    ),
+    "power_scaling": ("variant", "parameter", "prior", "likelihood"),
     "sensitivity": ("variant", "factor", "log_evidence", "log_evidence_se", "efficiency", "pareto_k"),
     "least_squares": (
         "variant",
@@ -105,7 +110,7 @@ TABLE_COLUMNS = {
     ),
     "claims": ("claim", "section", "statement", "expected", "found", "value", "unit", "verdict", "why"),
 }
-REQUIRED = ("predictions", "sensitivity", "least_squares")
+REQUIRED = ("predictions", "left_out", "sensitivity", "least_squares")
 NEEDING_POSES = "least_squares"  # is not there where an instrument measures poses in part or in a frame of its own
 FRAME = re.compile(r"(base[1-9]?|tool)_r?[xyz]")
 TOGETHER = ("ring", "deformation")  # both are there, or neither
@@ -119,8 +124,10 @@ class StudyResults:
     ----------
     summary, config : dict
         As JSON has them.
-    predictions, sensitivity, least_squares : DataFrame
+    predictions, left_out, sensitivity, least_squares : DataFrame
         Tables of the study; without rows the last where no least squares was done.
+    power_scaling : DataFrame or None
+        How much each parameter depends on the prior and on the measurements; None where no posterior has any.
     ring, deformation : DataFrame or None
         Deflections of the joints and what follows from them; None without targets on the pads.
     claims : DataFrame or None
@@ -131,19 +138,24 @@ class StudyResults:
         What the study repeats; None for anybody's machine.
     draws : dict
         For each variant whose posterior file is there, the draws (S,) of each parameter, model error free.
+    replicates : Replicates or None
+        Of the best variant; None where its posterior file is not there.
     """
 
     summary: dict[str, Any]
     config: dict[str, Any]
     predictions: pd.DataFrame
+    left_out: pd.DataFrame
     sensitivity: pd.DataFrame
     least_squares: pd.DataFrame
+    power_scaling: pd.DataFrame | None = None
     ring: pd.DataFrame | None = None
     deformation: pd.DataFrame | None = None
     claims: pd.DataFrame | None = None
     flexure: pd.DataFrame | None = None
     publication: Publication | None = None
     draws: dict[str, dict[str, Array]] = field(default_factory=dict)
+    replicates: Replicates | None = None
 
     @classmethod
     def of(cls, results: Results) -> Self:
@@ -165,8 +177,10 @@ class StudyResults:
         publication = read_publication(summary, path)
         if "claims" in tables and publication is None:
             raise InputError(f"{path}: publication: found nothing, expected the one whose claims are tested")
-        draws = {} if results.folder is None else _read_posteriors(results.folder / "posterior", summary["ranking"])
-        return cls(summary, results.config, **tables, publication=publication, draws=draws)
+        folder, ranking = results.folder or Path(), summary["ranking"]
+        draws = {} if results.folder is None else read_posteriors(folder / "posterior", ranking)
+        seen = None if results.folder is None else read_replicates(folder / "posterior", ranking[0])
+        return cls(summary, results.config, **tables, publication=publication, draws=draws, replicates=seen)
 
     @cached_property
     def own_names(self) -> dict[str, tuple[str, str]]:
@@ -337,28 +351,6 @@ def _check_fit(fit: dict[str, Any], uses: list[str], path: Path, where: str) -> 
         for key in ("position_error_mm", "orientation_error_deg"):
             sizes = (*NUMBER, type(None))  # nothing where it was not measured
             check_keys(fit[use][key], dict.fromkeys(("mean", "max"), sizes), path, f"{where}{use}.{key}.")
-
-
-def _read_posteriors(folder: Path, variants: list[str]) -> dict[str, dict[str, Array]]:
-    """Return the draws of each variant whose file is there."""
-    paths = {variant: folder / f"{stem_of(variant)}.nc" for variant in variants}
-    return {variant: _read_draws(path) for variant, path in paths.items() if path.is_file()}
-
-
-def _read_draws(path: Path) -> dict[str, Array]:
-    """Return the draws of each parameter with chains joined, from the posterior group of an ArviZ file."""
-    draws: dict[str, Array] = {}
-    try:
-        with h5py.File(path, "r") as file:
-            for symbol, values in file["posterior"].items():
-                if values.ndim < 2:
-                    continue  # coordinates
-                flat = np.asarray(values, dtype=np.float64).reshape(values.shape[0] * values.shape[1], -1)
-                single = values.ndim == 2
-                draws |= {symbol if single else f"{symbol}[{k + 1}]": flat[:, k] for k in range(flat.shape[1])}
-    except (OSError, KeyError) as error:
-        raise InputError(f"{path}: cannot be read as a posterior ({error})") from error
-    return draws
 
 
 def get_number(content: Mapping[str, Any], key: str) -> float:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 from bayescal.experiments.study.page import checks, claims
+from bayescal.experiments.study.page.prediction import state_prediction
 from bayescal.experiments.study.page.results import StudyResults, get_number
+from bayescal.experiments.study.page.soundness import state_soundness
 from bayescal.experiments.study.page.variants import (
     NOT_DISTINGUISHABLE,
     find_best,
@@ -25,7 +25,6 @@ from bayescal.experiments.study.page.variants import (
     split_pairs,
     split_variant,
 )
-from bayescal.limits import PARETO_K_LIMIT
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import (
     MICROMETRES,
@@ -33,7 +32,6 @@ from bayescal.report.numbers import (
     NOTHING,
     format_fixed,
     format_odds,
-    format_plain,
     format_significant,
     format_span,
     join_words,
@@ -41,7 +39,6 @@ from bayescal.report.numbers import (
 from bayescal.report.variant_names import describe_deformation
 
 STRONG = 5.0  # nats
-SMALL_ELPD = 4.0  # nats of elpd below which a difference says little
 BEYOND_BELIEF = 15.0  # nats from which odds rest on the assumptions, no longer on the data
 
 
@@ -76,12 +73,13 @@ def state_headline(results: StudyResults) -> str:
 def state_verdict(results: StudyResults) -> list[Statement]:
     """Return the sentences below the headline."""
     return [
+        *state_soundness(results),
         *_state_deformations(results),
         *_state_models(results),
         *_state_free_sets(results),
         *_state_pairs(results),
         _state_accuracy(results),
-        *_state_prediction(results),
+        *state_prediction(results),
         *claims.state_claims(results),
         checks.state_convergence(results),
         *checks.state_stability(results),
@@ -218,73 +216,3 @@ def _state_odds(results: StudyResults) -> list[Statement]:
         "(noise model, priors, tolerances); they are no measure of how sure one may be of the assumptions."
     )
     return [Statement(text, lead="Odds")]
-
-
-# --- predictive density ----------------------------------------------------------------------------------------------
-
-
-def _state_prediction(results: StudyResults) -> list[Statement]:
-    """Say whether cross-validation and the poses held back name the same variants as the evidence."""
-    if len(results.ranking) == 1:
-        return []
-    loo = "Leave-one-out cross-validation (elpd LOO)"
-    statements = [_compare_order(results, loo, "agrees", lambda fit: float(fit["elpd_loo"]))]
-    if results.n_verification:
-        held = "The poses held back for verification (elpd)"
-        statements.append(_compare_order(results, held, "agree", read_verification_elpd))
-    bad = {name: int(results.fit(name, "free")["elpd_loo_n_bad_k"]) for name in results.ranking}
-    doubtful = [f"{label_variant(results, name)} ({n} {'pose' if n == 1 else 'poses'})" for name, n in bad.items() if n]
-    if doubtful:
-        named = checks.name_or_count(doubtful, len(bad))
-        text = f"elpd LOO is approximate where Pareto k exceeds {PARETO_K_LIMIT}: {named}."
-        statements.append(Statement(text, "warning", "Prediction"))
-    return statements
-
-
-def read_verification_elpd(fit: dict[str, Any]) -> float:
-    """Return the elpd of the poses held back, NaN without such poses."""
-    return get_number(fit.get("verification") or {}, "elpd")
-
-
-def _compare_order(results: StudyResults, name: str, verb: str, score: Callable[[dict[str, Any]], float]) -> Statement:
-    values = {variant: score(results.fit(variant, "free")) for variant in results.ranking}
-    order = sorted(values, key=lambda variant: -values[variant] if values[variant] == values[variant] else math.inf)
-    leaders = find_leaders(results)
-    others = [variant for variant in order if variant not in leaders]
-    first = order[0]
-    if not others or first not in leaders:
-        rival = order[1] if first in leaders else max(leaders, key=values.__getitem__)
-        lead = f"{label_variant(results, first)} first, {format_fixed(values[first] - values[rival], 1)} nat ahead of "
-        return _judge_order(
-            name, verb, values[first] - values[rival], first in leaders, lead + label_variant(results, rival)
-        )
-    gap = min(values[variant] for variant in leaders) - values[others[0]]
-    among = f"{label_variant(results, first)} first, "
-    if len(leaders) > 1:
-        spread = format_fixed(max(values.values()) - min(values[variant] for variant in leaders), 1)
-        among = f"the same {len(leaders)} lead with {spread} nat between them, "
-    lead = f"{among}{format_fixed(gap, 1)} nat ahead of {label_variant(results, others[0])}"
-    if gap > SMALL_ELPD:
-        lead += _describe_rest(results, values)
-    return _judge_order(name, verb, gap, True, lead)
-
-
-def _judge_order(name: str, verb: str, gap: float, agrees: bool, lead: str) -> Statement:
-    if not gap > SMALL_ELPD:
-        return Statement(
-            f"{name} hardly {'separates' if verb == 'agrees' else 'separate'} the best: {lead}.", lead="Prediction"
-        )
-    if not agrees:
-        return Statement(f"{name} dis{verb}: {lead}.", "bad", "Prediction")
-    return Statement(f"{name} {verb}: {lead}.", "good", "Prediction")
-
-
-def _describe_rest(results: StudyResults, values: Mapping[str, float]) -> str:
-    """Say whether the order further down contradicts the evidence by more than a little."""
-    if len(values) < 3:
-        return ""
-    reversed_pairs = checks.list_reversals(results, values, SMALL_ELPD)
-    if not reversed_pairs:
-        return f"; no pair that the evidence tells apart is reversed by more than {format_plain(SMALL_ELPD)} nat"
-    n = len(reversed_pairs)
-    return f"; further down {n} {'pair comes' if n == 1 else 'pairs come'} in the other order"

@@ -90,6 +90,8 @@ def describe_fit(log_evidence: float, shift: float, with_model_error: bool, uses
         "verification": {**errors, "elpd": log_evidence / 5} if "verification" in uses else None,
         "parameters": describe_parameters(shift, with_model_error),
         "distance_from_nominal": {"rms_mm": shift, "rms_prior_sd": shift / 2},
+        "misfit": {"chi2": 205.0, "dof": 200.0},
+        "pulls": {"chi2": 11.0, "dof": 10.0},
     }
 
 
@@ -108,6 +110,24 @@ def describe_summary(uses: dict[str, int], variants_of: dict[str, tuple[float, f
         "variants": variants,
         "ranking": sorted(variants, key=lambda name: -variants_of[name][0]),
     }
+
+
+PITS = ("x_pit", "y_pit", "z_pit", "rx_pit", "ry_pit", "rz_pit", "position_pit", "orientation_pit")
+
+
+def tabulate_left_out(uses: dict[str, int], variants: dict[str, dict]) -> pd.DataFrame:
+    """Return elpd by pose: of the k-th variant k nat to and fro, so that LOO of two differs by ± 2 nat times that."""
+    rows = []
+    for number, (variant, free) in enumerate(variants.items()):
+        for setting, fit in (("free", free), ("zero", free["without_model_error"])):
+            for use, n in uses.items():
+                total = fit["elpd_loo"] if use == "calibration" else (fit["verification"] or {}).get("elpd", 0.0)
+                for k in range(n):
+                    elpd = total / n + number * (-1) ** k
+                    own = {"variant": variant, "model_error": setting, "pose": f"{use[0].upper()}{k}", "use": use}
+                    pits = dict(zip(PITS, np.linspace(0.1, 0.9, 8) + 0.01 * k, strict=True))
+                    rows.append({**own, "elpd": elpd, "pareto_k": 0.3, "refitted": False, **pits})
+    return pd.DataFrame(rows)
 
 
 def tabulate_predictions(uses: dict[str, int], variants: dict[str, tuple[float, float]]) -> pd.DataFrame:
@@ -194,6 +214,19 @@ def tabulate_ring() -> tuple[pd.DataFrame, pd.DataFrame]:
     return ring, pd.DataFrame(rows, columns=["quantity", "leg", "actuator", "mean_1e-3", "sd_1e-3"])
 
 
+def tabulate_power_scaling(variants: dict[str, tuple[float, float]]) -> pd.DataFrame:
+    """Return sensitivities: of a_x the prior decides, of b_x of leg 2 both pull apart, else the data decide."""
+    odd = {"a_x[1]": (0.2, 0.01), "a_x[2]": (0.3, 0.02), "b_x[2]": (0.1, 0.2)}
+    names = [f"{symbol}[{leg}]" for symbol in (*SYMBOLS, "tau") for leg in LEGS]
+    return pd.DataFrame(
+        [
+            dict(zip(("variant", "parameter", "prior", "likelihood"), (v, n, *odd.get(n, (0.01, 0.1))), strict=True))
+            for v in variants
+            for n in names
+        ]
+    )
+
+
 def write_draws(path: Path) -> None:
     """The draws of a_x and b_x of leg 2 lie on a ridge, everything else is independent."""
     rng = np.random.default_rng(3)
@@ -203,6 +236,10 @@ def write_draws(path: Path) -> None:
         for symbol, values in draws.items():
             file[f"posterior/{symbol}"] = values
         file["posterior/leg"] = np.array(LEGS)
+        for name, size in (("position", 0.004), ("orientation", 1e-5)):
+            file[f"components/observed_data/{name}"] = np.ones((USES["calibration"], 3))
+            replicated = 1.0 + size * rng.standard_normal((4, 50, USES["calibration"], 3))
+            file[f"components/posterior_predictive/{name}"] = replicated
 
 
 def describe_config(variants: dict[str, tuple[float, float]], published: bool) -> dict:
@@ -278,7 +315,9 @@ def write_results(
     provenance |= {"platform": "linux", "files": {"t.csv": "f" * 64}, "versions": {"numpy": "2"}}
     tables = {
         "predictions": tabulate_predictions(uses, variants),
+        "left_out": tabulate_left_out(uses, summary["variants"]),
         "least_squares": tabulate_least_squares(variants, published),
+        "power_scaling": tabulate_power_scaling(variants),
         "sensitivity": tabulate_sensitivity(summary),
     }
     if ring:

@@ -72,6 +72,7 @@ def test_every_figure_is_drawn_without_a_warning(page):
     assert set(images) == {
         *("errors", "errors_none", "errors_linear", "errors_matrix", "bounds", "parameters", "hardpoints", "flexure"),
         *("ridges", "deflections", "model_error", "sensitivity"),
+        *("ranks", "loo_pit", "replicates", "pareto_k"),
     }
     assert all(image.startswith(b"\x89PNG") for image in images.values())
 

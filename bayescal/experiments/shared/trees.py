@@ -1,0 +1,197 @@
+"""Posteriors as ArviZ keeps them: a tree of named groups in which every variable has its unit.
+
+The measured quantity of every pose is one number, so that a pose is what is left out, replicated and compared; what it
+is, the kind of experiment says. Prior and posterior are thinned alike in all groups.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayescal.numerics.geometry import Array
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from bayescal.experiments.frame.results import Writer
+
+SAVED_DRAWS = 2000
+PRIOR_DRAWS = 500
+
+
+@dataclass(frozen=True, eq=False)
+class Replicated:
+    """One number per pose: as measured, and as draws say that it would be measured again.
+
+    Attributes
+    ----------
+    name, unit, meaning : str
+    observed : ndarray, shape (P,)
+    posterior : ndarray, shape (E, S, P)
+    prior : ndarray, shape (T, P)
+    log_likelihood : ndarray, shape (E, S, P)
+        Of each pose with all that was measured there.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    observed: Array
+    posterior: Array
+    prior: Array
+    log_likelihood: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Draws of n parameters.
+
+    Attributes
+    ----------
+    names, units : sequence of str
+        Of the parameters; ``symbol[k]`` become entries of one variable.
+    posterior : ndarray, shape (E, S, n)
+        A chain is an ensemble.
+    log_density : ndarray, shape (E, S)
+    log_prior : ndarray, shape (E, S, n)
+        Of each parameter in its own unit.
+    prior : ndarray, shape (T, n)
+    """
+
+    names: Sequence[str]
+    units: Sequence[str]
+    posterior: Array
+    log_density: Array
+    log_prior: Array
+    prior: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Further variables: each its values with the names of its dimensions, its unit and what it is."""
+
+    variables: Mapping[str, tuple[tuple[str, ...], Array, str, str]]
+    coords: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+
+
+def name_file(variant: str) -> str:
+    """Return the name of a variant's file in the results directory."""
+    return f"posterior/{re.sub(r'[^\w.-]+', '_', variant)}.nc"
+
+
+def choose_draws(n_chains: int, n_draws: int, n_wanted: int = SAVED_DRAWS) -> Array:
+    """Return which draws to keep of chains laid end to end, shape (E, S): about n_wanted, as many of each chain."""
+    chosen = spread(n_chains * n_draws, n_wanted)
+    own = [chosen[chosen // n_draws == chain] for chain in range(n_chains)]
+    shortest = min(len(one) for one in own)
+    return np.stack([one[:shortest] for one in own])
+
+
+def spread(n: int, n_wanted: int) -> Array:
+    """Return the places of at most n_wanted evenly spread ones among n."""
+    return np.linspace(0, n - 1, min(n_wanted, n)).astype(int)
+
+
+def build_tree(
+    draws: Draws, replicated: Replicated, poses: Sequence[str], groups: Mapping[str, Group], **attributes: str
+) -> xr.DataTree:
+    """Return a posterior as an ArviZ DataTree.
+
+    Parameters
+    ----------
+    draws : Draws
+    replicated : Replicated
+    poses : sequence of str
+        Names of the P poses.
+    groups : mapping of str to Group
+        Further groups by their paths.
+    **attributes : str
+        Of the tree.
+    """
+    import xarray as xr
+
+    poses_of = {"calibration_pose": list(poses)}
+    pose = ("calibration_pose",)
+    name, unit, meaning = replicated.name, replicated.unit, replicated.meaning
+    density = (("chain", "draw", *pose), replicated.log_likelihood, "nat", "log-density of all that a pose measured")
+    found = {
+        "posterior": _split(draws, draws.posterior, draws.units),
+        "sample_stats": _over({"lp": ((), draws.log_density, "nat", "log-density in sampling coordinates")}),
+        "log_likelihood": _make(Group({name: density}, poses_of)),
+        "log_prior": _split(draws, draws.log_prior, ["nat"] * len(draws.names)),
+        "prior": _split(draws, draws.prior[None], draws.units),
+        "observed_data": _make(Group({name: (pose, replicated.observed, unit, meaning)}, poses_of)),
+        "posterior_predictive": _over({name: (pose, replicated.posterior, unit, meaning)}, poses_of),
+        "prior_predictive": _over({name: (pose, replicated.prior[None], unit, meaning)}, poses_of),
+        **{path: _make(group) for path, group in groups.items()},
+    }
+    tree = xr.DataTree.from_dict(found)
+    tree.attrs = attributes
+    return tree
+
+
+def write_tree(build: Callable[[], xr.DataTree]) -> Writer:
+    """Return what builds a tree and writes it as netCDF: it is in memory no longer than that."""
+    return partial(_write, build)
+
+
+def _write(build: Callable[[], xr.DataTree], path: Path) -> None:
+    build().to_netcdf(path, engine="h5netcdf")
+
+
+def _split(draws: Draws, values: Array, units: Sequence[str]) -> xr.Dataset:
+    """Return values (E, S, n) of the parameters as variables by symbol."""
+    places: dict[str, list[int]] = {}
+    for k, name in enumerate(draws.names):
+        places.setdefault(_symbol(name), []).append(k)
+    entries = {s: _list_entries([draws.names[k] for k in own]) for s, own in places.items()}
+    shared = _share_dimensions(entries)
+    variables: dict[str, tuple[tuple[str, ...], Array, str, str]] = {}
+    for s, own in places.items():
+        chosen = values[..., own] if shared[s] else values[..., own[0]]
+        variables[s] = ((shared[s],) if shared[s] else (), chosen, units[own[0]], "")
+    coords = {dim: entries[s] for s, dim in shared.items() if dim}
+    return _over(variables, coords)
+
+
+def _share_dimensions(entries: Mapping[str, Sequence[int | str]]) -> dict[str, str]:
+    """Return each symbol's dimension: ``leg`` for all with the entries of the first, a name of its own otherwise."""
+    lists = {s: own for s, own in entries.items() if own != [""]}
+    first = next(iter(lists.values()), [])
+    return {s: "" if s not in lists else "leg" if own == first else f"{s}_entry" for s, own in entries.items()}
+
+
+def _symbol(name: str) -> str:
+    return name.partition("[")[0].replace("/", "_")
+
+
+def _list_entries(names: Sequence[str]) -> Sequence[int | str]:
+    """Return what stands in the brackets: numbers, unless some deviate alike as in ``R[1,2,3]``."""
+    texts = [name.partition("[")[2].rstrip("]") for name in names]
+    return [int(text) for text in texts] if all(text.isdigit() for text in texts) else texts
+
+
+def _over(
+    variables: Mapping[str, tuple[tuple[str, ...], Array, str, str]], coords: Mapping[str, Sequence[Any]] | None = None
+) -> xr.Dataset:
+    """Return variables of every chain and draw."""
+    return _make(Group({k: (("chain", "draw", *v[0]), *v[1:]) for k, v in variables.items()}, coords or {}))
+
+
+def _make(group: Group) -> xr.Dataset:
+    import xarray as xr
+
+    made = {
+        name: xr.Variable(dims, values, {"units": unit, **({"long_name": meaning} if meaning else {})})
+        for name, (dims, values, unit, meaning) in group.variables.items()
+    }
+    sizes = {dim: n for one in made.values() for dim, n in zip(one.dims, one.shape, strict=True)}
+    counted = {dim: np.arange(sizes[dim]) for dim in ("chain", "draw") if dim in sizes}
+    return xr.Dataset(made, {**counted, **group.coords})

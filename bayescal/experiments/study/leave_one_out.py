@@ -1,0 +1,105 @@
+"""Leave-one-out cross-validation over poses: importance weights where they suffice, a run of its own where they do not.
+
+Leaving a pose out of a density takes its pointwise part away, whatever that part is: p(θ | all but i) ∝ p(θ | all) /
+p(y_i | θ). A pose whose weights 1 / p(y_i | θ) have too heavy a tail (Pareto k) is left out by a short run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from arviz_stats.base import array_stats
+from scipy.special import logsumexp
+
+from bayescal.inference.ensemble import run_ensemble
+from bayescal.inference.exploration import Exploration, count_walkers
+from bayescal.inference.target import Target
+from bayescal.limits import PARETO_K_LIMIT
+from bayescal.numerics.geometry import Array
+
+MAX_REFITS = 10
+"""Poses of one posterior that are left out by runs of their own; where more are bad, the posterior is, and none is."""
+REFIT_BURN_IN, REFIT_STEPS = 30, 30
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """What leaving each of P poses out found.
+
+    Attributes
+    ----------
+    weighted : ndarray, shape (P,)
+        elpd of each pose by Pareto-smoothed importance sampling.
+    pareto_k : ndarray, shape (P,)
+    effective : ndarray, shape (P,)
+        Each pose's part of the effective number of parameters.
+    refitted : ndarray, shape (P,)
+        elpd by a run without the pose; NaN where there was none.
+    """
+
+    weighted: Array
+    pareto_k: Array
+    effective: Array
+    refitted: Array
+
+    @property
+    def elpd(self) -> Array:
+        """Return each pose's elpd, by a run where there was one."""
+        return np.where(self.was_refitted, self.refitted, self.weighted)
+
+    @property
+    def was_refitted(self) -> np.ndarray:
+        """Which poses were left out by a run."""
+        return np.isfinite(self.refitted)
+
+    @property
+    def is_doubtful(self) -> np.ndarray:
+        """Which poses have weights with too heavy a tail and were not left out by a run."""
+        return (self.pareto_k > PARETO_K_LIMIT) & ~self.was_refitted
+
+    def summarise(self) -> tuple[float, float]:
+        """Return the elpd of all poses, each left out, and its standard error over the poses."""
+        summary = array_stats.loo_summary(self.elpd, self.effective)
+        return float(summary[0]), float(summary[1])
+
+
+def leave_out(draws: Array, log_likelihood: Array) -> LeftOut:
+    """Return leave-one-out by weights, from draws (E, S, n) and each pose's log-likelihood (E, S, P)."""
+    n_draws = log_likelihood.shape[0] * log_likelihood.shape[1]
+    by_parameter = np.moveaxis(draws, -1, 0)
+    size = float(np.mean(array_stats.ess(by_parameter, method="mean"))) / n_draws if len(draws) > 1 else 1.0
+    elpd, pareto_k, effective = array_stats.loo(np.moveaxis(log_likelihood, -1, 0), r_eff=size)
+    return LeftOut(elpd, pareto_k, effective, np.full(len(elpd), np.nan))
+
+
+def refit_doubtful(
+    found: LeftOut, posterior: Target, exploration: Exploration, n_walkers: int, seed: np.random.SeedSequence
+) -> LeftOut:
+    """Return the same with doubtful poses left out by runs, at most `MAX_REFITS` of them."""
+    doubtful = np.flatnonzero(found.is_doubtful)
+    refitted = found.refitted.copy()
+    if len(doubtful) <= MAX_REFITS:
+        for pose, own in zip(doubtful, seed.spawn(len(doubtful)), strict=True):
+            refitted[pose] = refit_without(int(pose), posterior, exploration, n_walkers, own)
+    return LeftOut(found.weighted, found.pareto_k, found.effective, refitted)
+
+
+def refit_without(
+    pose: int, posterior: Target, exploration: Exploration, n_walkers: int, seed: np.random.SeedSequence
+) -> float:
+    """Return a pose's log predictive density from draws of the posterior of all the others."""
+    straight, n = exploration.straight, posterior.n_parameters
+
+    def own(x: Array) -> Array:
+        return np.asarray(posterior.pointwise(straight.y_from_x(x))[:, pose])
+
+    def without(x: Array) -> Array:
+        with np.errstate(all="ignore"):
+            left = straight.log_density(x) - own(x)
+        return np.where(np.isfinite(left), left, -np.inf)
+
+    walkers = count_walkers(n, n_walkers)
+    run = run_ensemble(without, exploration.proposal, seed, walkers, REFIT_BURN_IN, REFIT_STEPS)
+    density = own(run.draws.reshape(-1, n))
+    return float(logsumexp(density) - np.log(len(density)))

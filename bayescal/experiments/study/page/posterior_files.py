@@ -1,0 +1,71 @@
+"""What a study's page takes from the files of its posteriors, where these are there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import h5py  # type: ignore[import-untyped]  # ships no types
+import numpy as np
+
+from bayescal.errors import InputError
+from bayescal.experiments.study.schema import stem_of
+
+if TYPE_CHECKING:
+    from bayescal.numerics.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Replicates:
+    """Of one variant, calibration poses, model error free.
+
+    Attributes
+    ----------
+    n_chains : int
+        How many ensembles the draws come from, laid end to end.
+    misfit : ndarray, shape (S, P, 6)
+        Measured minus replicated poses, mm and rad.
+    """
+
+    n_chains: int
+    misfit: Array
+
+
+def read_posteriors(folder: Path, variants: list[str]) -> dict[str, dict[str, Array]]:
+    """Return the draws of each variant whose file is there."""
+    paths = {variant: folder / f"{stem_of(variant)}.nc" for variant in variants}
+    return {variant: _read_draws(path) for variant, path in paths.items() if path.is_file()}
+
+
+def _read_draws(path: Path) -> dict[str, Array]:
+    """Return the draws of each parameter with chains joined, from the posterior group of an ArviZ file."""
+    draws: dict[str, Array] = {}
+    try:
+        with h5py.File(path, "r") as file:
+            for symbol, values in file["posterior"].items():
+                if values.ndim < 2:
+                    continue  # coordinates
+                flat = np.asarray(values, dtype=np.float64).reshape(values.shape[0] * values.shape[1], -1)
+                single = values.ndim == 2
+                draws |= {symbol if single else f"{symbol}[{k + 1}]": flat[:, k] for k in range(flat.shape[1])}
+    except (OSError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read as a posterior ({error})") from error
+    return draws
+
+
+def read_replicates(folder: Path, variant: str) -> Replicates | None:
+    """Return what a variant's file says that would be measured again; None where it does not."""
+    path = folder / f"{stem_of(variant)}.nc"
+    if not path.is_file():
+        return None
+    try:
+        with h5py.File(path, "r") as file:
+            if "components" not in file:
+                return None
+            groups = file["components/observed_data"], file["components/posterior_predictive"]
+            parts = [groups[0][name][()] - groups[1][name][()] for name in ("position", "orientation")]
+    except (OSError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read as a posterior ({error})") from error
+    misfit = np.concatenate(parts, axis=-1)
+    return Replicates(misfit.shape[0], misfit.reshape(-1, *misfit.shape[2:]))

@@ -1,0 +1,233 @@
+"""Whether stated noise, tolerances and bounds fit the measurements: said first, with the likely cause.
+
+Each is a test that may fail on either side; several are made, so that each has to be clear by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from bayescal.experiments.study.page.results import SETTINGS, StudyResults, get_number
+from bayescal.experiments.study.page.variants import label_variant
+from bayescal.report.blocks import Level, Statement
+from bayescal.report.numbers import format_fixed, format_percent, format_significant
+from bayescal.report.symbols import split_name
+
+RARE = 1e-3
+"""Probability of a deviation as large by chance, from which on it is said."""
+WORTH_SAYING = 1.1
+"""Factor on noise or tolerance below which a deviation changes no interval that matters."""
+SERIOUS = 1.5
+REJECTED_SHARE = 0.01
+"""Of targets that normal noise leaves alone, robust fits reject fewer."""
+BOUND = 0.95
+RARE_BOUND = 0.01
+"""A coarser test than those of χ²: with few poses none beyond a bound is rarely out of the question."""
+FAR = 2.5  # prior standard deviations of a single parameter that are named
+
+
+@dataclass(frozen=True)
+class ChiSquare:
+    """A sum of squares that should be χ²-distributed."""
+
+    value: float
+    dof: float
+
+    @property
+    def factor(self) -> float:
+        """How many times larger the deviations are than stated."""
+        return math.sqrt(self.value / self.dof) if self.dof > 0 else math.nan
+
+    @property
+    def chance(self) -> float:
+        """Probability of as large a deviation to either side."""
+        if not self.dof > 0:
+            return 1.0
+        return float(2 * min(stats.chi2.sf(self.value, self.dof), stats.chi2.cdf(self.value, self.dof), 0.5))
+
+    @property
+    def is_off(self) -> bool:
+        """Whether it lies far from its expectation, by chance and by size."""
+        return self.chance < RARE and max(self.factor, 1 / self.factor) > WORTH_SAYING
+
+
+def state_soundness(results: StudyResults) -> list[Statement]:
+    """Return what contradicts the stated noise and tolerances; nothing where nothing does."""
+    return [
+        *_state_target_noise(results),
+        *_state_rejected(results),
+        *_state_misfit(results),
+        *_state_tolerances(results),
+        *_state_bounds(results),
+    ]
+
+
+def _level(factor: float) -> Level:
+    return "bad" if max(factor, 1 / factor) >= SERIOUS else "warning"
+
+
+def _format_chance(chance: float) -> str:
+    return "p < 0.0001" if chance < 1e-4 else f"p = {format_significant(chance, 1)}"
+
+
+# --- noise -----------------------------------------------------------------------------------------------------------
+
+
+def read_misfit(results: StudyResults, name: str, setting: str = "zero") -> ChiSquare:
+    """Return χ² of a variant at its mode, without model error by default: of the stated noise alone."""
+    one = results.fit(name, setting)["misfit"]
+    return ChiSquare(float(one["chi2"]), float(one["dof"]))
+
+
+def find_noise_fault(results: StudyResults) -> ChiSquare | None:
+    """Return the misfit of the best variant where it lies far from what the stated noise lets expect."""
+    found = read_misfit(results, results.ranking[0])
+    return found if found.is_off else None
+
+
+def _state_target_noise(results: StudyResults) -> list[Statement]:
+    """Say where targets scatter about their rigid bodies by another noise than stated."""
+    extraction = results.summary.get("pose_extraction", {})
+    per_dof, dof = get_number(extraction, "chi2_per_dof"), get_number(extraction, "dof")
+    if not (math.isfinite(per_dof) and math.isfinite(dof)):
+        return []
+    found = ChiSquare(per_dof * dof, dof)
+    if not found.is_off:
+        return []
+    size = "small" if found.factor > 1 else "large"
+    text = (
+        f"The targets scatter about their rigid bodies {format_significant(found.factor, 2)} times as much as the "
+        f"stated noise (χ² per degree of freedom {format_significant(per_dof, 3)}, {_format_chance(found.chance)}): "
+        f"the target noise is stated too {size}, or targets moved on their bodies."
+    )
+    return [Statement(text, _level(found.factor), "Noise")]
+
+
+def _state_rejected(results: StudyResults) -> list[Statement]:
+    """Say where robust fits rejected more targets than normal noise explains."""
+    extraction = results.summary.get("pose_extraction", {})
+    total, rejected = get_number(extraction, "n_targets"), len(extraction.get("rejected_targets", []))
+    if not total > 0 or rejected / total <= REJECTED_SHARE:
+        return []
+    text = (
+        f"{rejected} of {format_fixed(total, 0)} measured targets ({format_percent(rejected / total, 1)}) were "
+        "rejected as outliers: single blunders, or a target noise that is stated too small."
+    )
+    return [Statement(text, "bad" if rejected / total > 0.05 else "warning", "Noise")]
+
+
+def _state_misfit(results: StudyResults) -> list[Statement]:
+    """Say where the best variant's residuals are larger or smaller than the stated noise."""
+    best, found = results.ranking[0], find_noise_fault(results)
+    if found is None:
+        return []
+    per_dof = format_significant(found.value / found.dof, 3)
+    text = (
+        f"{label_variant(results, best)} leaves residuals {format_significant(found.factor, 2)} times as large as the "
+        f"stated noise (χ² per degree of freedom {per_dof} without model error, {format_fixed(found.dof, 0)} degrees, "
+        f"{_format_chance(found.chance)}): "
+    )
+    if found.factor < 1:
+        text += "the noise is stated too large, and all intervals are wider than they need be."
+    else:
+        text += (
+            "the noise is stated too small, or every variant lacks something real. With model error τ the intervals "
+            "are widened accordingly, without it they are too narrow."
+        )
+    return [Statement(text, _level(found.factor), "Noise")]
+
+
+# --- tolerances ------------------------------------------------------------------------------------------------------
+
+
+def read_pulls(results: StudyResults, name: str) -> ChiSquare:
+    """Return χ² of how far a variant's machine lies from nominal along what was learnt, in units of the priors."""
+    one = results.fit(name, "free")["pulls"]
+    return ChiSquare(float(one["chi2"]), float(one["dof"]))
+
+
+def _state_tolerances(results: StudyResults) -> list[Statement]:
+    """Say where the identified machine lies farther from nominal than the tolerances let expect, or much closer."""
+    best = results.ranking[0]
+    found, far = read_pulls(results, best), _describe_farthest(results, best)
+    if not found.is_off:
+        return []
+    where = (
+        f"{label_variant(results, best)} puts the machine {format_significant(found.factor, 2)} prior standard "
+        f"deviations (rms over the {format_fixed(found.dof, 0)} directions that were measured) from nominal"
+    )
+    if found.factor > 1:
+        why = "the tolerances are stated too tight, a nominal value is wrong, or the model makes up for what it lacks"
+    else:
+        why = "the tolerances are stated too wide"
+    text = f"{where}{far} ({_format_chance(found.chance)}): {why}."
+    return [Statement(text, _level(found.factor) if found.factor > 1 else "warning", "Tolerances")]
+
+
+def _describe_farthest(results: StudyResults, name: str) -> str:
+    parameters = results.fit(name, "free")["parameters"]
+    pulls = {
+        key: (p["mean"] - p["nominal"]) / p["prior_sd"] for key, p in parameters.items() if split_name(key)[0] != "tau"
+    }
+    far = max(pulls, key=lambda key: abs(pulls[key]), default=None)
+    if far is None or abs(pulls[far]) < FAR:
+        return ""
+    return f", farthest {far} by {format_significant(pulls[far], 2)}"
+
+
+# --- bounds ----------------------------------------------------------------------------------------------------------
+
+
+def choose_setting(results: StudyResults, name: str) -> str:
+    """Return the setting of the model error that the evidence prefers: one that is not needed widens all bounds."""
+    return max(("free", "zero"), key=lambda setting: results.fit(name, setting)["log_evidence"])
+
+
+def count_beyond(results: StudyResults, name: str, setting: str) -> tuple[int, int]:
+    """Return how many of the errors of unseen poses lie beyond their 95 % bounds, and of how many, both kinds.
+
+    Calibration poses are left out for it: a posterior that has seen a pose fits it too well.
+    """
+    table = results.left_out
+    chosen = table[(table["variant"] == name) & (table["model_error"] == setting)]
+    pits = chosen[["position_pit", "orientation_pit"]].to_numpy(dtype=float).ravel()
+    known = pits[np.isfinite(pits)]
+    return int((known > BOUND).sum()), len(known)
+
+
+def judge_bounds(beyond: int, total: int) -> float:
+    """Return the probability of as many or more, or as few or fewer where they are too few (binomial)."""
+    if not total:
+        return 1.0
+    few = beyond < (1 - BOUND) * total
+    return float(stats.binomtest(beyond, total, 1 - BOUND, "less" if few else "greater").pvalue)
+
+
+def describe_bounds(results: StudyResults, name: str, setting: str) -> str:
+    """Return how many errors lie beyond their bounds, how many are expected, and with what probability."""
+    beyond, total = count_beyond(results, name, setting)
+    expected = format_fixed((1 - BOUND) * total, 1)
+    chance = _format_chance(judge_bounds(beyond, total))
+    return (
+        f"{SETTINGS[setting]}, {beyond} of {total} position and orientation errors of poses left out or held back lie "
+        f"beyond their 95 % bounds, where {expected} are expected ({chance})"
+    )
+
+
+def _state_bounds(results: StudyResults) -> list[Statement]:
+    """Say where too few or too many errors of the best variant lie beyond their bounds."""
+    best = results.ranking[0]
+    setting = choose_setting(results, best)
+    beyond, total = count_beyond(results, best, setting)
+    if judge_bounds(beyond, total) >= RARE_BOUND:
+        return []
+    text = f"{label_variant(results, best)}: {describe_bounds(results, best, setting)}"
+    if beyond < (1 - BOUND) * total:
+        text += ": the bounds are too wide, as from a noise stated too large or a model error that is not there."
+        return [Statement(text, "warning", "Bounds")]
+    text += ": the bounds claim too much, as from a noise stated too small or a model that lacks something real."
+    return [Statement(text, "bad", "Bounds")]

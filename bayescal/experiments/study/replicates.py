@@ -1,0 +1,64 @@
+"""Draws of the prior and what they predict, and one number per pose by which replicates are held against the measured.
+
+That number is how far a pose lies from the one that the machine as expected takes, in units of the stated noise: the
+measured one needs no posterior, and it is the same number for a replicate, since measured minus replicated pose is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayescal.density.posterior import Posterior
+from bayescal.density.prediction import replicate
+from bayescal.experiments.shared.trees import PRIOR_DRAWS
+from bayescal.numerics.geometry import Array
+
+TRIES = 4  # draws of the prior for each that is wanted: some are no machine
+
+
+def replicate_prior(posterior: Posterior, seed: np.random.SeedSequence) -> dict[str, Array]:
+    """Return draws of the prior, what they make of the calibration poses, and what these poses are held against.
+
+    Returns
+    -------
+    dict of str to ndarray
+        ``prior`` (T, n) in own units, ``prior_misfit`` (T, P, 6) measured minus replicated poses, ``start_error``
+        (P, 6) measured minus expected poses, NaN where not measured, ``whitening`` (P, 6, 6) of the stated noise.
+    """
+    rng, likelihood = np.random.default_rng(seed), posterior.likelihood
+    values, theta = _draw(posterior, rng)
+    tau = values[:, posterior.n_geometry :]
+    with np.errstate(all="ignore"):
+        made = replicate(likelihood, theta, _spread(posterior, tau), rng)
+    stated = likelihood.pose_covariance(np.zeros(likelihood.n_legs))
+    return {
+        "prior": values,
+        "prior_misfit": made.misfit.astype(np.float32),
+        "start_error": likelihood.pose_errors(posterior.coordinates.start[None])[0],
+        "whitening": np.linalg.inv(np.linalg.cholesky(stated)),
+    }
+
+
+def _draw(posterior: Posterior, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return draws of the prior that are machines, in own units (T, n) and as parameter vectors (T, D)."""
+    values = np.stack([one.draw(TRIES * PRIOR_DRAWS, rng) for one in posterior.all_priors().values()], axis=-1)
+    theta = np.broadcast_to(posterior.coordinates.start, (len(values), len(posterior.coordinates.start))).copy()
+    theta[:, posterior.coordinates.free] = values[:, : posterior.n_geometry]
+    values, theta = (part[posterior.likelihood.layout.inside(theta)] for part in (values, theta))
+    with np.errstate(all="ignore"):
+        errors = posterior.likelihood.errors(theta[: 2 * PRIOR_DRAWS])
+    good = np.flatnonzero(np.isfinite(errors).all(axis=(1, 2)))[:PRIOR_DRAWS]
+    return values[good], theta[good]
+
+
+def _spread(posterior: Posterior, tau: Array) -> Array:
+    """Return model errors (T, N) from free ones (T, 0, 1 or N)."""
+    n_legs = posterior.likelihood.n_legs
+    return np.broadcast_to(tau, (len(tau), n_legs)) if tau.shape[1] else np.zeros(n_legs)
+
+
+def measure_deviation(error: Array, whitening: Array) -> Array:
+    """Return the size of pose errors (..., P, 6) in units of the stated noise, rms over what was measured, (..., P)."""
+    known = np.isfinite(error)
+    white = np.einsum("pij,...pj->...pi", whitening, np.where(known, error, 0.0))
+    return np.sqrt(np.sum(white**2, axis=-1) / np.maximum(known.sum(axis=-1), 1))

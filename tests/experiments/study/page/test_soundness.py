@@ -1,0 +1,148 @@
+"""Verdicts on stated noise, tolerances and bounds: each fault is said first with its cause, and nothing else is."""
+
+from __future__ import annotations
+
+import io
+from functools import partial
+
+import numpy as np
+import pytest
+from made_up_results import TWELVE, edit_table, read_study, write_results
+from rich.console import Console
+from scipy import stats
+
+from bayescal.experiments.study.page.predictive_checks import tabulate_power_scaling
+from bayescal.experiments.study.page.soundness import ChiSquare, judge_bounds, state_soundness
+from bayescal.experiments.study.page.verdict import state_verdict
+from bayescal.experiments.study.terminal import show_doubts
+
+BEST = "stiffness/matrix"
+
+
+@pytest.fixture
+def make_results(tmp_path):
+    return partial(write_results, tmp_path, variants=TWELVE)
+
+
+def say(folder) -> dict[str, str]:
+    """Return what is said of noise, tolerances and bounds by its lead and level."""
+    return {f"{s.lead} {s.level}": s.text for s in state_soundness(read_study(folder))}
+
+
+def set_chi2(name, chi2, dof, setting):
+    def change(summary):
+        fit = summary["variants"][BEST]
+        (fit if setting == "free" else fit["without_model_error"])[name] = {"chi2": chi2, "dof": dof}
+
+    return change
+
+
+def test_of_sound_results_nothing_is_said(make_results):
+    assert say(make_results()) == {}
+
+
+def test_residuals_twice_the_noise_are_said_first(make_results):
+    results = read_study(make_results(set_chi2("misfit", 800.0, 200.0, "zero")))
+    first = state_verdict(results)[0]
+    assert (first.lead, first.level) == ("Noise", "bad")
+    assert "leaves residuals 2.0 times as large as the stated noise" in first.text
+    assert "χ² per degree of freedom 4 without model error" in first.text or "4.00" in first.text
+    assert "the noise is stated too small, or every variant lacks something real" in first.text
+
+
+def test_nothing_is_called_good_without_a_word_beside_it(make_results):
+    def checks(folder):
+        (found,) = (s for s in state_verdict(read_study(folder)) if s.lead == "Checks")
+        return found
+
+    assert checks(make_results()).level == "good"
+    doubtful = checks(make_results(set_chi2("misfit", 800.0, 200.0, "zero"), name="doubtful"))
+    assert doubtful.level == "plain"
+    assert "which the measurements contradict (above)" in doubtful.text
+
+
+def test_the_terminal_says_it_too(make_results):
+    folder, console = make_results(set_chi2("misfit", 800.0, 200.0, "zero")), Console(file=io.StringIO(), width=90)
+    show_doubts(state_verdict(read_study(folder)), console)
+    said = console.file.getvalue()
+    assert said.startswith("NOISE: stiffness/matrix leaves residuals 2.0 times")
+    assert said.count("\n") == 1
+
+
+def test_residuals_of_half_the_noise_are_said(make_results):
+    found = say(make_results(set_chi2("misfit", 50.0, 200.0, "zero")))
+    assert "the noise is stated too large" in found["Noise bad"]
+
+
+def test_misfit_of_a_variant_that_is_not_the_best_is_no_fault_of_the_noise(make_results):
+    def change(summary):
+        summary["variants"]["jacobian/none"]["without_model_error"]["misfit"]["chi2"] = 1e5
+
+    assert say(make_results(change)) == {}
+
+
+def test_tolerances_that_the_machine_leaves_are_said_with_the_farthest_parameter(make_results):
+    def change(summary):
+        set_chi2("pulls", 5.29 * 10, 10.0, "free")(summary)
+        one = summary["variants"][BEST]["parameters"]["b_x[2]"]
+        one["mean"] = one["nominal"] - 8.0
+
+    found = say(make_results(change))["Tolerances bad"]
+    assert "2.3 prior standard deviations (rms over the 10 directions that were measured) from nominal" in found
+    assert "farthest b_x[2] by −4.0" in found
+    assert "tolerances are stated too tight" in found
+
+
+def test_scatter_of_targets_and_rejected_ones_are_said(make_results):
+    def change(summary):
+        summary["pose_extraction"] |= {"chi2_per_dof": 2.9, "dof": 400.0, "n_targets": 224}
+        summary["pose_extraction"]["rejected_targets"] = [f"C01/base/{k}" for k in range(32)]
+
+    statements = [s.text for s in state_soundness(read_study(make_results(change)))]
+    assert "1.7 times as much as the stated noise" in statements[0]
+    assert "32 of 224 measured targets (14.3 %) were rejected" in statements[1]
+
+
+def set_pits(table, value):
+    """Give errors of the best variant a place in their predictions."""
+    chosen = table["variant"] == BEST
+    table.loc[chosen, ["position_pit", "orientation_pit"]] = value
+
+
+def test_all_errors_beyond_their_bounds_are_said(make_results):
+    folder = make_results()
+    edit_table(folder, "left_out", partial(set_pits, value=0.99))
+    assert "12 of 12 position and orientation errors" in say(folder)["Bounds bad"]
+    assert "where 0.6 are expected" in say(folder)["Bounds bad"]
+
+
+def test_none_of_a_few_beyond_their_bounds_is_no_fault_but_counted(make_results):
+    folder = make_results()
+    edit_table(folder, "left_out", partial(set_pits, value=0.5))
+    assert say(folder) == {}
+    coverage = [s.text for s in state_verdict(read_study(folder)) if s.lead == "Coverage"]
+    assert any("0 of 12 position and orientation errors" in text for text in coverage)
+
+
+def test_none_of_46_poses_beyond_both_bounds_is_rare():
+    assert judge_bounds(0, 92) == pytest.approx(0.95**92)
+    assert judge_bounds(0, 92) < 0.01 < judge_bounds(0, 46)
+    assert judge_bounds(14, 92) == pytest.approx(stats.binom.sf(13, 92, 0.05))
+    assert judge_bounds(0, 0) == 1.0
+
+
+@pytest.mark.parametrize("dof", [5, 72, 200])
+def test_chi_squares_raise_false_alarms_as_rarely_as_they_claim(dof):
+    values = stats.chi2.rvs(dof, size=20_000, random_state=1)
+    alarms = np.mean([ChiSquare(float(value), dof).is_off for value in values])
+    assert alarms < 2e-3
+    assert ChiSquare(float(stats.chi2.ppf(1e-5, dof)), dof).is_off
+    assert ChiSquare(float(stats.chi2.isf(1e-5, dof)), dof).is_off
+
+
+def test_power_scaling_says_what_decides(make_results):
+    table = tabulate_power_scaling(read_study(make_results()))
+    said = {row[0].text: (row[3].text, row[3].level) for row in table.rows}
+    assert said["a_x"] == ("the prior decides", "plain")
+    assert said["b_x"] == ("prior and measurements pull apart in leg 2", "warning")
+    assert said["l"] == ("the measurements decide", "plain")

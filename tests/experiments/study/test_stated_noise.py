@@ -1,0 +1,92 @@
+"""Simulated surveys whose noise or tolerances are stated otherwise than they are: χ² names each, and clean ones not."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import studies
+
+from bayescal.data.simulation import build_twin, format_survey, simulate_survey
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.study.inputs import StudyInputs, load_inputs
+from bayescal.experiments.study.page.soundness import ChiSquare
+from bayescal.experiments.study.soundness import measure_misfit, measure_pulls
+from bayescal.inference.exploration import explore
+
+VARIANT = "six_pus/matrix"
+LENGTHS = 'l = { prior = "normal", sd = 2.0 }'
+
+
+def draw_survey(folder: Path, seed: int) -> None:
+    """Write the survey of a machine from the prior."""
+    rng = np.random.default_rng(1000 + seed)
+    offsets = {"l": rng.normal(0.0, 2.0, 6), "kappa": rng.normal(0.0, 0.01, 6)}
+    text = studies.SIMULATION
+    for symbol, values in offsets.items():
+        text = re.sub(rf"^{symbol} = .*$", f"{symbol} = {[float(x) for x in values]}", text, flags=re.MULTILINE)
+    (folder / "simulate.toml").write_text(text)
+    config = load_simulation(folder / "simulate.toml")
+    survey = simulate_survey(build_twin(config, folder), np.random.default_rng(seed))
+    for name, table in format_survey(survey, config.origin).items():
+        (folder / "data" / name).write_text(table)
+
+
+def read(folder: Path, noise: float = 3.0, sd: float = 2.0) -> StudyInputs:
+    """Return the study with another noise of the targets, or another tolerance of the lengths, than is true."""
+    text = studies.STUDY.replace("target_noise_um = 3.0", f"target_noise_um = {noise}")
+    (folder / "study.toml").write_text(text.replace(LENGTHS, f'l = {{ prior = "normal", sd = {sd} }}'))
+    return load_inputs(load_experiment(folder / "study.toml"), folder)
+
+
+def judge(inputs: StudyInputs) -> dict[str, ChiSquare]:
+    """Return χ² of noise and tolerances, from a proposal that is nearly the posterior, and that of the targets."""
+    posterior = inputs.posterior(inputs.variant(VARIANT), with_model_error=False)
+    found = explore(posterior, np.random.SeedSequence(1))
+    draws = posterior.natural(found.straight.y_from_x(found.proposal.draw(1000, np.random.default_rng(1))))
+    extraction = inputs.targets.extraction
+    return {
+        "noise": ChiSquare(*measure_misfit(posterior, found.modes[0].y, *inputs.without_shared_errors(VARIANT))),
+        "tolerances": ChiSquare(*measure_pulls(posterior, draws)),
+        "targets": ChiSquare(extraction.chi2_per_dof * extraction.dof, extraction.dof),
+    }
+
+
+@pytest.fixture
+def folder(tmp_path):
+    studies.write_tiny_study(tmp_path)
+    draw_survey(tmp_path, 1)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("stated", "wrong", "factor"),
+    [
+        ({}, (), 1.0),
+        ({"noise": 1.5}, ("noise", "targets"), 1.7),  # robust fits leave out the worst
+        ({"noise": 6.0}, ("noise", "targets"), 0.5),
+        ({"sd": 0.5}, ("tolerances",), 3.0),
+    ],
+    ids=["as it is", "noise at half", "noise doubled", "lengths too tight"],
+)
+def test_what_is_stated_wrong_is_named_and_nothing_else(folder, stated, wrong, factor):
+    found = judge(read(folder, **stated))
+    assert {name for name, one in found.items() if one.is_off} == set(wrong)
+    for name in wrong:
+        assert found[name].factor == pytest.approx(factor, rel=0.2)
+
+
+@pytest.mark.slow
+def test_twenty_clean_surveys_raise_no_alarm(tmp_path):
+    studies.write_tiny_study(tmp_path)
+    sums = {"noise": np.zeros(2), "tolerances": np.zeros(2), "targets": np.zeros(2)}
+    for seed in range(20):
+        draw_survey(tmp_path, seed)
+        for name, one in judge(read(tmp_path)).items():
+            assert not one.is_off, (seed, name, one)
+            sums[name] += one.value, one.dof
+    for name, (value, dof) in sums.items():
+        assert ChiSquare(float(value), float(dof)).factor == pytest.approx(1.0, abs=0.1), name
