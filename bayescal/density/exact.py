@@ -1,0 +1,192 @@
+"""The density of measured poses with the covariance of the very machine whose density it is: nothing is frozen.
+
+The likelihood's hot path takes C_n at the nominal machine (`bayescal.density.likelihood`). Here the closure's
+derivatives by the pose, A_n(θ), by the actuators, B_n(θ), and by the joints' deflections, Z_n(θ), are those of machine
+θ at the pose that it predicts. In terms of the closure r_n = A_n e_n, with e_n measured minus predicted pose,
+
+    r_n = Z_n T_n k + s_n,    s_n ~ N(0, A_n Σ_n A_nᵀ + σ_ρ² B_n B_nᵀ + diag(B_ni,i² (τ_i² + v_ni))),
+
+and log p(X) = log N(r) + Σ_n log |det A_n|; with more legs than six half the log-determinant of AᵀA stands for the
+latter, and r_n holds the closure of the redundant legs, too. k ~ N(0, S) are errors that all poses have in common: T_n k
+is what an uncertain deformation matrix K leaves of the deflections, whose variance alone, pose by pose, is v. Of Q
+common errors only a Q x Q matrix is factorised (Woodbury).
+
+The derivatives cost five to thirty times the hot path: this density corrects what was found with that one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayescal.density.likelihood import PoseLikelihood
+from bayescal.machines.deformations.base import DeformationBasis
+from bayescal.machines.models.base import Linearisation, newton_step
+from bayescal.numerics.geometry import Array, compute_pose_error, matrix_from_rotation_vector
+
+BATCH = 8
+"""Machines at a time: their derivatives stay in the cache."""
+CLOSES = 1e-6
+"""Newton step in mm and rad below which the derivatives are those at the predicted pose."""
+STEPS = 5
+FAR = 1e4  # pose errors beyond it, mm or rad, are no machine's
+
+
+@dataclass(frozen=True, eq=False)
+class CommonErrors:
+    """Errors of the joints' deflections that all poses have in common, T_n k with k ~ N(0, S).
+
+    Attributes
+    ----------
+    design : ndarray, shape (P, N, Q)
+        T, deflection per unit of k.
+    covariance : ndarray, shape (Q, Q)
+        S; the deflections are in mm.
+    """
+
+    design: Array
+    covariance: Array
+
+    @property
+    def variance(self) -> Array:
+        """Variance of each deflection by itself, shape (P, N), mm²."""
+        return np.asarray(np.einsum("piq,qr,pir->pi", self.design, self.covariance, self.design))
+
+
+@dataclass(frozen=True, eq=False)
+class _Here:
+    """The closure of B machines at the P poses that they predict; NaN where there is no machine."""
+
+    error: Array  # (B, P, 6), measured minus predicted pose
+    closure: Linearisation  # its derivatives there
+    by_deflection: Array  # (B, P, N, N), Z; empty without common errors
+
+
+class ExactDensity:
+    """Log-density of measured poses with C_n(θ), for batches of machines and of model errors.
+
+    Parameters
+    ----------
+    likelihood : PoseLikelihood
+        Of the machine and the poses; finds the predicted poses but for second orders.
+    actuator_noise : float
+        σ_ρ, mm.
+    common : CommonErrors, optional
+    actuator_variance : ndarray, shape (P, N), optional
+        v_ni, mm²: extra variance of each leg at each pose by itself.
+    """
+
+    def __init__(
+        self,
+        likelihood: PoseLikelihood,
+        actuator_noise: float,
+        common: CommonErrors | None = None,
+        actuator_variance: Array | None = None,
+    ) -> None:
+        self._likelihood, self._noise = likelihood, actuator_noise
+        self._variance = 0.0 if actuator_variance is None else actuator_variance
+        self._design: Array | None = None
+        if common is not None:
+            self._design = common.design @ np.linalg.cholesky(common.covariance)
+
+    def __call__(self, theta: Array, model_error: Array) -> Array:
+        """Return the log-likelihood in units of mm and rad, shape (B,), -inf where there is no machine.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (B, D)
+            Parameter vectors.
+        model_error : ndarray, shape (B, N) or (N,)
+            τ of each leg, mm.
+        """
+        result = np.empty(len(theta))
+        model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
+        with np.errstate(all="ignore"):  # far out numbers overflow: no density in the end
+            for start in range(0, len(theta), BATCH):
+                part = slice(start, start + BATCH)
+                result[part] = self._evaluate(theta[part], model_error[part])
+        return np.where(np.isfinite(result), result, -np.inf)
+
+    # --- geometry ------------------------------------------------------------------------------------------------
+
+    def _predict(self, theta: Array) -> _Here:
+        """Return the closure at the predicted poses: the hot path leads there, Newton's method goes the rest."""
+        machine, poses = self._likelihood.machine, self._likelihood.poses
+        closure = machine.model.prepare(machine.layout, theta[:, None])
+        basis = self._bend(theta)
+        error = self._likelihood.pose_errors(theta)
+        error[~(np.isfinite(error).all(axis=-1) & (np.abs(error).max(axis=-1) < FAR))] = np.nan
+        known = np.nan_to_num(error)
+        position = poses.position - known[..., :3]
+        rotation = matrix_from_rotation_vector(-known[..., 3:]) @ poses.rotation
+        for _ in range(STEPS):
+            here = closure(position, rotation, basis, with_parameters=False)
+            step = np.where(np.isnan(error), 0.0, newton_step(here))
+            position = position + step[..., :3]
+            rotation = matrix_from_rotation_vector(step[..., 3:]) @ rotation
+            if not np.any(np.abs(step) > CLOSES):
+                break
+        left = here.residual + np.einsum("bpij,bpj->bpi", here.pose, step)  # redundant legs do not close
+        exact = compute_pose_error(poses.position, poses.rotation, position, rotation)
+        by_deflection = np.empty(0)
+        if self._design is not None:
+            more = replace(basis, actuator_gain=basis.actuator_gain + np.eye(here.actuators.shape[-1]))
+            by_deflection = closure(position, rotation, more, with_parameters=False).actuators - here.actuators
+        return _Here(np.where(np.isnan(error), np.nan, exact), replace(here, residual=left), by_deflection)
+
+    def _bend(self, theta: Array) -> DeformationBasis:
+        """Return displacements with their deflections, whose gain is that of the machines (B, D) themselves."""
+        machine = self._likelihood.machine
+        n_legs = self._likelihood.n_legs
+        unit = machine.deformation.basis(np.eye(n_legs)).deflection(machine.layout, theta[:, None])
+        gain = np.swapaxes(np.broadcast_to(unit, (len(theta), n_legs, n_legs)), -1, -2)
+        return replace(machine.basis(self._likelihood.poses.actuators), actuator_gain=gain[:, None])
+
+    # --- density -------------------------------------------------------------------------------------------------
+
+    def _evaluate(self, theta: Array, model_error: Array) -> Array:
+        here = self._predict(theta)
+        pose = here.closure.pose
+        seen = here.closure.residual + np.einsum("bpij,bpj->bpi", pose, here.error)
+        covariance = self._cover(here.closure, model_error)
+        good = (np.isfinite(seen).all(axis=-1) & np.isfinite(covariance).all(axis=(-1, -2))).all(axis=-1)
+        seen[~good], covariance[~good] = 0.0, np.eye(seen.shape[-1])
+        factor = np.linalg.cholesky(covariance)
+        half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=(-1, -2))
+        white = np.linalg.inv(factor)
+        seen = (white @ seen[..., None])[..., 0]
+        total = -0.5 * np.einsum("bpi,bpi->b", seen, seen) - half_log_det + self._log_volume(pose)
+        if self._design is not None:
+            total += _share_errors(seen, white @ (here.by_deflection @ self._design))
+        return np.where(good, total - 0.5 * seen[0].size * np.log(2.0 * np.pi), -np.inf)
+
+    def _cover(self, closure: Linearisation, model_error: Array) -> Array:
+        """Return the covariance of s, shape (B, P, N, N), mm², for τ (B, N)."""
+        pose, actuators = closure.pose, closure.actuators
+        covariance = pose @ self._likelihood.poses.covariance @ np.swapaxes(pose, -1, -2)
+        covariance += self._noise**2 * actuators @ np.swapaxes(actuators, -1, -2)
+        own = np.diagonal(actuators, axis1=-2, axis2=-1) ** 2 * (model_error[:, None] ** 2 + self._variance)
+        covariance += np.eye(own.shape[-1]) * own[..., None, :]
+        return covariance
+
+    @staticmethod
+    def _log_volume(pose: Array) -> Array:
+        """Return Σ log |det A| of pose derivatives (B, P, N, 6), shape (B,)."""
+        if pose.shape[-2] == pose.shape[-1]:
+            return np.asarray(np.linalg.slogdet(pose)[1].sum(axis=-1))
+        return np.asarray(0.5 * np.linalg.slogdet(np.swapaxes(pose, -1, -2) @ pose)[1].sum(axis=-1))
+
+
+def _share_errors(white: Array, design: Array) -> Array:
+    """Return what common errors add to the log-density, shape (B,).
+
+    With w whitened residuals (B, P, N) and V what Q standard normal errors make of them (B, P, N, Q), it is
+    ½ |M^-½ Vᵀ w|² - ½ log |M| with M = 1 + VᵀV.
+    """
+    design = design.reshape(len(design), -1, design.shape[-1])
+    seen = np.swapaxes(design, -1, -2) @ white.reshape(len(white), -1, 1)
+    factor = np.linalg.cholesky(np.eye(design.shape[-1]) + np.swapaxes(design, -1, -2) @ design)
+    solved = np.linalg.solve(factor, seen)[..., 0]
+    half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+    return np.asarray(0.5 * np.einsum("bq,bq->b", solved, solved) - half_log_det)
