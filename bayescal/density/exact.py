@@ -170,6 +170,22 @@ class ExactDensity:
         covariance += np.eye(own.shape[-1]) * own[..., None, :]
         return covariance
 
+    def information(self, theta: Array, model_error: Array) -> Array:
+        """Return what the poses tell of the parameters of one machine (D,) at τ (N,), shape (D, D)."""
+        machine, poses = self._likelihood.machine, self._likelihood.poses
+        here = self._predict(theta[None])
+        position = poses.position - here.error[0, :, :3]
+        rotation = matrix_from_rotation_vector(-here.error[0, :, 3:]) @ poses.rotation
+        slope = machine.linearise(theta, position, rotation, poses.actuators).parameters
+        white = np.linalg.inv(np.linalg.cholesky(self._cover(here.closure, model_error[None])[0]))
+        rows = (white @ slope).reshape(-1, slope.shape[-1])
+        total = rows.T @ rows
+        if self._design is not None:
+            design = (white @ (here.by_deflection[0] @ self._design)).reshape(len(rows), -1)
+            shared = np.linalg.solve(np.eye(design.shape[1]) + design.T @ design, design.T @ rows)
+            total -= rows.T @ design @ shared
+        return np.asarray(total)
+
     @staticmethod
     def _log_volume(pose: Array) -> Array:
         """Return Σ log |det A| of pose derivatives (B, P, N, 6), shape (B,)."""

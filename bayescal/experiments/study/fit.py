@@ -11,9 +11,11 @@ import numpy as np
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import Prediction, predict
+from bayescal.experiments.study.correct import correct_draws, correct_evidence, list_corrected, move_sample
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.schema import StudyConfig, stem_of
 from bayescal.inference.bridge import estimate_by_bridge
+from bayescal.inference.correction import Correction
 from bayescal.inference.exploration import Exploration, count_walkers, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
@@ -65,7 +67,7 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
     variant = inputs.variant(task.variant)
     posterior = inputs.posterior(variant, task.with_model_error, task.factor)
     seed = np.random.SeedSequence([inputs.config.seed, zlib.crc32(task.key.encode())])
-    explore_seed, importance_seed, ensemble_seed, bridge_seed, predict_seed = seed.spawn(5)
+    explore_seed, importance_seed, *sample_seeds, correct_seed = seed.spawn(6)
     exploration = explore(posterior, explore_seed, inputs.config.sampler.walkers)
     importance = _importance(inputs.config, exploration, importance_seed)
     arrays = {
@@ -74,7 +76,11 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
         "modes_converged": np.array(all(mode.converged for mode in exploration.modes), dtype=float),
     }
     if task.is_fit:
-        arrays |= _sample(inputs, task, posterior, exploration, ensemble_seed, bridge_seed, predict_seed)
+        sampled, correction = _sample(inputs, task, posterior, exploration, *sample_seeds, correct_seed)
+        arrays |= sampled
+    else:
+        correction = correct_evidence(inputs, variant, exploration, correct_seed)
+    arrays |= list_corrected(arrays, correction)
     arrays["wall_seconds"] = np.array(time.perf_counter() - began)
     return arrays
 
@@ -99,25 +105,30 @@ def _sample(
     ensemble_seed: np.random.SeedSequence,
     bridge_seed: np.random.SeedSequence,
     predict_seed: np.random.SeedSequence,
-) -> Arrays:
+    correct_seed: np.random.SeedSequence,
+) -> tuple[Arrays, Correction | None]:
+    """Return what draws tell, and the correction that moved them to the exact density where there is one."""
     sampler, straight = inputs.config.sampler, exploration.straight
     walkers = count_walkers(posterior.n_parameters, sampler.walkers)
     sample = sample_posterior(
         exploration, ensemble_seed, sampler.ensembles, sampler.walkers, sampler.burn_in, sampler.steps
     )
-    y, natural, density, diagnostics = sample.y, sample.natural, sample.log_density, sample.diagnostics
     bridge = estimate_by_bridge(
         straight.log_density,
         sample.straight,
-        density,
+        sample.log_density,
         np.random.default_rng(bridge_seed),
         inputs.config.evidence.draws,
         exploration.proposal,
     )
+    correction = correct_draws(inputs, inputs.variant(task.variant), exploration, sample, correct_seed)
+    if correction is not None:
+        sample = move_sample(sample, exploration, correction)
+    y, natural, density, diagnostics = sample.y, sample.natural, sample.log_density, sample.diagnostics
     # thin in time, the same steps of every walker, and keep the order walker by walker
     keep = max(1, -(-sampler.steps * walkers // KEPT_DRAWS))
     kept = y[:, :, ::keep].reshape(sampler.ensembles, -1, posterior.n_parameters)
-    return {
+    arrays = {
         "bridge": np.array([bridge.log_evidence, bridge.standard_error]),
         "bridge_converged": np.array(bridge.converged, dtype=float),
         "acceptance": sample.acceptance,
@@ -132,6 +143,7 @@ def _sample(
         "log_density": density[:, :, ::keep].reshape(sampler.ensembles, -1),
         **_evaluate(inputs, task, posterior, kept, predict_seed),
     }
+    return arrays, correction
 
 
 def _evaluate(

@@ -1,0 +1,106 @@
+"""The last stage of a posterior: draws and evidence corrected by the exact density of the measured poses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from bayescal.density.exact import ExactDensity
+from bayescal.density.posterior import Posterior
+from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.schema import VariantConfig
+from bayescal.inference.correction import Correction, CostlyDensity, correct
+from bayescal.inference.exploration import Exploration
+from bayescal.inference.importance import resample
+from bayescal.inference.sampling import Sample
+from bayescal.inference.straightening import Straightening
+from bayescal.numerics.geometry import Array
+
+WEIGHED = 256  # draws of a posterior, a round
+WEIGHED_AT_ONCE = 128  # where only the evidence is wanted
+PROPOSED = 1500
+USED = 1024  # at most
+STEP = 1e-4
+
+
+def correct_draws(
+    inputs: StudyInputs, variant: VariantConfig, exploration: Exploration, sample: Sample, seed: np.random.SeedSequence
+) -> Correction | None:
+    """Return the correction from draws of the posterior; None without exact density."""
+    density = _build(inputs, variant, exploration)
+    if density is None:
+        return None
+    draws = sample.straight.reshape(-1, sample.straight.shape[-1])
+    chosen = np.random.default_rng(seed).choice(len(draws), min(USED, len(draws)), replace=False)
+    return correct(density, draws[chosen], np.atleast_2d(np.cov(draws.T)), WEIGHED)
+
+
+def correct_evidence(
+    inputs: StudyInputs, variant: VariantConfig, exploration: Exploration, seed: np.random.SeedSequence
+) -> Correction | None:
+    """Return the correction from some draws of the proposal; None without exact density."""
+    density = _build(inputs, variant, exploration)
+    if density is None:
+        return None
+    rng, proposal = np.random.default_rng(seed), exploration.proposal
+    draws = resample(exploration.straight.log_density, proposal, rng, PROPOSED, USED // 2).draws
+    main = proposal.factors[np.argmax(proposal.weights)]
+    return correct(density, draws, main @ main.T, WEIGHED_AT_ONCE)
+
+
+def move_sample(sample: Sample, exploration: Exploration, correction: Correction) -> Sample:
+    """Return a sample whose draws are those of the exact density, as far as the correction is enough."""
+    straight, shape = exploration.straight, sample.straight.shape
+    moved = correction.move(sample.straight.reshape(-1, shape[-1]))
+    y = straight.y_from_x(moved).reshape(shape)
+    natural = straight.posterior.natural(y)
+    density = sample.log_density - correction.move.log_volume + correction.log_ratio
+    return Sample(moved.reshape(shape), y, natural, density, sample.acceptance)
+
+
+def list_corrected(arrays: Mapping[str, Array], correction: Correction | None) -> dict[str, Array]:
+    """Return the log-evidences of a task's arrays after the correction, and what it was worth."""
+    if correction is None:
+        return {}
+    shift, error = correction.log_ratio, correction.standard_error
+    methods = {name: arrays[name] for name in ("importance", "bridge") if name in arrays}
+    corrected = {name: np.array([value + shift, np.hypot(se, error)]) for name, (value, se) in methods.items()}
+    quality = [shift, error, correction.efficiency, correction.pareto_k, correction.n_draws]
+    return corrected | {"correction": np.array(quality)}
+
+
+def _build(inputs: StudyInputs, variant: VariantConfig, exploration: Exploration) -> CostlyDensity | None:
+    """Return the exact density in straight coordinates, beside the one that was explored."""
+    straight = exploration.straight
+    posterior = straight.posterior
+    assert isinstance(posterior, Posterior)
+    exact = inputs.exact_density(variant, posterior.likelihood)
+    if exact is None:
+        return None
+
+    def excess(x: Array) -> Array:
+        y = straight.y_from_x(x)
+        theta, tau = posterior.theta(y), posterior.tau(y)
+        with np.errstate(invalid="ignore"):
+            found = exact(theta, tau) - posterior.likelihood(theta, tau)
+        return np.where(np.isfinite(found), found, -np.inf)
+
+    information = _inform(posterior, exact, straight, exploration.modes[0].y)
+    return CostlyDensity(straight.log_density, excess, information)
+
+
+def _inform(posterior: Posterior, exact: ExactDensity, straight: Straightening, y: Array) -> Array:
+    """Return the information on straight coordinates that the exact density has more at y (n,), shape (n, n).
+
+    That on the model errors is taken as the same.
+    """
+    n = posterior.n_geometry
+    theta = posterior.theta(y[None])[0]
+    tau = np.broadcast_to(posterior.tau(y[None]), (1, posterior.likelihood.n_legs))[0]
+    change = posterior.coordinates.jacobian(theta)
+    more = change.T @ exact.information(theta, tau) @ change - posterior.information(y)[0]
+    x, unit = straight.x_from_y(y[None]), STEP * np.eye(len(y))
+    slope = (straight.y_from_x(x + unit) - straight.y_from_x(x - unit))[:, :n].T / (2 * STEP)
+    more = slope.T @ more @ slope
+    return np.asarray(0.5 * (more + more.T))
