@@ -7,9 +7,9 @@ derivatives by the pose, A_n(θ), by the actuators, B_n(θ), and by the joints' 
     r_n = Z_n T_n k + s_n,    s_n ~ N(0, A_n Σ_n A_nᵀ + σ_ρ² B_n B_nᵀ + diag(B_ni,i² (τ_i² + v_ni))),
 
 and log p(X) = log N(r) + Σ_n log |det A_n|; with more legs than six half the log-determinant of AᵀA stands for the
-latter, and r_n holds the closure of the redundant legs, too. k ~ N(0, S) are errors that all poses have in common: T_n k
-is what an uncertain deformation matrix K leaves of the deflections, whose variance alone, pose by pose, is v. Of Q
-common errors only a Q x Q matrix is factorised (Woodbury).
+latter, and r_n holds the closure of the redundant legs, too. k ~ N(0, S) are errors that all poses have in common:
+T_n k is what an uncertain deformation matrix K leaves of the deflections, whose variance alone, pose by pose, is v. Of
+Q common errors only a Q x Q matrix is factorised (Woodbury).
 
 The derivatives cost five to thirty times the hot path: this density corrects what was found with that one.
 """

@@ -40,7 +40,7 @@ class Move:
 
     @property
     def log_volume(self) -> float:
-        """log |T|."""
+        """Logarithm of |T|."""
         return float(np.linalg.slogdet(self.matrix)[1])
 
     def shifted(self, by: Array) -> Move:

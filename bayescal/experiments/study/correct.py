@@ -8,8 +8,6 @@ import numpy as np
 
 from bayescal.density.exact import ExactDensity
 from bayescal.density.posterior import Posterior
-from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.schema import VariantConfig
 from bayescal.inference.correction import Correction, CostlyDensity, correct
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import resample
@@ -25,28 +23,20 @@ STEP = 1e-4
 
 
 def correct_draws(
-    inputs: StudyInputs, variant: VariantConfig, exploration: Exploration, sample: Sample, seed: np.random.SeedSequence
-) -> Correction | None:
-    """Return the correction from draws of the posterior; None without exact density."""
-    density = _build(inputs, variant, exploration)
-    if density is None:
-        return None
+    exact: ExactDensity, exploration: Exploration, sample: Sample, seed: np.random.SeedSequence
+) -> Correction:
+    """Return the correction from draws of the posterior."""
     draws = sample.straight.reshape(-1, sample.straight.shape[-1])
     chosen = np.random.default_rng(seed).choice(len(draws), min(USED, len(draws)), replace=False)
-    return correct(density, draws[chosen], np.atleast_2d(np.cov(draws.T)), WEIGHED)
+    return correct(build_costly(exact, exploration), draws[chosen], np.atleast_2d(np.cov(draws.T)), WEIGHED)
 
 
-def correct_evidence(
-    inputs: StudyInputs, variant: VariantConfig, exploration: Exploration, seed: np.random.SeedSequence
-) -> Correction | None:
-    """Return the correction from some draws of the proposal; None without exact density."""
-    density = _build(inputs, variant, exploration)
-    if density is None:
-        return None
+def correct_evidence(exact: ExactDensity, exploration: Exploration, seed: np.random.SeedSequence) -> Correction:
+    """Return the correction from some draws of the proposal."""
     rng, proposal = np.random.default_rng(seed), exploration.proposal
     draws = resample(exploration.straight.log_density, proposal, rng, PROPOSED, USED // 2).draws
     main = proposal.factors[np.argmax(proposal.weights)]
-    return correct(density, draws, main @ main.T, WEIGHED_AT_ONCE)
+    return correct(build_costly(exact, exploration), draws, main @ main.T, WEIGHED_AT_ONCE)
 
 
 def move_sample(sample: Sample, exploration: Exploration, correction: Correction) -> Sample:
@@ -70,14 +60,11 @@ def list_corrected(arrays: Mapping[str, Array], correction: Correction | None) -
     return corrected | {"correction": np.array(quality)}
 
 
-def _build(inputs: StudyInputs, variant: VariantConfig, exploration: Exploration) -> CostlyDensity | None:
+def build_costly(exact: ExactDensity, exploration: Exploration) -> CostlyDensity:
     """Return the exact density in straight coordinates, beside the one that was explored."""
     straight = exploration.straight
     posterior = straight.posterior
     assert isinstance(posterior, Posterior)
-    exact = inputs.exact_density(variant, posterior.likelihood)
-    if exact is None:
-        return None
 
     def excess(x: Array) -> Array:
         y = straight.y_from_x(x)

@@ -67,7 +67,7 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
     variant = inputs.variant(task.variant)
     posterior = inputs.posterior(variant, task.with_model_error, task.factor)
     seed = np.random.SeedSequence([inputs.config.seed, zlib.crc32(task.key.encode())])
-    explore_seed, importance_seed, *sample_seeds, correct_seed = seed.spawn(6)
+    explore_seed, importance_seed, ensemble_seed, bridge_seed, predict_seed, correct_seed = seed.spawn(6)
     exploration = explore(posterior, explore_seed, inputs.config.sampler.walkers)
     importance = _importance(inputs.config, exploration, importance_seed)
     arrays = {
@@ -76,10 +76,12 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
         "modes_converged": np.array(all(mode.converged for mode in exploration.modes), dtype=float),
     }
     if task.is_fit:
-        sampled, correction = _sample(inputs, task, posterior, exploration, *sample_seeds, correct_seed)
+        seeds = (ensemble_seed, bridge_seed, predict_seed, correct_seed)
+        sampled, correction = _sample(inputs, task, posterior, exploration, *seeds)
         arrays |= sampled
     else:
-        correction = correct_evidence(inputs, variant, exploration, correct_seed)
+        exact = inputs.exact_density(variant, posterior.likelihood)
+        correction = None if exact is None else correct_evidence(exact, exploration, correct_seed)
     arrays |= list_corrected(arrays, correction)
     arrays["wall_seconds"] = np.array(time.perf_counter() - began)
     return arrays
@@ -121,8 +123,9 @@ def _sample(
         inputs.config.evidence.draws,
         exploration.proposal,
     )
-    correction = correct_draws(inputs, inputs.variant(task.variant), exploration, sample, correct_seed)
-    if correction is not None:
+    exact, correction = inputs.exact_density(inputs.variant(task.variant), posterior.likelihood), None
+    if exact is not None:
+        correction = correct_draws(exact, exploration, sample, correct_seed)
         sample = move_sample(sample, exploration, correction)
     y, natural, density, diagnostics = sample.y, sample.natural, sample.log_density, sample.diagnostics
     # thin in time, the same steps of every walker, and keep the order walker by walker
