@@ -8,8 +8,10 @@ derivatives by the pose, A_n(θ), by the actuators, B_n(θ), and by the joints' 
 
 and log p(X) = log N(r) + Σ_n log |det A_n|; with more legs than six half the log-determinant of AᵀA stands for the
 latter, and r_n holds the closure of the redundant legs, too. k ~ N(0, S) are errors that all poses have in common:
-T_n k is what an uncertain deformation matrix K leaves of the deflections, whose variance alone, pose by pose, is v. Of
-Q common errors only a Q x Q matrix is factorised (Woodbury).
+T_n k is what an uncertain deformation matrix K leaves of the deflections, whose variance alone, pose by pose, is v.
+Where K was measured in the same photographs as the poses, its error depends on theirs, cov(k, e_n) = Γ_n: a platform
+that seems to stand too high has joints that seem to hang too low. All this makes a covariance of low rank beside that
+of s; of Q common errors only a matrix of Q or 2 Q rows is factorised (Woodbury).
 
 The derivatives cost five to thirty times the hot path: this density corrects what was found with that one.
 """
@@ -35,7 +37,7 @@ FAR = 1e4  # pose errors beyond it, mm or rad, are no machine's
 
 @dataclass(frozen=True, eq=False)
 class CommonErrors:
-    """Errors of the joints' deflections that all poses have in common, T_n k with k ~ N(0, S).
+    """Errors of the joints' known deflections, known minus true, that all poses have in common: T_n k with k ~ N(0, S).
 
     Attributes
     ----------
@@ -43,15 +45,59 @@ class CommonErrors:
         T, deflection per unit of k.
     covariance : ndarray, shape (Q, Q)
         S; the deflections are in mm.
+    with_poses : ndarray, shape (P, Q, 6), optional
+        Γ, covariance of k with the error of each measured pose (mm, rad; base frame).
     """
 
     design: Array
     covariance: Array
+    with_poses: Array | None = None
 
     @property
     def variance(self) -> Array:
         """Variance of each deflection by itself, shape (P, N), mm²."""
         return np.asarray(np.einsum("piq,qr,pir->pi", self.design, self.covariance, self.design))
+
+
+@dataclass(frozen=True, eq=False)
+class _Shared:
+    """Common errors in units of their own standard deviations.
+
+    Whitened columns V = (Z T F, A G) of the closure, S = F Fᵀ and G_n = Γ_nᵀ F⁻ᵀ, add V H Vᵀ to its covariance, with
+    H = ((1, 1), (1, 0)): the first block alone, and 1, where the poses' errors are independent of k.
+    """
+
+    on_deflection: Array  # (P, N, Q)
+    on_pose: Array | None  # (P, 6, Q)
+
+    @classmethod
+    def from_errors(cls, common: CommonErrors) -> _Shared:
+        """Return them."""
+        factor = np.linalg.cholesky(common.covariance)
+        on_pose = None
+        if common.with_poses is not None:
+            on_pose = np.swapaxes(np.linalg.solve(factor, common.with_poses), -1, -2)
+        return cls(common.design @ factor, on_pose)
+
+    def columns(self, here: _Here) -> Array:
+        """Return V before it is whitened, shape (B, P, N, Q or 2 Q)."""
+        own = here.by_deflection @ self.on_deflection
+        return own if self.on_pose is None else np.concatenate([own, here.closure.pose @ self.on_pose], axis=-1)
+
+    def factorise(self, columns: Array) -> tuple[Array, Array]:
+        """Return M = H⁻¹ + VᵀV, shape (B, R, R), and V as (B, P N, R); |det H| is one."""
+        columns = columns.reshape(len(columns), -1, columns.shape[-1])
+        inverse = np.eye(self.on_deflection.shape[-1])
+        if self.on_pose is not None:
+            inverse = np.block([[np.zeros_like(inverse), inverse], [inverse, -inverse]])
+        return inverse + np.swapaxes(columns, -1, -2) @ columns, columns
+
+    def add(self, white: Array, columns: Array) -> Array:
+        """Return what they add to the log-density, shape (B,), for whitened residuals (B, P, N) and columns."""
+        inner, columns = self.factorise(columns)
+        seen = np.swapaxes(columns, -1, -2) @ white.reshape(len(white), -1, 1)
+        square = (seen * np.linalg.solve(inner, seen)).sum(axis=(-1, -2))
+        return np.asarray(0.5 * square - 0.5 * np.linalg.slogdet(inner)[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +132,7 @@ class ExactDensity:
     ) -> None:
         self._likelihood, self._noise = likelihood, actuator_noise
         self._variance = 0.0 if actuator_variance is None else actuator_variance
-        self._design: Array | None = None
-        if common is not None:
-            self._design = common.design @ np.linalg.cholesky(common.covariance)
+        self._shared = None if common is None else _Shared.from_errors(common)
 
     def __call__(self, theta: Array, model_error: Array) -> Array:
         """Return the log-likelihood in units of mm and rad, shape (B,), -inf where there is no machine.
@@ -130,7 +174,7 @@ class ExactDensity:
         left = here.residual + np.einsum("bpij,bpj->bpi", here.pose, step)  # redundant legs do not close
         exact = compute_pose_error(poses.position, poses.rotation, position, rotation)
         by_deflection = np.empty(0)
-        if self._design is not None:
+        if self._shared is not None:
             more = replace(basis, actuator_gain=basis.actuator_gain + np.eye(here.actuators.shape[-1]))
             by_deflection = closure(position, rotation, more, with_parameters=False).actuators - here.actuators
         return _Here(np.where(np.isnan(error), np.nan, exact), replace(here, residual=left), by_deflection)
@@ -157,8 +201,8 @@ class ExactDensity:
         white = np.linalg.inv(factor)
         seen = (white @ seen[..., None])[..., 0]
         total = -0.5 * np.einsum("bpi,bpi->b", seen, seen) - half_log_det + self._log_volume(pose)
-        if self._design is not None:
-            total += _share_errors(seen, white @ (here.by_deflection @ self._design))
+        if self._shared is not None:
+            total += self._shared.add(seen, white @ self._shared.columns(here))
         return np.where(good, total - 0.5 * seen[0].size * np.log(2.0 * np.pi), -np.inf)
 
     def _cover(self, closure: Linearisation, model_error: Array) -> Array:
@@ -180,10 +224,10 @@ class ExactDensity:
         white = np.linalg.inv(np.linalg.cholesky(self._cover(here.closure, model_error[None])[0]))
         rows = (white @ slope).reshape(-1, slope.shape[-1])
         total = rows.T @ rows
-        if self._design is not None:
-            design = (white @ (here.by_deflection[0] @ self._design)).reshape(len(rows), -1)
-            shared = np.linalg.solve(np.eye(design.shape[1]) + design.T @ design, design.T @ rows)
-            total -= rows.T @ design @ shared
+        if self._shared is not None:
+            inner, columns = self._shared.factorise(white @ self._shared.columns(here))
+            seen = columns[0].T @ rows
+            total -= seen.T @ np.linalg.solve(inner[0], seen)
         return np.asarray(total)
 
     @staticmethod
@@ -192,17 +236,3 @@ class ExactDensity:
         if pose.shape[-2] == pose.shape[-1]:
             return np.asarray(np.linalg.slogdet(pose)[1].sum(axis=-1))
         return np.asarray(0.5 * np.linalg.slogdet(np.swapaxes(pose, -1, -2) @ pose)[1].sum(axis=-1))
-
-
-def _share_errors(white: Array, design: Array) -> Array:
-    """Return what common errors add to the log-density, shape (B,).
-
-    With w whitened residuals (B, P, N) and V what Q standard normal errors make of them (B, P, N, Q), it is
-    ½ |M^-½ Vᵀ w|² - ½ log |M| with M = 1 + VᵀV.
-    """
-    design = design.reshape(len(design), -1, design.shape[-1])
-    seen = np.swapaxes(design, -1, -2) @ white.reshape(len(white), -1, 1)
-    factor = np.linalg.cholesky(np.eye(design.shape[-1]) + np.swapaxes(design, -1, -2) @ design)
-    solved = np.linalg.solve(factor, seen)[..., 0]
-    half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-    return np.asarray(0.5 * np.einsum("bq,bq->b", solved, solved) - half_log_det)

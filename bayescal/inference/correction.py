@@ -5,6 +5,7 @@ w(x) = q(T x) |T| / p(x): their mean over draws x of p is the ratio of the evide
 hardly differ the moved draws are draws of q. T takes the mean and the covariance of p, in coordinates in which p is
 close to a normal, to those of q: the covariance by what the information of q is more than that of p, the mean by the
 slope of log q - log p, a regression on some draws. The weights are those of other draws; their scatter is the error.
+Where p has several modes T is a translation, which takes all of them along.
 """
 
 from __future__ import annotations
@@ -103,7 +104,7 @@ class CostlyDensity:
         return self.explored(moved) - self.explored(x) + self.excess(moved) + move.log_volume
 
 
-def correct(density: CostlyDensity, draws: Array, covariance: Array, n_weights: int) -> Correction:
+def correct(density: CostlyDensity, draws: Array, modes: np.ndarray, covariance: Array, n_weights: int) -> Correction:
     """Return the correction from independent draws of the explored density.
 
     Parameters
@@ -111,8 +112,10 @@ def correct(density: CostlyDensity, draws: Array, covariance: Array, n_weights: 
     density : CostlyDensity
     draws : ndarray, shape (S, n)
         In random order; at most ROUNDS + 1 parts of them are used, each once.
+    modes : ndarray of int, shape (S,)
+        Which mode each draw belongs to.
     covariance : ndarray, shape (n, n)
-        Of the explored density.
+        Of the explored density around a mode.
     n_weights : int
         How many draws are weighed in a round; as many of them as a regression needs, at least, are used for the first
         one.
@@ -126,30 +129,43 @@ def correct(density: CostlyDensity, draws: Array, covariance: Array, n_weights: 
     n_first = min(max(n_weights // 2, PER_COORDINATE * n), len(draws) // 2)
     first, rest = draws[:n_first], draws[n_first:]
     parts = [part for k in range(ROUNDS) if len(part := rest[k * n_weights : (k + 1) * n_weights]) > n]
-    move = _fit_move(density, first, covariance)
-    found: list[Correction] = []
+    centred = first - _find_centres(first, modes[:n_first])
+    excess = density.excess(first)
+    found = [_summarise(Move(np.zeros(n), np.zeros(n), np.eye(n)), excess)]
+    move = _fit_move(density, first.mean(axis=0), centred, excess, covariance, bool(np.ptp(modes)))
     for part in parts or [rest]:
         log_weights = density.weigh(move, part)
         found.append(_summarise(move, log_weights))
         if found[-1].is_enough:
             break
         spread = move.matrix @ covariance @ move.matrix.T
-        move = move.shifted(spread @ _regress(log_weights, move(part) - move.mean))
-    return max(found, key=lambda correction: correction.efficiency)
+        own = modes[n_first : n_first + len(part)]
+        move = move.shifted(spread @ _regress(log_weights, part - _find_centres(part, own)))
+    best = max(found, key=lambda correction: correction.efficiency)
+    if not np.isfinite(best.log_ratio):
+        raise NumericalError("exact density: no draw of the posterior has a finite weight")
+    return best
 
 
-def _fit_move(density: CostlyDensity, x: Array, covariance: Array) -> Move:
-    """Return the map between the normals nearest to both densities, from draws (B, n)."""
-    centre = x.mean(axis=0)
+def _find_centres(x: Array, modes: np.ndarray) -> Array:
+    """Return for each draw (B, n) the mean of its mode's, shape (B, n)."""
+    labels, which = np.unique(modes, return_inverse=True)
+    return np.stack([x[which == k].mean(axis=0) for k in range(len(labels))])[which]
+
+
+def _fit_move(
+    density: CostlyDensity, centre: Array, x: Array, excess: Array, covariance: Array, translate: bool
+) -> Move:
+    """Return the map between the normals nearest to both densities, from draws (B, n) about their modes' centres."""
     old = np.linalg.inv(covariance)
     new = old + density.information
     if not np.linalg.eigvalsh(new)[0] > 0.0:
         new = old
-    moved = x - centre
-    excess = density.excess(x) + 0.5 * np.einsum("bi,ij,bj->b", moved, new - old, moved)
-    shift = np.linalg.solve(new, _regress(excess, moved))
-    matrix = np.linalg.solve(np.linalg.cholesky(new).T, np.linalg.cholesky(old).T)
-    return Move(centre, centre + shift, matrix)
+    flat = excess + 0.5 * np.einsum("bi,ij,bj->b", x, new - old, x)
+    shift = np.linalg.solve(new, _regress(flat, x))
+    if translate:
+        return Move(centre, centre + shift, np.eye(len(centre)))
+    return Move(centre, centre + shift, np.linalg.solve(np.linalg.cholesky(new).T, np.linalg.cholesky(old).T))
 
 
 def _regress(values: Array, x: Array) -> Array:
@@ -162,9 +178,9 @@ def _regress(values: Array, x: Array) -> Array:
 
 
 def _summarise(move: Move, log_weights: Array) -> Correction:
-    if not np.isfinite(log_weights).any():
-        raise NumericalError("exact density: no draw of the posterior has a finite weight")
     n_draws = len(log_weights)
+    if not np.isfinite(log_weights).any():
+        return Correction(move, -np.inf, np.inf, 0.0, np.inf, n_draws)
     log_ratio = float(logsumexp(log_weights)) - np.log(n_draws)
     relative = np.exp(log_weights - log_ratio)
     error = float(np.std(relative, ddof=1) / np.sqrt(n_draws))

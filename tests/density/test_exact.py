@@ -101,36 +101,45 @@ def change_matrix(machine, change):
     return Machine(machine.mechanism, machine.model, MatrixDeformation(machine.deformation.matrix + change))
 
 
-def build_common(displacement, covariance):
-    """Return the deflections' common errors for all entries of K, shape (N * N, N * N), written row by row."""
-    n_poses, n_legs = displacement.shape
-    design = np.einsum("ij,pk->pijk", np.eye(n_legs), displacement).reshape(n_poses, n_legs, -1)
-    return CommonErrors(design, covariance)
-
-
+@pytest.mark.parametrize("dependent", [False, True])
 @pytest.mark.parametrize("model", MODELS)
-def test_common_errors_are_those_of_another_matrix(model):
-    """The covariance of all poses at once, with the poses' derivatives by every entry of K off its diagonal."""
+def test_common_errors_are_those_of_another_matrix(model, dependent):
+    """The covariance of all poses at once, with the poses' derivatives by every entry of K off its diagonal.
+
+    Where errors of K depend on those of the poses, they are K = mix · (numbers of its own) + share · (pose errors).
+    """
     machine, theta, poses, rng = draw_setup(model, "matrix", 3)
-    mix = rng.normal(0, 1e-3, (36, 36)) / 6
-    off = ~np.eye(6, dtype=bool).ravel()
-    covariance = mix @ mix.T * np.outer(off, off)
+    rest = np.flatnonzero(~np.eye(6, dtype=bool))
+    mix = rng.normal(0, 1e-3, (30, 30)) / 6
+    share = dependent * rng.normal(0, 0.05, (4, 30, 6)) * np.array([1.0] * 3 + [200.0] * 3)
+    with_poses = share @ poses.covariance
+    covariance = mix @ mix.T + np.einsum("pqk,prk->qr", share, with_poses)
     displacement = poses.actuators - machine.mechanism.initial_actuator_positions
-    common = build_common(displacement, covariance + 1e-30 * np.eye(36))
+    design = np.einsum("ij,pk->pijk", np.eye(6), displacement).reshape(4, 6, 36)[..., rest]
+    common = CommonErrors(design, covariance, with_poses if dependent else None)
     likelihood = PoseLikelihood(machine, poses, NOISE, common.variance)
     found = ExactDensity(likelihood, NOISE, common)(theta[None], TAU)[0]
-    by_entry = np.zeros((24, 36))
-    for k in np.flatnonzero(off):
-        change = np.zeros(36)
-        change[k] = 1e-4
-        ends = [change_matrix(machine, sign * change.reshape(6, 6)) for sign in (1, -1)]
-        upper, lower = (solve_forward_kinematics(end, theta, poses.actuators) for end in ends)
-        by_entry[:, k] = compute_pose_error(upper.position, upper.rotation, lower.position, lower.rotation).ravel()
-    by_entry /= 2e-4
+    by_entry = differentiate_by_matrix(machine, theta, poses)[:, rest]
     error, alone = find_error(machine, theta, poses).ravel(), spread_out(reference_covariance(machine, theta, poses))
-    expected = log_normal(error, alone + by_entry @ covariance @ by_entry.T)
-    assert found == pytest.approx(expected, abs=2e-5)
-    assert abs(log_normal(error, alone) - expected) > 0.1
+    # the error in the prediction is that of the known K, measured minus predicted has the opposite one
+    both = by_entry @ np.concatenate(list(with_poses), axis=1)
+    independent = alone + by_entry @ covariance @ by_entry.T
+    expected = log_normal(error, independent - both - both.T)
+    assert found == pytest.approx(expected, abs=5e-5)
+    assert abs(log_normal(error, alone) - expected) > 0.05
+    assert dependent == (abs(log_normal(error, independent) - expected) > 0.05)
+
+
+def differentiate_by_matrix(machine, theta, poses):
+    """Return the poses' derivatives by the entries of K, row by row, shape (6 P, N * N)."""
+    columns = []
+    for k in range(36):
+        change = 1e-4 * np.eye(36)[k].reshape(6, 6)
+        ends = [change_matrix(machine, sign * change) for sign in (1, -1)]
+        upper, lower = (solve_forward_kinematics(end, theta, poses.actuators) for end in ends)
+        moved = compute_pose_error(upper.position, upper.rotation, lower.position, lower.rotation)
+        columns.append(moved.ravel() / 2e-4)
+    return np.stack(columns, axis=1)
 
 
 def test_redundant_legs_keep_the_density_of_the_hot_path():

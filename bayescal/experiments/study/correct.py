@@ -28,7 +28,10 @@ def correct_draws(
     """Return the correction from draws of the posterior."""
     draws = sample.straight.reshape(-1, sample.straight.shape[-1])
     chosen = np.random.default_rng(seed).choice(len(draws), min(USED, len(draws)), replace=False)
-    return correct(build_costly(exact, exploration), draws[chosen], np.atleast_2d(np.cov(draws.T)), WEIGHED)
+    modes = _sort(exploration, draws)
+    centred = np.concatenate([own - own.mean(axis=0) for k in np.unique(modes) for own in (draws[modes == k],)])
+    covariance = np.atleast_2d(np.cov(centred.T))
+    return correct(build_costly(exact, exploration), draws[chosen], modes[chosen], covariance, WEIGHED)
 
 
 def correct_evidence(exact: ExactDensity, exploration: Exploration, seed: np.random.SeedSequence) -> Correction:
@@ -36,7 +39,14 @@ def correct_evidence(exact: ExactDensity, exploration: Exploration, seed: np.ran
     rng, proposal = np.random.default_rng(seed), exploration.proposal
     draws = resample(exploration.straight.log_density, proposal, rng, PROPOSED, USED // 2).draws
     main = proposal.factors[np.argmax(proposal.weights)]
-    return correct(build_costly(exact, exploration), draws, main @ main.T, WEIGHED_AT_ONCE)
+    return correct(build_costly(exact, exploration), draws, _sort(exploration, draws), main @ main.T, WEIGHED_AT_ONCE)
+
+
+def _sort(exploration: Exploration, draws: Array) -> np.ndarray:
+    """Return which component of the proposal each draw (S, n) belongs to, shape (S,)."""
+    if len(exploration.proposal.weights) == 1:
+        return np.zeros(len(draws), dtype=int)
+    return np.argmax(exploration.proposal.component_log_densities(draws), axis=0)
 
 
 def move_sample(sample: Sample, exploration: Exploration, correction: Correction) -> Sample:

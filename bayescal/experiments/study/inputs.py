@@ -132,8 +132,7 @@ class StudyInputs:
     @property
     def _calibration_deflection(self) -> JointDeflection:
         assert self.deflection is not None
-        chosen = ~self.verification
-        return JointDeflection(self.deflection.displacement[chosen], self.deflection.covariance[chosen])
+        return self.deflection.select(~self.verification)
 
     @property
     def _calibration_travel(self) -> Array:
@@ -202,7 +201,18 @@ class StudyInputs:
         rest = np.flatnonzero(~np.eye(self.mechanism.n_legs, dtype=bool))
         design = np.einsum("ij,pk->pijk", np.eye(self.mechanism.n_legs), displacement)
         design = design.reshape(*displacement.shape, -1)[..., rest]
-        return CommonErrors(design, self.measured_matrix.covariance[np.ix_(rest, rest)])
+        with_poses = None if verification else self._matrix_with_poses[:, rest]
+        return CommonErrors(design, self.measured_matrix.covariance[np.ix_(rest, rest)], with_poses)
+
+    @property
+    def _matrix_with_poses(self) -> Array:
+        """Covariance of K, row by row, with the errors of the calibration poses in the base frame, (P, N * N, 6)."""
+        assert self.measured_matrix is not None
+        assert self.measured_matrix.with_pose is not None
+        assert self.targets is not None
+        rotation = self.targets.extraction.base.rotation[~self.verification]
+        moved, turned = np.split(self.measured_matrix.with_pose, 2, axis=-1)
+        return np.concatenate([moved @ rotation, turned @ rotation], axis=-1)
 
     def posterior(self, variant: VariantConfig, with_model_error: bool, factor: float = 1.0) -> Posterior:
         """Return the posterior of a variant; ``factor`` multiplies the widths of all parameters' priors."""
