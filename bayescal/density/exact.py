@@ -63,7 +63,7 @@ class CommonErrors:
 class _Shared:
     """Common errors in units of their own standard deviations.
 
-    Whitened columns V = (Z T F, A G) of the closure, S = F Fᵀ and G_n = Γ_nᵀ F⁻ᵀ, add V H Vᵀ to its covariance, with
+    Columns V = (Z T F, A G) of the whitened closure, with S = F Fᵀ and G_n = Γ_nᵀ F⁻ᵀ, add V H Vᵀ to its covariance,
     H = ((1, 1), (1, 0)): the first block alone, and 1, where the poses' errors are independent of k.
     """
 
@@ -79,10 +79,12 @@ class _Shared:
             on_pose = np.swapaxes(np.linalg.solve(factor, common.with_poses), -1, -2)
         return cls(common.design @ factor, on_pose)
 
-    def columns(self, here: _Here) -> Array:
-        """Return V before it is whitened, shape (B, P, N, Q or 2 Q)."""
-        own = here.by_deflection @ self.on_deflection
-        return own if self.on_pose is None else np.concatenate([own, here.closure.pose @ self.on_pose], axis=-1)
+    def columns(self, white: Array, here: _Here) -> Array:
+        """Return V, shape (B, P, N, Q or 2 Q), for whitening matrices (B, P, N, N)."""
+        own = white @ here.by_deflection @ self.on_deflection
+        if self.on_pose is None:
+            return own
+        return np.concatenate([own, white @ here.closure.pose @ self.on_pose], axis=-1)
 
     def factorise(self, columns: Array) -> tuple[Array, Array]:
         """Return M = H⁻¹ + VᵀV, shape (B, R, R), and V as (B, P N, R); |det H| is one."""
@@ -202,7 +204,7 @@ class ExactDensity:
         seen = (white @ seen[..., None])[..., 0]
         total = -0.5 * np.einsum("bpi,bpi->b", seen, seen) - half_log_det + self._log_volume(pose)
         if self._shared is not None:
-            total += self._shared.add(seen, white @ self._shared.columns(here))
+            total += self._shared.add(seen, self._shared.columns(white, here))
         return np.where(good, total - 0.5 * seen[0].size * np.log(2.0 * np.pi), -np.inf)
 
     def _cover(self, closure: Linearisation, model_error: Array) -> Array:
@@ -225,7 +227,7 @@ class ExactDensity:
         rows = (white @ slope).reshape(-1, slope.shape[-1])
         total = rows.T @ rows
         if self._shared is not None:
-            inner, columns = self._shared.factorise(white @ self._shared.columns(here))
+            inner, columns = self._shared.factorise(self._shared.columns(white, here))
             seen = columns[0].T @ rows
             total -= seen.T @ np.linalg.solve(inner[0], seen)
         return np.asarray(total)

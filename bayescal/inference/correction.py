@@ -10,7 +10,7 @@ Where p has several modes T is a translation, which takes all of them along.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from arviz_stats.base import array_stats
@@ -18,7 +18,8 @@ from scipy.special import logsumexp
 
 from bayescal.errors import NumericalError
 from bayescal.inference.importance import LogDensity
-from bayescal.limits import PARETO_K_LIMIT
+from bayescal.inference.proposal import MixtureProposal
+from bayescal.limits import MOVED_LIMIT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
 PER_COORDINATE = 3  # draws for a regression
@@ -43,6 +44,11 @@ class Move:
     def log_volume(self) -> float:
         """Logarithm of |T|."""
         return float(np.linalg.slogdet(self.matrix)[1])
+
+    def move_proposal(self, proposal: MixtureProposal) -> MixtureProposal:
+        """Return the density of moved draws of a proposal."""
+        factors = np.linalg.cholesky(self.matrix @ proposal.factors @ np.swapaxes(self.matrix @ proposal.factors, 1, 2))
+        return replace(proposal, means=self(proposal.means), factors=factors)
 
     def shifted(self, by: Array) -> Move:
         """Return the map that leads on by a vector (n,)."""
@@ -76,8 +82,13 @@ class Correction:
 
     @property
     def is_enough(self) -> bool:
-        """Whether moved draws are as good as draws of the costly density."""
+        """Whether another round would hardly make moved draws better."""
         return self.efficiency >= ENOUGH and self.pareto_k <= PARETO_K_LIMIT
+
+    @property
+    def is_trusted(self) -> bool:
+        """Whether moved draws are good for draws of the costly density."""
+        return self.efficiency >= MOVED_LIMIT and self.pareto_k <= PARETO_K_LIMIT
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +109,18 @@ class CostlyDensity:
     excess: LogDensity
     information: Array
 
+    def log_density(self, x: Array) -> Array:
+        """Return log q, shape (B,), for vectors (B, n)."""
+        explored = self.explored(x)
+        result = np.full(len(x), -np.inf)
+        good = np.isfinite(explored)
+        if good.any():
+            result[good] = explored[good] + self.excess(x[good])
+        return result
+
     def weigh(self, move: Move, x: Array) -> Array:
         """Return the log-weights (B,) of moved draws (B, n)."""
-        moved = move(x)
-        return self.explored(moved) - self.explored(x) + self.excess(moved) + move.log_volume
+        return self.log_density(move(x)) - self.explored(x) + move.log_volume
 
 
 def correct(density: CostlyDensity, draws: Array, modes: np.ndarray, covariance: Array, n_weights: int) -> Correction:
@@ -127,20 +146,18 @@ def correct(density: CostlyDensity, draws: Array, modes: np.ndarray, covariance:
     """
     n = draws.shape[1]
     n_first = min(max(n_weights // 2, PER_COORDINATE * n), len(draws) // 2)
-    first, rest = draws[:n_first], draws[n_first:]
-    parts = [part for k in range(ROUNDS) if len(part := rest[k * n_weights : (k + 1) * n_weights]) > n]
-    centred = first - _find_centres(first, modes[:n_first])
-    excess = density.excess(first)
+    centred = draws - _find_centres(draws, modes)
+    excess = density.excess(draws[:n_first])
     found = [_summarise(Move(np.zeros(n), np.zeros(n), np.eye(n)), excess)]
-    move = _fit_move(density, first.mean(axis=0), centred, excess, covariance, bool(np.ptp(modes)))
-    for part in parts or [rest]:
-        log_weights = density.weigh(move, part)
+    move = _fit_move(density, draws.mean(axis=0), centred[:n_first], excess, covariance, bool(np.ptp(modes)))
+    for start in range(n_first, min(n_first + ROUNDS * n_weights, len(draws)), n_weights):
+        part = slice(start, start + n_weights)
+        log_weights = density.weigh(move, draws[part])
         found.append(_summarise(move, log_weights))
         if found[-1].is_enough:
             break
         spread = move.matrix @ covariance @ move.matrix.T
-        own = modes[n_first : n_first + len(part)]
-        move = move.shifted(spread @ _regress(log_weights, part - _find_centres(part, own)))
+        move = move.shifted(spread @ _regress(log_weights, centred[part] @ move.matrix.T))
     best = max(found, key=lambda correction: correction.efficiency)
     if not np.isfinite(best.log_ratio):
         raise NumericalError("exact density: no draw of the posterior has a finite weight")

@@ -8,7 +8,8 @@ import numpy as np
 
 from bayescal.density.exact import ExactDensity
 from bayescal.density.posterior import Posterior
-from bayescal.inference.correction import Correction, CostlyDensity, correct
+from bayescal.inference.correction import Correction, CostlyDensity, Move, correct
+from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import resample
 from bayescal.inference.sampling import Sample
@@ -57,6 +58,23 @@ def move_sample(sample: Sample, exploration: Exploration, correction: Correction
     natural = straight.posterior.natural(y)
     density = sample.log_density - correction.move.log_volume + correction.log_ratio
     return Sample(moved.reshape(shape), y, natural, density, sample.acceptance)
+
+
+def sample_exactly(
+    exact: ExactDensity, exploration: Exploration, sample: Sample, move: Move, seeds: list[np.random.SeedSequence]
+) -> Sample:
+    """Return draws of ensembles that walk on the exact density itself, as many as a sample has: slow.
+
+    They start from the moved proposal; half as many steps again are left out at first.
+    """
+    straight, (_, n_walkers, n_steps, _) = exploration.straight, sample.straight.shape
+    density, proposal = build_costly(exact, exploration).log_density, move.move_proposal(exploration.proposal)
+    ensembles = [run_ensemble(density, proposal, seed, n_walkers, n_steps // 2, n_steps) for seed in seeds]
+    draws = np.stack([ensemble.draws for ensemble in ensembles])
+    y = straight.y_from_x(draws.reshape(-1, draws.shape[-1])).reshape(draws.shape)
+    log_density = np.stack([ensemble.log_density for ensemble in ensembles])
+    acceptance = np.array([ensemble.acceptance for ensemble in ensembles])
+    return Sample(draws, y, straight.posterior.natural(y), log_density, acceptance)
 
 
 def list_corrected(arrays: Mapping[str, Array], correction: Correction | None) -> dict[str, Array]:

@@ -11,7 +11,13 @@ import numpy as np
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import Prediction, predict
-from bayescal.experiments.study.correct import correct_draws, correct_evidence, list_corrected, move_sample
+from bayescal.experiments.study.correct import (
+    correct_draws,
+    correct_evidence,
+    list_corrected,
+    move_sample,
+    sample_exactly,
+)
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.schema import StudyConfig, stem_of
 from bayescal.inference.bridge import estimate_by_bridge
@@ -126,7 +132,11 @@ def _sample(
     exact, correction = inputs.exact_density(inputs.variant(task.variant), posterior.likelihood), None
     if exact is not None:
         correction = correct_draws(exact, exploration, sample, correct_seed)
-        sample = move_sample(sample, exploration, correction)
+        if correction.is_trusted:
+            sample = move_sample(sample, exploration, correction)
+        else:
+            seeds = correct_seed.spawn(sampler.ensembles)
+            sample = sample_exactly(exact, exploration, sample, correction.move, seeds)
     y, natural, density, diagnostics = sample.y, sample.natural, sample.log_density, sample.diagnostics
     # thin in time, the same steps of every walker, and keep the order walker by walker
     keep = max(1, -(-sampler.steps * walkers // KEPT_DRAWS))

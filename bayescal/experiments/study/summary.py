@@ -15,7 +15,7 @@ from bayescal.density.prediction import Prediction, compute_elpd
 from bayescal.experiments.study.fit import Arrays, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.diagnostics import Diagnostics
-from bayescal.limits import AGREEMENT, PARETO_K_LIMIT
+from bayescal.limits import AGREEMENT, MOVED_LIMIT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
 ELPD_VARIABLE = "measured_pose"
@@ -120,6 +120,9 @@ def summarise_fit(
         "verification": summarise_errors(prediction.select(held)) if held.any() else None,
         "parameters": _summarise_parameters(inputs, variant, posterior.all_priors(), posterior.names, arrays),
     }
+    if "correction" in arrays:
+        names = ("log_evidence_shift", "standard_error", "efficiency", "pareto_k", "n_draws")
+        summary["exact_density"] = dict(zip(names, (float(x) for x in arrays["correction"]), strict=True))
     if held.any():
         pointwise = arrays["log_likelihood"][..., held]
         summary["verification"]["elpd"] = compute_elpd(pointwise.reshape(-1, pointwise.shape[-1]))
@@ -137,6 +140,13 @@ def list_problems(arrays: Arrays) -> list[str]:
     gap = abs(float(arrays["importance"][0] - arrays["bridge"][0]))
     if not gap <= AGREEMENT:
         problems.append(f"the two log-evidences differ by {gap:.2f}, limit {AGREEMENT}")
+    if "correction" in arrays:
+        _, _, efficiency, pareto_k, _ = (float(x) for x in arrays["correction"])
+        if not (efficiency >= MOVED_LIMIT and pareto_k <= PARETO_K_LIMIT):
+            problems.append(
+                f"the evidence by the exact density rests on {100 * efficiency:.0f} % of its draws, limit "
+                f"{100 * MOVED_LIMIT:.0f} %, Pareto k {pareto_k:.2f}, limit {PARETO_K_LIMIT}"
+            )
     return problems
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bayescal.experiments.study.page.checks import format_factor, measure_gap
 from bayescal.experiments.study.page.results import SHORT_SETTINGS, StudyResults
 from bayescal.experiments.study.page.variants import VARIANT, label_variant
-from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
+from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, MOVED_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
 from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
 from bayescal.report.numbers import count_decimals, format_count, format_estimate, format_fixed
 
@@ -26,6 +26,8 @@ def tabulate_evidence(results: StudyResults) -> Table:
         Column("draws", "", "Importance sampling"),
         Column("efficiency", "%", "Importance sampling"),
         Column("Pareto k", f"limit {PARETO_K_LIMIT}", "Importance sampling"),
+        Column("worth", "nat", "Exact density"),
+        Column("draws kept", "%", "Exact density"),
         Column("Reported", kind="text"),
     ]
     rows = []
@@ -41,10 +43,20 @@ def tabulate_evidence(results: StudyResults) -> Table:
                 format_count(quality["n_draws"]),
                 format_fixed(100 * quality["efficiency"], 0),
                 _limited(quality["pareto_k"], quality["pareto_k"] <= PARETO_K_LIMIT, 2),
+                *_describe_correction(fit.get("exact_density")),
                 fit["log_evidence_primary"],
             ]
         )
     return make_table("The log-evidence of every posterior by two independent estimators.", columns, rows)
+
+
+def _describe_correction(exact: dict[str, float] | None) -> list[str | Cell]:
+    """Return what the exact density is worth and how many of the moved draws count, dashes without one."""
+    if exact is None:
+        return ["–", "–"]
+    fine = exact["efficiency"] >= MOVED_LIMIT and exact["pareto_k"] <= PARETO_K_LIMIT
+    worth = format_evidence(exact["log_evidence_shift"], exact["standard_error"])
+    return [worth, _limited(100 * exact["efficiency"], fine, 0)]
 
 
 def _limited(value: float, fine: bool, decimals: int) -> Cell:
