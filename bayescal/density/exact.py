@@ -27,10 +27,10 @@ from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.models.base import Linearisation, newton_step
 from bayescal.numerics.geometry import Array, compute_pose_error, matrix_from_rotation_vector
 
-BATCH = 8
+BATCH = 16
 """Machines at a time: their derivatives stay in the cache."""
-CLOSES = 1e-6
-"""Newton step in mm and rad below which the derivatives are those at the predicted pose."""
+CLOSES = 1e-4
+"""Newton step in mm and rad below which the derivatives are those at the predicted pose: to 0.001 nats of 40 poses."""
 STEPS = 5
 FAR = 1e4  # pose errors beyond it, mm or rad, are no machine's
 
