@@ -25,7 +25,6 @@ from bayescal.numerics.geometry import matrix_from_rotation_vector
 SCALE = 0.01
 MATRIX_SD = 1.5e-4  # of the entries of K off its diagonal
 N_DRAWS, N_KEPT = 2000, 600
-SMALL = ("l", "kappa")
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +99,7 @@ def solve(problem, seed):
 
 
 def measure(problem, y):
-    """Return quantities of draws (B, n): the parameters in their units, Σ τ² and the sum of squared lengths' errors."""
+    """Return quantities of draws (B, n): the parameters in their units, the model errors and Σ τ²."""
     natural = problem.posterior.natural(y)
     return np.column_stack([natural, np.sum(problem.posterior.tau(y) ** 2, axis=-1)])
 

@@ -162,7 +162,10 @@ def _sample(
 def _evaluate(
     inputs: StudyInputs, task: Task, posterior: Posterior, kept: Array, seed: np.random.SeedSequence
 ) -> Arrays:
-    """Return pointwise densities and predictions of all poses, in the survey's order, from draws (E, S, n)."""
+    """Return pointwise densities and predictions of all poses, in the survey's order, from draws (E, S, n).
+
+    They are of the hot path, whose covariance is that of the nominal machine, pose by pose.
+    """
     variant, flat = inputs.variant(task.variant), kept.reshape(-1, kept.shape[-1])
     theta, tau = posterior.theta(flat), posterior.tau(flat)
     chosen = np.linspace(0, len(flat) - 1, min(PREDICTIVE_DRAWS, len(flat))).astype(int)

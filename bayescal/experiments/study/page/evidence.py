@@ -7,7 +7,13 @@ from bayescal.experiments.study.page.results import SHORT_SETTINGS, StudyResults
 from bayescal.experiments.study.page.variants import VARIANT, label_variant
 from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, MOVED_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
 from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
-from bayescal.report.numbers import count_decimals, format_count, format_estimate, format_fixed
+from bayescal.report.numbers import NOTHING, count_decimals, format_count, format_estimate, format_fixed
+
+EXACT = (
+    "Both explore a density whose covariance is the nominal machine's and are corrected by the exact one, with the "
+    "covariance of every machine itself and the errors that all poses share: what it is worth, and how many of the "
+    "draws moved there count."
+)
 
 
 def format_evidence(value: float, se: float) -> str:
@@ -47,13 +53,16 @@ def tabulate_evidence(results: StudyResults) -> Table:
                 fit["log_evidence_primary"],
             ]
         )
-    return make_table("The log-evidence of every posterior by two independent estimators.", columns, rows)
+    caption = "The log-evidence of every posterior by two independent estimators."
+    if any("exact_density" in fit for _, _, fit in results.fits()):
+        caption += f" {EXACT}"
+    return make_table(caption, columns, rows)
 
 
 def _describe_correction(exact: dict[str, float] | None) -> list[str | Cell]:
     """Return what the exact density is worth and how many of the moved draws count, dashes without one."""
     if exact is None:
-        return ["–", "–"]
+        return [NOTHING, NOTHING]
     fine = exact["efficiency"] >= MOVED_LIMIT and exact["pareto_k"] <= PARETO_K_LIMIT
     worth = format_evidence(exact["log_evidence_shift"], exact["standard_error"])
     return [worth, _limited(100 * exact["efficiency"], fine, 0)]
