@@ -5,6 +5,8 @@ RHAT_LIMIT = 1.01
 ESS_BULK_LIMIT = 1000.0
 ESS_TAIL_LIMIT = 400.0
 PARETO_K_LIMIT = 0.7
+MOVED_LIMIT = 0.5
+"""Smallest share of effective draws among those moved to the exact density."""
 AGREEMENT = 0.1
 """Largest difference of the two log-evidences, nats."""
 TEMPERED_LIMIT = 3.0

@@ -142,8 +142,9 @@ class PoseLikelihood(Likelihood):
         self.layout = layout = machine.layout
         self._basis = machine.basis(poses.actuators)
         self._bound = machine.model.bind(layout, poses.position, poses.rotation, self._basis)
-        self._nominal = machine.linearise(layout.nominal, poses.position, poses.rotation, poses.actuators)
-        pose, actuators = self._nominal.pose, self._nominal.actuators
+        self._closing = self._find_closing_poses()
+        nominal = machine.linearise(layout.nominal, *self._closing, poses.actuators)
+        pose, actuators = nominal.pose, nominal.actuators
         self._pose_jacobian = pose
         try:
             self._gain = np.linalg.pinv(pose)
@@ -183,22 +184,27 @@ class PoseLikelihood(Likelihood):
             seen += closure
         return seen
 
+    def _find_closing_poses(self) -> tuple[Array, Array]:
+        """Return the poses (P, 3), (P, 3, 3) that the nominal machine predicts; the measured ones where there is none.
+
+        Elsewhere it would not close, and have derivatives that machines close to the measured poses have not.
+        """
+        poses = self.poses
+        found = solve_forward_kinematics(self.machine, self.machine.layout.nominal, poses.actuators, check=False)
+        position = np.where(found.converged[:, None], found.position, poses.position)
+        return position, np.where(found.converged[:, None, None], found.rotation, poses.rotation)
+
     def _find_projection(self) -> Array:
         """Return G and, below, the A⁰ G that the bound closure sees, shape (P, 6 + N, N); G alone if that is one.
 
-        What the bound closure leaves out of A(θ) is added as it is for the nominal machine, at the poses that this one
-        predicts: elsewhere it would not close, and have derivatives that machines close to the measured poses have not.
+        What the bound closure leaves out of A(θ) is added as it is for the nominal machine.
         """
         machine, poses, nominal = self.machine, self.poses, self.machine.layout.nominal
         _, n_legs, _ = self._pose_jacobian.shape
-        found = solve_forward_kinematics(machine, nominal, poses.actuators, check=False)
-        position = np.where(found.converged[:, None], found.position, poses.position)
-        rotation = np.where(found.converged[:, None, None], found.rotation, poses.rotation)
-        bound = machine.model.bind(machine.layout, position, rotation, self._basis)
+        bound = machine.model.bind(machine.layout, *self._closing, self._basis)
         bound.evaluate(np.broadcast_to(nominal, (6, len(nominal))))
         unit = np.ascontiguousarray(np.broadcast_to(np.eye(6)[:, None], (6, poses.n_poses, 6)))
-        exact = machine.linearise(nominal, position, rotation, poses.actuators).pose
-        seen = (self._pose_jacobian - exact + bound.along(unit).transpose(1, 0, 2)) @ self._gain
+        seen = bound.along(unit).transpose(1, 0, 2) @ self._gain
         if np.abs(seen - np.eye(n_legs)).max() < ROUNDING:
             return self._gain
         return np.concatenate([self._gain, seen], axis=1)

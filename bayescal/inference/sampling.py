@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -23,8 +24,6 @@ class Sample:
     log_density : ndarray, shape (E, W, S)
         In the proposal's coordinates.
     acceptance : ndarray, shape (E,)
-    diagnostics : Diagnostics
-        Of the natural units.
     """
 
     straight: Array
@@ -32,7 +31,11 @@ class Sample:
     natural: Array
     log_density: Array
     acceptance: Array
-    diagnostics: Diagnostics
+
+    @cached_property
+    def diagnostics(self) -> Diagnostics:
+        """Of the natural units."""
+        return diagnose(self.natural)
 
 
 def sample_posterior(
@@ -56,4 +59,4 @@ def sample_posterior(
     natural = posterior.natural(y)
     density = np.stack([ensemble.log_density for ensemble in ensembles])
     acceptance = np.array([ensemble.acceptance for ensemble in ensembles])
-    return Sample(draws, y, natural, density, acceptance, diagnose(natural))
+    return Sample(draws, y, natural, density, acceptance)

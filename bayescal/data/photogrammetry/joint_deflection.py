@@ -32,10 +32,18 @@ class JointDeflection:
         Δb_z per pose and leg, along z of the platform frame, mm.
     covariance : ndarray, shape (P, N, N)
         Covariance between the legs of each pose, mm².
+    with_pose : ndarray, shape (P, N, 6), optional
+        Covariance with the error of the platform's pose, mm and rad in the measurement frame.
     """
 
     displacement: Array
     covariance: Array
+    with_pose: Array | None = None
+
+    def select(self, chosen: np.ndarray) -> JointDeflection:
+        """Return the deflections of some poses."""
+        with_pose = None if self.with_pose is None else self.with_pose[chosen]
+        return JointDeflection(self.displacement[chosen], self.covariance[chosen], with_pose)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +84,9 @@ class MatrixEstimate:
         Whitened sum of squared residuals; well above ``dof`` if the model is wrong, for which ``sd`` does not allow.
     dof : int
         Number of measured deflections less N².
+    with_pose : ndarray, shape (P, N * N, 6), or None
+        Covariance of K with the error of the platform's pose at each pose it was fitted to, mm and rad in the
+        measurement frame; None where that of the deflections is not known.
     max_error_mm, mean_error_mm : float
         Largest and mean absolute residual.
     """
@@ -87,6 +98,7 @@ class MatrixEstimate:
     dof: int
     max_error_mm: float
     mean_error_mm: float
+    with_pose: Array | None = None
 
 
 def _find_used_targets(deflection: Array, pad: NDArray[np.bool_], noise: float) -> NDArray[np.bool_]:
@@ -165,10 +177,11 @@ def measure_joint_deflection(
     mean_lever = shares @ np.nan_to_num(lever)
     normals = np.broadcast_to(normal[:, None], mean_lever.shape)
     gain = -np.concatenate([normals, np.cross(mean_lever, normals)], axis=-1)
-    covariance = gain @ fit.covariance @ np.swapaxes(gain, -1, -2)
+    with_pose = gain @ fit.covariance
+    covariance = with_pose @ np.swapaxes(gain, -1, -2)
     covariance = covariance + noise**2 * np.sum(shares**2, axis=-1)[..., None] * np.eye(n_legs)
     displacement = np.einsum("pnm,pm->pn", shares, np.nan_to_num(deflection))
-    return JointDeflection(displacement, 0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
+    return JointDeflection(displacement, 0.5 * (covariance + np.swapaxes(covariance, -1, -2)), with_pose)
 
 
 def _check_actuators(deflection: JointDeflection, actuator_displacement: ArrayLike) -> Array:
@@ -248,6 +261,10 @@ def fit_matrix_deformation(deflection: JointDeflection, actuator_displacement: A
     covariance = 0.5 * (covariance + covariance.T)
     matrix = (covariance @ target.ravel()).reshape(n_legs, n_legs)
     residuals = deflection.displacement - actuator @ matrix.T
+    with_pose = None
+    if deflection.with_pose is not None:
+        weighted = np.einsum("pij,pjk,pa->piak", weight, deflection.with_pose, actuator)
+        with_pose = covariance @ weighted.reshape(n_poses, n_legs**2, -1)
     return MatrixEstimate(
         matrix=matrix,
         covariance=covariance,
@@ -256,4 +273,5 @@ def fit_matrix_deformation(deflection: JointDeflection, actuator_displacement: A
         dof=n_poses * n_legs - n_legs**2,
         max_error_mm=float(np.abs(residuals).max()),
         mean_error_mm=float(np.abs(residuals).mean()),
+        with_pose=with_pose,
     )

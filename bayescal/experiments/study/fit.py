@@ -12,6 +12,13 @@ from bayescal.density.likelihood import Likelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import Prediction, replicate
 from bayescal.experiments.shared.trees import SAVED_DRAWS, choose_draws, spread
+from bayescal.experiments.study.correct import (
+    correct_draws,
+    correct_evidence,
+    list_corrected,
+    move_sample,
+    sample_exactly,
+)
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.leave_one_out import LeftOut, leave_out, refit_doubtful
 from bayescal.experiments.study.power_scaling import measure_sensitivity
@@ -19,6 +26,7 @@ from bayescal.experiments.study.replicates import replicate_prior
 from bayescal.experiments.study.schema import StudyConfig, stem_of
 from bayescal.experiments.study.soundness import measure_misfit, measure_pulls
 from bayescal.inference.bridge import estimate_by_bridge
+from bayescal.inference.correction import Correction
 from bayescal.inference.exploration import Exploration, count_walkers, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
@@ -75,7 +83,7 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
     variant = inputs.variant(task.variant)
     posterior = inputs.posterior(variant, task.with_model_error, task.factor)
     seed = np.random.SeedSequence([inputs.config.seed, zlib.crc32(task.key.encode())])
-    explore_seed, importance_seed, ensemble_seed, bridge_seed, predict_seed = seed.spawn(5)
+    explore_seed, importance_seed, ensemble_seed, bridge_seed, predict_seed, correct_seed = seed.spawn(6)
     exploration = explore(posterior, explore_seed, inputs.config.sampler.walkers)
     importance = _importance(inputs.config, exploration, importance_seed)
     arrays = {
@@ -84,8 +92,14 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
         "modes_converged": np.array(all(mode.converged for mode in exploration.modes), dtype=float),
     }
     if task.is_fit:
-        arrays |= _sample(inputs, task, posterior, exploration, ensemble_seed, bridge_seed, predict_seed)
+        seeds = (ensemble_seed, bridge_seed, predict_seed, correct_seed)
+        sampled, correction = _sample(inputs, task, posterior, exploration, *seeds)
+        arrays |= sampled
         arrays |= _check(inputs, task, posterior, exploration, arrays, seed)
+    else:
+        exact = inputs.exact_density(variant, posterior.likelihood)
+        correction = None if exact is None else correct_evidence(exact, exploration, correct_seed)
+    arrays |= list_corrected(arrays, correction)
     arrays["wall_seconds"] = np.array(time.perf_counter() - began)
     return arrays
 
@@ -110,25 +124,35 @@ def _sample(
     ensemble_seed: np.random.SeedSequence,
     bridge_seed: np.random.SeedSequence,
     predict_seed: np.random.SeedSequence,
-) -> Arrays:
+    correct_seed: np.random.SeedSequence,
+) -> tuple[Arrays, Correction | None]:
+    """Return what draws tell, and the correction that moved them to the exact density where there is one."""
     sampler, straight = inputs.config.sampler, exploration.straight
     walkers = count_walkers(posterior.n_parameters, sampler.walkers)
     sample = sample_posterior(
         exploration, ensemble_seed, sampler.ensembles, sampler.walkers, sampler.burn_in, sampler.steps
     )
-    y, natural, density, diagnostics = sample.y, sample.natural, sample.log_density, sample.diagnostics
     bridge = estimate_by_bridge(
         straight.log_density,
         sample.straight,
-        density,
+        sample.log_density,
         np.random.default_rng(bridge_seed),
         inputs.config.evidence.draws,
         exploration.proposal,
     )
+    exact, correction = inputs.exact_density(inputs.variant(task.variant), posterior.likelihood), None
+    if exact is not None:
+        correction = correct_draws(exact, exploration, sample, correct_seed)
+        if correction.is_trusted:
+            sample = move_sample(sample, exploration, correction)
+        else:
+            seeds = correct_seed.spawn(sampler.ensembles)
+            sample = sample_exactly(exact, exploration, sample, correction.move, seeds)
+    y, natural, density, diagnostics = sample.y, sample.natural, sample.log_density, sample.diagnostics
     # thin in time, the same steps of every walker, and keep the order walker by walker
     keep = max(1, -(-sampler.steps * walkers // KEPT_DRAWS))
     kept = y[:, :, ::keep].reshape(sampler.ensembles, -1, posterior.n_parameters)
-    return {
+    arrays = {
         "bridge": np.array([bridge.log_evidence, bridge.standard_error]),
         "bridge_converged": np.array(bridge.converged, dtype=float),
         "acceptance": sample.acceptance,
@@ -144,6 +168,7 @@ def _sample(
         **_evaluate(inputs, task, posterior, kept, predict_seed),
         **_check_evidence(inputs, task, posterior),
     }
+    return arrays, correction
 
 
 def _check_evidence(inputs: StudyInputs, task: Task, posterior: Posterior) -> Arrays:
@@ -188,7 +213,10 @@ def _scale_power(inputs: StudyInputs, posterior: Posterior, arrays: Arrays) -> A
 def _evaluate(
     inputs: StudyInputs, task: Task, posterior: Posterior, kept: Array, seed: np.random.SeedSequence
 ) -> Arrays:
-    """Return pointwise densities and predictions of all poses, in the survey's order, from draws (E, S, n)."""
+    """Return pointwise densities and predictions of all poses, in the survey's order, from draws (E, S, n).
+
+    They are of the hot path, whose covariance is that of the nominal machine, pose by pose.
+    """
     variant, flat = inputs.variant(task.variant), kept.reshape(-1, kept.shape[-1])
     theta, tau = posterior.theta(flat), posterior.tau(flat)
     chosen = spread(len(flat), SAVED_DRAWS)

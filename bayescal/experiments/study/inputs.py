@@ -19,7 +19,8 @@ from bayescal.data.photogrammetry.joint_deflection import (
     fit_matrix_deformation,
     measure_joint_deflection,
 )
-from bayescal.density.likelihood import Likelihood
+from bayescal.density.exact import CommonErrors, ExactDensity
+from bayescal.density.likelihood import Likelihood, PoseLikelihood
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.schema import FixedConfig, NormalConfig
@@ -133,8 +134,7 @@ class StudyInputs:
     @property
     def _calibration_deflection(self) -> JointDeflection:
         assert self.deflection is not None
-        chosen = ~self.verification
-        return JointDeflection(self.deflection.displacement[chosen], self.deflection.covariance[chosen])
+        return self.deflection.select(~self.verification)
 
     @property
     def _calibration_travel(self) -> Array:
@@ -176,26 +176,45 @@ class StudyInputs:
         extra = self.matrix_variance(variant, verification)
         return self.measured.likelihood(self.machine(variant), verification, noise, extra)
 
+    def exact_density(self, variant: VariantConfig, likelihood: Likelihood) -> ExactDensity | None:
+        """Return the exact density beside a variant's at the calibration poses; None where these are not measured."""
+        if not isinstance(likelihood, PoseLikelihood):
+            return None
+        noise = self.config.data.actuator_noise_um * MICROMETRE
+        return ExactDensity(likelihood, noise, self.matrix_errors(variant, verification=False))
+
     def matrix_variance(self, variant: VariantConfig, verification: bool) -> Array | None:
-        """Return v_ni of the poses of one use (P, N) in mm² where a variant's K was measured, otherwise None."""
+        """Return v_ni of the poses of one use (P, N) in mm² where a variant's K was measured, otherwise None.
+
+        Between poses the error is correlated; the hot path of the density has its variance, pose by pose.
+        """
+        common = self.matrix_errors(variant, verification)
+        return None if common is None else common.variance
+
+    def matrix_errors(self, variant: VariantConfig, verification: bool) -> CommonErrors | None:
+        """Return what the uncertainty of the rest of K leaves of Δb_z where a variant's K was measured.
+
+        The diagonal is free or nominal.
+        """
         if not (self.machine(variant).deformation.uses_matrix and self.matrix_from_targets):
             return None
-        return self._matrix_variance(self.poses(verification).actuators - self.mechanism.initial_actuator_positions)
-
-    def _matrix_variance(self, displacement: Array) -> Array:
-        """Return the variance of Δb_z (P, N) in mm² that the uncertainty of the rest of K leaves.
-
-        Between poses the error is correlated; its variance enters pose by pose, which is the larger part of it.
-        """
         assert self.measured_matrix is not None
-        n = self.mechanism.n_legs
-        blocks = self.measured_matrix.covariance.reshape(n, n, n, n)
-        variance = np.empty((len(displacement), n))
-        for leg in range(n):
-            travel = displacement.copy()
-            travel[:, leg] = 0.0  # the diagonal is free or nominal
-            variance[:, leg] = np.einsum("pj,jk,pk->p", travel, blocks[leg, :, leg, :], travel)
-        return variance
+        displacement = self.poses(verification).actuators - self.mechanism.initial_actuator_positions
+        rest = np.flatnonzero(~np.eye(self.mechanism.n_legs, dtype=bool))
+        design = np.einsum("ij,pk->pijk", np.eye(self.mechanism.n_legs), displacement)
+        design = design.reshape(*displacement.shape, -1)[..., rest]
+        with_poses = None if verification else self._matrix_with_poses[:, rest]
+        return CommonErrors(design, self.measured_matrix.covariance[np.ix_(rest, rest)], with_poses)
+
+    @property
+    def _matrix_with_poses(self) -> Array:
+        """Covariance of K, row by row, with the errors of the calibration poses in the base frame, (P, N * N, 6)."""
+        assert self.measured_matrix is not None
+        assert self.measured_matrix.with_pose is not None
+        assert self.targets is not None
+        rotation = self.targets.extraction.base.rotation[~self.verification]
+        moved, turned = np.split(self.measured_matrix.with_pose, 2, axis=-1)
+        return np.concatenate([moved @ rotation, turned @ rotation], axis=-1)
 
     def without_shared_errors(self, name: str) -> tuple[Likelihood, Array | None]:
         """Return the density of a variant's calibration poses without the error of a measured K, and that error.

@@ -11,7 +11,7 @@ from bayescal.density.prediction import Prediction, compute_elpd, compute_joint_
 from bayescal.experiments.study.fit import Arrays, read_left_out, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.diagnostics import Diagnostics, list_check_problems
-from bayescal.limits import AGREEMENT, PARETO_K_LIMIT
+from bayescal.limits import AGREEMENT, MOVED_LIMIT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
 
@@ -51,6 +51,9 @@ def summarise_fit(inputs: StudyInputs, variant: str, with_model_error: bool, arr
         "verification": summarise_errors(prediction.select(held)) if held.any() else None,
         "parameters": _summarise_parameters(inputs, variant, posterior.all_priors(), posterior.names, arrays),
     }
+    if "correction" in arrays:
+        names = ("log_evidence_shift", "standard_error", "efficiency", "pareto_k", "n_draws")
+        summary["exact_density"] = dict(zip(names, (float(x) for x in arrays["correction"]), strict=True))
     if held.any():
         pointwise = arrays["log_likelihood"][..., held].reshape(-1, held.sum())
         joint, monte_carlo = compute_joint_elpd(pointwise)
@@ -81,6 +84,13 @@ def list_problems(arrays: Arrays) -> list[str]:
         value, se, settled = (float(x) for x in arrays["tempered"])
         own, own_se = (float(x) for x in arrays["importance" if trusted else "bridge"])
         problems += list_check_problems((own, own_se), (value, se), bool(settled))
+    if "correction" in arrays:
+        _, _, efficiency, pareto_k, _ = (float(x) for x in arrays["correction"])
+        if not (efficiency >= MOVED_LIMIT and pareto_k <= PARETO_K_LIMIT):
+            problems.append(
+                f"the evidence by the exact density rests on {100 * efficiency:.0f} % of its draws, limit "
+                f"{100 * MOVED_LIMIT:.0f} %, Pareto k {pareto_k:.2f}, limit {PARETO_K_LIMIT}"
+            )
     return problems
 
 

@@ -15,6 +15,7 @@ from bayescal.data.photogrammetry.joint_deflection import (
 )
 from bayescal.data.photogrammetry.rigid_fit import fit_rigid_body
 from bayescal.errors import InputError
+from bayescal.numerics.geometry import compute_pose_error
 
 NOISE = 0.005
 N_LEGS = 6
@@ -195,3 +196,39 @@ def test_input_errors_of_the_models():
         fit_linear_deformation(ring, actuator * (np.arange(6) != 3))
     with pytest.raises(InputError, match="expected \\(9, 6\\)"):
         fit_matrix_deformation(ring, actuator[:8])
+
+
+def test_deflections_depend_on_the_error_of_the_pose():
+    """Given the pose's error, what is left of a deflection's is the mean noise of four targets, legs independent."""
+    deflection = np.random.default_rng(13).uniform(-0.06, 0.06, (1500, N_LEGS))
+    rigid, ring, leg = make_platform()
+    (true_body, _), (on_body, on_ring) = (
+        simulate(deflection, np.random.default_rng(14), noise) for noise in (0, NOISE)
+    )
+    true, fit = (fit_rigid_body(rigid, body, NOISE) for body in (true_body, on_body))
+    found = measure_joint_deflection(fit, ring, on_ring, leg, NOISE, N_LEGS)
+    pose = compute_pose_error(fit.position, fit.rotation, true.position, true.rotation)
+    error = found.displacement - deflection
+    left = error - np.einsum("pij,pj->pi", found.with_pose @ np.linalg.inv(fit.covariance), pose)
+    bound = 5 * np.sqrt(2 / error.size)
+    assert left.var() / (NOISE**2 / 4) == pytest.approx(1.0, abs=bound)
+    assert error.var() / (NOISE**2 / 4) > 1.0 + 2 * bound
+    assert np.abs(np.corrcoef(left.T) - np.eye(N_LEGS)).max() < 5 / np.sqrt(len(error))
+
+
+def test_matrix_follows_the_errors_of_the_poses():
+    """K is linear in the deflections, and these in the error of the pose: one pose's error moves K as is claimed."""
+    rng = np.random.default_rng(15)
+    actuator = rng.uniform(-1.3, 1.3, (9, N_LEGS))
+    rigid, ring, leg = make_platform()
+    on_body, on_ring = simulate(actuator @ (0.02 * rng.standard_normal((N_LEGS, N_LEGS))).T, rng)
+    fit = fit_rigid_body(rigid, on_body, NOISE)
+    found = measure_joint_deflection(fit, ring, on_ring, leg, NOISE, N_LEGS)
+    plain, pose = fit_matrix_deformation(found, actuator), 4
+    moved = np.linalg.cholesky(fit.covariance[pose])
+    by_error = found.with_pose[pose] @ np.linalg.inv(fit.covariance[pose]) @ moved
+    changed = found.displacement + np.zeros((6, 1, 1))
+    changed[:, pose] += by_error.T
+    ends = [fit_matrix_deformation(JointDeflection(one, found.covariance), actuator).matrix for one in changed]
+    expected = np.stack([(end - plain.matrix).ravel() for end in ends], axis=1) @ moved.T
+    np.testing.assert_allclose(plain.with_pose[pose], expected, atol=1e-6 * np.abs(expected).max())

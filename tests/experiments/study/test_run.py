@@ -24,6 +24,7 @@ from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import Finished
 from bayescal.experiments.study import compute
 from bayescal.experiments.study.fit import list_tasks, run_task
+from bayescal.limits import MOVED_LIMIT, PARETO_K_LIMIT
 
 VARIANTS = {"six_pus/none": 7, "six_pus/matrix": 13}
 NUMBERS = (
@@ -356,3 +357,14 @@ def test_study_with_missing_targets_runs(tmp_path):
     missing = ("C01,base,B02", "C02,platform,P03", "C03,platform,L41", "V01,base,B05")
     targets.write_text("\n".join(line for line in lines if not line.startswith(missing)) + "\n")
     assert run(path, tmp_path / "out").summary["ranking"][0] == "six_pus/matrix"
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_evidence_is_corrected_by_the_exact_density(summary, name):
+    """The printed error holds what the correction leaves; a posterior without enough draws would be a problem."""
+    for fit in (summary["variants"][name], summary["variants"][name]["without_model_error"]):
+        exact = fit["exact_density"]
+        assert fit["log_evidence_se"] > exact["standard_error"] > 0.0
+        assert 0.0 < exact["efficiency"] <= 1.0
+        doubtful = exact["efficiency"] < MOVED_LIMIT or exact["pareto_k"] > PARETO_K_LIMIT
+        assert doubtful == any("exact density" in problem for problem in fit["problems"])

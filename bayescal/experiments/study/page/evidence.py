@@ -8,9 +8,15 @@ from typing import Any
 from bayescal.experiments.study.page.checks import format_factor, measure_gap
 from bayescal.experiments.study.page.results import SHORT_SETTINGS, StudyResults
 from bayescal.experiments.study.page.variants import VARIANT, label_variant
-from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
+from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, MOVED_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
 from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
 from bayescal.report.numbers import NOTHING, count_decimals, format_count, format_estimate, format_fixed
+
+EXACT = (
+    "Both explore a density whose covariance is the nominal machine's and are corrected by the exact one, with the "
+    "covariance of every machine itself and the errors that all poses share: what it is worth, and how many of the "
+    "draws moved there count."
+)
 
 
 def format_evidence(value: float, se: float) -> str:
@@ -29,6 +35,8 @@ def tabulate_evidence(results: StudyResults) -> Table:
         Column("draws", "", "Importance sampling"),
         Column("efficiency", "%", "Importance sampling"),
         Column("Pareto k", f"limit {PARETO_K_LIMIT}", "Importance sampling"),
+        Column("worth", "nat", "Exact density"),
+        Column("draws kept", "%", "Exact density"),
         Column("Reported", kind="text"),
     ]
     checked = any("log_evidence_check" in fit for _, _, fit in results.fits())
@@ -47,11 +55,24 @@ def tabulate_evidence(results: StudyResults) -> Table:
                 format_count(quality["n_draws"]),
                 format_fixed(100 * quality["efficiency"], 0),
                 _limited(quality["pareto_k"], quality["pareto_k"] <= PARETO_K_LIMIT, 2),
+                *_describe_correction(fit.get("exact_density")),
                 fit["log_evidence_primary"],
                 *([_format_check(fit.get("log_evidence_check"))] if checked else []),
             ]
         )
-    return make_table("The log-evidence of every posterior by two independent estimators.", columns, rows)
+    caption = "The log-evidence of every posterior by two independent estimators."
+    if any("exact_density" in fit for _, _, fit in results.fits()):
+        caption += f" {EXACT}"
+    return make_table(caption, columns, rows)
+
+
+def _describe_correction(exact: dict[str, float] | None) -> list[str | Cell]:
+    """Return what the exact density is worth and how many of the moved draws count, dashes without one."""
+    if exact is None:
+        return [NOTHING, NOTHING]
+    fine = exact["efficiency"] >= MOVED_LIMIT and exact["pareto_k"] <= PARETO_K_LIMIT
+    worth = format_evidence(exact["log_evidence_shift"], exact["standard_error"])
+    return [worth, _limited(100 * exact["efficiency"], fine, 0)]
 
 
 def _format_check(check: Mapping[str, Any] | None) -> str:

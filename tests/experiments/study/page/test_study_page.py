@@ -8,6 +8,7 @@ import pytest
 from made_up_results import edit_table, read_page, read_study
 
 from bayescal.experiments.study.page.deformation import tabulate_deformation
+from bayescal.experiments.study.page.evidence import tabulate_evidence
 from bayescal.experiments.study.page.published import compare_published
 from bayescal.experiments.study.page.ridges import choose_leg, rank_pairs, state_ridges
 from bayescal.report.blocks import Table
@@ -161,3 +162,20 @@ def test_missing_ring_targets_leave_the_section_empty(make_results):
     (section,) = (one for one in read_page(make_results(ring=False)).sections if one.anchor == "deformation")
     (figure,) = section.blocks
     assert figure.draw is None
+
+
+def test_worth_of_the_exact_density_stands_beside_the_estimators(make_results):
+    def change(summary):
+        quality = {"standard_error": 0.02, "efficiency": 0.31, "pareto_k": 0.2, "n_draws": 256.0}
+        summary["variants"]["pus/linear"]["exact_density"] = {"log_evidence_shift": -1.06, **quality}
+
+    corrected = tabulate_evidence(read_study(make_results(change)))
+    assert "exact" in corrected.caption
+    rows = [[cell.text for cell in row] for row in corrected.rows]
+    assert rows[0][8:10] == ["−1.06 ± 0.02", "31"]
+    assert corrected.rows[0][9].level == "bad"  # too few draws count
+    assert rows[1][8:10] == ["–", "–"]
+
+
+def test_without_the_exact_density_nothing_is_said_of_it(make_results):
+    assert "exact" not in tabulate_evidence(read_study(make_results())).caption

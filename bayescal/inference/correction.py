@@ -1,0 +1,205 @@
+"""Draws and evidence of a density that is too costly to be explored, from those of one close to it.
+
+With p what was explored, q the costly density and T an affine map, moved draws T x have the weights
+w(x) = q(T x) |T| / p(x): their mean over draws x of p is the ratio of the evidences (Jarzynski 2002), and where they
+hardly differ the moved draws are draws of q. T takes the mean and the covariance of p, in coordinates in which p is
+close to a normal, to those of q: the covariance by what the information of q is more than that of p, the mean by the
+slope of log q - log p, a regression on some draws. The weights are those of other draws; their scatter is the error.
+Where p has several modes T is a translation, which takes all of them along.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from arviz_stats.base import array_stats
+from scipy.special import logsumexp
+
+from bayescal.errors import NumericalError
+from bayescal.inference.importance import LogDensity
+from bayescal.inference.proposal import MixtureProposal
+from bayescal.limits import MOVED_LIMIT, PARETO_K_LIMIT
+from bayescal.numerics.geometry import Array
+
+PER_COORDINATE = 3  # draws for a regression
+ENOUGH = 0.8
+"""Share of effective draws from which on another round is not worth its evaluations."""
+ROUNDS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """The affine map T x = mean + matrix (x - centre) of vectors (B, n)."""
+
+    centre: Array
+    mean: Array
+    matrix: Array
+
+    def __call__(self, x: Array) -> Array:
+        """Return T x, shape (B, n)."""
+        return np.asarray(self.mean + (x - self.centre) @ self.matrix.T)
+
+    @property
+    def log_volume(self) -> float:
+        """Logarithm of |T|."""
+        return float(np.linalg.slogdet(self.matrix)[1])
+
+    def move_proposal(self, proposal: MixtureProposal) -> MixtureProposal:
+        """Return the density of moved draws of a proposal."""
+        factors = np.linalg.cholesky(self.matrix @ proposal.factors @ np.swapaxes(self.matrix @ proposal.factors, 1, 2))
+        return replace(proposal, means=self(proposal.means), factors=factors)
+
+    def shifted(self, by: Array) -> Move:
+        """Return the map that leads on by a vector (n,)."""
+        return Move(self.centre, self.mean + by, self.matrix)
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What leads from the explored density to the costly one.
+
+    Attributes
+    ----------
+    move : Move
+        Of draws.
+    log_ratio, standard_error : float
+        Log of the ratio of the evidences and its standard error.
+    efficiency : float
+        Effective over actual number of moved draws.
+    pareto_k : float
+        Shape of the tail of their weights.
+    n_draws : int
+        Number of draws that the weights are of.
+    """
+
+    move: Move
+    log_ratio: float
+    standard_error: float
+    efficiency: float
+    pareto_k: float
+    n_draws: int
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether another round would hardly make moved draws better."""
+        return self.efficiency >= ENOUGH and self.pareto_k <= PARETO_K_LIMIT
+
+    @property
+    def is_trusted(self) -> bool:
+        """Whether moved draws are good for draws of the costly density."""
+        return self.efficiency >= MOVED_LIMIT and self.pareto_k <= PARETO_K_LIMIT
+
+
+@dataclass(frozen=True, eq=False)
+class CostlyDensity:
+    """A density q beside the one p that was explored, in coordinates x of n entries.
+
+    Attributes
+    ----------
+    explored : callable
+        log p, (B, n) to (B,).
+    excess : callable
+        log q - log p, (B, n) to (B,).
+    information : ndarray, shape (n, n)
+        Of q more than of p, minus the Hessian of the excess, around the main mode.
+    """
+
+    explored: LogDensity
+    excess: LogDensity
+    information: Array
+
+    def log_density(self, x: Array) -> Array:
+        """Return log q, shape (B,), for vectors (B, n)."""
+        explored = self.explored(x)
+        result = np.full(len(x), -np.inf)
+        good = np.isfinite(explored)
+        if good.any():
+            result[good] = explored[good] + self.excess(x[good])
+        return result
+
+    def weigh(self, move: Move, x: Array) -> Array:
+        """Return the log-weights (B,) of moved draws (B, n)."""
+        return self.log_density(move(x)) - self.explored(x) + move.log_volume
+
+
+def correct(density: CostlyDensity, draws: Array, modes: np.ndarray, covariance: Array, n_weights: int) -> Correction:
+    """Return the correction from independent draws of the explored density.
+
+    Parameters
+    ----------
+    density : CostlyDensity
+    draws : ndarray, shape (S, n)
+        In random order; at most ROUNDS + 1 parts of them are used, each once.
+    modes : ndarray of int, shape (S,)
+        Which mode each draw belongs to.
+    covariance : ndarray, shape (n, n)
+        Of the explored density around a mode.
+    n_weights : int
+        How many draws are weighed in a round; as many of them as a regression needs, at least, are used for the first
+        one.
+
+    Raises
+    ------
+    NumericalError
+        Where no draw has a finite weight.
+    """
+    n = draws.shape[1]
+    n_first = min(max(n_weights // 2, PER_COORDINATE * n), len(draws) // 2)
+    centred = draws - _find_centres(draws, modes)
+    excess = density.excess(draws[:n_first])
+    found = [_summarise(Move(np.zeros(n), np.zeros(n), np.eye(n)), excess)]
+    move = _fit_move(density, draws.mean(axis=0), centred[:n_first], excess, covariance, bool(np.ptp(modes)))
+    for start in range(n_first, min(n_first + ROUNDS * n_weights, len(draws)), n_weights):
+        part = slice(start, start + n_weights)
+        log_weights = density.weigh(move, draws[part])
+        found.append(_summarise(move, log_weights))
+        if found[-1].is_enough:
+            break
+        spread = move.matrix @ covariance @ move.matrix.T
+        move = move.shifted(spread @ _regress(log_weights, centred[part] @ move.matrix.T))
+    best = max(found, key=lambda correction: correction.efficiency)
+    if not np.isfinite(best.log_ratio):
+        raise NumericalError("exact density: no draw of the posterior has a finite weight")
+    return best
+
+
+def _find_centres(x: Array, modes: np.ndarray) -> Array:
+    """Return for each draw (B, n) the mean of its mode's, shape (B, n)."""
+    labels, which = np.unique(modes, return_inverse=True)
+    return np.stack([x[which == k].mean(axis=0) for k in range(len(labels))])[which]
+
+
+def _fit_move(
+    density: CostlyDensity, centre: Array, x: Array, excess: Array, covariance: Array, translate: bool
+) -> Move:
+    """Return the map between the normals nearest to both densities, from draws (B, n) about their modes' centres."""
+    old = np.linalg.inv(covariance)
+    new = old + density.information
+    if not np.linalg.eigvalsh(new)[0] > 0.0:
+        new = old
+    flat = excess + 0.5 * np.einsum("bi,ij,bj->b", x, new - old, x)
+    shift = np.linalg.solve(new, _regress(flat, x))
+    if translate:
+        return Move(centre, centre + shift, np.eye(len(centre)))
+    return Move(centre, centre + shift, np.linalg.solve(np.linalg.cholesky(new).T, np.linalg.cholesky(old).T))
+
+
+def _regress(values: Array, x: Array) -> Array:
+    """Return the slope (n,) of values (B,) over vectors (B, n); what is not finite is left out."""
+    good = np.isfinite(values)
+    if good.sum() <= x.shape[1] + 1:
+        return np.zeros(x.shape[1])
+    design = np.column_stack([np.ones(good.sum()), x[good]])
+    return np.asarray(np.linalg.lstsq(design, values[good])[0][1:])
+
+
+def _summarise(move: Move, log_weights: Array) -> Correction:
+    n_draws = len(log_weights)
+    if not np.isfinite(log_weights).any():
+        return Correction(move, -np.inf, np.inf, 0.0, np.inf, n_draws)
+    log_ratio = float(logsumexp(log_weights)) - np.log(n_draws)
+    relative = np.exp(log_weights - log_ratio)
+    error = float(np.std(relative, ddof=1) / np.sqrt(n_draws))
+    pareto_k = float(array_stats.psislw(-log_weights[np.isfinite(log_weights)])[1])
+    return Correction(move, float(log_ratio), error, float(1.0 / np.mean(relative**2)), pareto_k, n_draws)

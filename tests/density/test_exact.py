@@ -1,0 +1,175 @@
+"""The exact density against brute force: differences of forward kinematics, and scipy's normal of all poses at once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import telescope_machines as machines
+from scipy.stats import multivariate_normal
+
+from bayescal.density.exact import CommonErrors, ExactDensity
+from bayescal.density.likelihood import PoseLikelihood
+from bayescal.machines.deformations.matrix import MatrixDeformation
+from bayescal.machines.kinematics import Machine, solve_forward_kinematics
+from bayescal.numerics.geometry import compute_pose_error
+
+MODELS = ("six_pus", "jacobian", "beam", "stiffness")
+NOISE = 1.5e-3
+TAU = np.array([0.5, 1.0, 2.0, 3.0, 5.0, 8.0]) * 1e-3
+UNIT = np.array([1.0] * 3 + [1e3] * 3)  # mm and mrad keep covariances well scaled
+PARAMETER_SPREAD = 0.5
+
+
+def draw_setup(model, deformation, seed, n_poses=4):
+    """Return a random machine, parameters far from nominal, and poses measured near those it predicts."""
+    rng = np.random.default_rng(seed)
+    machine = machines.build_machine(deformation, machines.build_random_mechanism(6, seed), model)
+    spread = PARAMETER_SPREAD * machines.spread_of(machine.layout)
+    theta = machine.layout.nominal + spread * rng.uniform(-1, 1, machine.layout.size)
+    home = machine.mechanism.initial_actuator_positions
+    actuators = home + rng.uniform(-1.5, 1.5, (n_poses, 6))
+    error = rng.normal(0, 5e-3, (n_poses, 6)) / UNIT * np.array([1.0] * 3 + [10.0] * 3)
+    return machine, theta, machines.place_poses(machine, theta, actuators, error), rng
+
+
+def differentiate_pose(machine, theta, actuators):
+    """Return the pose by the actuators, shape (P, 6, N), by differences of forward kinematics."""
+    centre = solve_forward_kinematics(machine, theta, actuators)
+
+    def pose(x):
+        moved = solve_forward_kinematics(machine, theta, actuators + x)
+        return compute_pose_error(moved.position, moved.rotation, centre.position, centre.rotation)
+
+    return machines.central_difference(pose, np.zeros(6), np.full(6, 1e-3))
+
+
+def differentiate_legs(machine, theta, actuators):
+    """Return the pose by what is wrong in each leg by itself, shape (P, 6, N), from differences of the closure."""
+    at = solve_forward_kinematics(machine, theta, actuators)
+
+    def closure(x):
+        return machine.linearise(theta, at.position, at.rotation, actuators + x).residual
+
+    own = np.diagonal(machines.central_difference(closure, np.zeros(6), np.full(6, 1e-3)), axis1=1, axis2=2)
+    by_pose = machine.linearise(theta, at.position, at.rotation, actuators).pose
+    return np.linalg.inv(by_pose) * own[:, None, :]
+
+
+def find_error(machine, theta, poses):
+    """Return measured minus predicted poses, shape (P, 6)."""
+    at = solve_forward_kinematics(machine, theta, poses.actuators)
+    return compute_pose_error(poses.position, poses.rotation, at.position, at.rotation)
+
+
+def reference_covariance(machine, theta, poses, variance=0.0):
+    """Return the covariance of each pose error, shape (P, 6, 6)."""
+    noise = NOISE * differentiate_pose(machine, theta, poses.actuators)
+    legs = differentiate_legs(machine, theta, poses.actuators) * np.sqrt(TAU**2 + variance)[..., None, :]
+    return poses.covariance + noise @ np.swapaxes(noise, 1, 2) + legs @ np.swapaxes(legs, 1, 2)
+
+
+def log_normal(error, covariance):
+    """Return the log-density of errors (6 P,) of one joint normal, by scipy."""
+    unit = np.tile(UNIT, len(error) // 6)
+    scaled = covariance * np.outer(unit, unit)
+    return multivariate_normal(np.zeros(len(error)), scaled).logpdf(error * unit) + np.log(unit).sum()
+
+
+def spread_out(blocks):
+    """Return a block-diagonal matrix (6 P, 6 P) of blocks (P, 6, 6)."""
+    n_poses = len(blocks)
+    return np.einsum("pq,pij->piqj", np.eye(n_poses), blocks).reshape(6 * n_poses, 6 * n_poses)
+
+
+@pytest.mark.parametrize("deformation", ["none", "linear", "matrix"])
+@pytest.mark.parametrize("model", MODELS)
+def test_density_is_that_of_differences_of_forward_kinematics(model, deformation):
+    for seed in (1, 2):
+        machine, theta, poses, rng = draw_setup(model, deformation, seed)
+        variance = rng.uniform(0, 4e-6, (4, 6))
+        likelihood = PoseLikelihood(machine, poses, NOISE, variance)
+        found = ExactDensity(likelihood, NOISE, actuator_variance=variance)(theta[None], TAU)[0]
+        covariance = reference_covariance(machine, theta, poses, variance)
+        expected = log_normal(find_error(machine, theta, poses).ravel(), spread_out(covariance))
+        assert found == pytest.approx(expected, abs=2e-5)
+        # what is corrected: the density of the hot path has C_n of another machine
+        assert abs(likelihood(theta[None], TAU)[0] - expected) > 1e-3
+
+
+def change_matrix(machine, change):
+    """Return the machine with another K, its diagonal as it was."""
+    return Machine(machine.mechanism, machine.model, MatrixDeformation(machine.deformation.matrix + change))
+
+
+@pytest.mark.parametrize("dependent", [False, True])
+@pytest.mark.parametrize("model", MODELS)
+def test_common_errors_are_those_of_another_matrix(model, dependent):
+    """The covariance of all poses at once, with the poses' derivatives by every entry of K off its diagonal.
+
+    Where errors of K depend on those of the poses, they are K = mix · (numbers of its own) + share · (pose errors).
+    """
+    machine, theta, poses, rng = draw_setup(model, "matrix", 3)
+    rest = np.flatnonzero(~np.eye(6, dtype=bool))
+    mix = rng.normal(0, 1e-3, (30, 30)) / 6
+    share = dependent * rng.normal(0, 0.05, (4, 30, 6)) * np.array([1.0] * 3 + [200.0] * 3)
+    with_poses = share @ poses.covariance
+    covariance = mix @ mix.T + np.einsum("pqk,prk->qr", share, with_poses)
+    displacement = poses.actuators - machine.mechanism.initial_actuator_positions
+    design = np.einsum("ij,pk->pijk", np.eye(6), displacement).reshape(4, 6, 36)[..., rest]
+    common = CommonErrors(design, covariance, with_poses if dependent else None)
+    likelihood = PoseLikelihood(machine, poses, NOISE, common.variance)
+    found = ExactDensity(likelihood, NOISE, common)(theta[None], TAU)[0]
+    by_entry = differentiate_by_matrix(machine, theta, poses)[:, rest]
+    error, alone = find_error(machine, theta, poses).ravel(), spread_out(reference_covariance(machine, theta, poses))
+    # the error in the prediction is that of the known K, measured minus predicted has the opposite one
+    both = by_entry @ np.concatenate(list(with_poses), axis=1)
+    independent = alone + by_entry @ covariance @ by_entry.T
+    expected = log_normal(error, independent - both - both.T)
+    assert found == pytest.approx(expected, abs=5e-5)
+    assert abs(log_normal(error, alone) - expected) > 0.05
+    assert dependent == (abs(log_normal(error, independent) - expected) > 0.05)
+
+
+def differentiate_by_matrix(machine, theta, poses):
+    """Return the poses' derivatives by the entries of K, row by row, shape (6 P, N * N)."""
+    columns = []
+    for k in range(36):
+        change = 1e-4 * np.eye(36)[k].reshape(6, 6)
+        ends = [change_matrix(machine, sign * change) for sign in (1, -1)]
+        upper, lower = (solve_forward_kinematics(end, theta, poses.actuators) for end in ends)
+        moved = compute_pose_error(upper.position, upper.rotation, lower.position, lower.rotation)
+        columns.append(moved.ravel() / 2e-4)
+    return np.stack(columns, axis=1)
+
+
+def test_redundant_legs_keep_the_density_of_the_hot_path():
+    """Eight legs: at the nominal machine, where C_n is frozen, both densities are the same."""
+    mechanism = machines.build_random_mechanism(8, 5)
+    machine = machines.build_machine("linear", mechanism)
+    nominal, rng = machine.layout.nominal, np.random.default_rng(8)
+    actuators = mechanism.initial_actuator_positions + rng.uniform(-1, 1, (5, 1))
+    poses = machines.place_poses(machine, nominal, actuators, rng.normal(0, 5e-3, (5, 6)) / UNIT)
+    likelihood, tau = PoseLikelihood(machine, poses, NOISE), np.full(8, 2e-3)
+    exact = ExactDensity(likelihood, NOISE)
+    assert exact(nominal[None], tau)[0] == pytest.approx(likelihood(nominal[None], tau)[0], abs=1e-3)
+    moved = nominal + 0.3 * machines.spread_of(machine.layout) * rng.uniform(-1, 1, (3, len(nominal)))
+    assert not np.allclose(exact(moved, tau), likelihood(moved, tau), atol=1e-3)
+
+
+def test_what_is_no_machine_has_no_density():
+    machine, theta, poses, _ = draw_setup("six_pus", "none", 4)
+    exact = ExactDensity(PoseLikelihood(machine, poses, NOISE), NOISE)
+    bad = np.stack([theta, theta])
+    bad[1, machine.layout.index["u_x"]] = 1.5
+    found = exact(bad, TAU)
+    assert np.isfinite(found[0])
+    assert found[1] == -np.inf
+
+
+def test_batches_change_nothing():
+    machine, theta, poses, rng = draw_setup("stiffness", "linear", 6)
+    exact = ExactDensity(PoseLikelihood(machine, poses, NOISE), NOISE)
+    many = theta + 0.1 * machines.spread_of(machine.layout) * rng.uniform(-1, 1, (19, len(theta)))
+    taus = np.abs(rng.normal(0, 3e-3, (19, 6)))
+    one_by_one = [exact(row[None], tau)[0] for row, tau in zip(many, taus, strict=True)]
+    np.testing.assert_allclose(exact(many, taus), one_by_one, rtol=1e-10)
