@@ -15,16 +15,16 @@ is averaged over the posterior. Blunders of a pose have nothing to do with the m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import gammaln, log_ndtr
+from scipy.special import gammaln, log_ndtr, ndtri_exp
 
-from bayescal.density.likelihood import PoseLikelihood, batches
+from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches
 from bayescal.density.posterior import APPROACH, HALF_LOG_TWO_PI, Posterior
 from bayescal.density.priors import Prior
+from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 
 FREEDOM, WIDER = 1.0, 3.0
@@ -51,6 +51,14 @@ class SharePrior(Prior):
         inside = (value >= 0.0) & (value < 1.0)
         left = np.log1p(-np.where(inside, value, 0.0))
         return np.where(inside, np.log(self.exponent) + (self.exponent - 1.0) * left, -np.inf)
+
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """Return n draws."""
+        return self.share_from_zeta(rng.standard_normal(n))
+
+    def standardise(self, value: Array) -> Array:
+        """Return ζ."""
+        return np.asarray(-ndtri_exp(self.exponent * np.log1p(-value)))
 
     @property
     def mean(self) -> float:
@@ -125,11 +133,15 @@ class RobustPosterior(Posterior):
     # --- density -------------------------------------------------------------------------------------------------
 
     def _log_likelihood(self, y: Array, theta: Array) -> Array:
-        return self.evaluate_poses(self.likelihood, y, theta).sum(axis=1)
+        return self._mix(self.likelihood, y, theta).sum(axis=1)
 
-    def evaluate_poses(self, likelihood: PoseLikelihood, y: Array, theta: Array | None = None) -> Array:  # type: ignore[override]
+    def evaluate_poses(self, likelihood: Likelihood, y: Array) -> Array:
         """Return the log-likelihood of each pose, of these or of others, shape (B, P)."""
-        density, square = likelihood.evaluate(self.theta(y) if theta is None else theta, self.tau(y))
+        assert isinstance(likelihood, PoseLikelihood)
+        return self._mix(likelihood, y, self.theta(y))
+
+    def _mix(self, likelihood: PoseLikelihood, y: Array, theta: Array) -> Array:
+        density, square = likelihood.evaluate(theta, self.tau(y))
         share = self.shares(y)[:, None]
         with np.errstate(all="ignore"):  # where there is no machine
             both = density + np.logaddexp(np.log1p(-share), np.log(share) + self._compare(square))
@@ -223,6 +235,20 @@ class RobustPosterior(Posterior):
         return y
 
 
-def name_blunders(names: Sequence[str], probability: Array, limit: float = 0.5) -> list[str]:
-    """Return the poses that are blunders more likely than not."""
-    return [name for name, p in zip(names, probability, strict=True) if p > limit]
+def build_robust(plain: Posterior, expected_share: float) -> RobustPosterior:
+    """Return a posterior whose poses may be blunders.
+
+    Raises
+    ------
+    InputError
+        Where poses are not measured whole in the frame of the base.
+    """
+    if not isinstance(plain.likelihood, PoseLikelihood):
+        raise InputError("blunders: found poses measured in part or in unknown frames, expected whole ones")
+    return RobustPosterior(
+        likelihood=plain.likelihood,
+        priors=plain.priors,
+        model_error=plain.model_error,
+        fixed=plain.fixed,
+        share=SharePrior(expected_share),
+    )

@@ -38,3 +38,9 @@ class ModelErrorConfig(Section):
 
     scale_um: Positive = 10.0
     per_leg: bool = True
+
+
+class BlundersConfig(Section):
+    """Poses may be blunders: the share of them that is expected, whose posterior is inferred."""
+
+    expected_share: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.02

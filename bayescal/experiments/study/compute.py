@@ -18,6 +18,7 @@ from bayescal.experiments.study.schema import StudyConfig
 from bayescal.experiments.study.summary import rank_variants, summarise_fit
 from bayescal.experiments.study.tables import (
     identify_variants,
+    tabulate_blunders,
     tabulate_deformation,
     tabulate_flexure,
     tabulate_least_squares,
@@ -51,6 +52,7 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
         "predictions": tabulate_predictions(inputs, posteriors),
         "left_out": tabulate_left_out(inputs, posteriors),
         "power_scaling": tabulate_power_scaling(inputs, posteriors),
+        "blunders": tabulate_blunders(inputs, posteriors),
         "sensitivity": tabulate_sensitivity(inputs, fits),
         "least_squares": tabulate_least_squares(inputs, identified),
         "flexure": tabulate_flexure(inputs.mechanism),

@@ -8,9 +8,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from bayescal.density.likelihood import Likelihood
+from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches
 from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import Prediction, replicate
+from bayescal.density.robust import RobustPosterior
 from bayescal.experiments.shared.trees import SAVED_DRAWS, choose_draws, spread
 from bayescal.experiments.study.correct import (
     correct_draws,
@@ -31,6 +32,7 @@ from bayescal.inference.exploration import Exploration, count_walkers, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.tempered import estimate_by_tempering
+from bayescal.limits import BLUNDER
 from bayescal.numerics.geometry import Array
 
 KEPT_DRAWS = 1920  # of each ensemble, for everything after the diagnostics
@@ -97,7 +99,7 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
         arrays |= sampled
         arrays |= _check(inputs, task, posterior, exploration, arrays, seed)
     else:
-        exact = inputs.exact_density(variant, posterior.likelihood)
+        exact = inputs.exact_density(variant, posterior)
         correction = None if exact is None else correct_evidence(exact, exploration, correct_seed)
     arrays |= list_corrected(arrays, correction)
     arrays["wall_seconds"] = np.array(time.perf_counter() - began)
@@ -140,7 +142,7 @@ def _sample(
         inputs.config.evidence.draws,
         exploration.proposal,
     )
-    exact, correction = inputs.exact_density(inputs.variant(task.variant), posterior.likelihood), None
+    exact, correction = inputs.exact_density(inputs.variant(task.variant), posterior), None
     if exact is not None:
         correction = correct_draws(exact, exploration, sample, correct_seed)
         if correction.is_trusted:
@@ -193,12 +195,20 @@ def _check(
     left_out = leave_out(arrays["draws"], arrays["log_likelihood"][..., ~inputs.verification])
     left_out = refit_doubtful(left_out, posterior, exploration, inputs.config.sampler.walkers, refit_seed)
     return {
-        "misfit_chi2": measure_misfit(posterior, exploration.modes[0].y, *inputs.without_shared_errors(task.variant)),
+        "misfit_chi2": _measure_misfit(inputs, task, posterior, exploration.modes[0].y),
         "pulls_chi2": measure_pulls(posterior, arrays["draws"]),
         "power_scaling": _scale_power(inputs, posterior, arrays),
         **{f"left_out_{name}": value for name, value in vars(left_out).items()},
         **replicate_prior(posterior, prior_seed),
     }
+
+
+def _measure_misfit(inputs: StudyInputs, task: Task, posterior: Posterior, mode: Array) -> Array:
+    """Return χ² at a mode (n,) of the poses that are no blunders there, and its degrees of freedom."""
+    clean = None
+    if isinstance(posterior, RobustPosterior):
+        clean = posterior.blunder_probabilities(posterior.likelihood, mode[None])[0] < BLUNDER
+    return measure_misfit(posterior, mode, *inputs.without_shared_errors(task.variant), clean)
 
 
 def _scale_power(inputs: StudyInputs, posterior: Posterior, arrays: Arrays) -> Array:
@@ -226,11 +236,13 @@ def _evaluate(
         if not np.any(held == use):
             continue
         likelihood = inputs.likelihood(variant, verification=use)
-        pointwise = np.concatenate([_pointwise(likelihood, theta, tau, k) for k in range(0, len(flat), 256)])
+        pointwise = np.concatenate([posterior.evaluate_poses(likelihood, flat[part]) for part in batches(len(flat))])
         some_tau = tau if tau.ndim == 1 else tau[chosen]
         made = replicate(likelihood, theta[chosen], some_tau, np.random.default_rng(rng_seed))
         misfit = made.misfit.astype(np.float32).swapaxes(0, 1)
-        for name, value in {"log_likelihood": pointwise.T, "misfit": misfit, **vars(made.summarise())}.items():
+        suspicion = _suspect(posterior, likelihood, flat)
+        found = {"log_likelihood": pointwise.T, "misfit": misfit, **suspicion, **vars(made.summarise())}
+        for name, value in found.items():
             pieces.setdefault(name, []).append(value)
     order = np.concatenate([np.flatnonzero(held == use) for use in (False, True)])
     back = np.argsort(order)
@@ -239,9 +251,11 @@ def _evaluate(
     return arrays
 
 
-def _pointwise(likelihood: Likelihood, theta: Array, tau: Array, start: int) -> Array:
-    part = slice(start, start + 256)
-    return likelihood.pointwise(theta[part], tau if tau.ndim == 1 else tau[part])
+def _suspect(posterior: Posterior, likelihood: Likelihood, y: Array) -> Arrays:
+    """Return how probable it is that each pose is a blunder, shape (P,), where they may be."""
+    if not isinstance(posterior, RobustPosterior) or not isinstance(likelihood, PoseLikelihood):
+        return {}
+    return {"blunder_probability": posterior.blunder_probabilities(likelihood, y).mean(axis=0)}
 
 
 def read_prediction(arrays: Arrays) -> Prediction:

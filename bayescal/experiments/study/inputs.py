@@ -23,6 +23,7 @@ from bayescal.density.exact import CommonErrors, ExactDensity
 from bayescal.density.likelihood import Likelihood, PoseLikelihood
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
+from bayescal.density.robust import RobustPosterior, build_robust
 from bayescal.density.schema import FixedConfig, NormalConfig
 from bayescal.errors import InputError, PoseInputError, name_faults
 from bayescal.experiments.shared.per_leg import spread_over_legs
@@ -176,9 +177,13 @@ class StudyInputs:
         extra = self.matrix_variance(variant, verification)
         return self.measured.likelihood(self.machine(variant), verification, noise, extra)
 
-    def exact_density(self, variant: VariantConfig, likelihood: Likelihood) -> ExactDensity | None:
-        """Return the exact density beside a variant's at the calibration poses; None where these are not measured."""
-        if not isinstance(likelihood, PoseLikelihood):
+    def exact_density(self, variant: VariantConfig, posterior: Posterior) -> ExactDensity | None:
+        """Return the exact density beside a variant's at the calibration poses.
+
+        None where these are not measured, and where they may be blunders: to these it hardly matters.
+        """
+        likelihood = posterior.likelihood
+        if not isinstance(likelihood, PoseLikelihood) or isinstance(posterior, RobustPosterior):
             return None
         noise = self.config.data.actuator_noise_um * MICROMETRE
         return ExactDensity(likelihood, noise, self.matrix_errors(variant, verification=False))
@@ -244,7 +249,9 @@ class StudyInputs:
         if with_model_error:
             scale = self.config.model_error.scale_um * MICROMETRE
             error = ModelError(scale, shared=not self.config.model_error.per_leg)
-        return Posterior(self.likelihood(variant, verification=False), priors, error, fixed)
+        plain = Posterior(self.likelihood(variant, verification=False), priors, error, fixed)
+        blunders = self.config.blunders
+        return plain if blunders is None else build_robust(plain, blunders.expected_share)
 
     def priors(self, variant: VariantConfig, factor: float = 1.0) -> tuple[dict[str, Prior], dict[str, float]]:
         """Return the priors of a variant's free parameters and frames, and what is fixed off nominal.

@@ -27,7 +27,8 @@ def replicate_prior(posterior: Posterior, seed: np.random.SeedSequence) -> dict[
     """
     rng, likelihood = np.random.default_rng(seed), posterior.likelihood
     values, theta = _draw(posterior, rng)
-    tau = values[:, posterior.n_geometry :]
+    n_legs, first = likelihood.n_legs, posterior.n_geometry
+    tau = values[:, first : first + posterior.model_error.n_parameters(n_legs)]
     with np.errstate(all="ignore"):
         made = replicate(likelihood, theta, _spread(posterior, tau), rng)
     stated = likelihood.pose_covariance(np.zeros(likelihood.n_legs))

@@ -9,7 +9,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from bayescal.config.classes import ClassMark, label_class
 from bayescal.config.load import MEASURED
 from bayescal.config.sections import ExperimentConfig, InputFile, NotNegative, Positive, Section
-from bayescal.density.schema import FixedConfig, ModelErrorConfig, PriorConfig
+from bayescal.density.schema import BlundersConfig, FixedConfig, ModelErrorConfig, PriorConfig
 from bayescal.experiments.shared.schema import DeformationConfig, FramesConfig
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 
@@ -158,6 +158,7 @@ class StudyConfig(ExperimentConfig):
     parameters: dict[str, PriorConfig]
     frames: FramesConfig = Field(default=FramesConfig(), exclude_if=lambda value: value == FramesConfig())
     model_error: ModelErrorConfig = ModelErrorConfig()
+    blunders: BlundersConfig | None = Field(default=None, exclude_if=lambda value: value is None)
     variants: Annotated[list[VariantConfig], Field(min_length=1)]
     sampler: SamplerConfig = SamplerConfig()
     evidence: EvidenceConfig = EvidenceConfig()

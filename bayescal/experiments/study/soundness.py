@@ -19,7 +19,13 @@ LEARNT = 0.5
 """Share of the prior variance that the measurements have to take off a direction for its mean to say something."""
 
 
-def measure_misfit(posterior: Posterior, mode: Array, likelihood: Likelihood, shared: Array | None = None) -> Array:
+def measure_misfit(
+    posterior: Posterior,
+    mode: Array,
+    likelihood: Likelihood,
+    shared: Array | None = None,
+    counted: np.ndarray | None = None,
+) -> Array:
     """Return χ² at the mode (n,) and its degrees of freedom.
 
     Parameters
@@ -32,6 +38,8 @@ def measure_misfit(posterior: Posterior, mode: Array, likelihood: Likelihood, sh
     shared : ndarray, shape (P, K, M), optional
         What M unknowns, standard normal a priori, add to the rows of all poses: as noise of single poses they would
         count as often as there are poses. They are fitted along, to first order.
+    counted : ndarray of bool, shape (P,), optional
+        Poses that count; all without it.
     """
     theta = posterior.theta(mode[None])[0]
     tau = np.broadcast_to(posterior.tau(mode[None]), (1, likelihood.n_legs))[0]
@@ -39,6 +47,9 @@ def measure_misfit(posterior: Posterior, mode: Array, likelihood: Likelihood, sh
     errors = likelihood.errors(theta[None])[0]
     by_machine, prior_slope = posterior.residual_slope(theta)
     extra = np.empty((*errors.shape, 0)) if shared is None else shared
+    if counted is not None:
+        errors, whitening = errors[counted], whitening[counted]
+        by_machine, extra = by_machine[counted], extra[counted]
     slope = whitening @ np.concatenate([by_machine, extra], axis=-1)
     white, n_rows = (whitening @ errors[..., None]).ravel(), errors.size
     slope = slope.reshape(n_rows, -1)

@@ -106,6 +106,24 @@ def tabulate_predictions(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.Da
     return pd.concat(frames, ignore_index=True)
 
 
+def tabulate_blunders(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.DataFrame:
+    """Return how probable it is that each pose is a blunder, by variant, setting and pose; no rows if none may be."""
+    frames = [
+        pd.DataFrame(
+            {
+                "variant": task.variant,
+                "model_error": "free" if task.with_model_error else "zero",
+                "pose": inputs.names,
+                "use": np.where(inputs.verification, "verification", "calibration"),
+                "probability": arrays["blunder_probability"],
+            }
+        )
+        for task, arrays in fits.items()
+        if "blunder_probability" in arrays
+    ]
+    return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()
+
+
 def tabulate_sensitivity(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.DataFrame:
     """Return the log-evidence of every variant for every factor on the widths of the priors."""
     rows = []

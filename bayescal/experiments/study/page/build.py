@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.study.page import illustrations as show
+from bayescal.experiments.study.page.blunders import show_blunders
 from bayescal.experiments.study.page.checks import list_failures, title_failures
 from bayescal.experiments.study.page.claims import show_claims
 from bayescal.experiments.study.page.coverage import tabulate_coverage
@@ -61,6 +62,7 @@ def build_page(results: Results) -> Page:
         _show_ranking(study),
         show_claims(study),
         _show_errors(study),
+        show_blunders(study),
         _show_parameters(study),
         _show_joints(study),
         _show_flexure(study),

@@ -84,6 +84,7 @@ TABLE_COLUMNS = {
         *("x_pit", "y_pit", "z_pit", "rx_pit", "ry_pit", "rz_pit", "position_pit", "orientation_pit"),
     ),
     "power_scaling": ("variant", "parameter", "prior", "likelihood"),
+    "blunders": ("variant", "model_error", "pose", "use", "probability"),
     "sensitivity": ("variant", "factor", "log_evidence", "log_evidence_se", "efficiency", "pareto_k"),
     "least_squares": (
         "variant",
@@ -128,6 +129,8 @@ class StudyResults:
         Tables of the study; without rows the last where no least squares was done.
     power_scaling : DataFrame or None
         How much each parameter depends on the prior and on the measurements; None where no posterior has any.
+    blunders : DataFrame or None
+        How probable it is that each pose is one; None where none may be.
     ring, deformation : DataFrame or None
         Deflections of the joints and what follows from them; None without targets on the pads.
     claims : DataFrame or None
@@ -149,6 +152,7 @@ class StudyResults:
     sensitivity: pd.DataFrame
     least_squares: pd.DataFrame
     power_scaling: pd.DataFrame | None = None
+    blunders: pd.DataFrame | None = None
     ring: pd.DataFrame | None = None
     deformation: pd.DataFrame | None = None
     claims: pd.DataFrame | None = None

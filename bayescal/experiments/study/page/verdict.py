@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from bayescal.experiments.study.page import checks, claims
+from bayescal.experiments.study.page.blunders import state_blunders
 from bayescal.experiments.study.page.prediction import state_prediction
 from bayescal.experiments.study.page.results import StudyResults, get_number
 from bayescal.experiments.study.page.soundness import state_soundness
@@ -74,6 +75,7 @@ def state_verdict(results: StudyResults) -> list[Statement]:
     """Return the sentences below the headline."""
     return [
         *state_soundness(results),
+        *state_blunders(results),
         *_state_deformations(results),
         *_state_models(results),
         *_state_free_sets(results),

@@ -1,0 +1,81 @@
+"""A study in which poses may be blunders: the spoiled one is named, a clean one has none, what cannot be is refused."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+import studies
+
+from bayescal.errors import InputError
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.run import run_experiment, write_report
+
+OFF = 0.3  # mm
+SWITCH = "[model_error]\n"
+
+
+def allow_blunders(path, section="[blunders]\n"):
+    studies.edit(path, SWITCH, f"{section}\n{SWITCH}")
+    return path
+
+
+def spoil(path, pose):
+    """Move all targets on the platform of one pose along x."""
+    file = path.parent / "data" / "targets.csv"
+    lines = file.read_text().splitlines()
+    head = [line for line in lines if line.startswith("#")]
+    table = pd.read_csv(file, comment="#", dtype={"pose": str})
+    moved = (table["pose"] == pose) & (table["body"] == "platform")
+    assert moved.any()
+    table.loc[moved, "x_mm"] += OFF
+    file.write_text("\n".join(head) + "\n" + table.to_csv(index=False))
+
+
+def first_pose(path):
+    return pd.read_csv(path.parent / "data" / "actuators.csv", comment="#", dtype=str)["pose"][4]
+
+
+@pytest.mark.parametrize("spoiled", [True, False])
+def test_blunders_are_named_on_the_page(tmp_path, spoiled):
+    path = allow_blunders(studies.write_tiny_study(tmp_path))
+    pose = first_pose(path)
+    if spoiled:
+        spoil(path, pose)
+    finished = run_experiment(load_experiment(path), tmp_path, tmp_path / "out")
+    table = finished.results.table("blunders")
+    best = table[(table["variant"] == finished.summary["ranking"][0]) & (table["model_error"] == "free")]
+    assert len(best) == studies.N_CALIBRATION + studies.N_VERIFICATION
+    named = list(best[best["probability"] > 0.5]["pose"].astype(str))
+    assert named == ([pose] if spoiled else [])
+    said = next(one.text for one in finished.page.verdict if one.lead == "Blunders")
+    assert said.startswith("Measure again or leave out: 1 of 16" if spoiled else "No pose is a blunder")
+    assert (pose in said) == spoiled or not spoiled
+    fit = finished.summary["variants"]["six_pus/matrix"]
+    assert "epsilon" in fit["parameters"]
+    assert fit["misfit"]["chi2"] < 2.0 * fit["misfit"]["dof"]
+    assert "exact_density" not in fit
+    assert write_report(tmp_path / "out").read_text().count("P(blunder)")
+
+
+def test_a_study_without_them_says_nothing(tmp_path):
+    path = studies.write_tiny_study(tmp_path)
+    plain = load_experiment(path).model_dump(mode="json")
+    assert "blunders" not in plain
+    assert "blunders" in load_experiment(allow_blunders(path)).model_dump(mode="json")
+
+
+@pytest.mark.parametrize("share", ["0.0", "0.5", "-1", '"few"'])
+def test_impossible_shares_are_refused(tmp_path, share):
+    path = allow_blunders(studies.write_tiny_study(tmp_path), f"[blunders]\nexpected_share = {share}\n")
+    with pytest.raises(InputError, match=r"blunders.expected_share"):
+        load_experiment(path)
+
+
+def test_poses_measured_in_part_are_refused(tmp_path):
+    folder = studies.EXPERIMENTS / "camera_hexapod"
+    path = studies.copy_small(folder / "study.toml", tmp_path / "camera")
+    studies.edit(path, "../audit", str(studies.EXPERIMENTS / "audit"))
+    config = load_experiment(allow_blunders(path))
+    with pytest.raises(InputError, match="blunders: found poses measured in part or in unknown frames"):
+        studies.load_study(path)
+    assert config.blunders.expected_share == 0.02
