@@ -110,11 +110,6 @@ def replicate(likelihood: Likelihood, theta: Array, model_error: Array, rng: np.
     return Replicates(errors, _draw_noise(likelihood, model_error, rng.standard_normal(errors.shape)))
 
 
-def predict(likelihood: Likelihood, theta: Array, model_error: Array, rng: np.random.Generator) -> Prediction:
-    """Return the predictive summary of posterior draws; arguments as those of `replicate`."""
-    return replicate(likelihood, theta, model_error, rng).summarise()
-
-
 def summarise_misfit(mean: Array, misfit: Array) -> Prediction:
     """Return the predictive summary of a mean prediction's error (P, 6) and of measured minus replicated (S, P, 6)."""
     return _summarise(mean, misfit, np.zeros_like(misfit))

@@ -295,6 +295,8 @@ class Page:
     failures : tuple of Statement
         What forbids to rely on the numbers; before the headline.
     failures_title : str
+    doubtful : bool
+        Whether the verdict is marked as one to be read with care.
     symbols : tuple of str
         Parameters' symbols that running text sets as the field writes them.
     """
@@ -309,6 +311,7 @@ class Page:
     facts: tuple[tuple[str, str], ...] = ()
     failures: tuple[Statement, ...] = ()
     failures_title: str = ""
+    doubtful: bool = False
     symbols: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -21,6 +21,7 @@ from bayescal.experiments.study.page.published import tabulate_published
 from bayescal.experiments.study.page.ranking import tabulate_effects, tabulate_ranking
 from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.page.ridges import state_ridges, tabulate_ridges
+from bayescal.experiments.study.page.soundness import has_doubts
 from bayescal.experiments.study.page.verdict import state_headline, state_verdict
 from bayescal.report.blocks import Block, Fold, Heading, Page, Section
 
@@ -85,6 +86,7 @@ def build_page(results: Results) -> Page:
         sections=tuple(section for section in sections if section is not None),
         failures=tuple(list_failures(study)),
         failures_title=title_failures(study),
+        doubtful=has_doubts(study),
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from bayescal.experiments.study.page.results import SETTINGS, StudyResults
-from bayescal.experiments.study.page.soundness import choose_setting, describe_bounds, state_soundness
+from bayescal.experiments.study.page.soundness import choose_setting, describe_bounds, has_doubts, state_soundness
 from bayescal.experiments.study.page.variants import (
     NOT_DISTINGUISHABLE,
     find_leaders,
@@ -82,8 +82,8 @@ def state_convergence(results: StudyResults) -> Statement:
         f"at least {format_fixed(bulk, 0)} (limit {format_fixed(ESS_BULK_LIMIT, 0)}). Both evidence estimators agree "
         f"to {format_fixed(gap, 3)} nat or better (limit {AGREEMENT})."
     )
-    if state_soundness(results):
-        caveat = "That follows from what was stated of noise and tolerances, which the measurements contradict (above)."
+    if has_doubts(results):
+        caveat = "That follows from what was stated of noise and tolerances; what speaks against it stands above."
         return Statement(f"{text} {caveat}", "plain", "Checks")
     return Statement(text, "good", "Checks")
 
@@ -250,6 +250,8 @@ def state_coverage(results: StudyResults) -> list[Statement]:
         statements.append(Statement(f"{text}.", "warning" if narrow else "plain", "Coverage"))
     best = results.ranking[0]
     bounds = describe_bounds(results, best, choose_setting(results, best))
+    if any(statement.lead == "Bounds" for statement in state_soundness(results)):
+        return statements
     return [*statements, Statement(f"{label_variant(results, best)}: {bounds}.", lead="Coverage")]
 
 

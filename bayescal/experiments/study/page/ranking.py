@@ -45,7 +45,7 @@ def tabulate_ranking(results: StudyResults, setting: str) -> Table:
         Column("Log-evidence", "nat"),
         Column("Difference", "nat"),
         Column("LOO", "nat", "elpd"),
-        Column("LOO, from the best", "nat", "elpd"),
+        Column("difference", "nat", "elpd"),
         Column("verification", "nat", "elpd"),
         *(Column(use, "µm", "Position error, mean / max") for use in uses),
         *(Column(use, "mdeg", "Orientation error, mean / max") for use in uses),

@@ -41,7 +41,10 @@ SUMMARY_KEYS: dict[str, Kinds] = {
     "variants": dict,
     "ranking": list,
 }
-OPTIONAL_KEYS: dict[str, Kinds] = {"models": dict, "drive": str, "instrument": dict, "own_names": dict}
+OPTIONAL_KEYS: dict[str, Kinds] = {
+    **dict.fromkeys(("models", "instrument", "own_names", "stacked"), dict),
+    "drive": str,
+}
 FIT_KEYS: dict[str, Kinds] = {
     **dict.fromkeys(("n_parameters", "log_evidence", "log_evidence_se", "elpd_loo", "elpd_loo_se"), NUMBER),
     **dict.fromkeys(("elpd_loo_n_bad_k", "elpd_loo_pareto_k_max", "rhat_max", "ess_bulk_min", "ess_tail_min"), NUMBER),

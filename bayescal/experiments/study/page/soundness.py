@@ -55,6 +55,11 @@ class ChiSquare:
         return self.chance < RARE and max(self.factor, 1 / self.factor) > WORTH_SAYING
 
 
+def has_doubts(results: StudyResults) -> bool:
+    """Whether something speaks against the stated noise, tolerances or bounds; tolerances too wide cost little."""
+    return any(statement.level in ("warning", "bad") for statement in state_soundness(results))
+
+
 def state_soundness(results: StudyResults) -> list[Statement]:
     """Return what contradicts the stated noise and tolerances; nothing where nothing does."""
     return [
@@ -163,9 +168,9 @@ def _state_tolerances(results: StudyResults) -> list[Statement]:
     if found.factor > 1:
         why = "the tolerances are stated too tight, a nominal value is wrong, or the model makes up for what it lacks"
     else:
-        why = "the tolerances are stated too wide"
+        why = "the tolerances are wider than this machine needs"
     text = f"{where}{far} ({_format_chance(found.chance)}): {why}."
-    return [Statement(text, _level(found.factor) if found.factor > 1 else "warning", "Tolerances")]
+    return [Statement(text, _level(found.factor) if found.factor > 1 else "plain", "Tolerances")]
 
 
 def _describe_farthest(results: StudyResults, name: str) -> str:
@@ -227,7 +232,10 @@ def _state_bounds(results: StudyResults) -> list[Statement]:
         return []
     text = f"{label_variant(results, best)}: {describe_bounds(results, best, setting)}"
     if beyond < (1 - BOUND) * total:
-        text += ": the bounds are too wide, as from a noise stated too large or a model error that is not there."
+        text += (
+            ": the bounds are too wide, as from a noise stated too large, or from errors that poses share, as those "
+            "of a measured K, where they count at each pose anew."
+        )
         return [Statement(text, "warning", "Bounds")]
     text += ": the bounds claim too much, as from a noise stated too small or a model that lacks something real."
     return [Statement(text, "bad", "Bounds")]

@@ -7,12 +7,12 @@ from functools import partial
 
 import numpy as np
 import pytest
-from made_up_results import TWELVE, edit_table, read_study, write_results
+from made_up_results import TWELVE, edit_table, read_study, render_text, write_results
 from rich.console import Console
 from scipy import stats
 
 from bayescal.experiments.study.page.predictive_checks import tabulate_power_scaling
-from bayescal.experiments.study.page.soundness import ChiSquare, judge_bounds, state_soundness
+from bayescal.experiments.study.page.soundness import ChiSquare, has_doubts, judge_bounds, state_soundness
 from bayescal.experiments.study.page.verdict import state_verdict
 from bayescal.experiments.study.terminal import show_doubts
 
@@ -58,7 +58,22 @@ def test_nothing_is_called_good_without_a_word_beside_it(make_results):
     assert checks(make_results()).level == "good"
     doubtful = checks(make_results(set_chi2("misfit", 800.0, 200.0, "zero"), name="doubtful"))
     assert doubtful.level == "plain"
-    assert "which the measurements contradict (above)" in doubtful.text
+    assert "what speaks against it stands above" in doubtful.text
+
+
+def test_a_doubtful_page_is_not_marked_as_a_good_one(make_results):
+    assert 'class="verdict"' in render_text(make_results())
+    for chi2, mark in ((338.0, "doubtful"), (800.0, "failed")):
+        text = render_text(make_results(set_chi2("misfit", chi2, 200.0, "zero"), name=mark))
+        assert f'class="verdict {mark}"' in text
+
+
+def test_tolerances_wider_than_needed_are_no_doubt(make_results):
+    study = read_study(make_results(set_chi2("pulls", 2.0, 30.0, "free")))
+    (statement,) = state_soundness(study)
+    assert statement.level == "plain"
+    assert "wider than this machine needs" in statement.text
+    assert not has_doubts(study)
 
 
 def test_the_terminal_says_it_too(make_results):

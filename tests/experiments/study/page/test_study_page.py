@@ -29,8 +29,8 @@ def test_a_clear_winner_is_named_with_its_lead_and_its_odds(make_results):
     text = "\n".join(s.text for s in page.verdict)
     assert "4.0 µm mean and 9.0 µm largest position error" in text
     assert "1.0 mdeg mean and 2.0 mdeg largest orientation error" in text
-    assert "Leave-one-out cross-validation (elpd LOO) agrees: pus/linear first, 20.0 nat ahead" in text
-    assert "(elpd) hardly separate the best: pus/linear first, 4.0 nat" in text
+    assert "Leave-one-out cross-validation (elpd LOO) agrees: pus/linear first, 20.0 ± 2.0 nat ahead" in text
+    assert "(elpd, all together) agree: pus/linear first, 4.0 ± 1.4 nat" in text
     assert "All 4 posteriors converged" in text
     assert "ranking is stable" in text
     assert "needs the model error τ" in text
@@ -76,8 +76,8 @@ def test_predictive_densities_that_disagree_are_said_so(make_results):
         summary["variants"]["pus/none"]["verification"]["elpd"] = 90.0
 
     text = state(make_results(change))
-    assert "(elpd LOO) disagrees: pus/none first, 130.0 nat ahead of pus/linear" in text
-    assert "(elpd) disagree: pus/none first, 66.0 nat ahead of pus/linear" in text
+    assert "(elpd LOO) disagrees: pus/none first, 130.0 ± 2.0 nat ahead of pus/linear" in text
+    assert "(elpd, all together) disagree: pus/none first, 66.0 ± 1.4 nat ahead of pus/linear" in text
 
 
 def test_unstable_ranking_names_where_another_variant_leads(make_results):

@@ -20,7 +20,7 @@ def test_page_is_self_contained_well_formed_and_has_the_same_bytes_again(make_re
     text = page.read_text(encoding="utf-8")
     reader = Reader(text)
     assert reader.open == []
-    assert reader.tags.count("img") == 9
+    assert reader.tags.count("img") == 13
     assert all(r.startswith(("data:image/png;base64,", "#")) for r in reader.references)
     assert not {"script", "link", "iframe", "object"} & set(reader.tags)
     assert not re.search(r"url\(|@import", text)
@@ -73,7 +73,7 @@ def test_without_draws_and_ring_the_report_says_what_is_left_out(make_results, n
 def test_without_verification_poses_the_figures_are_drawn(make_results):
     folder = make_results(verification=False)
     text = write_report(folder).read_text(encoding="utf-8")
-    assert Reader(text).tags.count("img") == 9
+    assert Reader(text).tags.count("img") == 13
     assert '<td class="text plain">none</td>' in text
 
 
@@ -101,7 +101,7 @@ def test_twelve_variants_make_one_page_with_long_tables_folded(make_results, no_
     text = write_report(folder).read_text(encoding="utf-8")
     reader = Reader(text)
     assert reader.open == []
-    assert reader.tags.count("img") == 12
+    assert reader.tags.count("img") == 16
     assert {r[1:] for r in reader.references if r.startswith("#")} <= set(re.findall(r'id="([^"]+)"', text))
     folds = re.findall(r"<details( open)?>\s*<summary>(.*?)</summary>", text)
     assert not any(is_open for is_open, _ in folds)
@@ -114,7 +114,7 @@ def test_twelve_variants_make_one_page_with_long_tables_folded(make_results, no_
 
 def test_a_single_variant_is_reported(make_results):
     text = write_report(make_results(variants={"six_pus/linear": (10.0, 1.0)})).read_text(encoding="utf-8")
-    assert Reader(text).tags.count("img") == 9
+    assert Reader(text).tags.count("img") == 13
     assert "6-PUS/linear is the only variant, log-evidence 10.0" in text
 
 
