@@ -16,6 +16,11 @@ DEAD = 0.1
 NINETY_FIVE = 1.96
 """Standard deviations to either side that hold 95 % of a normal."""
 
+COVERAGE = 0.9
+"""Of the intervals that are set against the truth."""
+NINETY = 1.6448536269514722
+"""Standard deviations to either side that hold 90 % of a normal."""
+
 # what optimisers are told
 FAR_AWAY = 1e6
 """Residual where a vector is no machine: finite, since optimisers subtract."""

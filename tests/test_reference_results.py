@@ -77,7 +77,7 @@ def test_audits_are_those_of_the_committed_designs(name):
     analysis = analyse(inputs)
     found = dict(zip(inputs.knowledge.names, analysis.information.contraction, strict=True))
     assert committed["structural_rank"] == analysis.structure.rank
-    assert committed["recommended_free"] == [inputs.knowledge.names[k] for k in analysis.selection.free]
+    assert committed["reduced_set"]["free"] == [inputs.knowledge.names[k] for k in analysis.selection.free]
     assert {n: v["contraction"] for n, v in committed["parameters"].items()} == pytest.approx(found, abs=1e-6)
 
 

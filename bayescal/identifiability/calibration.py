@@ -4,10 +4,14 @@ Machines are drawn from the priors, measured to the plan with all noise, and ide
 was identified are then set against the predicted posterior standard deviations. The audit's are those of the machine
 linearised where it is expected. Averaged over machines drawn from the priors they are what a calibration can expect,
 where the derivatives change within the tolerances.
+
+Where only some parameters are identified the machines are off in the others all the same, which the calibration takes
+for nominal: a simulation whose machines were nominal there would certify what it assumes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +20,7 @@ from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.fits import Fitter, Measurements
 from bayescal.identifiability.sensitivity import root_of
+from bayescal.limits import NINETY
 from bayescal.machines.frames import N_FRAME_PARAMETERS, move_frames
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
@@ -33,9 +38,11 @@ class SimulatedCalibrations:
     Attributes
     ----------
     knowledge : Knowledge
+    fitted : ndarray, shape (m,)
+        Which of the n free parameters were identified; the others were held at nominal.
     truth, estimate : ndarray, shape (B, D)
         Machines and frames, mm, rad, or the parameter's unit.
-    sd : ndarray, shape (B, n)
+    sd : ndarray, shape (B, m)
         Posterior standard deviations that each calibration claims, linearised at its estimate, in the same units.
     converged : ndarray of bool, shape (B,)
     n_iterations : ndarray of int, shape (B,)
@@ -44,6 +51,7 @@ class SimulatedCalibrations:
     """
 
     knowledge: Knowledge
+    fitted: np.ndarray
     truth: Array
     estimate: Array
     sd: Array
@@ -52,15 +60,45 @@ class SimulatedCalibrations:
     n_redrawn: int
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the m parameters that were identified."""
+        return tuple(self.knowledge.names[k] for k in self.fitted)
+
+    @property
+    def scale(self) -> Array:
+        """Tolerances of the identified parameters, shape (m,)."""
+        return self.knowledge.sd[self.fitted]
+
+    @property
     def errors(self) -> Array:
-        """Estimate minus truth of the free parameters in units of the tolerances, converged ones only, (B', n)."""
-        free = self.knowledge.free
-        result: Array = (self.estimate - self.truth)[self.converged][:, free] / self.knowledge.sd
+        """Estimate minus truth of the identified ones in units of the tolerances, converged ones only, (B', m)."""
+        places = self.knowledge.free[self.fitted]
+        result: Array = (self.estimate - self.truth)[self.converged][:, places] / self.scale
         return result
 
+    @property
+    def claimed(self) -> Array:
+        """Standard deviations that the converged calibrations claim, in units of the tolerances, (B', m)."""
+        return np.asarray(self.sd[self.converged] / self.scale)
 
-def simulate_calibrations(knowledge: Knowledge, plan: Plan, n: int, rng: np.random.Generator) -> SimulatedCalibrations:
-    """Return n calibrations of machines drawn from the priors.
+
+def simulate_calibrations(
+    knowledge: Knowledge,
+    plan: Plan,
+    n: int,
+    rng: np.random.Generator,
+    fitted: Sequence[int] | None = None,
+) -> SimulatedCalibrations:
+    """Return n calibrations of machines drawn from the priors, all parameters off by their tolerances.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+    plan : Plan
+    n : int
+    rng : Generator
+    fitted : sequence of int, optional
+        Which of the free parameters are identified, the others being taken for nominal; all by default.
 
     What the sensors tell of a pose is taken at the expected machine; a coordinate of which they tell nothing is not
     used. Actuators err by σ_ρ, and a leg's closure by τ times what a millimetre of its actuator does to it.
@@ -76,12 +114,14 @@ def simulate_calibrations(knowledge: Knowledge, plan: Plan, n: int, rng: np.rand
     """
     fitter = Fitter(knowledge, plan)
     moves, measured, n_redrawn = _draw(fitter, n, rng)
-    fits = fitter.fit(measured)
-    covariance = np.linalg.inv(fits.information + np.eye(len(knowledge.sd)))
-    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * knowledge.sd
-    return SimulatedCalibrations(
-        knowledge, fitter.theta(moves), fitter.theta(fits.moves), sd, fits.converged, fits.n_iterations, n_redrawn
-    )
+    chosen = np.arange(len(knowledge.sd)) if fitted is None else np.array(fitted, dtype=int)
+    weight = np.zeros_like(moves)
+    weight[:, chosen] = 1.0  # of no weight are those that stay at nominal
+    fits = fitter.fit(measured, prior_weight=weight)
+    covariance = np.linalg.inv(fits.information[:, chosen[:, None], chosen] + np.eye(len(chosen)))
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * knowledge.sd[chosen]
+    found, truth = fitter.theta(fits.moves), fitter.theta(moves)
+    return SimulatedCalibrations(knowledge, chosen, truth, found, sd, fits.converged, fits.n_iterations, n_redrawn)
 
 
 def simulate_measurements(fitter: Fitter, moves: Array, rng: np.random.Generator) -> tuple[Measurements, np.ndarray]:
@@ -181,6 +221,12 @@ class Comparison:
         predicted.
     chi_square_error : float
         Its standard error.
+    claimed : ndarray, shape (n,)
+        Root mean square of the standard deviations that the calibrations claim, in units of the tolerances.
+    covered : ndarray, shape (n,)
+        Share of the calibrations whose 90 % interval holds the truth.
+    z : ndarray, shape (n,)
+        Root mean square error in units of what each calibration claims: one where the claims are true.
     along : ndarray, shape (n,)
         Root mean square error along each axis of the predicted covariance by what is predicted there, the axis that is
         known best first: what a calibration determines may be no single parameter.
@@ -196,6 +242,9 @@ class Comparison:
     chi_square: float
     chi_square_error: float
     along: Array
+    claimed: Array
+    covered: Array
+    z: Array
 
     def by_symbol(self) -> dict[str, float]:
         """Return the ratio of root mean squares over all parameters of a symbol."""
@@ -213,8 +262,9 @@ def compare_with_prediction(simulated: SimulatedCalibrations, covariance: Array)
     Parameters
     ----------
     simulated : SimulatedCalibrations
-    covariance : ndarray, shape (n, n)
-        In units of the tolerances: `Information.covariance`, or `expected_covariance`.
+    covariance : ndarray, shape (m, m)
+        Of the errors of the identified parameters in units of the tolerances: `Information.covariance`,
+        `expected_covariance`, or a part of `Information.errors_of_reduced`.
 
     Raises
     ------
@@ -228,12 +278,12 @@ def compare_with_prediction(simulated: SimulatedCalibrations, covariance: Array)
     square = np.mean(errors**2, axis=0)
     kurtosis = np.mean(errors**4, axis=0) / square**2
     ratio = np.sqrt(square) / predicted
-    z = errors / predicted
+    z, own = errors / predicted, errors / simulated.claimed
     variances, axes = np.linalg.eigh(covariance)
     squares = (errors @ axes) ** 2 / variances
     lengths = squares.mean(axis=1)
     return Comparison(
-        simulated.knowledge.names,
+        simulated.names,
         predicted,
         np.sqrt(square),
         ratio,
@@ -243,4 +293,7 @@ def compare_with_prediction(simulated: SimulatedCalibrations, covariance: Array)
         float(lengths.mean()),
         float(lengths.std(ddof=1) / np.sqrt(len(lengths))),
         np.sqrt(squares.mean(axis=0)),
+        np.sqrt(np.mean(simulated.claimed**2, axis=0)),
+        np.mean(np.abs(own) < NINETY, axis=0),
+        np.sqrt(np.mean(own**2, axis=0)),
     )

@@ -22,7 +22,10 @@ from bayescal.identifiability.calibration import (
     simulate_measurements,
 )
 from bayescal.identifiability.fits import Fitter, Measurements
-from bayescal.identifiability.information import information_of_rows
+from bayescal.identifiability.information import Information, information_of_rows
+from bayescal.identifiability.kept import compare_kept, count_kept
+from bayescal.identifiability.reduced import judge_reduced
+from bayescal.identifiability.requirements import DRAWS, Forecast
 from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity, root_of
 from bayescal.machines.frames import N_FRAME_PARAMETERS, frame_slopes, measured_pose_slopes, move_frames
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
@@ -272,17 +275,99 @@ def test_comparison_of_known_errors():
     estimate[:4, knowledge.free[0]] += 2.0 * 0.2 * signs
     estimate[:4, knowledge.free[1]] += 0.2 * signs
     estimate[4] += 100.0  # not converged, does not count
-    converged = np.array([True] * 4 + [False])
-    simulated = SimulatedCalibrations(knowledge, truth, estimate, np.ones((5, 2)), converged, np.ones(5, dtype=int), 0)
+    converged, sd = np.array([True] * 4 + [False]), np.tile([0.8, 0.1], (5, 1))
+    simulated = SimulatedCalibrations(knowledge, np.arange(2), truth, estimate, sd, converged, np.ones(5, dtype=int), 0)
     found = compare_with_prediction(simulated, np.diag([0.1**2, 0.1**2]))
     assert found.ratio == pytest.approx([2.0, 1.0])
     assert found.ratio_error == pytest.approx([0.0, 0.0], abs=1e-9)
     assert found.coverage[1.96] == pytest.approx([0.0, 1.0])
     assert found.by_symbol() == pytest.approx({"a_x": 2.0, "a_y": 1.0})
     assert found.chi_square == pytest.approx(2.5)
+    assert found.claimed == pytest.approx([0.4, 0.05])
+    assert found.covered == pytest.approx([1.0, 0.0])
+    assert found.z == pytest.approx([0.5, 2.0])
     none = replace(simulated, converged=np.zeros(5, dtype=bool))
     with pytest.raises(InputError, match="found 0 that converged"):
         compare_with_prediction(none, np.eye(2))
+
+
+# --- reduced sets ------------------------------------------------------------------------------------------------
+
+
+def test_a_reduced_set_errs_as_said_in_closed_form():
+    """A hundredth of the tolerances; what is held at nominal is off all the same."""
+    knowledge, plan = problems.build_telescope_problem("linear")
+    knowledge = scale_tolerances(knowledge, 0.01)
+    information = information_of_rows(compute_sensitivity(knowledge, plan.actuators).rows(plan), knowledge.sd)
+    free = tuple(k for k, symbol in enumerate(knowledge.symbols) if symbol in ("a_x", "a_y", "b_x", "b_y", "l"))
+    reduced = judge_reduced(information, free)
+    simulated = simulate_calibrations(knowledge, plan, 60, np.random.default_rng(2), free)
+    held = np.delete(simulated.estimate, knowledge.free[list(free)], axis=1)
+    assert np.array_equal(held, np.tile(np.delete(knowledge.centre, knowledge.free[list(free)]), (60, 1)))
+    found = compare_with_prediction(simulated, information.errors_of_reduced(free)[np.ix_(free, free)])
+    assert found.names == tuple(knowledge.names[k] for k in free)
+    assert np.abs((found.ratio - 1.0) / found.ratio_error).max() < 4.5
+    assert found.claimed == pytest.approx(reduced.claimed, rel=0.05)
+    assert np.mean(found.covered) == pytest.approx(reduced.coverage.mean(), abs=0.05)
+    assert reduced.rms_z > 1.5  # or the test would say nothing
+    assert np.sqrt(np.mean(found.z**2)) == pytest.approx(reduced.rms_z, rel=0.15)
+
+
+def test_nothing_left_out_is_no_reduced_set():
+    knowledge, plan = build_report_problem()
+    information = information_of_rows(compute_sensitivity(knowledge, plan.actuators).rows(plan), knowledge.sd)
+    assert judge_reduced(information, ()) is None
+    assert judge_reduced(information, tuple(range(len(knowledge.names)))) is None
+
+
+def test_a_reduced_set_of_what_is_told_apart_is_right():
+    """Two parameters without any common information, by hand: leaving one out does not matter."""
+    information = Information(np.diag([3.0, 2.0]))
+    reduced = judge_reduced(information, (0,))
+    assert reduced.claimed == pytest.approx([10**-0.5])
+    assert reduced.coverage == pytest.approx([0.9])
+    bent = judge_reduced(Information(np.array([[3.0, 3.0]])), (0,))  # the other one is read as this one
+    assert bent.error**2 == pytest.approx([0.1 + 0.81])
+
+
+# --- requirements kept -------------------------------------------------------------------------------------------
+
+
+def count_kept_of(name, n, shares):
+    """Return what machines of a design keep, of limits that are shares of the predicted sd, beside what is claimed."""
+    path = problems.DESIGNS / f"{name}.toml"
+    inputs = read_inputs(load_audit(path), path.parent)
+    information, actuators = analyse(inputs).information, inputs.workspace_actuators[:60]
+    forecast = Forecast(compute_sensitivity(inputs.knowledge, actuators), inputs.knowledge.sd)
+    arguments = (information, inputs.plan, np.random.default_rng(4), ())
+    wanted = [
+        replace(one.requirement, limit=share * one.predicted_sd)
+        for one in forecast.judge(inputs.requirements, *arguments)
+        for share in shares
+    ]
+    claimed = [one.probability for one in forecast.judge(wanted, *arguments)]
+    simulated = simulate_calibrations(inputs.knowledge, inputs.plan, n, np.random.default_rng(6))
+    kept = count_kept(simulated, inputs.plan, actuators, wanted, np.random.default_rng(7))
+    return claimed, [
+        compare_kept(int(k), int(simulated.converged.sum()), p, DRAWS) for k, p in zip(kept, claimed, strict=True)
+    ]
+
+
+def test_requirements_are_kept_as_often_as_claimed():
+    claimed, found = count_kept_of("m2_hexapod", 60, (1.8,))
+    assert all(0.6 < p < 0.9 for p in claimed)
+    assert all(one.agrees for one in found)
+    halved = [compare_kept(one.kept, one.n, p / 2.0, DRAWS) for one, p in zip(found, claimed, strict=True)]
+    assert not any(one.agrees for one in halved)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["telescope_six_pus_linear", "telescope_six_pus_none", "m2_hexapod"])
+def test_three_hundred_machines_keep_requirements_as_often_as_claimed(name):
+    """Limits from mostly broken to mostly kept; each count has a chance of one in a hundred to be out of its band."""
+    claimed, found = count_kept_of(name, 300, (1.2, 1.8, 2.2, 2.8))
+    assert min(claimed) < 0.6 < 0.95 < max(claimed)
+    assert sum(not one.agrees for one in found) <= 1
 
 
 # --- what the issue wants ----------------------------------------------------------------------------------------

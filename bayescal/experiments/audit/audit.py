@@ -12,6 +12,7 @@ from bayescal.experiments.audit.inputs import AuditInputs
 from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability.directions import Direction, find_directions
 from bayescal.identifiability.information import Information, information_of_rows
+from bayescal.identifiability.reduced import ReducedSet, judge_reduced
 from bayescal.identifiability.requirements import Forecast, Outlook
 from bayescal.identifiability.ridges import Ridge, describe_ridges
 from bayescal.identifiability.selection import Selection, select_parameters
@@ -40,6 +41,8 @@ class Analysis:
     directions : list of Direction
     verdicts : tuple of str
         Of each parameter.
+    reduced : ReducedSet or None
+        What a calibration of the selected parameters alone claims and errs by; None where these are none, or all.
     """
 
     structure: Structure
@@ -47,6 +50,7 @@ class Analysis:
     selection: Selection
     directions: list[Direction]
     verdicts: tuple[Verdict, ...]
+    reduced: ReducedSet | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +101,8 @@ def analyse(inputs: AuditInputs) -> Analysis:
     frames = tuple(k for k, symbol in enumerate(knowledge.symbols) if symbol in FRAME_SYMBOLS)
     directions = find_directions(information, structure.null_space, selection.fixed, frames)
     verdicts = judge_parameters(information, structure.null_space)
-    return Analysis(structure, information, selection, directions, verdicts)
+    reduced = judge_reduced(information, selection.free)
+    return Analysis(structure, information, selection, directions, verdicts, reduced)
 
 
 def run_audit(inputs: AuditInputs, run: Run) -> Audit:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,9 +21,9 @@ from bayescal.identifiability.calibration import (
     expected_covariance,
     simulate_calibrations,
 )
-from bayescal.identifiability.design import Knowledge
-from bayescal.identifiability.information import Information
+from bayescal.identifiability.kept import Kept, compare_kept, count_kept
 from bayescal.identifiability.profile import Profile, compute_profiles
+from bayescal.identifiability.requirements import DRAWS
 from bayescal.numerics.geometry import Array
 
 PROFILES = 4  # where the design names none
@@ -118,44 +118,79 @@ def _tabulate_profiles(audit: Audit, profiles: list[Profile]) -> dict[str, pd.Da
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """Simulated calibrations beside what was predicted of them: how many, how many converged, how many were redrawn."""
+    """Simulated calibrations beside what was predicted of them: how many, how many converged, how many were redrawn.
+
+    Attributes
+    ----------
+    n, n_converged, n_redrawn : int
+    comparison : Comparison
+    kept : dict of requirement to Kept
+    """
 
     n: int
     n_converged: int
     n_redrawn: int
     comparison: Comparison
+    kept: dict[str, Kept]
 
 
-type Case = tuple[Knowledge, Information, int]
-"""What is known, what is predicted, and the stream of random numbers."""
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What is identified in simulated calibrations, and what is predicted of it.
+
+    Attributes
+    ----------
+    fitted : ndarray, shape (m,)
+        The others, off by their tolerances too, are taken for nominal.
+    covariance : ndarray, shape (m, m)
+        Of the errors to expect, in tolerances.
+    probability : dict of requirement to float
+        To keep it.
+    """
+
+    fitted: np.ndarray
+    covariance: Array
+    probability: dict[str, float]
+
+
+STREAM = 5  # of random numbers; the same machines with the same noise for every case
 
 
 def _list_cases(audit: Audit) -> dict[str, Case]:
-    """Return simulated calibrations with everything free, and with what is recommended free and the rest nominal."""
-    inputs, knowledge = audit.inputs, audit.inputs.knowledge
-    if inputs.config.simulated_calibrations == 0:
+    """Return simulated calibrations with everything free, and with the reduced set free and the rest held at nominal.
+
+    In both all parameters are off by their tolerances.
+    """
+    information, outlooks = audit.analysis.information, audit.outlooks
+    if audit.inputs.config.simulated_calibrations == 0:
         return {}
-    free = np.array(audit.analysis.selection.free, dtype=int)
-    cases = {"simulated_calibrations": np.arange(len(knowledge.names))}
-    if 0 < len(free) < len(knowledge.names):
-        cases["simulated_calibrations_recommended"] = free
-    found = {}
-    for k, (name, chosen) in enumerate(cases.items()):
-        part = replace(knowledge, priors={knowledge.names[i]: knowledge.priors[knowledge.names[i]] for i in chosen})
-        found[name] = part, Information(audit.analysis.information.root[:, chosen]), 5 + k
-    return found
+    every = np.arange(len(audit.inputs.knowledge.names))
+    claimed = {one.requirement.name: one.probability for one in outlooks}
+    cases = {"simulated_calibrations": Case(every, information.covariance, claimed)}
+    reduced = audit.analysis.reduced
+    if reduced is not None:
+        errors = information.errors_of_reduced(audit.analysis.selection.free)
+        chances = {one.requirement.name: one.reduced_probability for one in outlooks}
+        part = errors[np.ix_(reduced.free, reduced.free)]
+        cases["simulated_calibrations_reduced"] = Case(reduced.free, part, chances)
+    return cases
 
 
 def _simulate(audit: Audit, run: Run) -> dict[str, Simulated]:
-    return run.map("simulated calibrations", _simulate_case, audit.inputs, _list_cases(audit), (Simulated,))
+    classes = (Simulated, Comparison, Kept)
+    return run.map("simulated calibrations", _simulate_case, audit.inputs, _list_cases(audit), classes)
 
 
 def _simulate_case(inputs: AuditInputs, case: Case) -> Simulated:
-    knowledge, information, stream = case
-    n, rng = inputs.config.simulated_calibrations, np.random.default_rng([inputs.config.seed, stream])
-    simulated = simulate_calibrations(knowledge, inputs.plan, n, rng)
-    comparison = compare_with_prediction(simulated, information.covariance)
-    return Simulated(n, int(simulated.converged.sum()), simulated.n_redrawn, comparison)
+    n, rng = inputs.config.simulated_calibrations, np.random.default_rng([inputs.config.seed, STREAM])
+    simulated = simulate_calibrations(inputs.knowledge, inputs.plan, n, rng, case.fitted.tolist())
+    comparison, converged = compare_with_prediction(simulated, case.covariance), int(simulated.converged.sum())
+    kept = count_kept(simulated, inputs.plan, inputs.workspace_actuators, inputs.requirements, rng)
+    beside = {
+        requirement.name: compare_kept(int(number), converged, case.probability[requirement.name], DRAWS)
+        for requirement, number in zip(inputs.requirements, kept, strict=True)
+    }
+    return Simulated(n, converged, simulated.n_redrawn, comparison, beside)
 
 
 def _average(audit: Audit, run: Run) -> Array | None:
@@ -171,27 +206,50 @@ def _average_machines(inputs: AuditInputs) -> Array:
 
 
 def _summarise_calibrations(audit: Audit, name: str, simulated: Simulated) -> dict[str, Any]:
-    knowledge, units = _list_cases(audit)[name][0], audit.inputs.units
-    found = simulated.comparison
-    symbols = np.array(knowledge.symbols)
-    ratios = found.by_symbol()
-    result: dict[str, Any] = {}
-    for symbol in dict.fromkeys(knowledge.symbols):
-        part = np.flatnonzero(symbols == symbol)
-        unit = knowledge.units[part[0]]
-        scale = knowledge.sd[part] / units.factor(unit)
-        result[symbol] = {
-            "unit": units.name(unit),
-            "predicted_sd": float(np.sqrt(np.mean((found.predicted[part] * scale) ** 2))),
-            "simulated_sd": float(np.sqrt(np.mean((found.found[part] * scale) ** 2))),
-            "ratio": ratios[symbol],
-            "ratio_se": float(np.sqrt(np.mean(found.ratio_error[part] ** 2) / len(part))),
-        }
+    knowledge, case, found = audit.inputs.knowledge, _list_cases(audit)[name], simulated.comparison
+    symbols = [knowledge.symbols[k] for k in case.fitted]
+    result = {}
+    for symbol in dict.fromkeys(symbols):
+        part = np.flatnonzero(np.array(symbols) == symbol)
+        result[symbol] = _summarise_symbol(audit, case.fitted[part], part, found)
     return {
         "n": simulated.n,
         "n_converged": simulated.n_converged,
         "n_redrawn": simulated.n_redrawn,
         "chi_square": found.chi_square,
         "chi_square_se": found.chi_square_error,
+        "coverage_90": float(found.covered.mean()),
+        "rms_z": float(np.sqrt(np.mean(found.z**2))),
         "symbols": result,
+        "requirements": {
+            requirement: {
+                "claimed_probability": case.probability[requirement],
+                "kept": one.kept,
+                "n": one.n,
+                "expected_low": one.low,
+                "expected_high": one.high,
+                "agrees": one.agrees,
+            }
+            for requirement, one in simulated.kept.items()
+        },
+    }
+
+
+def _summarise_symbol(audit: Audit, places: np.ndarray, part: np.ndarray, found: Comparison) -> dict[str, Any]:
+    """Return what simulated calibrations say of a symbol's parameters: places among all, part among those fitted."""
+    knowledge, units = audit.inputs.knowledge, audit.inputs.units
+    unit = knowledge.units[places[0]]
+    scale = knowledge.sd[places] / units.factor(unit)
+    claimed, predicted, simulated = (
+        float(np.sqrt(np.mean((value[part] * scale) ** 2))) for value in (found.claimed, found.predicted, found.found)
+    )
+    return {
+        "unit": units.name(unit),
+        "claimed_sd": claimed,
+        "predicted_sd": predicted,
+        "simulated_sd": simulated,
+        "ratio": found.by_symbol()[knowledge.symbols[places[0]]],
+        "ratio_se": float(np.sqrt(np.mean(found.ratio_error[part] ** 2) / len(part))),
+        "coverage_90": float(found.covered[part].mean()),
+        "rms_z": float(np.sqrt(np.mean(found.z[part] ** 2))),
     }

@@ -12,8 +12,9 @@ from bayescal.experiments.audit.audit import Audit
 from bayescal.experiments.audit.changes import ChangeEffect, contraction_along, contraction_of_symbols
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import nats_from_contraction
+from bayescal.identifiability.reduced import ReducedSet
 from bayescal.identifiability.ridges import Ridge
-from bayescal.limits import INFORMED
+from bayescal.limits import COVERAGE, INFORMED
 from bayescal.numerics.geometry import Array
 
 ROTATION = "rotation"
@@ -48,7 +49,8 @@ def summarise(audit: Audit) -> dict[str, Any]:
         "total_nats": analysis.information.nats,
         "parameters": _summarise_parameters(audit),
         "directions": _summarise_directions(audit),
-        "recommended_free": [names[k] for k in analysis.selection.free],
+        "recommended_free": list(names),
+        "reduced_set": _summarise_reduced(audit),
         "could_also_be_freed": [names[k] for k in analysis.selection.extra],
         "selection": [vars(step) for step in analysis.selection.steps],
         "requirements": _summarise_requirements(audit),
@@ -78,8 +80,7 @@ def _summarise_plan(audit: Audit) -> dict[str, Any]:
 def _summarise_parameters(audit: Audit) -> dict[str, Any]:
     inputs, analysis = audit.inputs, audit.analysis
     knowledge, covariance = inputs.knowledge, analysis.information.covariance
-    selection = analysis.selection
-    alone = _sd_of_selected(analysis.information.matrix, np.array(selection.free, dtype=int))
+    alone = _describe_alone(analysis.reduced)
     nats = nats_from_contraction(analysis.information.contraction)
     result = {}
     for k, name in enumerate(knowledge.names):
@@ -93,20 +94,36 @@ def _summarise_parameters(audit: Audit) -> dict[str, Any]:
             "contraction": contraction,
             "nats": float(nats[k]),
             "verdict": analysis.verdicts[k],
-            "recommended": k in selection.free,
-            "posterior_sd_recommended": float(prior * alone[k]) if k in selection.free else None,
+            "in_reduced_set": k in analysis.selection.free,
+            **_scale(alone.get(k), float(prior)),
             "why": explain(audit, k),
         }
     return result
 
 
-def _sd_of_selected(matrix: Array, free: np.ndarray) -> Array:
-    """Return posterior sds in tolerances, shape (n,), with all but the selected parameters held; NaN for these."""
-    result = np.full(len(matrix), np.nan)
-    if len(free):
-        covariance = np.linalg.inv(matrix[np.ix_(free, free)] + np.eye(len(free)))
-        result[free] = np.sqrt(np.diagonal(covariance))
-    return result
+def _summarise_reduced(audit: Audit) -> dict[str, Any] | None:
+    """Return the reduced set as a whole; None where it is empty."""
+    names, free, reduced = audit.inputs.knowledge.names, audit.analysis.selection.free, audit.analysis.reduced
+    if not free:
+        return None
+    return {
+        "free": [names[k] for k in free],
+        "coverage_90": COVERAGE if reduced is None else float(reduced.coverage.mean()),
+        "rms_z": 1.0 if reduced is None else reduced.rms_z,
+    }
+
+
+def _describe_alone(reduced: ReducedSet | None) -> dict[int, tuple[float, float, float]]:
+    """Return claimed sd and true error in tolerances, and coverage, of each parameter of the reduced set."""
+    if reduced is None:
+        return {}
+    columns = (reduced.free, reduced.claimed, reduced.error, reduced.coverage)
+    return {int(k): (float(c), float(e), float(p)) for k, c, e, p in zip(*columns, strict=True)}
+
+
+def _scale(alone: tuple[float, float, float] | None, prior: float) -> dict[str, float | None]:
+    claimed, error, coverage = (None, None, None) if alone is None else (alone[0] * prior, alone[1] * prior, alone[2])
+    return {"reduced_claimed_sd": claimed, "reduced_true_error": error, "reduced_coverage_90": coverage}
 
 
 def explain(audit: Audit, k: int) -> str:

@@ -20,7 +20,8 @@ from bayescal.experiments.audit.page.wording import (
     name_unit,
 )
 from bayescal.experiments.frame.results import Results
-from bayescal.report.numbers import format_plain
+from bayescal.limits import COVERAGE
+from bayescal.report.numbers import NOTHING, format_plain, format_significant
 from bayescal.report.symbols import write_symbol
 
 MARKS = {"good": "+", "plain": " ", "warning": "!", "bad": "x"}
@@ -43,7 +44,7 @@ def _list_lines(audit: AuditResults) -> list[RenderableType]:
         grid = Table.grid(padding=(0, 1))
         grid.add_row(MARKS[statement.level], f"{statement.lead}: {_write_symbols(statement.text, audit.symbols)}")
         lines.append(grid)
-    lines.append(_tabulate_symbols(audit))
+    lines += [_tabulate_symbols(audit), *_tabulate_sets(audit)]
     if audit.requirements:
         lines.append(_tabulate_requirements(audit))
     return lines
@@ -57,13 +58,12 @@ def _write_symbols(text: str, symbols: list[str]) -> str:
 
 def _tabulate_symbols(audit: AuditResults) -> Table:
     table = Table()
-    for heading in ("symbol", "unit", "tolerance", "remains", "contraction", "verdict", "to do"):
-        table.add_column(heading, justify="left" if heading in ("symbol", "unit", "verdict", "to do") else "right")
+    for heading in ("symbol", "unit", "tolerance", "remains", "contraction", "verdict"):
+        table.add_column(heading, justify="left" if heading in ("symbol", "unit", "verdict") else "right")
     for symbol, group in audit.parameters.groupby("symbol", sort=False):
         counts = group["verdict"].value_counts()
         several = len(counts) > 1
         verdicts = [f"{n} {name_verdict(str(v))}" if several else name_verdict(str(v)) for v, n in counts.items()]
-        free = group["recommended"]
         table.add_row(
             write_symbol(str(symbol)),
             name_unit(str(group["unit"].iloc[0])),
@@ -71,9 +71,33 @@ def _tabulate_symbols(audit: AuditResults) -> Table:
             format_range(list(group["posterior_sd"]), format_sd),
             format_range(list(group["contraction"]), format_contraction),
             ", ".join(verdicts),
-            "free" if free.all() else "partly" if free.any() else "fix",
         )
     return table
+
+
+def _tabulate_sets(audit: AuditResults) -> list[Table]:
+    """Return how true the claims of everything free and of the reduced set are; nothing without a reduced set."""
+    reduced = audit.summary["reduced_set"]
+    if reduced is None or len(reduced["free"]) == len(audit.parameters):
+        return []
+    table = Table()
+    for heading in ("free", "parameters", "true error / claimed sd, rms", "90 % intervals hold", "simulated"):
+        table.add_column(heading, justify="left" if heading == "free" else "right")
+    rows = (
+        ("everything", len(audit.parameters), 1.0, COVERAGE, "simulated_calibrations"),
+        (
+            "reduced set",
+            len(reduced["free"]),
+            reduced["rms_z"],
+            reduced["coverage_90"],
+            "simulated_calibrations_reduced",
+        ),
+    )
+    for name, n, z, coverage, key in rows:
+        simulated = audit.summary.get(key)
+        found = NOTHING if simulated is None else format_share(simulated["coverage_90"])
+        table.add_row(name, str(n), format_significant(z, 2), format_share(coverage), found)
+    return [table]
 
 
 def _tabulate_requirements(audit: AuditResults) -> Table:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from bayescal.experiments.audit.page import illustrations, tables
+from bayescal.experiments.audit.page import freedom, illustrations, tables
 from bayescal.experiments.audit.page.method import describe_method, tabulate_audit
 from bayescal.experiments.audit.page.profile_table import tabulate_profiles
 from bayescal.experiments.audit.page.results import AuditResults
@@ -21,6 +21,11 @@ RIDGES = (
     "Each sentence is computed with the machine itself: parameters can move together this far and the measured poses "
     "stay as said. What is never seen no plan reveals, only another kind of measurement; what is weak a better plan "
     "may."
+)
+FREEDOM = (
+    "Everything, each parameter with its tolerance as prior. What the poses do not tell stays as unknown as it was and "
+    "is part of every prediction; taken for nominal instead it would bend what is estimated, and no interval would say "
+    "so. A reduced set serves to reproduce calibrations that freed no more."
 )
 NO_RIDGES = "There are none: every combination of the parameters is determined."
 
@@ -91,7 +96,7 @@ def _build_sections(audit: AuditResults) -> tuple[Section, ...]:
     return (
         Section("Parameters: what will be known", _show_parameters(audit), "parameters", "Parameters"),
         Section("Ridges: what cannot be told apart", (RIDGES if ridges else NO_RIDGES, *ridges), "ridges", "Ridges"),
-        Section("What to free and what to fix", _show_selection(audit), "selection", "What to fix"),
+        Section("What to free", _show_selection(audit), "selection"),
         Section("Requirements", _show_requirements(audit), "requirements"),
         Section("What would help", _show_changes(audit), "changes"),
         Section("Noise, number of poses, displacements", (sweeps,), "sweeps", "Sweeps"),
@@ -117,7 +122,11 @@ def _set_small(table: Table) -> Table:
 
 
 def _show_selection(audit: AuditResults) -> tuple[Block, ...]:
-    return (tables.tabulate_selection(audit) or Absent("No selection was made."),)
+    steps = freedom.tabulate_selection(audit)
+    found: Block = Absent("No reduced set was looked for.")
+    if steps is not None:
+        found = Fold("How the reduced set is found", (steps,))
+    return (Statement(FREEDOM), *_if_any(freedom.tabulate_sets(audit)), found)
 
 
 def _show_requirements(audit: AuditResults) -> tuple[Block, ...]:
@@ -158,7 +167,7 @@ def _list_formulas(audit: AuditResults) -> list[Statement]:
 
 def _show_simulated(audit: AuditResults) -> tuple[Block, ...]:
     left_out = Absent("Left out: the design asks for no simulated calibrations.")
-    return tuple(tables.tabulate_simulated(audit)) or (left_out,)
+    return tuple(freedom.tabulate_simulated(audit)) or (left_out,)
 
 
 def _if_any(table: Table | None) -> tuple[Table, ...]:

@@ -29,7 +29,7 @@ PLAN_KEYS: dict[str, Kinds] = {
 PARAMETER_KEYS: dict[str, Kinds] = {
     **dict.fromkeys(("unit", "verdict", "why"), str),
     **dict.fromkeys(("nominal", "prior_sd", "posterior_sd", "contraction", "nats"), NUMBER),
-    "recommended": bool,
+    "in_reduced_set": bool,
 }
 DIRECTION_KEYS: dict[str, Kinds] = {
     "kind": str,
@@ -62,13 +62,23 @@ CHANGE_KEYS: dict[str, Kinds] = {
 }
 SIMULATED = {
     "simulated_calibrations": "everything free within its tolerance",
-    "simulated_calibrations_recommended": "what is to be freed free, the rest truly nominal",
+    "simulated_calibrations_reduced": "the reduced set free, the rest off by its tolerances and taken for nominal",
 }
 """What was free in the simulated calibrations of each key."""
-SIMULATED_KEYS: dict[str, Kinds] = {"n": int, "n_converged": int, "symbols": dict}
+SIMULATED_KEYS: dict[str, Kinds] = {
+    **dict.fromkeys(("n", "n_converged"), int),
+    **dict.fromkeys(("symbols", "requirements"), dict),
+    **dict.fromkeys(("coverage_90", "rms_z"), NUMBER),
+}
+KEPT_KEYS: dict[str, Kinds] = {
+    **dict.fromkeys(("kept", "n", "expected_low", "expected_high"), int),
+    "claimed_probability": NUMBER,
+    "agrees": bool,
+}
+REDUCED_KEYS: dict[str, Kinds] = {"free": list, "coverage_90": NUMBER, "rms_z": NUMBER}
 SYMBOL_KEYS: dict[str, Kinds] = {
     "unit": str,
-    **dict.fromkeys(("predicted_sd", "simulated_sd", "ratio", "ratio_se"), NUMBER),
+    **dict.fromkeys(("claimed_sd", "predicted_sd", "simulated_sd", "ratio", "ratio_se", "coverage_90"), NUMBER),
 }
 POSTERIOR_KEYS: dict[str, Kinds] = {"origin": str, "n_draws": int, "converged": bool}
 PLOT_KEYS: dict[str, Kinds] = dict.fromkeys(("x", "y", "x_unit", "y_unit", "formula"), str)
@@ -90,12 +100,17 @@ def check_summary(summary: dict[str, Any], path: Path) -> None:
             _check_object(content, keys, path, f"{key} {k}")
     for k, change in enumerate(summary["what_if"], start=1):
         _check_change(change, summary, path, f"what_if {k}")
-    unknown = [
-        n for n in summary["recommended_free"] + summary["could_also_be_freed"] if n not in summary["parameters"]
-    ]
-    if unknown:
-        raise InputError(f"{path}: recommended_free: found {unknown[0]!r}, expected parameters")
+    _check_names(summary["recommended_free"] + summary["could_also_be_freed"], "recommended_free", summary, path)
+    if summary.get("reduced_set") is not None:
+        _check_object(summary["reduced_set"], REDUCED_KEYS, path, "reduced_set")
+        _check_names(summary["reduced_set"]["free"], "reduced_set.free", summary, path)
     _check_optional(summary, path)
+
+
+def _check_names(names: list[Any], where: str, summary: dict[str, Any], path: Path) -> None:
+    unknown = [name for name in names if name not in summary["parameters"]]
+    if unknown:
+        raise InputError(f"{path}: {where}: found {unknown[0]!r}, expected parameters")
 
 
 def _check_parameters(parameters: dict[str, Any], path: Path) -> None:
@@ -137,6 +152,8 @@ def _check_optional(summary: dict[str, Any], path: Path) -> None:
             _check_object(simulated, SIMULATED_KEYS, path, name)
             for symbol, content in simulated["symbols"].items():
                 _check_object(content, SYMBOL_KEYS, path, f"{name}.symbols.{symbol}")
+            for requirement, content in simulated["requirements"].items():
+                _check_object(content, KEPT_KEYS, path, f"{name}.requirements.{requirement}")
     if posterior is not None:
         _check_object(posterior, POSTERIOR_KEYS, path, "posterior")
         check_keys(posterior, {"parameters": dict}, path, "posterior.")

@@ -26,11 +26,11 @@ def show_contraction(results: AuditResults) -> Figure:
     frame = results.parameters
     legs = sorted(set(frame["leg"]) - {0}) + ([0] if (frame["leg"] == 0).any() else [])
     values = frame.pivot(index="symbol", columns="leg", values="contraction").loc[results.symbols, legs]
-    free = frame.pivot(index="symbol", columns="leg", values="recommended").loc[results.symbols, legs]
+    free = frame.pivot(index="symbol", columns="leg", values="in_reduced_set").loc[results.symbols, legs]
     caption = (
         "Contraction of every parameter with all others unknown: the share of its tolerance's variance that the "
         "measurements remove, 0 where nothing is learnt. From 0.75 on the tolerance is at least halved (blue). "
-        "Outlined: to be freed; with the others held at nominal these are known better than the numbers here say."
+        "Outlined: the reduced set of reproductions."
     )
     draw = partial(
         draw_contraction, values.to_numpy(dtype=float), results.symbols, legs, free.eq(True).to_numpy(dtype=bool)

@@ -1,30 +1,24 @@
-"""Tables of an audit: parameters, what to fix, requirements, what would help, and the checks."""
+"""Tables of an audit: parameters, requirements, what would help, and draws of the posterior."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import pandas as pd
 
-from bayescal.experiments.audit.page.checks import SIMULATED
+from bayescal.experiments.audit.page.borne_out import KEPT, read_drawn_probabilities
 from bayescal.experiments.audit.page.results import AuditResults, Change
 from bayescal.experiments.audit.page.verdict import (
-    KEPT,
     choose_for_ridge,
-    is_off,
     measure_worst,
-    read_drawn_probabilities,
 )
 from bayescal.experiments.audit.page.wording import (
-    count,
     format_contraction,
     format_nominal,
     format_probability,
     format_range,
     format_sd,
     format_share,
-    list_names,
     name_requirement,
     name_unit,
 )
@@ -46,12 +40,10 @@ def tabulate_symbols(results: AuditResults) -> Table:
         Column("Symbol", kind="symbol"),
         Column("Unit", kind="text"),
         Column("Tolerance", "sd"),
-        Column("remains", "sd", "With all unknown"),
-        Column("of tolerance", "", "With all unknown"),
-        Column("Contraction", "", "With all unknown"),
+        Column("Remains", "sd"),
+        Column("Of tolerance"),
+        Column("Contraction"),
         Column("Verdict", kind="text"),
-        Column("To do", kind="text"),
-        Column("Remains then", "sd"),
         Column("Why, on the leg that is known least", kind="text"),
     ]
     rows: list[list[str | Cell]] = []
@@ -67,8 +59,6 @@ def tabulate_symbols(results: AuditResults) -> Table:
                 format_range(_remaining(group), format_share).replace(" % to", " to"),
                 format_range(list(group["contraction"]), format_contraction),
                 _summarise_verdicts(group),
-                _recommend(group),
-                _format_recommended(group),
                 f"{leg}{worst['why']}",
             ]
         )
@@ -77,10 +67,7 @@ def tabulate_symbols(results: AuditResults) -> Table:
             "Verdict: identifiable where the tolerance is at least halved (contraction 0.75 or more); not where most "
             "of what is left unknown lies along combinations of which nothing is learnt; weak else."
         ),
-        Statement(
-            "A parameter may be free though it is not identifiable with all unknown: once those that it trades off "
-            "with are held at nominal, it is determined (“Remains then”)."
-        ),
+        Statement("All parameters are free, also those that the poses do not tell: their tolerances hold them."),
     ]
     return make_table("Parameters by symbol; ranges are over the legs.", columns, rows, notes)
 
@@ -103,22 +90,9 @@ def name_verdict(verdict: str) -> str:
     return "not identifiable" if verdict == "not" else verdict
 
 
-def _recommend(group: pd.DataFrame) -> Cell:
-    free = group["recommended"]
-    if free.all():
-        return Cell("free")
-    return Cell("fix" if not free.any() else f"free {list_legs(group.index[free])}")
-
-
 def list_legs(names: pd.Index) -> str:
     """Return the legs of some parameters of one symbol: ``1, 2``."""
     return ", ".join(str(split_name(str(name))[1]) for name in names)
-
-
-def _format_recommended(group: pd.DataFrame) -> str:
-    column = group.get("posterior_sd_recommended")
-    known = [] if column is None else [float(x) for x in column.dropna()]
-    return format_range(known, format_sd) if known else NOTHING
 
 
 def tabulate_parameters(results: AuditResults) -> Table:
@@ -133,7 +107,6 @@ def tabulate_parameters(results: AuditResults) -> Table:
         Column("Contraction"),
         Column("Learnt", "nat"),
         Column("Verdict", kind="text"),
-        Column("To do", kind="text"),
         Column("Why", kind="text"),
     ]
     rows: list[list[str | Cell]] = []
@@ -150,52 +123,10 @@ def tabulate_parameters(results: AuditResults) -> Table:
                 format_contraction(row["contraction"]),
                 format_fixed(row["nats"], 2),
                 Cell(name_verdict(row["verdict"]), LEVELS[row["verdict"]], badge=True),
-                "free" if row["recommended"] else "fix",
                 row["why"],
             ]
         )
     return make_table("All parameters.", columns, rows)
-
-
-def tabulate_selection(results: AuditResults) -> Table | None:
-    """Return the steps of the selection with the reason of each; None without any."""
-    steps = results.summary["selection"]
-    if not steps:
-        return None
-    columns = [
-        Column("Symbol", kind="symbol"),
-        Column("Learnt", "nat per parameter"),
-        Column("Least contraction", "of all chosen, with it"),
-        Column("Decision", kind="text"),
-        Column("Reason", kind="text"),
-    ]
-    rows = [
-        [
-            step["symbol"],
-            format_fixed(step["nats"], 2),
-            format_contraction(step["contraction"]),
-            Cell("free" if step["taken"] else "fix at nominal", "good" if step["taken"] else "plain", badge=True),
-            _give_reason(step),
-        ]
-        for step in steps
-    ]
-    extra = results.summary["could_also_be_freed"]
-    notes = [
-        Statement(
-            "The symbol that the measurements tell most of, given what is already chosen, is looked at next; it is "
-            f"taken where all chosen parameters stay at or above a contraction of {format_plain(INFORMED)}."
-        )
-    ]
-    if extra:
-        notes.append(Statement(f"On single legs more could be freed: {list_names(extra)}."))
-    return make_table("What to free and what to fix, in the order of the selection.", columns, rows, notes)
-
-
-def _give_reason(step: dict[str, Any]) -> str:
-    least = format_contraction(step["contraction"])
-    if step["taken"]:
-        return f"all chosen parameters stay determined, the least at {least}"
-    return f"with it a chosen parameter would be known to a contraction of {least} only"
 
 
 # --- requirements ----------------------------------------------------------------------------------------------------
@@ -213,10 +144,10 @@ def tabulate_requirements(results: AuditResults) -> Table | None:
         Column("after", "", "Predicted sd"),
         Column("by geometry", "", "Predicted sd"),
         Column("of limit", "", "Predicted sd"),
-        Column("rest fixed", "", "Predicted sd"),
+        Column("reduced set", "", "Predicted sd"),
         Column("before", "", "Probability to keep it"),
         Column("after", "", "Probability to keep it"),
-        Column("rest fixed", "", "Probability to keep it"),
+        Column("reduced set", "", "Probability to keep it"),
         Column("Kept", kind="text"),
     ]
     drawn = read_drawn_probabilities(results)
@@ -244,7 +175,7 @@ def tabulate_requirements(results: AuditResults) -> Table | None:
         )
     note = (
         "Standard deviation: the largest anywhere in the workspace; probability: that no pose of the workspace exceeds "
-        f"the limit; kept: with a probability of {format_plain(KEPT)} or more. Rest fixed: only what is to be freed is "
+        f"the limit; kept: with a probability of {format_plain(KEPT)} or more. Reduced set: it alone is "
         "calibrated, the others are taken for nominal although they are off by their tolerances."
     )
     return make_table("Requirements on the pose before and after the calibration.", columns, rows, [Statement(note)])
@@ -339,31 +270,6 @@ def tabulate_ridge_help(results: AuditResults) -> Table | None:
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------
-
-
-def tabulate_simulated(results: AuditResults) -> list[Table]:
-    """Return predicted beside simulated standard deviations, a table for each set of free parameters."""
-    there = {what: results.summary.get(key) for key, what in SIMULATED.items()}
-    return [_tabulate_simulated(what, found) for what, found in there.items() if found is not None and found["symbols"]]
-
-
-def _tabulate_simulated(what: str, simulated: dict[str, Any]) -> Table:
-    columns = [
-        Column("Symbol", kind="symbol"),
-        Column("Unit", kind="text"),
-        Column("Predicted", "sd"),
-        Column("Simulated", "sd"),
-        Column("Ratio", "± standard error"),
-    ]
-    rows: list[list[str | Cell]] = []
-    for symbol, values in simulated["symbols"].items():
-        off = is_off(values["ratio"], values["ratio_se"])
-        ratio = f"{format_fixed(values['ratio'], 3)} ± {format_fixed(values['ratio_se'], 3)}"
-        sds = [format_sd(values["predicted_sd"]), format_sd(values["simulated_sd"])]
-        rows.append([symbol, name_unit(values["unit"]), *sds, Cell(ratio, "warning" if off else "plain")])
-    made = f"{simulated['n_converged']} of {count(simulated['n'], 'calibration')} converged"
-    caption = f"Scatter of simulated calibrations beside the prediction, rms over legs; {what}; {made}."
-    return make_table(caption, columns, rows)
 
 
 def tabulate_posterior(results: AuditResults) -> Table | None:

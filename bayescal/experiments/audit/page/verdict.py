@@ -4,32 +4,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
+from bayescal.experiments.audit.page.borne_out import KEPT, state_posterior, state_simulated
 from bayescal.experiments.audit.page.results import AuditResults, Change, Requirement, Ridge
 from bayescal.experiments.audit.page.wording import (
     count,
-    format_contraction,
     format_probability,
     format_range,
     format_share,
-    list_names,
     name_requirement,
     say,
     say_most,
 )
 from bayescal.limits import DEAD
 from bayescal.report.blocks import Level, Statement
-from bayescal.report.numbers import format_count, format_fixed, join_words
+from bayescal.report.numbers import format_fixed, format_significant, join_words
 
-KEPT = 0.95  # probability from which on a requirement counts as kept
 UNLIKELY = 0.5
 WORTH_NATS = 2.0  # a change that tells less more is not worth a name
 WORTH_SHARE = 0.9  # of the worst predicted sd; a change that leaves more is not worth a name
 FIXING_COSTS = 1.25  # growth of a predicted sd from which on fixing the rest is not cheap
-OFF = 3.0  # standard errors of a ratio of simulated to predicted sd
-OFF_SHARE = 0.1
-AGREED_DEG = 10.0  # principal angle between the ridges from draws and from information
 
 
 def state_headline(results: AuditResults) -> str:
@@ -81,46 +75,68 @@ def list_failures(results: AuditResults) -> list[Statement]:
 def state_verdict(results: AuditResults) -> list[Statement]:
     """Return the sentences below the headline."""
     return [
-        *_state_selection(results),
-        *_state_harm(results),
-        *_state_fixing(results),
+        *_state_freedom(results),
         *_state_requirements(results),
+        *_state_harm(results),
         *_state_help(results),
         *_state_special_case(results),
-        *_state_simulated(results),
-        *_state_posterior(results),
+        *state_simulated(results),
+        *state_posterior(results),
+        *_state_reduced(results),
     ]
 
 
 # --- what to free, and what stays hidden -----------------------------------------------------------------------------
 
 
-def split_recommended(results: AuditResults) -> tuple[list[str], list[str]]:
-    """Return symbols to free and symbols to fix, in the order of the layout."""
-    by_symbol = results.parameters.groupby("symbol", sort=False)["recommended"].all()
+def split_reduced(results: AuditResults) -> tuple[list[str], list[str]]:
+    """Return symbols of the reduced set and all others, in the order of the layout."""
+    by_symbol = results.parameters.groupby("symbol", sort=False)["in_reduced_set"].all()
     return [s for s in results.symbols if by_symbol[s]], [s for s in results.symbols if not by_symbol[s]]
 
 
-def _state_selection(results: AuditResults) -> list[Statement]:
-    free, fixed = split_recommended(results)
-    if not free:
-        text = "Free nothing: no symbol is determined on all legs, even with all others fixed at nominal."
-        return [Statement(text, "bad", "What to free")]
-    n = int(results.parameters["recommended"].sum())
-    if not fixed:
-        return [
-            Statement(f"Free everything: all {count(n, 'parameter')} are determined together.", "good", "What to free")
-        ]
-    taken = [step for step in results.summary["selection"] if step["taken"]]
-    least = f" (least contraction {format_contraction(taken[-1]['contraction'])})" if taken else ""
+def _state_freedom(results: AuditResults) -> list[Statement]:
+    """Say what to free: everything, always."""
+    n, known, lead = len(results.parameters), results.n_identifiable, "What to free"
+    if known == n:
+        return [Statement(f"Everything: all {count(n, 'parameter')} are determined together.", "good", lead)]
     text = (
-        f"Free {join_words(free)}, {count(n, 'parameter')} that are determined together{least}; fix "
-        f"{join_words(fixed)} at nominal."
+        f"Everything: all {count(n, 'parameter')}, each with its tolerance as prior, which holds what the poses do not"
     )
-    extra = results.summary["could_also_be_freed"]
-    if extra:
-        text += f" On single legs more could be freed: {list_names(extra)}."
-    return [Statement(text, "good", "What to free")]
+    return [Statement(f"{text} tell.", "good", lead)]
+
+
+def _state_reduced(results: AuditResults) -> list[Statement]:
+    """Say what a reduced set claims, and how far it is off; nothing where nothing would be left out."""
+    free, others = split_reduced(results)
+    reduced = results.summary["reduced_set"]
+    if reduced is None or not others:
+        return []
+    n = int(results.parameters["in_reduced_set"].sum())
+    text = (
+        f"For reproductions only: {join_words(free)}, {count(n, 'parameter')}, are determined together where "
+        f"{join_words(others)} are truly nominal. Off by their tolerances these bend the estimates: the true error is "
+        f"{format_significant(reduced['rms_z'], 2)} times the claimed standard deviation (rms), and 90 % intervals "
+        f"hold {format_share(reduced['coverage_90'])} of the true values."
+    )
+    cost = _describe_cost(results)
+    return [Statement(f"{text} {cost}".strip(), "warning", "Reduced set")]
+
+
+def _describe_cost(results: AuditResults) -> str:
+    """Say what it does to the pose that the rest is taken for nominal; nothing where nothing is required."""
+    if not results.requirements:
+        return ""
+    worst = max(results.requirements, key=lambda r: r.reduced_sd / r.limit)
+    factor = max(r.reduced_sd / r.predicted_sd for r in results.requirements)
+    shares = (
+        f"({name_requirement(worst.name)}: {format_share(worst.reduced_sd / worst.limit)} of the limit in place of "
+        f"{format_share(worst.predicted_sd / worst.limit)}, probability to keep it "
+        f"{format_probability(worst.reduced_probability)})"
+    )
+    if factor < FIXING_COSTS:
+        return f"The pose hardly suffers {shares}."
+    return f"The pose becomes up to {format_fixed(factor, 1)} times as uncertain {shares}."
 
 
 def find_worst(results: AuditResults) -> Ridge | None:
@@ -158,27 +174,6 @@ def _state_harm(results: AuditResults) -> list[Statement]:
     if len(matter) == len(results.ridges):
         text = text.replace("; the others are harmless", "")
     return [Statement(text, level, lead)]
-
-
-def _state_fixing(results: AuditResults) -> list[Statement]:
-    """Say what it does to the pose that the rest is taken for nominal; nothing where nothing is fixed or required."""
-    free, fixed = split_recommended(results)
-    if not (free and fixed and results.requirements):
-        return []
-    worst = max(results.requirements, key=lambda r: r.reduced_sd / r.limit)
-    factor = max(r.reduced_sd / r.predicted_sd for r in results.requirements)
-    shares = f"{format_share(worst.predicted_sd / worst.limit)} to {format_share(worst.reduced_sd / worst.limit)}"
-    name = name_requirement(worst.name)
-    if factor < FIXING_COSTS:
-        text = f"Taking the rest for nominal hardly costs: tightest is {name}, whose predicted sd goes from {shares}."
-        return [Statement(text.replace(" to ", " of the limit to ", 1), "good", "What fixing costs")]
-    level: Level = "bad" if worst.reduced_probability < KEPT <= worst.probability else "warning"
-    text = (
-        f"Taking the rest for nominal makes the pose up to {format_fixed(factor, 1)} times as uncertain ({name}: from "
-        f"{shares} of the limit, probability to keep it {format_probability(worst.reduced_probability)}). What the "
-        "poses do not tell apart still moves them: calibrate with everything free within its tolerance instead."
-    )
-    return [Statement(text, level, "What fixing costs")]
 
 
 # --- requirements ----------------------------------------------------------------------------------------------------
@@ -333,68 +328,3 @@ def _state_special_case(results: AuditResults) -> list[Statement]:
         f"in place of {rank}, so what is said never to be seen here may be seen faintly on the machine as built."
     )
     return [Statement(text, "warning", "Symmetry")]
-
-
-# --- checks by simulation and by draws -------------------------------------------------------------------------------
-
-
-def _state_simulated(results: AuditResults) -> list[Statement]:
-    leads = {
-        "simulated_calibrations": "Simulated calibrations",
-        "simulated_calibrations_recommended": "Of what to free",
-    }
-    there = {lead: results.summary.get(key) for key, lead in leads.items()}
-    return [_judge_simulated(lead, found) for lead, found in there.items() if found is not None and found["symbols"]]
-
-
-def _judge_simulated(lead: str, simulated: dict[str, Any]) -> Statement:
-    ratios = {s: v["ratio"] for s, v in simulated["symbols"].items()}
-    off = [symbol for symbol, values in simulated["symbols"].items() if is_off(values["ratio"], values["ratio_se"])]
-    made = f"{simulated['n_converged']} of {simulated['n']} simulated calibrations converged"
-    span = format_range(list(ratios.values()), _two)
-    if not off:
-        text = f"{made}; their scatter bears the predicted standard deviations out (ratio {span})."
-        level: Level = "good" if simulated["n_converged"] == simulated["n"] else "warning"
-        return Statement(text, level, lead)
-    text = (
-        f"{made}; the scatter of {join_words(off)} is not the predicted one (ratio {span} over all symbols): the "
-        "linear prediction does not hold there."
-    )
-    return Statement(text, "warning", lead)
-
-
-def is_off(ratio: float, se: float) -> bool:
-    """Whether a simulated sd differs from the predicted one by more than chance and by more than a tenth."""
-    return abs(ratio - 1.0) > max(OFF * se, OFF_SHARE)
-
-
-def read_drawn_probabilities(results: AuditResults) -> dict[str, float]:
-    """Return the probability to keep each requirement by draws of the posterior; empty without them."""
-    posterior = results.summary.get("posterior") or {}
-    found = {name: values.get("probability") for name, values in (posterior.get("requirements") or {}).items()}
-    return {name: float(value) for name, value in found.items() if value is not None}
-
-
-def _state_posterior(results: AuditResults) -> list[Statement]:
-    posterior = results.summary.get("posterior")
-    if posterior is None:
-        return []
-    angle = posterior.get("principal_angle_deg")
-    level: Level = "plain"
-    text = f"{format_count(posterior['n_draws'])} draws, {posterior['origin'].rstrip('.')}"
-    if angle is not None:
-        level = "good" if angle <= AGREED_DEG else "warning"
-        text += f": the space of its ridges lies within {format_fixed(angle, 1)}° of that from the information"
-        text += "" if level == "good" else ", so the ridges are curved or the linear picture does not hold there"
-    statements = [Statement(f"{text}.", level, "Posterior")]
-    drawn, now = read_drawn_probabilities(results), {r.name: r.probability for r in results.requirements}
-    lost = [name for name, value in drawn.items() if value < KEPT <= now.get(name, 0.0)]
-    if lost:
-        words = [f"{name_requirement(name)} ({format_probability(drawn[name])})" for name in lost]
-        text = f"By the draws the machine does not reliably keep {join_words(words)}, against the linear prediction."
-        statements.append(Statement(text, "bad", "Requirements by draws"))
-    return statements
-
-
-def _two(value: float) -> str:
-    return format_fixed(value, 2)

@@ -54,7 +54,8 @@ def describe_audit() -> dict[str, Any]:
                 for _ in range(3)
             ),
         ],
-        "recommended_free": ["a_z[1]", "a_z[2]", "l[1]", "l[2]"],
+        "recommended_free": list(NAMES),
+        "reduced_set": {"free": ["a_z[1]", "a_z[2]", "l[1]", "l[2]"], "coverage_90": 0.18, "rms_z": 86.0},
         "could_also_be_freed": ["rho0[2]"],
         "selection": [
             {"symbol": "a_z", "nats": 3.0, "contraction": 0.95, "taken": True},
@@ -87,8 +88,10 @@ def describe_parameter(name: str) -> dict[str, Any]:
         "contraction": contraction,
         "nats": 0.5,
         "verdict": VERDICTS[symbol],
-        "recommended": free,
-        "posterior_sd_recommended": 0.02 if free else None,
+        "in_reduced_set": free,
+        "reduced_claimed_sd": 0.02 if free else None,
+        "reduced_true_error": 1.3 if free else None,
+        "reduced_coverage_90": 0.02 if free else None,
         "why": "Its tolerance shrinks to 5 %."
         if symbol == "a_z"
         else "The planned measurements hardly tell it from l[1].",
@@ -155,8 +158,14 @@ def add_checks(summary: dict[str, Any]) -> None:
         "parameters": values,
         "requirements": {"x": {"probability": 0.99}},
     }
-    one = {"predicted_sd": 0.1, "simulated_sd": 0.102, "ratio": 1.02, "ratio_se": 0.03, "unit": "mm"}
-    summary["simulated_calibrations"] = {"n": 200, "n_converged": 200, "symbols": {"a_z": one, "l": dict(one)}}
+    one = {"claimed_sd": 0.101, "predicted_sd": 0.1, "simulated_sd": 0.102, "ratio": 1.02, "ratio_se": 0.03}
+    one |= {"unit": "mm", "coverage_90": 0.89}
+    kept = {"claimed_probability": 0.999, "kept": 200, "n": 200, "expected_low": 198, "expected_high": 200}
+    summary["simulated_calibrations"] = {
+        **{"n": 200, "n_converged": 200, "coverage_90": 0.893, "rms_z": 1.01},
+        "symbols": {"a_z": one, "l": dict(one)},
+        "requirements": {"x": kept | {"agrees": True}},
+    }
     for k in (1, 2, 3):
         plot = {"x": "rho0[1]", "y": "a_z[1]", "x_unit": "mm", "y_unit": "mm", "formula": "a_z + rho0 = const. (eq. 5)"}
         summary["directions"][k] |= {"plot": plot, "posterior_contraction": 0.01}

@@ -17,13 +17,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from bayescal.errors import InputError
 from bayescal.experiments.audit.page.build import build_page
 from bayescal.experiments.audit.page.figures.profiles import span_profile
+from bayescal.experiments.audit.page.freedom import tabulate_sets, tabulate_simulated
 from bayescal.experiments.audit.page.results import AuditResults
 from bayescal.experiments.audit.page.ridges import build_ridges
 from bayescal.experiments.audit.page.tables import (
     tabulate_changes,
     tabulate_requirements,
     tabulate_ridge_help,
-    tabulate_simulated,
     tabulate_symbols,
 )
 from bayescal.experiments.audit.page.verdict import list_failures, rank_help, state_headline, state_verdict
@@ -135,7 +135,7 @@ def test_without_requirements_and_changes_the_page_says_so(tmp_path, no_pictures
     text = write_audit_report(write_audit_results(tmp_path, change)).read_text(encoding="utf-8")
     assert "Figure left out: the design states no requirement." in text
     assert "Figure left out: no change of the plan was looked at." in text
-    assert "No selection was made." in text
+    assert "No reduced set was looked for." in text
     assert "whether the accuracy suffices is not told" in text
 
 
@@ -206,8 +206,7 @@ def test_good_news_is_marked_good():
     said = say(make())
     assert said["What to free"] == (
         "good",
-        "Free a_z and l, 4 parameters that are determined together (least contraction 0.80); fix rho0 and k1_d at "
-        "nominal. On single legs more could be freed: rho0 of leg 2.",
+        "Everything: all 7 parameters, each with its tolerance as prior, which holds what the poses do not tell.",
     )
     level, text = said["What stays hidden"]
     assert level == "good"
@@ -221,9 +220,9 @@ def test_good_news_is_marked_good():
     assert set(said) == {
         "What to free",
         "What stays hidden",
-        "What fixing costs",
         "Requirements",
         "What would help most",
+        "Reduced set",
     }
     assert list_failures(make()) == []
 
@@ -297,11 +296,12 @@ def test_doubt_about_rank_and_draws_opens_the_page(tmp_path, no_pictures):
     assert places == sorted(places)
 
 
-@pytest.mark.parametrize(("ratio", "se", "level"), [(1.02, 0.03, "good"), (1.4, 0.03, "warning"), (1.4, 0.2, "good")])
+@pytest.mark.parametrize(("ratio", "se", "level"), [(1.02, 0.003, "good"), (1.06, 0.01, "warning"), (1.4, 0.2, "good")])
 def test_simulated_calibrations_bear_the_prediction_out_or_not(ratio, se, level):
     def change(summary):
         one = {"predicted_sd": 0.1, "simulated_sd": 0.1 * ratio, "ratio": ratio, "ratio_se": se, "unit": "mm"}
-        summary["simulated_calibrations"] = {"n": 200, "n_converged": 200, "symbols": {"l": one}}
+        whole = {"n": 200, "n_converged": 200, "coverage_90": 0.9, "requirements": {}}
+        summary["simulated_calibrations"] = whole | {"symbols": {"l": one}}
 
     assert say(make(change))["Simulated calibrations"][0] == level
 
@@ -322,7 +322,7 @@ def test_a_larger_rank_beside_the_expected_machine_is_a_warning():
     assert "has the rank 5 in place of 4" in text
 
 
-def test_what_fixing_the_rest_costs_is_said(tmp_path):
+def test_a_reduced_set_is_for_reproductions_and_says_what_it_is_off_by():
     def put(factor, probability):
         def change(summary):
             for outlook in summary["requirements"].values():
@@ -331,31 +331,63 @@ def test_what_fixing_the_rest_costs_is_said(tmp_path):
 
         return change
 
-    found = {}
-    for name, (factor, probability) in {"cheap": (1.1, 1.0), "dear": (2.0, 0.99), "too dear": (9.0, 0.4)}.items():
-        folder = tmp_path / name
-        folder.mkdir()
-        found[name] = say(read_audit(write_audit_results(folder, put(factor, probability))))["What fixing costs"]
-    assert [level for level, _ in found.values()] == ["good", "warning", "bad"]
-    assert "hardly costs" in found["cheap"][1]
-    assert "up to 2.0 times as uncertain" in found["dear"][1]
-    assert "probability to keep it 40 %" in found["too dear"][1]
+    level, text = say(make(put(1.1, 1.0)))["Reduced set"]
+    assert level == "warning"
+    assert text.startswith("For reproductions only: a_z and l, 4 parameters, are determined together where rho0 and ")
+    assert "the true error is 86 times the claimed standard deviation (rms)" in text
+    assert "90 % intervals hold 18 % of the true values" in text
+    assert "The pose hardly suffers" in text
+    text = say(make(put(9.0, 0.4)))["Reduced set"][1]
+    assert "up to 9.0 times as uncertain" in text
+    assert "probability to keep it 40 %" in text
 
 
-def test_calibrations_of_what_to_free_stand_beside_those_of_everything(tmp_path):
+def test_without_anything_left_out_there_is_no_reduced_set():
+    def change(summary):
+        summary["reduced_set"] = None
+        for parameter in summary["parameters"].values():
+            parameter |= {"in_reduced_set": False, "reduced_claimed_sd": None, "reduced_true_error": None}
+
+    assert "Reduced set" not in say(make(change))
+    assert tabulate_sets(make(change)) is None
+
+
+def test_there_is_one_recommendation(tmp_path, no_pictures):
+    """Neither page nor terminal says anywhere to fix something."""
+    text = write_audit_report(write_audit_results(tmp_path, checks=True)).read_text(encoding="utf-8")
+    assert not re.search(r"\bfix\b|\bfixed\b|to be freed|hold .* at nominal", text[text.index("<body") :])
+    table = tabulate_sets(make())
+    rows = {row[0].text: [cell.text for cell in row] for row in table.rows}
+    assert rows["l"][2:] == ["2.0", "1.5", "1.5", "90 %", "0.020", "1.3", "2 %"]
+    assert rows["rho0"][-3:] == ["nominal", "2.0", "–"]
+
+
+def test_simulated_calibrations_of_both_sets_stand_side_by_side(tmp_path):
     def change(summary):
         off = json.loads(json.dumps(summary["simulated_calibrations"]))
-        for values in off["symbols"].values():
-            values |= {"ratio": 1.9, "ratio_se": 0.05}
-        summary["simulated_calibrations_recommended"] = off
+        summary["simulated_calibrations_reduced"] = off | {"coverage_90": 0.2, "rms_z": 74.0}
 
     results = read_audit(write_audit_results(tmp_path, change, checks=True))
-    said = say(results)
-    assert (said["Simulated calibrations"][0], said["Of what to free"][0]) == ("good", "warning")
-    assert [table.caption.split("; ")[1] for table in tabulate_simulated(results)] == [
+    level, text = say(results)["Simulated calibrations"]
+    assert level == "good"
+    assert "their 90 % intervals hold 89 % of the true values" in text
+    tables = tabulate_simulated(results)
+    assert [table.caption.split("; ")[1] for table in tables] == [
         "everything free within its tolerance",
-        "what is to be freed free, the rest truly nominal",
+        "the reduced set free, the rest off by its tolerances and taken for nominal",
     ]
+    assert "hold 20 % of the true values, the errors are 74.0 times what is claimed" in tables[1].notes[0].text
+    assert tables[0].notes[1].text == "Requirements kept: x 200 of 200 (expected 198 to 200)."
+
+
+def test_requirements_kept_less_often_than_claimed_are_a_warning(tmp_path):
+    def change(summary):
+        kept = summary["simulated_calibrations"]["requirements"]["x"]
+        kept |= {"kept": 150, "agrees": False}
+
+    level, text = say(read_audit(write_audit_results(tmp_path, change, checks=True)))["Requirements, simulated"]
+    assert level == "warning"
+    assert "x (150 of 200, expected 198 to 200)" in text
 
 
 def test_draws_that_break_a_requirement_are_bad_news(tmp_path):
@@ -389,7 +421,7 @@ def test_data_show_their_origin_and_draws_left_out_their_reason(tmp_path, no_pic
 
 def test_tables_follow_the_numbers():
     rows = {row[0].text: row for row in tabulate_symbols(make()).rows}
-    assert [cell.text for cell in rows["l"]][2:9] == ["2.0", "1.5", "77 %", "0.40", "weak", "free", "0.020"]
+    assert [cell.text for cell in rows["l"]][2:7] == ["2.0", "1.5", "77 %", "0.40", "weak"]
     assert (rows["rho0"][6].text, rows["rho0"][6].level) == ("not identifiable", "bad")
     assert rows["rho0"][7].text == "fix"
 
@@ -451,7 +483,7 @@ def draw(results, name):
     return figure
 
 
-def test_heat_maps_show_numbers_and_outline_what_to_free():
+def test_heat_maps_show_numbers_and_outline_the_reduced_set():
     results = make_audit_results()
     axes = draw(results, "contraction").axes[0]
     assert [label.get_text() for label in axes.get_xticklabels()] == ["leg 1", "leg 2", "machine"]
@@ -528,6 +560,7 @@ def test_ridge_plots_show_draws_prior_and_curves():
         (remove("what_if", 0, "requirements", "x"), r"what_if 1\.requirements\.x: found nothing"),
         (put(None, "what_if", 0, "total_nats"), r"what_if 1\.total_nats: found nothing"),
         (put(["q"], "recommended_free"), r"recommended_free: found 'q', expected parameters"),
+        (put(["q"], "reduced_set", "free"), r"reduced_set\.free: found 'q', expected parameters"),
         (put({"n": 1}, "simulated_calibrations"), r"simulated_calibrations\.n_converged: found nothing"),
         (put({}, "posterior"), r"posterior\.origin: found nothing"),
         (put({}, "parameters"), r"parameters: found none"),

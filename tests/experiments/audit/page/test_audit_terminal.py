@@ -16,6 +16,9 @@ def test_the_terminal_shows_verdict_symbols_and_requirements(capsys):
     assert max(map(len, text.splitlines())) <= 100
     flat = " ".join(text.split())
     assert "Of 7 parameters the 40 planned poses determine 2" in flat
-    assert "fix ρ0 and k_1d at nominal" in flat
-    assert re.search(r"│ l +│ mm +│ +2\.0 │ +1\.5 │ +0\.40 │ weak +│ free +│", text)
+    assert "Everything: all 7 parameters" in flat
+    assert "fix" not in flat
+    assert re.search(r"│ everything +│ +7 │ +1\.0 │ +90 % │", text)
+    assert re.search(r"│ reduced set +│ +4 │ +86 │ +18 % │", text)
+    assert re.search(r"│ l +│ mm +│ +2\.0 │ +1\.5 │ +0\.40 │ weak +│", text)
     assert re.search(r"│ rotation about x │ 0\.1 mm │ +0\.0010 mm │ +1 % │ +99\.9 % │ +2\.0 % │", text)

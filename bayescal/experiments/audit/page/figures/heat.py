@@ -36,7 +36,7 @@ def draw_contraction(values: Array, symbols: Sequence[str], legs: Sequence[int],
     legs : sequence of int
         Zero for the machine's own parameters.
     free : ndarray of bool, shape (symbols, legs)
-        Which to free; outlined.
+        Outlined.
     """
     width = min(WIDTH, 1.6 + 0.75 * len(legs))
     figure = Figure(figsize=(width, 0.75 + CELL * len(symbols)))
