@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
 from bayescal.errors import BayescalError, InputError, NumericalError, name_faults
 from bayescal.experiments.frame.interrupts import INTERRUPTED, end_on_interrupt
+
+if TYPE_CHECKING:
+    from bayescal.config.sections import ExperimentConfig
 
 WIDTH, WIDE = 120, 160
 """Of what is printed where there is no terminal; comparisons are wide."""
@@ -56,17 +59,41 @@ def audit(
     _run(design, "audit", out, seed, workers, resume, quiet)
 
 
+@app.command(epilog="Example: bayescal check experiments/telescope/study.toml --variant six_pus/matrix")
+def check(
+    study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="Config of the study.")],
+    variant: Annotated[list[str] | None, typer.Option(help="Variant to check; default the best by evidence.")] = None,
+    data_sets: Annotated[int | None, typer.Option(min=4, help="Simulated of priors and posterior each.")] = None,
+    out: Out = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    resume: Resume = False,
+    quiet: Quiet = False,
+) -> None:
+    """Check a study's config: simulation-based calibration, and the usual faults looked for one by one."""
+    from bayescal.experiments.check.kind import configure_check
+
+    _run_config(configure_check(study, variant or [], data_sets, seed), study, out, workers, resume, quiet)
+
+
 def _run(
     path: Path, kind: str | None, out: Path | None, seed: int | None, workers: int | None, resume: bool, quiet: bool
 ) -> None:
-    from joblib import cpu_count
-
     from bayescal.experiments.frame.load import load_experiment, load_kind
-    from bayescal.experiments.frame.run import run_experiment
 
     config = load_experiment(path) if kind is None else load_kind(path, kind)
     if seed is not None:
         config = config.model_copy(update={"seed": seed})
+    _run_config(config, path, out, workers, resume, quiet)
+
+
+def _run_config(
+    config: ExperimentConfig, path: Path, out: Path | None, workers: int | None, resume: bool, quiet: bool
+) -> None:
+    from joblib import cpu_count
+
+    from bayescal.experiments.frame.run import run_experiment
+
     where = out if out is not None else Path("results") / config.name
     interrupted = f"bayescal: interrupted; finished work is kept, go on with --resume (in {where}.partial)"
     with end_on_interrupt(interrupted), name_faults(path):

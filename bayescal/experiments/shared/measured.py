@@ -1,10 +1,10 @@
-"""What audits take from a kind of experiment that has measured a machine, without knowing that kind."""
+"""What audits and checks take from a kind of experiment that has measured a machine, without knowing that kind."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
 from bayescal.machines.kinematics import Machine
+from bayescal.numerics.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +39,10 @@ class MeasuredVariant:
         Standard deviation, mm.
     left_variance : float
         What the measured part of a deformation leaves, mean over legs and poses, mm².
+    actuator_variance : ndarray, shape (P, N), or None
+        The same leg by leg and pose by pose; None where nothing of a deformation was measured.
+    described : mapping
+        What was measured, in the study's own words.
     """
 
     name: str
@@ -51,6 +56,8 @@ class MeasuredVariant:
     poses: MeasuredPoses
     actuator_noise: float
     left_variance: float
+    actuator_variance: Array | None = None
+    described: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -74,3 +81,7 @@ class Measuring(ABC):
     @abstractmethod
     def measure(self, config: Any, path: Path, choice: VariantChoice, with_model_error: bool) -> MeasuredVariant:
         """Return a variant of the experiment in a file; InputError where there is none such, or more than one."""
+
+    @abstractmethod
+    def list_variants(self, config: Any) -> dict[str, VariantChoice]:
+        """Return the experiment's variants by their names."""

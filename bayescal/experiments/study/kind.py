@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
+from bayescal.config.classes import label_class
 from bayescal.config.registry import find_class
 from bayescal.errors import InputError
 from bayescal.experiments.frame.experiment import Experiment
@@ -79,7 +80,7 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring):
         if not inputs.measured.has_poses:
             raise InputError(
                 f"{path}: data: found poses measured in part, points, or frames to be found, expected whole poses in "
-                "known frames, since an audit of data starts from these"
+                "known frames, since audits and checks of data start from these"
             )
         left = inputs.matrix_variance(chosen, verification=False)
         priors, fixed = inputs.priors(chosen)
@@ -95,7 +96,16 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring):
             poses=inputs.poses(verification=False),
             actuator_noise=config.data.actuator_noise_um * MICROMETRE,
             left_variance=0.0 if left is None else float(left.mean()),
+            actuator_variance=left,
+            described=inputs.measured.describe(),
         )
+
+    def list_variants(self, config: StudyConfig) -> dict[str, VariantChoice]:
+        """Return the study's variants by their names."""
+        return {
+            one.name: VariantChoice(label_class(one.model), label_class(one.deformation), one.name)
+            for one in config.variants
+        }
 
     def show_comparison(self, table: pd.DataFrame, console: Console) -> None:
         """Print variants of several studies ranked together."""

@@ -25,12 +25,21 @@ AUDIT = 'extends = "camera_hexapod.toml"\nname = "small"\nsimulated_calibrations
 AUDIT += 'expected_over_draws = 3\n[poses]\ncount = 12\n[[what_if]]\nname = "twice"\nposes_factor = 2.0\n'
 AUDIT += "[workspace]\nposes = 20\n[posterior]\ndraws = 200\n[sweep]\nnoise = [1.0]\nposes = [40]\nworkspace = [1.0]\n"
 
+CHECK = 'kind = "check"\nname = "check"\ntitle = "Check"\nseed = 3\nstudy = "study.toml"\ndata_sets = 4\n'
+CHECK += 'draws = 300\nvariants = ["six_pus/matrix"]\n'
+
 
 def write_audit(folder: Path) -> Path:
     for path in (tiny_experiments.SHIPPED / "audit").glob("camera_hexapod*.toml"):
         shutil.copy(path, folder)
     (folder / "small.toml").write_text(AUDIT)
     return folder / "small.toml"
+
+
+def write_check(folder: Path) -> Path:
+    studies.write_tiny_study(folder)
+    (folder / "check.toml").write_text(CHECK)
+    return folder / "check.toml"
 
 
 def take_tiny(name: str) -> Callable[[Path], Path]:
@@ -49,6 +58,7 @@ MAKE = {
     "calibration": calibrations.write_delta,
     "calibration_audit": calibrations.write_audit,
     "calibration_simulation": calibrations.write_simulation,
+    "check": write_check,
     "hexapod_calibrations": take_tiny("hexapod/figure10"),
     "pose_methods": take_tiny("pose_extraction/figure5"),
     "pose_selection": write_selection,

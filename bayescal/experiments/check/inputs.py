@@ -1,0 +1,54 @@
+"""From a check's config to what is checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from bayescal.errors import InputError
+from bayescal.experiments.check.schema import CheckConfig
+from bayescal.experiments.check.subject import Subject
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.shared.measured import Measuring
+
+
+@dataclass(frozen=True, eq=False)
+class CheckInputs:
+    """A check, read.
+
+    Attributes
+    ----------
+    config : CheckConfig
+    origin : str
+        Of the data, in words.
+    subjects : dict of str to Subject
+        The study's variants that may be checked, by their names.
+    """
+
+    config: CheckConfig
+    origin: str
+    subjects: dict[str, Subject]
+
+
+def read_check(config: CheckConfig, folder: Path) -> CheckInputs:
+    """Return a check, read.
+
+    Raises
+    ------
+    InputError
+        Where the file is no study's, its data cannot be simulated, or a variant is not there.
+    """
+    path = folder / config.study
+    experiment, study = load(path)
+    if not isinstance(experiment, Measuring):
+        raise InputError(
+            f"{path}: kind: found {study.kind!r}, expected 'study', since a check simulates the poses that one measures"
+        )
+    known = experiment.list_variants(study)
+    for name in config.variants:
+        if name not in known:
+            raise InputError(f"{path}: variant {name!r}: unknown here, expected one of {', '.join(known)}")
+    chosen = {name: known[name] for name in config.variants or known}
+    measured = {name: experiment.measure(study, path, choice, True) for name, choice in chosen.items()}
+    origin = next(iter(measured.values())).origin.partition(": study ")[0]
+    return CheckInputs(config, origin, {name: Subject(one) for name, one in measured.items()})

@@ -1,0 +1,67 @@
+"""Checks as a kind of experiment."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from bayescal.experiments.check.compute import compute_check
+from bayescal.experiments.check.inputs import CheckInputs, read_check
+from bayescal.experiments.check.page import build_page
+from bayescal.experiments.check.schema import CheckConfig
+from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results
+from bayescal.report.blocks import Page
+
+
+class Check(Experiment[CheckConfig, CheckInputs]):
+    """A study's config, checked by simulation and against its data."""
+
+    schema = CheckConfig
+    tables_in = "tables"
+
+    def files(self, config: CheckConfig, folder: Path) -> list[str]:
+        """Return the study's file and its files."""
+        experiment, study = load(folder / config.study)
+        beside = Path(config.study).parent
+        own = [os.path.normpath(beside / name) for name in experiment.files(study, folder / beside)]
+        return [*super().files(config, folder), *own]
+
+    def modules(self, config: CheckConfig, folder: Path) -> dict[str, str]:
+        """Return the hashes of others' modules that the study's classes stand in."""
+        experiment, study = load(folder / config.study)
+        return experiment.modules(study, (folder / config.study).parent)
+
+    def read(self, config: CheckConfig, folder: Path) -> CheckInputs:
+        """Return the study's variants."""
+        return read_check(config, folder)
+
+    def compute(self, inputs: CheckInputs, run: Run) -> Results:
+        """Return what was found."""
+        return compute_check(inputs, run)
+
+    def page(self, results: Results) -> Page:
+        """Return the page."""
+        return build_page(results)
+
+    def list_failures(self, results: Results) -> list[str]:
+        """Return the faults by their names."""
+        found = {name: one["faults"] for name, one in results.summary["variants"].items() if not one["passed"]}
+        return [f"{name} does not pass the check ({', '.join(faults)})" for name, faults in found.items()]
+
+
+def configure_check(study: Path, variants: list[str], data_sets: int | None, seed: int | None) -> CheckConfig:
+    """Return the config of a check of a study; its own seed where none is given."""
+    found = load(study)[1]
+    own = {} if data_sets is None else {"data_sets": data_sets}
+    return CheckConfig(
+        kind="check",
+        name=f"{found.name}_check",
+        title=f"Check: {found.title}",
+        seed=found.seed if seed is None else seed,
+        study=study.name,
+        variants=variants,
+        **own,
+    )

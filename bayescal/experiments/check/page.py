@@ -1,0 +1,159 @@
+"""The page of a check, from its results alone."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pandas as pd
+from matplotlib import figure as mpl
+
+from bayescal.experiments.frame.results import Results
+from bayescal.report.blocks import (
+    Absent,
+    Block,
+    Cell,
+    Column,
+    Definitions,
+    Figure,
+    Level,
+    Page,
+    Section,
+    Statement,
+    Table,
+    make_table,
+)
+from bayescal.report.numbers import format_fixed, format_percent, join_words
+from bayescal.report.style import GREY, LEG_COLOURS, PALE, RED
+
+NAMES = {
+    "noise": "the noise is not as stated",
+    "model error": "the model misses something",
+    "unit": "a unit or a sign has slipped",
+    "legs": "two legs are exchanged",
+    "mode": "a mode is missed",
+    "derivative": "a derivative is wrong",
+    "prior": "a tolerance is too tight",
+    "search": "the posterior is not found",
+    "calibration": "intervals do not hold what they promise",
+}
+METHOD = (
+    (
+        "Are priors, model and sampling consistent?",
+        "Machines are drawn from the priors, measured to the study's own plan with its stated noise, and fitted as "
+        "the study fits; the rank of each true parameter among the draws of its posterior is then uniform "
+        "(simulation-based calibration).",
+    ),
+    (
+        "Also near the machine that was measured?",
+        "Machines are drawn from the posterior of the measured data, and measured and simulated data are fitted "
+        "together; the ranks are uniform again (posterior simulation-based calibration).",
+    ),
+    (
+        "Do the data fit the config?",
+        "Simulations of a model know nothing of data that are not of it. Units, signs and exchanged legs are tried as "
+        "if they were so, derivatives compared with differences, climbs started elsewhere, and what is left of the "
+        "poses and how far the machine lies from nominal set against noise and tolerances.",
+    ),
+)
+
+
+def build_page(results: Results) -> Page:
+    """Return what the page of a check says."""
+    summary, findings = results.summary, results.table("findings")
+    several = len(summary["variants"]) > 1
+    return Page(
+        kind="Check",
+        name=summary["name"],
+        title=summary["title"],
+        origin=summary["data_origin"],
+        headline=state_headline(results),
+        verdict=tuple(_state(row, several) for row in order_findings(findings)),
+        sections=(
+            *(_show_variant(results, name) for name in summary["variants"]),
+            Section("How it was checked", (Definitions(METHOD),), "method"),
+        ),
+        facts=(("Study", summary["study"]), ("Simulated data sets", f"{summary['data_sets']} twice")),
+    )
+
+
+def state_headline(results: Results) -> str:
+    """Return in one sentence which variants pass, or what to do first."""
+    words = []
+    for name, one in results.summary["variants"].items():
+        faults = [NAMES[fault] for fault in dict.fromkeys(one["faults"])]
+        words.append(f"{name} passes" if one["passed"] and not faults else f"{name}: {join_words(faults)}")
+    return f"{'; '.join(words)}."
+
+
+def order_findings(findings: pd.DataFrame) -> list[dict[str, str]]:
+    """Return the findings, bad ones first, then warnings."""
+    rows = [{str(key): str(value) for key, value in row.items()} for row in findings.fillna("").to_dict("records")]
+    return sorted(rows, key=lambda row: ("bad", "warning", "good").index(row["level"]))
+
+
+def _state(row: dict[str, str], several: bool) -> Statement:
+    level: Level = "bad" if row["level"] == "bad" else "warning" if row["level"] == "warning" else "good"
+    lead = f"{row['check']} ({row['variant']})" if several else row["check"]
+    return Statement(f"{row['text'][0].upper()}{row['text'][1:]}", level, lead)
+
+
+def _show_variant(results: Results, name: str) -> Section:
+    parameters, anchor = results.table("parameters"), f"variant-{list(results.summary['variants']).index(name) + 1}"
+    mine = parameters[parameters["variant"] == name] if len(parameters) else parameters
+    if mine.empty:
+        return Section(name, (Absent("Nothing was simulated: the faults above come first."),), anchor)
+    blocks: list[Block] = [_plot(results, name, anchor), _tabulate(mine)]
+    return Section(name, tuple(blocks), anchor)
+
+
+def _tabulate(parameters: pd.DataFrame) -> Table:
+    columns = [
+        Column("Parameter", kind="name"),
+        *(
+            Column(*one, group)
+            for group in ("Simulated from the priors", "Simulated from the posterior")
+            for one in (("ranks", ""), ("covers", "of 90 %"), ("off by", "sd, rms"))
+        ),
+    ]
+    rows: list[list[str | Cell]] = []
+    for name, group in parameters.groupby("parameter", sort=False):
+        row: list[str | Cell] = [str(name)]
+        for _, one in group.iterrows():
+            good = bool(one["uniform"])
+            row.append(Cell("uniform" if good else "not uniform", "good" if good else "bad", badge=True))
+            row += [format_percent(float(one["coverage_90"])), format_fixed(float(one["rms_z"]), 2)]
+        rows.append(row)
+    return make_table("Ranks, coverage and recovery of every parameter.", columns, rows)
+
+
+def _plot(results: Results, name: str, anchor: str) -> Figure:
+    caption = (
+        "Distribution functions of the ranks, less that of uniform ranks, a line per parameter; uniform ones stay "
+        "within the grey band, all at once with a probability of 99 %. Red lines do not."
+    )
+    ranks, bands = results.table("ranks"), results.table("bands")
+    mine, band = ranks[ranks["variant"] == name], bands[bands["variant"] == name]
+    return Figure(f"ranks-{anchor}", caption, partial(draw_ranks, mine.dropna(axis=1, how="all"), band))
+
+
+def draw_ranks(ranks: pd.DataFrame, bands: pd.DataFrame) -> mpl.Figure:
+    """Return the distribution functions of ranks, less that of uniform ones, beside their band."""
+    figure = mpl.Figure(figsize=(9.4, 3.2))
+    whence = list(dict.fromkeys(bands["simulated_from"]))
+    for axes, one in zip(figure.subplots(1, len(whence), sharey=True, squeeze=False)[0], whence, strict=True):
+        band, mine = bands[bands["simulated_from"] == one], ranks[ranks["data_set"].str.startswith(f"{one} ")]
+        at, low, high = (band[key].to_numpy(dtype=float) for key in ("at", "low", "high"))
+        axes.fill_between(at, low - at, high - at, color=PALE, linewidth=0.0)
+        for name in mine.columns.drop(["variant", "data_set"]):
+            values = np.sort(mine[name].to_numpy(dtype=float))
+            share = np.searchsorted(values, at, side="right") / len(values)
+            inside = bool(np.all((share >= low - 1e-12) & (share <= high + 1e-12)))
+            axes.plot(
+                at, share - at, color=LEG_COLOURS[4] if inside else RED, linewidth=0.7, alpha=0.6 if inside else 1.0
+            )
+        axes.axhline(0.0, color=GREY, linewidth=0.8)
+        axes.set_title(f"Simulated from the {one}{'s' if one == 'prior' else ''}")
+        axes.set_xlabel("Rank of the truth")
+    figure.axes[0].set_ylabel("Share of ranks below, less uniform")
+    return figure

@@ -1,0 +1,31 @@
+"""The schema of a check."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from bayescal.config.sections import ExperimentConfig, InputFile
+
+
+class CheckConfig(ExperimentConfig):
+    """A check of a study's config.
+
+    Attributes
+    ----------
+    study : str
+        Its file.
+    variants : list of str
+        Which to check; the best by evidence where none is named.
+    data_sets : int
+        Simulated of the priors, and as many of the posterior.
+    draws : int
+        Of each data set's posterior.
+    """
+
+    kind: Literal["check"]
+    study: InputFile
+    variants: list[str] = Field(default=[])
+    data_sets: Annotated[int, Field(ge=4, le=10_000)] = 60
+    draws: Annotated[int, Field(ge=200, le=1_000_000)] = 4000

@@ -1,0 +1,144 @@
+"""What is checked: a variant of a study, with other data of the same plan where these are simulated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.priors import UniformPrior
+from bayescal.errors import NumericalError
+from bayescal.experiments.shared.measured import MeasuredVariant
+from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
+
+TRIES = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A variant of a study as a check sees it.
+
+    Attributes
+    ----------
+    measured : MeasuredVariant
+        With its model error.
+    """
+
+    measured: MeasuredVariant
+
+    @property
+    def posterior(self) -> Posterior:
+        """The posterior of the measured data."""
+        return self.measured.posterior
+
+    @property
+    def n_poses(self) -> int:
+        """How many poses were measured."""
+        return self.measured.poses.n_poses
+
+    def likelihood(self, poses: MeasuredPoses) -> PoseLikelihood:
+        """Return the density of other poses of the plan, once or twice over; the first may have other noise."""
+        variance = self.measured.actuator_variance
+        if variance is not None:
+            variance = np.tile(variance, (poses.n_poses // self.n_poses, 1))
+        return PoseLikelihood(self.measured.machine, poses, self.measured.actuator_noise, variance)
+
+    def posterior_of(self, poses: MeasuredPoses, with_model_error: bool = True) -> Posterior:
+        """Return the posterior of other poses of the plan."""
+        error = self.posterior.model_error if with_model_error else ModelError(None)
+        return Posterior(self.likelihood(poses), self.posterior.priors, error, self.posterior.fixed)
+
+    def theta_of(self, natural: Array) -> tuple[Array, Array]:
+        """Return θ (D,) and τ (N,) of parameters and model errors in natural units, shape (n,)."""
+        posterior = self.posterior
+        theta, n = posterior.coordinates.start.copy(), posterior.n_geometry
+        theta[posterior.coordinates.free] = natural[:n]
+        tau = natural[n:] if len(natural) > n else np.zeros(1)
+        return theta, np.broadcast_to(tau, (posterior.likelihood.n_legs,)).copy()
+
+    def with_poses(self, poses: MeasuredPoses) -> Subject:
+        """Return the same variant as if other poses had been measured."""
+        return Subject(replace(self.measured, poses=poses, posterior=self.posterior_of(poses)))
+
+    def draw_prior(self, rng: np.random.Generator) -> Array:
+        """Return parameters and model errors drawn from their priors, natural units, shape (n,)."""
+        posterior = self.posterior
+        values = []
+        for name in posterior.names[: posterior.n_geometry]:
+            prior = posterior.priors[name]
+            if isinstance(prior, UniformPrior):
+                values.append(rng.uniform(prior.lower, prior.upper))
+            else:
+                values.append(rng.normal(prior.mean, prior.sd))
+        scale = posterior.model_error.scale
+        errors = 0.0 if scale is None else scale
+        return np.concatenate([values, np.abs(rng.normal(0.0, errors, posterior.n_parameters - len(values)))])
+
+    def simulate_from_prior(
+        self, rng: np.random.Generator, with_model_error: bool = True
+    ) -> tuple[Array, MeasuredPoses]:
+        """Return a truth drawn from the priors, or one without model error, and what would be measured of it.
+
+        Raises
+        ------
+        NumericalError
+            Where hardly any draw of the priors is a machine that can take the poses.
+        """
+        for _ in range(TRIES):
+            truth = self.draw_prior(rng)
+            truth[self.posterior.n_geometry :] *= with_model_error
+            poses = self.simulate(truth, rng)
+            if poses is not None:
+                return truth, poses
+        raise NumericalError(f"simulation: found no machine that takes the poses in {TRIES} draws of the priors")
+
+    def simulate(self, truth: Array, rng: np.random.Generator) -> MeasuredPoses | None:
+        """Return what is measured of a true machine, all noise as stated; None where it cannot take the poses.
+
+        The platform goes where the machine takes it. Encoders err by σ_ρ, and by what the model errors τ and the
+        deformation leave of each leg's closure, at the true machine; the measured pose errs by Σ.
+        """
+        machine, plan = self.measured.machine, self.measured.poses
+        theta, tau = self.theta_of(truth)
+        if not machine.layout.inside(theta[None])[0]:
+            return None
+        found = solve_forward_kinematics(machine, theta, plan.actuators, check=False)
+        if not found.converged.all():
+            return None
+        actuators = plan.actuators
+        if actuators.shape[1] > DEGREES_OF_FREEDOM:  # redundant legs stand where they close
+            held = solve_inverse_kinematics(machine, theta, found.position, found.rotation, check=False)
+            if not held.converged.all():
+                return None
+            actuators = held.actuators
+        by_actuators = machine.linearise(theta, found.position, found.rotation, actuators).actuators
+        error = self._draw_errors(by_actuators, tau, rng)
+        normal = rng.standard_normal((self.n_poses, DEGREES_OF_FREEDOM))
+        noise = np.einsum("pij,pj->pi", np.linalg.cholesky(plan.covariance), normal)
+        rotation = matrix_from_rotation_vector(noise[:, 3:]) @ found.rotation
+        return MeasuredPoses(plan.names, found.position + noise[:, :3], rotation, plan.covariance, actuators - error)
+
+    def _draw_errors(self, by_actuators: Array, tau: Array, rng: np.random.Generator) -> Array:
+        """Return what encoders and legs err by in terms of actuators, shape (P, N), mm."""
+        variance = self.measured.actuator_variance
+        spread = np.sqrt(tau**2 + (0.0 if variance is None else variance))
+        own = np.diagonal(by_actuators, axis1=-2, axis2=-1)
+        legs = own * spread * rng.standard_normal(own.shape)
+        moved = np.linalg.solve(by_actuators, legs[..., None])[..., 0]
+        return self.measured.actuator_noise * rng.standard_normal(own.shape) + moved
+
+
+def join_poses(one: MeasuredPoses, other: MeasuredPoses) -> MeasuredPoses:
+    """Return two measurements of the same plan as one."""
+    both = (one, other)
+    return MeasuredPoses(
+        one.names + tuple(f"{name} again" for name in other.names),
+        np.concatenate([poses.position for poses in both]),
+        np.concatenate([poses.rotation for poses in both]),
+        np.concatenate([poses.covariance for poses in both]),
+        np.concatenate([poses.actuators for poses in both]),
+    )

@@ -1,0 +1,48 @@
+"""Bands of uniform ranks: as often left as they say, and by ranks that are not uniform nearly always."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import beta, norm
+
+from bayescal.experiments.check.bands import distribute, find_band
+from bayescal.experiments.check.judge import find_uneven, judge_ranks, measure_coverage
+
+
+@pytest.mark.parametrize(("n", "level"), [(50, 0.05), (60, 0.01), (200, 0.05)])
+def test_uniform_ranks_leave_the_band_as_often_as_it_says(n, level):
+    rng, band = np.random.default_rng(1), find_band(n, level)
+    left = np.mean([not band.holds(rng.random(n)) for _ in range(2000)])
+    assert left < level + 4 * np.sqrt(level / 2000)
+    assert left > 0.3 * level  # a binomial's steps make the band a little wider
+
+
+def test_ranks_of_intervals_too_narrow_leave_it():
+    rng = np.random.default_rng(2)
+    names = ("a", "b")
+    narrow = norm.cdf(1.8 * rng.standard_normal((100, 1)))
+    rank = np.hstack([rng.random((100, 1)), narrow])
+    assert find_uneven(names, rank) == ["b"]
+    assert find_uneven(names, np.hstack([rank[:, :1], beta(2.0, 1.0).rvs((100, 1), random_state=1)])) == ["b"]
+    found = judge_ranks("prior", names, rank, norm.ppf(rank), np.zeros((100, 2)), 100)
+    assert (found.fault, found.level) == ("calibration", "bad")
+    assert "ranks of b are not uniform" in found.text
+
+
+def test_uniform_ranks_pass_and_their_coverage_has_an_error():
+    rank = np.random.default_rng(3).random((80, 12))
+    found = judge_ranks("posterior", tuple("abcdefghijkl"), rank, norm.ppf(rank), np.zeros((80, 2)), 80)
+    assert (found.fault, found.level) == ("", "good")
+    held, error = measure_coverage(rank)
+    assert held == pytest.approx(0.9, abs=4 * error)
+    assert error == pytest.approx(np.sqrt(0.09 / 960), rel=0.3)
+
+
+def test_too_few_posteriors_are_a_fault():
+    rank = np.full((9, 2), 0.5)
+    assert judge_ranks("prior", ("a", "b"), rank, rank, rank, 20).fault == "calibration"
+
+
+def test_the_distribution_is_that_of_the_ranks():
+    assert distribute(np.array([0.1, 0.5, 0.5, 0.9]), np.array([0.1, 0.5, 0.6])) == pytest.approx([0.25, 0.75, 0.75])

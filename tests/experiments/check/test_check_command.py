@@ -1,0 +1,82 @@
+"""The command: a whole check of a tiny study, what it writes, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import reading_studies
+import studies
+
+from bayescal import cli
+from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.check import compute
+from bayescal.experiments.check.faults.finding import Finding
+from bayescal.experiments.check.kind import configure_check
+from bayescal.experiments.frame.run import run_experiment
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    return studies.write_tiny_study(tmp_path_factory.mktemp("check"))
+
+
+def run(*arguments):
+    return cli.app([str(one) for one in arguments], standalone_mode=False)
+
+
+def test_a_tiny_study_passes(study, tmp_path, capsys):
+    config = configure_check(study, ["six_pus/matrix"], 8, None).model_copy(update={"draws": 300})
+    finished = run_experiment(config, study.parent, tmp_path / "out")
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["passed"], finished.results.table("findings")
+    assert summary["headline"] == "six_pus/matrix passes."
+    assert list(finished.results.table("parameters").groupby("parameter").size()) == [2] * 13
+    assert len(finished.results.table("ranks")) == 16
+    assert "Simulated from the posterior" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_faults_open_the_page_and_end_the_command(study, tmp_path, monkeypatch, capsys):
+    fault = Finding("Noise", "noise", "bad", "the noise is twice as large.")
+    nothing = compute.np.empty((0, 13))
+    monkeypatch.setattr(compute, "look_at_data", lambda task: ([fault], nothing))
+    with pytest.raises(NumericalError, match=r"six_pus/matrix does not pass the check \(noise\)"):
+        run("check", study, "--variant", "six_pus/matrix", "--out", tmp_path / "out", "--workers", "1")
+    out = capsys.readouterr().out
+    assert "six_pus/matrix: the noise is not as stated." in out
+    assert "Noise: The noise is twice as large." in out
+
+
+def test_the_best_variant_is_checked_where_none_is_named(study, tmp_path, monkeypatch):
+    monkeypatch.setattr(compute, "_check_variant", lambda inputs, name, run: ([Finding("Noise", "", "good", name)], {}))
+    finished = run_experiment(configure_check(study, [], None, None), study.parent, tmp_path / "out")
+    assert list(finished.summary["variants"]) == ["six_pus/matrix"]
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (lambda folder: reading_studies.write_small(folder), "kind: found 'self_calibration', expected 'study'"),
+        (
+            lambda folder: studies.write_tiny_study(folder),
+            "variant 'six_pus/q': unknown here, expected one of six_pus/none",
+        ),
+    ],
+)
+def test_what_cannot_be_checked_is_one_line(tmp_path, change, fault):
+    folder = tmp_path / "study"
+    folder.mkdir()
+    path = change(folder)
+    with pytest.raises(InputError, match=fault) as error:
+        run("check", path, "--variant", "six_pus/q", "--out", tmp_path / "out", "--workers", "1", "--quiet")
+    assert error.value.exit_code == 2
+    assert "\n" not in str(error.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_poses_measured_in_part_cannot_be_checked(tmp_path):
+    """Points seen by a tracker whose frames are to be found: no whole poses that could be simulated."""
+    path = studies.EXPERIMENTS / "camera_hexapod" / "study.toml"
+    with pytest.raises(InputError, match="expected whole poses in known frames, since audits and checks"):
+        run("check", path, "--out", tmp_path / "out", "--workers", "1", "--quiet")
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,159 @@
+"""Every planted fault is named, and clean studies pass: each check by itself, and all of them together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import checked
+import numpy as np
+import pytest
+import telescope_machines as machines
+
+from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.posterior import ModelError, Posterior
+from bayescal.experiments.check.faults import modes
+from bayescal.experiments.check.faults.derivatives import check_derivatives
+from bayescal.experiments.check.faults.modes import check_modes, list_starts
+from bayescal.experiments.check.faults.noise import check_noise
+from bayescal.experiments.check.faults.priors import check_priors
+from bayescal.experiments.check.faults.slips import check_slips
+from bayescal.experiments.check.look import look_at_data
+from bayescal.experiments.check.ranks import draw_posterior
+from bayescal.inference.mode import find_modes
+from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
+
+
+def look(subject, seed=1):
+    """Return the faults that are named, the gravest first."""
+    findings, _ = look_at_data((subject, 1000, seed))
+    return [one.fault for one in findings if one.fault], {one.check: one for one in findings}
+
+
+def judge_noise(subject):
+    return check_noise(subject, find_modes(subject.posterior_of(subject.measured.poses, with_model_error=False))[0])
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_clean_studies_pass(seed):
+    faults, said = look(checked.make_clean(seed))
+    assert faults == [], said
+    assert list(said) == ["Derivatives", "Units and legs", "Modes", "Noise", "Tolerances"]
+
+
+def test_the_tiny_study_passes_with_the_noise_of_its_targets():
+    faults, _ = look(checked.tiny_subject())
+    assert faults == []
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_noise_stated_at_half_is_named(seed):
+    found = judge_noise(checked.halve_noise(checked.make_clean(seed)))
+    assert found.fault == "noise"
+    assert found.level in ("warning", "bad")
+
+
+def test_model_errors_are_no_fault_but_are_said():
+    found = judge_noise(checked.make_clean(6, with_model_error=True))
+    assert (found.fault, found.level) == ("model error", "warning")
+
+
+def test_noise_of_targets_stated_at_half_is_named():
+    subject = checked.make_clean(3)
+    described = {"pose_extraction": {"chi2_per_dof": 4.0}}
+    found = judge_noise(checked.Subject(replace(subject.measured, described=described)))
+    assert (found.fault, found.level) == ("noise", "bad")
+    assert "State target_noise_um 2 times as large" in found.text
+
+
+@pytest.mark.parametrize("factor", [1 / 25.4, 10.0, -1.0])
+def test_a_unit_slip_of_the_actuators_is_named(factor):
+    start = checked.tiny_subject().measured.machine.mechanism.initial_actuator_positions
+    slipped = checked.change_actuators(checked.make_clean(4), lambda rho: start + factor * (rho - start))
+    faults, said = look(slipped)
+    assert faults == ["unit"]
+    assert "actuator displacements seem to be" in said["Units and legs"].text
+
+
+def test_rotations_in_degrees_are_named():
+    subject = checked.make_clean(4)
+    poses = subject.measured.poses
+    turned = matrix_from_rotation_vector(np.degrees(rotation_vector_from_matrix(poses.rotation)))
+    found = check_slips(subject.with_poses(replace(poses, rotation=turned)))
+    assert (found.fault, "in degrees" in found.text) == ("unit", True)
+
+
+@pytest.mark.parametrize("legs", [(0, 1), (2, 5)])
+def test_two_exchanged_legs_are_named(legs):
+    def exchange(rho):
+        rho = rho.copy()
+        rho[:, list(legs)] = rho[:, list(legs)[::-1]]
+        return rho
+
+    faults, said = look(checked.change_actuators(checked.make_clean(5), exchange))
+    assert faults == ["legs"]
+    assert f"legs {legs[0] + 1} and {legs[1] + 1} seem to be exchanged" in said["Units and legs"].text
+
+
+def test_a_wrong_derivative_is_named(monkeypatch):
+    right = PoseLikelihood.error_jacobian
+
+    def wrong(self, theta):
+        errors, slope = right(self, theta)
+        slope = slope.copy()
+        slope[..., self.layout.index["kappa"]] *= 1.01
+        return errors, slope
+
+    monkeypatch.setattr(PoseLikelihood, "error_jacobian", wrong)
+    found = check_derivatives(checked.make_clean(6), np.random.default_rng(0))
+    assert found.fault == "derivative"
+    assert "by kappa are wrong" in found.text
+
+
+@pytest.mark.parametrize("seed", [7, 8])
+def test_a_tolerance_three_times_too_tight_is_named(seed):
+    subject = checked.make_clean(seed)
+    for factor, fault in ((1.0, ""), (3.0, "prior")):
+        tight = checked.tighten(subject, "l", factor)
+        draws, _, _ = draw_posterior(tight.posterior, 1000, np.random.SeedSequence(seed))
+        found = check_priors(tight, draws)
+        assert found.fault == fault
+    assert " l " in found.text
+    assert "kappa" not in found.text
+
+
+@pytest.fixture(scope="module")
+def folded():
+    """Return a posterior with one component of u free and κ fixed: every leg's direction has a mirror image."""
+    machine, symbols = machines.build_machine("none"), ("a_x", "a_y", "b_x", "b_y", "l", "u_x")
+    layout, actuators = machine.layout, machines.table_3_actuators()[:10]
+    exact = machines.place_poses(machine, layout.nominal, actuators, np.zeros((10, 6)))
+    slope = machines.build_posterior("none", exact, ModelError(None), symbols).coordinates.legs[:, 0]
+    theta = layout.nominal.copy()
+    theta[layout.index["u_x"]] = np.sin(np.arctan(slope)) + 0.03 * np.array([1, -1, 1, -1, 1, -1])
+    poses = machines.simulate_poses(machine, theta, actuators, np.zeros(6), np.random.default_rng(5))
+    return machines.build_posterior("none", poses, ModelError(None), symbols)
+
+
+def test_a_missed_mode_is_named(folded, monkeypatch):
+    """A search that tries no mirror images finds but one of them."""
+    monkeypatch.setattr(modes, "PAIRS", 2)
+    monkeypatch.setattr(modes, "STARTS", 1)
+    every = find_modes(folded)
+    assert check_modes(folded, every, np.random.default_rng(0)).fault == ""
+    monkeypatch.setattr(Posterior, "jumps", lambda self, y: [])
+    alone = find_modes(folded)
+    assert len(alone) < len(every)
+    assert check_modes(folded, alone, np.random.default_rng(0)).fault == "mode"
+
+
+def test_mirrored_starts_are_tried_alone_and_in_pairs(folded):
+    starts = list_starts(folded, folded.approach(), np.random.default_rng(0))
+    assert len(starts) > 10
+    assert np.isfinite(folded.log_density(np.stack(starts))).mean() > 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 120))
+def test_twenty_clean_studies_pass(seed):
+    faults, said = look(checked.make_clean(seed))
+    assert faults == [], said
