@@ -65,7 +65,7 @@ def audit(
 def check(
     study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="Config of the study.")],
     variant: Annotated[list[str] | None, typer.Option(help="Variant to check; default the best by evidence.")] = None,
-    data_sets: Annotated[int | None, typer.Option(min=20, help="Simulated of priors and posterior each.")] = None,
+    data_sets: Annotated[int | None, typer.Option(min=4, help="Simulated of priors and posterior each.")] = None,
     out: Out = None,
     seed: Seed = None,
     workers: Workers = None,

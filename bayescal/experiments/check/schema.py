@@ -27,5 +27,5 @@ class CheckConfig(ExperimentConfig):
     kind: Literal["check"]
     study: InputFile
     variants: list[str] = Field(default=[])
-    data_sets: Annotated[int, Field(ge=20, le=10_000)] = 60
+    data_sets: Annotated[int, Field(ge=4, le=10_000)] = 60
     draws: Annotated[int, Field(ge=200, le=1_000_000)] = 4000
