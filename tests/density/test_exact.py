@@ -169,7 +169,7 @@ def test_what_is_no_machine_has_no_density():
 
 
 def test_batches_change_nothing():
-    """Near the data; where one machine of a batch needs another Newton step all take it, which makes the rest exacter."""
+    """Near the data: where one machine of a batch needs another Newton step, all others take it, too."""
     machine, theta, poses, rng = draw_setup("stiffness", "linear", 6)
     exact = ExactDensity(PoseLikelihood(machine, poses, NOISE), NOISE)
     many = theta + 1e-3 * machines.spread_of(machine.layout) * rng.uniform(-1, 1, (19, len(theta)))
