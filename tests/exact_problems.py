@@ -6,7 +6,7 @@ poses share. The simulation goes through forward kinematics and the closure at t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import telescope_machines as machines
@@ -77,8 +77,10 @@ def _simulate(machine, theta, actuators, tau, rng, with_matrix):
         true = Machine(machine.mechanism, machine.model, MatrixDeformation(machine.deformation.matrix + change))
     actual = actuators + machines.ACTUATOR_NOISE * rng.standard_normal(actuators.shape)
     at = solve_forward_kinematics(true, theta, actual)
-    here = true.linearise(theta, at.position, at.rotation, actuators)
-    legs = np.diagonal(here.actuators, axis1=1, axis2=2) * tau * rng.standard_normal(actuators.shape)
+    own = true.basis(actuators)
+    own = replace(own, actuator_gain=own.actuator_gain * np.eye(6))  # a leg's error bends nothing at other legs
+    here = true.model.linearise(true.layout, theta, at.position, at.rotation, own)
+    legs = np.einsum("pij,pj->pi", here.actuators, tau * rng.standard_normal(actuators.shape))
     error = np.linalg.solve(here.pose, legs[..., None])[..., 0]
     covariance = machines.measurement_covariance(len(actuators))
     error += np.einsum("pij,pj->pi", np.linalg.cholesky(covariance), rng.standard_normal((len(actuators), 6)))

@@ -4,14 +4,18 @@ The likelihood's hot path takes C_n at the nominal machine (`bayescal.density.li
 derivatives by the pose, A_n(θ), by the actuators, B_n(θ), and by the joints' deflections, Z_n(θ), are those of machine
 θ at the pose that it predicts. In terms of the closure r_n = A_n e_n, with e_n measured minus predicted pose,
 
-    r_n = Z_n T_n k + s_n,    s_n ~ N(0, A_n Σ_n A_nᵀ + σ_ρ² B_n B_nᵀ + diag(B_ni,i² (τ_i² + v_ni))),
+    r_n = Z_n T_n k + s_n,    s_n ~ N(0, A_n Σ_n A_nᵀ + σ_ρ² B_n B_nᵀ + L_n diag(τ_i² + v_ni) L_nᵀ),
 
-and log p(X) = log N(r) + Σ_n log |det A_n|; with more legs than six half the log-determinant of AᵀA stands for the
-latter, and r_n holds the closure of the redundant legs, too. k ~ N(0, S) are errors that all poses have in common:
-T_n k is what an uncertain deformation matrix K leaves of the deflections, whose variance alone, pose by pose, is v.
-Where K was measured in the same photographs as the poses, its error depends on theirs, cov(k, e_n) = Γ_n: a platform
-that seems to stand too high has joints that seem to hang too low. All this makes a covariance of low rank beside that
-of s; of Q common errors only a matrix of Q or 2 Q rows is factorised (Woodbury).
+where L_n is B_n but for the deflections that an actuator causes at other legs: a leg's own error does not cause them.
+Closures of single legs have a diagonal L_n, those of an equilibrium any, so that what a leg's error does to the pose
+depends on no choice of closure. The density is log p(X) = log N(r) + Σ_n log |det A_n|; with more legs than six half
+the log-determinant of AᵀA stands for the latter, and r_n holds the closure of the redundant legs, too.
+
+k ~ N(0, S) are errors that all poses have in common: T_n k is what an uncertain deformation matrix K leaves of the
+deflections, whose variance alone, pose by pose, is v. Where K was measured in the same photographs as the poses, its
+error depends on theirs, cov(k, e_n) = Γ_n: a platform that seems to stand too high has joints that seem to hang too
+low. All this makes a covariance of low rank beside that of s; of Q common errors only a matrix of Q or 2 Q rows is
+factorised (Woodbury).
 
 The derivatives cost five to thirty times the hot path: this density corrects what was found with that one.
 """
@@ -108,7 +112,8 @@ class _Here:
 
     error: Array  # (B, P, 6), measured minus predicted pose
     closure: Linearisation  # its derivatives there
-    by_deflection: Array  # (B, P, N, N), Z; empty without common errors
+    by_deflection: Array  # (B, P, N, N), Z; empty where nobody needs it
+    legs: Array  # (B, P, N, N), L
 
 
 class ExactDensity:
@@ -135,6 +140,8 @@ class ExactDensity:
         self._likelihood, self._noise = likelihood, actuator_noise
         self._variance = 0.0 if actuator_variance is None else actuator_variance
         self._shared = None if common is None else _Shared.from_errors(common)
+        gain = likelihood.machine.basis(likelihood.poses.actuators).actuator_gain
+        self._mixes = bool(np.any(_leave_diagonal(gain)))
 
     def __call__(self, theta: Array, model_error: Array) -> Array:
         """Return the log-likelihood in units of mm and rad, shape (B,), -inf where there is no machine.
@@ -175,11 +182,12 @@ class ExactDensity:
                 break
         left = here.residual + np.einsum("bpij,bpj->bpi", here.pose, step)  # redundant legs do not close
         exact = compute_pose_error(poses.position, poses.rotation, position, rotation)
-        by_deflection = np.empty(0)
-        if self._shared is not None:
-            more = replace(basis, actuator_gain=basis.actuator_gain + np.eye(here.actuators.shape[-1]))
-            by_deflection = closure(position, rotation, more, with_parameters=False).actuators - here.actuators
-        return _Here(np.where(np.isnan(error), np.nan, exact), replace(here, residual=left), by_deflection)
+        by_deflection, legs = np.empty(0), here.actuators
+        if self._shared is not None or self._mixes:
+            more = replace(basis, actuator_gain=basis.actuator_gain + np.eye(legs.shape[-1]))
+            by_deflection = closure(position, rotation, more, with_parameters=False).actuators - legs
+            legs = legs - by_deflection @ _leave_diagonal(basis.actuator_gain)
+        return _Here(np.where(np.isnan(error), np.nan, exact), replace(here, residual=left), by_deflection, legs)
 
     def _bend(self, theta: Array) -> DeformationBasis:
         """Return displacements with their deflections, whose gain is that of the machines (B, D) themselves."""
@@ -195,7 +203,7 @@ class ExactDensity:
         here = self._predict(theta)
         pose = here.closure.pose
         seen = here.closure.residual + np.einsum("bpij,bpj->bpi", pose, here.error)
-        covariance = self._cover(here.closure, model_error)
+        covariance = self._cover(here, model_error)
         good = (np.isfinite(seen).all(axis=-1) & np.isfinite(covariance).all(axis=(-1, -2))).all(axis=-1)
         seen[~good], covariance[~good] = 0.0, np.eye(seen.shape[-1])
         factor = np.linalg.cholesky(covariance)
@@ -207,14 +215,13 @@ class ExactDensity:
             total += self._shared.add(seen, self._shared.columns(white, here))
         return np.where(good, total - 0.5 * seen[0].size * np.log(2.0 * np.pi), -np.inf)
 
-    def _cover(self, closure: Linearisation, model_error: Array) -> Array:
+    def _cover(self, here: _Here, model_error: Array) -> Array:
         """Return the covariance of s, shape (B, P, N, N), mm², for τ (B, N)."""
-        pose, actuators = closure.pose, closure.actuators
+        pose, actuators = here.closure.pose, here.closure.actuators
         covariance = pose @ self._likelihood.poses.covariance @ np.swapaxes(pose, -1, -2)
         covariance += self._noise**2 * actuators @ np.swapaxes(actuators, -1, -2)
-        own = np.diagonal(actuators, axis1=-2, axis2=-1) ** 2 * (model_error[:, None] ** 2 + self._variance)
-        covariance += np.eye(own.shape[-1]) * own[..., None, :]
-        return covariance
+        own = here.legs * np.sqrt(model_error[:, None] ** 2 + self._variance)[..., None, :]
+        return np.asarray(covariance + own @ np.swapaxes(own, -1, -2))
 
     def information(self, theta: Array, model_error: Array) -> Array:
         """Return what the poses tell of the parameters of one machine (D,) at τ (N,), shape (D, D)."""
@@ -223,7 +230,7 @@ class ExactDensity:
         position = poses.position - here.error[0, :, :3]
         rotation = matrix_from_rotation_vector(-here.error[0, :, 3:]) @ poses.rotation
         slope = machine.linearise(theta, position, rotation, poses.actuators).parameters
-        white = np.linalg.inv(np.linalg.cholesky(self._cover(here.closure, model_error[None])[0]))
+        white = np.linalg.inv(np.linalg.cholesky(self._cover(here, model_error[None])[0]))
         rows = (white @ slope).reshape(-1, slope.shape[-1])
         total = rows.T @ rows
         if self._shared is not None:
@@ -238,3 +245,8 @@ class ExactDensity:
         if pose.shape[-2] == pose.shape[-1]:
             return np.asarray(np.linalg.slogdet(pose)[1].sum(axis=-1))
         return np.asarray(0.5 * np.linalg.slogdet(np.swapaxes(pose, -1, -2) @ pose)[1].sum(axis=-1))
+
+
+def _leave_diagonal(matrix: Array) -> Array:
+    """Return matrices (..., N, N) with zeros on their diagonals."""
+    return matrix * ~np.eye(matrix.shape[-1], dtype=bool)
