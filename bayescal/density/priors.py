@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
+from scipy.special import ndtri
 
 from bayescal.numerics.geometry import Array
 
@@ -17,6 +18,10 @@ class Prior(ABC):
     @abstractmethod
     def log_density(self, value: Array) -> Array:
         """Return the normalised log-density, -inf outside the support."""
+
+    @abstractmethod
+    def at_quantile(self, share: Array) -> Array:
+        """Return the values below which the prior has given shares of its mass."""
 
     @property
     @abstractmethod
@@ -39,6 +44,10 @@ class NormalPrior(Prior):
     def log_density(self, value: Array) -> Array:
         """Return the normal log-density."""
         return -0.5 * ((value - self.centre) / self.scale) ** 2 - np.log(self.scale) - 0.5 * np.log(2 * np.pi)
+
+    def at_quantile(self, share: Array) -> Array:
+        """Return the normal quantiles."""
+        return self.centre + self.scale * ndtri(share)
 
     @property
     def mean(self) -> float:
@@ -63,6 +72,10 @@ class UniformPrior(Prior):
         inside = (value >= self.lower) & (value <= self.upper)
         return np.where(inside, -np.log(self.upper - self.lower), -np.inf)
 
+    def at_quantile(self, share: Array) -> Array:
+        """Return values by their share of the width."""
+        return self.lower + (self.upper - self.lower) * share
+
     @property
     def mean(self) -> float:
         """The middle."""
@@ -84,6 +97,10 @@ class HalfNormalPrior(Prior):
         """Return the half-normal log-density."""
         inside = 0.5 * np.log(2 / np.pi) - np.log(self.scale) - 0.5 * (value / self.scale) ** 2
         return np.where(value >= 0, inside, -np.inf)
+
+    def at_quantile(self, share: Array) -> Array:
+        """Return the half-normal quantiles."""
+        return np.asarray(stats.halfnorm.ppf(share, scale=self.scale))
 
     @property
     def mean(self) -> float:
