@@ -143,7 +143,7 @@ class Posterior:
     @cached_property
     def _normal(self) -> tuple[np.ndarray, Array, Array]:
         """Which free parameters have a normal prior, and its centres and scales."""
-        which = ~self.coordinates.bounded
+        which = ~self.coordinates.standard
         chosen = [prior for prior, normal in zip(self._ordered_priors, which, strict=True) if normal]
         return which, np.array([p.mean for p in chosen]), np.array([p.sd for p in chosen])
 
@@ -151,7 +151,7 @@ class Posterior:
     def _standard(self) -> np.ndarray:
         """Which coordinates are standard normal under the prior, whatever the others are."""
         model_errors = np.ones(self.n_parameters - self.n_geometry, dtype=bool)
-        return np.concatenate([self.coordinates.bounded, model_errors])
+        return np.concatenate([self.coordinates.standard, model_errors])
 
     @property
     def n_geometry(self) -> int:
@@ -214,15 +214,15 @@ class Posterior:
         z = (theta[..., self.coordinates.free[normal]] - centre) / scale
         standard = y[..., self._standard]
         total = -0.5 * (np.einsum("...i,...i->...", z, z) + np.einsum("...i,...i->...", standard, standard))
-        total = total + self.coordinates.log_volume(theta)
+        total = total + self.coordinates.log_volume(theta) + self.coordinates.log_ring_ratio(y[..., : self.n_geometry])
         return total + self.coordinates.log_scale - np.log(scale).sum() - self.n_parameters * HALF_LOG_TWO_PI
 
     def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
         """Return draws of the prior in the coordinates, shape (n_draws, n); NaN where they are no coordinates."""
         y = rng.standard_normal((n_draws, self.n_parameters))
-        normal, centre, scale = self._normal
-        theta = self.theta(np.where(self._standard, y, 0.0))
-        theta[:, self.coordinates.free[normal]] = centre + scale * y[:, : self.n_geometry][:, normal]
+        theta = np.tile(self.coordinates.start, (n_draws, 1))
+        for k, (place, prior) in enumerate(zip(self.coordinates.free, self._ordered_priors, strict=True)):
+            theta[:, place] = prior.at_quantile(ndtr(y[:, k]))
         with np.errstate(invalid="ignore"):
             y[:, : self.n_geometry] = self.coordinates.y_from_theta(theta)
         return y
@@ -312,7 +312,7 @@ class Posterior:
         n = self.n_geometry
         rows = self._prior_slope(change)
         gradient[:n] = -np.einsum("pik,pi->k", slope, weighted) - rows.T @ self.prior_residual(y, theta)
-        gradient[:n] += self.coordinates.log_volume_slope(theta) @ change
+        gradient[:n] += self.coordinates.log_volume_slope(theta) @ change + self.coordinates.log_ring_ratio_slope(y[:n])
         hessian[:n, :n] = -np.einsum("pik,pij,pjm->km", slope, precision, slope, optimize=True) - rows.T @ rows
         if self.model_error.scale is not None:
             self._add_model_error(y, weighted, precision, gradient, hessian)

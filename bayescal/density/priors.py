@@ -27,6 +27,10 @@ class Prior(ABC):
     def standardise(self, value: Array) -> Array:
         """Return the values whose standard normal has the probability that the prior has below these."""
 
+    @abstractmethod
+    def at_quantile(self, share: Array) -> Array:
+        """Return the values below which the prior has given shares of its mass."""
+
     @property
     @abstractmethod
     def mean(self) -> float:
@@ -56,6 +60,10 @@ class NormalPrior(Prior):
     def standardise(self, value: Array) -> Array:
         """Return the distance from the centre in standard deviations."""
         return (value - self.centre) / self.scale
+
+    def at_quantile(self, share: Array) -> Array:
+        """Return the normal quantiles."""
+        return self.centre + self.scale * ndtri(share)
 
     @property
     def mean(self) -> float:
@@ -88,6 +96,10 @@ class UniformPrior(Prior):
         """Return the normal quantile of the share of the width below each value."""
         return ndtri((value - self.lower) / (self.upper - self.lower))
 
+    def at_quantile(self, share: Array) -> Array:
+        """Return values by their share of the width."""
+        return self.lower + (self.upper - self.lower) * share
+
     @property
     def mean(self) -> float:
         """The middle."""
@@ -117,6 +129,10 @@ class HalfNormalPrior(Prior):
     def standardise(self, value: Array) -> Array:
         """Return the normal quantile of the prior probability of a smaller value."""
         return ndtri(erf(value / self.scale / np.sqrt(2.0)))
+
+    def at_quantile(self, share: Array) -> Array:
+        """Return the half-normal quantiles."""
+        return np.asarray(stats.halfnorm.ppf(share, scale=self.scale))
 
     @property
     def mean(self) -> float:

@@ -60,6 +60,10 @@ class SharePrior(Prior):
         """Return ζ."""
         return np.asarray(-ndtri_exp(self.exponent * np.log1p(-value)))
 
+    def at_quantile(self, share: Array) -> Array:
+        """Return shares by the prior's mass below them."""
+        return np.asarray(-np.expm1(np.log1p(-share) / self.exponent))
+
     @property
     def mean(self) -> float:
         """The share that is expected."""

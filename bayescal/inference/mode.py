@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.optimize import OptimizeResult, minimize
@@ -19,6 +20,8 @@ SAME = 0.03  # prior sds: two climbs that stop at a decrement of 1e-4 may end so
 HESSIAN_STEP = 0.1  # posterior sds
 PATIENCE, HOPELESS = 20, 40.0  # steps after which a climb this many nats below the best is given up
 WORTH_KEEPING = 12.0  # a mode this many nats below the best holds no mass that matters
+WORTH_COMBINING = 7.0  # a combination of jumps expected to hold less than e^-7 of the best is not climbed
+MOST_COMBINATIONS = 63  # all of six jumps
 
 type Climb = tuple[Array, float]
 
@@ -54,13 +57,60 @@ class Mode:
 def find_modes(posterior: Target) -> list[Mode]:
     """Return the posterior's modes, best first: the one found from its own start, and those its jumps lead to.
 
-    Each jump is tried, again from every better mode found. A mode that holds no mass that matters is dropped.
+    Each jump is tried, again from every better mode found, and then those combinations of jumps which the masses of
+    their modes give a mass that matters. A mode that holds none is dropped.
     """
     best, others = _follow_jumps(posterior)
     first = _characterise(posterior, *best)
     worth = [other for other in others if other[1] > best[1] - 2 * WORTH_KEEPING]
     modes = [_characterise(posterior, *other) for other in worth]
-    return [first, *(m for m in modes if m.converged and m.log_evidence > first.log_evidence - WORTH_KEEPING)]
+    modes = [m for m in modes if m.converged and m.log_evidence > first.log_evidence - WORTH_KEEPING]
+    return [first, *modes, *_combine(posterior, first, modes)]
+
+
+def _combine(posterior: Target, first: Mode, modes: list[Mode]) -> list[Mode]:
+    """Return modes where several coordinates are those of other modes at once, as they differ from the first.
+
+    Jumps of different coordinates hardly know of each other: their masses multiply.
+    """
+    found = {(jump,): mode for jump, mode in _match_jumps(posterior, first, modes).items()}
+    lost = {jump: first.log_evidence - mode.log_evidence for (jump,), mode in found.items()}
+    sets = [c for size in range(2, len(lost) + 1) for c in combinations(sorted(lost, key=lambda j: lost[j]), size)]
+    sets = [c for c in sets if sum(lost[jump] for jump in c) < WORTH_COMBINING]
+    known = [first, *modes]
+    for chosen in sorted(sets, key=lambda c: sum(lost[jump] for jump in c))[:MOST_COMBINATIONS]:
+        for last in chosen:  # from the others' mode on, whichever leads there
+            parent = found.get(tuple(jump for jump in chosen if jump != last))
+            start = None if parent is None else dict(posterior.jumps(parent.y)).get(last)
+            end = None if start is None else _climb_if_possible(posterior, start, first.log_density - HOPELESS)
+            if end is None or any(np.allclose(end[0], mode.y, rtol=0.0, atol=SAME) for mode in known):
+                continue
+            found[chosen] = _characterise(posterior, *end)
+            known.append(found[chosen])
+            break
+    new = known[1 + len(modes) :]
+    return [m for m in new if m.converged and m.log_evidence > first.log_evidence - WORTH_KEEPING]
+
+
+def _match_jumps(posterior: Target, first: Mode, modes: list[Mode]) -> dict[int, Mode]:
+    """Return of jumps from the first mode which of other modes they lead to; one alone has no other to combine with."""
+    if len(modes) < 2:
+        return {}
+    matched: dict[int, Mode] = {}
+    for jump, start in posterior.jumps(first.y):
+        end = _climb_if_possible(posterior, start, first.log_density - HOPELESS)
+        for mode in modes:
+            if end is not None and np.allclose(mode.y, end[0], rtol=0.0, atol=SAME):
+                matched[jump] = mode
+    return matched
+
+
+def _climb_if_possible(posterior: Target, start: Array, floor: float) -> Climb | None:
+    """Return where a climb ends; None where there is no machine to start from, or the climb leaves all machines."""
+    try:
+        return _climb(posterior, start, floor)
+    except NumericalError:
+        return None
 
 
 def _follow_jumps(posterior: Target) -> tuple[Climb, list[Climb]]:
@@ -73,8 +123,8 @@ def _follow_jumps(posterior: Target) -> tuple[Climb, list[Climb]]:
         for jump, start in posterior.jumps(best[0]):
             if jump == came_from:
                 continue  # leads back
-            other = _climb(posterior, start, best[1] - HOPELESS)
-            if any(np.allclose(other[0], known[0], rtol=0.0, atol=SAME) for known in (best, *others)):
+            other = _climb_if_possible(posterior, start, best[1] - HOPELESS)
+            if other is None or any(np.allclose(other[0], known[0], rtol=0.0, atol=SAME) for known in (best, *others)):
                 continue
             if other[1] > best[1]:
                 best, other, improved, came_from = other, best, True, jump

@@ -68,9 +68,16 @@ def find_circles(directions: Array, legs: Array, sd: Array) -> tuple[np.ndarray,
     """
     axis = legs / np.linalg.norm(legs, axis=1, keepdims=True)
     gain = np.einsum("ik,ik->i", directions, axis)
+    sine = np.linalg.norm(directions - gain[:, None] * axis, axis=1)
+    clear = sine > CLEARANCE * sd
+    return clear, frame_circles(directions[clear], legs[clear])
+
+
+def frame_circles(directions: Array, legs: Array) -> DirectionCircles:
+    """Return the circles through nominal unit directions (K, 3) about legs (K, 3) that these do not point along."""
+    axis = legs / np.linalg.norm(legs, axis=1, keepdims=True)
+    gain = np.einsum("ik,ik->i", directions, axis)
     across = directions - gain[:, None] * axis
     sine = np.linalg.norm(across, axis=1)
-    clear = sine > CLEARANCE * sd
-    axis, across, gain, sine = axis[clear], across[clear], gain[clear], sine[clear]
     radial = across / sine[:, None]
-    return clear, DirectionCircles(axis, radial, np.cross(axis, radial), gain, sine)
+    return DirectionCircles(axis, radial, np.cross(axis, radial), gain, sine)

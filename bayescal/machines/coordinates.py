@@ -8,8 +8,9 @@ that follows (see `directions`), out of the ridges:
 - in place of κ, the gain of the actuator along the leg, κ' = κ - u_z - (z_x u_x + z_y u_y) / z_z with z the nominal leg
   direction (RR-8096 eqs. 38 to 40), which is what κ and u together can tell. Along a level leg κ does nothing.
 
-Where κ is not free, both components of a direction are replaced by its gain and its azimuth about the leg (`circles`),
-in the local frame of u.
+Where κ is not free, both components of a direction are replaced by its gain and its azimuth about the leg, in the local
+frame of u: by linear functions of these where a normal prior allows but a short arc of the circle (`circles`), otherwise
+by quantiles of the prior along it (`rings`).
 Struts have neither u nor ρ^0, and ridges that are straight as they stand.
 
 Every coordinate is then scaled by the prior's standard deviation. A parameter between bounds is not sheared; its
@@ -25,10 +26,13 @@ from functools import cached_property
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from bayescal.machines.circles import DirectionCircles, find_circles
+from bayescal.machines.circles import DirectionCircles, find_circles, frame_circles
 from bayescal.machines.models.legs import actuator_directions, chart_of, differentiate_directions, local_directions
 from bayescal.machines.parameters import ParameterLayout
+from bayescal.machines.rings import DirectionRing
 from bayescal.numerics.geometry import Array
+
+WIDEST = 3.0  # prior sds, in units of the sine between direction and leg, beyond which a circle is lost in the prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +87,67 @@ class Coordinates:
         legs = np.flatnonzero(both)
         if not len(legs):
             return None
-        sd = np.maximum(*(self.scale[np.searchsorted(self.free, index[s][legs])] for s in symbols))
-        vectors = chart_of(self.layout).to_local(self.legs)[legs]
-        clear, circles = find_circles(local_directions(self.layout, self.start)[legs], vectors, sd)
+        sd = self._direction_spread(legs).max(axis=1)
+        clear, circles = find_circles(*self._local_pairs(legs), sd)
         return (legs[clear], circles) if clear.any() else None
+
+    def _direction_spread(self, legs: np.ndarray) -> Array:
+        """Return the prior sds of both components of legs' directions, shape (K, 2)."""
+        places = [np.searchsorted(self.free, self.layout.index[s][legs]) for s in self.layout.direction_symbols]
+        return np.stack([self.scale[place] for place in places], axis=1)
+
+    def _local_pairs(self, legs: np.ndarray) -> tuple[Array, Array]:
+        """Return nominal directions and lines of legs in their local frames, shapes (K, 3)."""
+        lines = chart_of(self.layout).to_local(self.legs)[legs]
+        return local_directions(self.layout, self.start)[legs], lines
+
+    @cached_property
+    def rings(self) -> tuple[tuple[int, np.ndarray, DirectionRing], ...]:
+        """Legs whose direction's prior is wide or bounded, where in y its components stand, and the ring of each."""
+        index, symbols = self.layout.index, self.layout.direction_symbols
+        if not symbols:
+            return ()
+        first, second = (np.isin(index[symbol], self.free) for symbol in symbols)
+        both = first & second
+        if "kappa" in index:
+            both &= ~np.isin(index["kappa"], self.free)
+        if self._circles is not None:
+            both[self._circles[0]] = False
+        return tuple(ring for leg in np.flatnonzero(both) if (ring := self._find_ring(int(leg))) is not None)
+
+    def _find_ring(self, leg: int) -> tuple[int, np.ndarray, DirectionRing] | None:
+        """Return a leg's ring; None where the direction lies so near to the leg that the prior hardly sees it."""
+        legs = np.array([leg])
+        direction, line = self._local_pairs(legs)
+        spread = self._direction_spread(legs)[0]
+        sine = float(np.linalg.norm(np.cross(direction[0], line[0])) / np.linalg.norm(line[0]))
+        if not 0.0 < spread.max() < WIDEST * sine:
+            return None
+        places = np.array(
+            [np.searchsorted(self.free, self.layout.index[s][leg]) for s in self.layout.direction_symbols]
+        )
+        ring = DirectionRing(
+            frame_circles(direction, line), direction[0, :2], spread, self.lower[places], self.upper[places]
+        )
+        return leg, places, ring
+
+    @cached_property
+    def ringed(self) -> np.ndarray:
+        """Which coordinates are those of rings, shape (n,)."""
+        ringed = np.zeros(len(self.free), dtype=bool)
+        for _, places, _ in self.rings:
+            ringed[places] = True
+        return ringed
+
+    @cached_property
+    def by_quantile(self) -> np.ndarray:
+        """Which coordinates are a bounded parameter's quantile, shape (n,)."""
+        return self.bounded & ~self.ringed
+
+    @cached_property
+    def standard(self) -> np.ndarray:
+        """Which coordinates are standard normal under the prior, those of rings but for their ratio, shape (n,)."""
+        return self.bounded | self.ringed
 
     @cached_property
     def _on_circles(self) -> tuple[np.ndarray, np.ndarray]:
@@ -99,7 +160,7 @@ class Coordinates:
     @cached_property
     def log_scale(self) -> float:
         """Logarithm of the constant part of the volume dθ/dy of the parameters without bounds."""
-        return float(np.log(self.scale[~self.bounded]).sum())
+        return float(np.log(self.scale[~self.standard]).sum())
 
     def log_volume(self, theta: Array) -> Array | float:
         """Return the part of log |dθ/dy| of the parameters without bounds that varies, shape (..., D) to (...)."""
@@ -118,6 +179,21 @@ class Coordinates:
                 slope[self.layout.index[symbol][legs]] = -u[:, k] / u[:, 2] ** 2
         return slope
 
+    def log_ring_ratio(self, y: Array) -> Array | float:
+        """Return the prior's log-density of all rings' coordinates less that of standard normals, (..., n) to (...)."""
+        total: Array | float = 0.0
+        for _, places, ring in self.rings:
+            pairs = y[..., places]
+            total = total + ring.log_prior_ratio(pairs.reshape(-1, 2)).reshape(pairs.shape[:-1])
+        return total
+
+    def log_ring_ratio_slope(self, y: Array) -> Array:
+        """Return its derivative by the coordinates at y, shape (n,)."""
+        slope = np.zeros(len(self.free))
+        for _, places, ring in self.rings:
+            slope[places] = ring.log_prior_ratio_slope(y[places])
+        return slope
+
     def _shifts(self, theta: Array) -> dict[str, Array]:
         """Return what the shears add to each sheared symbol, shapes (..., N)."""
         if "rho0" not in self.layout.index:
@@ -128,7 +204,24 @@ class Coordinates:
         if "kappa" in self.layout.index:
             along = -direction[..., 2] - np.sum(self.legs[:, :2] * direction[..., :2], axis=-1)
             shifts["kappa"] = np.where(self._rising, along, 0.0)
+        if self._along_leg.any():
+            shifts["l"] = rho0 * np.sum(self._along_leg * direction, axis=-1)
         return shifts
+
+    @cached_property
+    def _along_leg(self) -> Array:
+        """Which parts of its joint the length of a leg on a circle follows, shape (N, 3).
+
+        Poses tell l + z · c. A part of c whose attachment point is not free moves with u, and l makes up for it.
+        """
+        along = np.zeros((len(self.legs), 3))
+        if not self.layout.direction_symbols:
+            return along
+        for leg in (*(leg for leg, _, _ in self.rings), *(self._circles[0] if self._circles else ())):
+            unit = self.legs[leg] / np.linalg.norm(self.legs[leg])
+            held = [not self._mask[self.layout.index[f"a_{axis}"][leg]] for axis in "xyz"]
+            along[leg] = np.where(held, unit, 0.0)
+        return along
 
     @cached_property
     def _rising(self) -> np.ndarray:
@@ -151,8 +244,8 @@ class Coordinates:
         """Return full parameter vectors (..., D); NaN where a direction leaves the unit sphere."""
         theta = np.broadcast_to(self.start, (*y.shape[:-1], self.layout.size)).copy()
         theta[..., self.free] = self._origin + y * self.scale
-        if self.bounded.any():
-            inside = self.bounded
+        if self.by_quantile.any():
+            inside = self.by_quantile
             lower, width = self.lower[inside], (self.upper - self.lower)[inside]
             theta[..., self.free[inside]] = lower + width * ndtr(y[..., inside])
         if self._circles is not None:
@@ -162,12 +255,18 @@ class Coordinates:
             found = circles.directions(w, y[..., azimuth] * self.scale[azimuth] / circles.sine)
             for symbol, component in zip(self.layout.direction_symbols, found, strict=True):
                 theta[..., self.layout.index[symbol][legs]] = component
+        for _, places, ring in self.rings:
+            pairs = y[..., places]
+            theta[..., self.free[places]] = ring.components(pairs.reshape(-1, 2)).reshape(pairs.shape)
         return self._shear(theta, theta, -1.0)
 
     def y_from_theta(self, theta: Array) -> Array:
         """Return the coordinates (..., n) of full parameter vectors (..., D)."""
         y = (self._shear(theta, theta, 1.0)[..., self.free] - self._origin) / self.scale
-        y[..., self.bounded] = ndtri(self._share(theta))
+        y[..., self.by_quantile] = ndtri(self._share(theta))
+        for leg, places, ring in self.rings:
+            u = local_directions(self.layout, theta)[..., leg, :]
+            y[..., places] = ring.coordinates(u.reshape(-1, 3)).reshape(*u.shape[:-1], 2)
         if self._circles is not None:
             legs, circles = self._circles
             gain, azimuth = self._on_circles
@@ -178,8 +277,8 @@ class Coordinates:
 
     def _share(self, theta: Array) -> Array:
         """Return where the parameters with bounds lie between them, from 0 to 1."""
-        lower, upper = self.lower[self.bounded], self.upper[self.bounded]
-        return (theta[..., self.free[self.bounded]] - lower) / (upper - lower)
+        lower, upper = self.lower[self.by_quantile], self.upper[self.by_quantile]
+        return (theta[..., self.free[self.by_quantile]] - lower) / (upper - lower)
 
     def jacobian(self, theta: Array) -> Array:
         """Return dθ/dy, shape (D, n), at one parameter vector (D,)."""
@@ -198,7 +297,11 @@ class Coordinates:
                 for m, symbol in enumerate(self.layout.direction_symbols):
                     along = np.sum(self.legs * slopes[:, m], axis=-1)
                     change[index["kappa"], index[symbol]] += np.where(self._rising, along, 0.0)
-            sheared = np.concatenate([index[s] for s in ("a_x", "a_y", "a_z", "kappa") if s in index])
+            if self._along_leg.any():
+                change[index["l"], index["rho0"]] -= np.sum(self._along_leg * direction, axis=-1)
+                for m, symbol in enumerate(self.layout.direction_symbols):
+                    change[index["l"], index[symbol]] -= rho0 * np.sum(self._along_leg * slopes[:, m], axis=-1)
+            sheared = np.concatenate([index[s] for s in ("a_x", "a_y", "a_z", "kappa", "l") if s in index])
             fixed = sheared[~self._mask[sheared]]
             change[fixed] = np.eye(self.layout.size)[fixed]
         if self._circles is not None:
@@ -209,9 +312,13 @@ class Coordinates:
             by_gain, by_azimuth = by_gain * circles.sine[:, None], by_azimuth / circles.sine[:, None]
             change[:, first] = x * by_gain[:, 0] + y * by_gain[:, 1]
             change[:, second] = x * by_azimuth[:, 0] + y * by_azimuth[:, 1]
-        scale = self.scale.copy()
+        scale = np.where(self.ringed, 1.0, self.scale)
+        for leg, places, ring in self.rings:
+            columns = self.free[places]
+            u = local_directions(self.layout, theta)[leg]
+            change[:, columns] = change[:, columns] @ ring.slopes(ring.coordinates(u[None])[0])
         normal_density = np.exp(-0.5 * ndtri(self._share(theta)) ** 2) / np.sqrt(2 * np.pi)
-        scale[self.bounded] = (self.upper - self.lower)[self.bounded] * normal_density
+        scale[self.by_quantile] = (self.upper - self.lower)[self.by_quantile] * normal_density
         return change[:, self.free] * scale
 
 

@@ -61,7 +61,7 @@ def test_coordinates_are_a_bijection(coordinates, rng):
     theta = coordinates.theta_from_y(y)
     exists = np.isfinite(theta).all(axis=1)
     assert exists.sum() >= 20
-    assert exists.all() or len(legs_on_circles(coordinates))
+    assert exists.all() or len(legs_on_circles(coordinates)) or len(legs_on_rings(coordinates))
     y, theta = y[exists], theta[exists]
     np.testing.assert_allclose(coordinates.y_from_theta(theta), y, atol=1e-11)
     fixed = np.setdiff1d(np.arange(coordinates.layout.size), coordinates.free)
@@ -70,20 +70,31 @@ def test_coordinates_are_a_bijection(coordinates, rng):
 
 
 def legs_on_circles(coordinates):
-    """Return the legs whose direction has gain and azimuth for coordinates."""
+    """Return the legs whose direction has linear functions of gain and azimuth for coordinates."""
     return coordinates._circles[0] if coordinates._circles else np.array([], dtype=int)
+
+
+def legs_on_rings(coordinates):
+    """Return the legs whose direction has quantiles of gain and azimuth for coordinates."""
+    return np.array([leg for leg, _, _ in coordinates.rings], dtype=int)
 
 
 def test_circles_are_for_directions_without_kappa(coordinates):
     index = coordinates.layout.index
     both = np.isin([*index["u_x"], *index["u_y"]], coordinates.free).all()
     expected = both and not np.isin(index["kappa"], coordinates.free).any()
-    assert bool(len(legs_on_circles(coordinates))) == expected
+    found = np.sort(np.concatenate([legs_on_circles(coordinates), legs_on_rings(coordinates)]))
+    assert len(np.unique(found)) == len(found)
+    assert bool(len(found)) == expected
 
 
 def test_origin_of_the_coordinates_is_the_nominal_machine(coordinates):
     theta = coordinates.theta_from_y(np.zeros((1, len(coordinates.free))))[0]
-    np.testing.assert_allclose(theta, coordinates.layout.nominal, atol=1e-12)
+    elsewhere = np.setdiff1d(np.arange(len(theta)), coordinates.free[coordinates.ringed])
+    if len(coordinates.rings):  # whose zero is the middle of the prior, in length and joint too
+        elsewhere = elsewhere[[not n.startswith(("a_", "l")) for n in np.array(coordinates.layout.names)[elsewhere]]]
+        assert np.abs(theta - coordinates.layout.nominal).max() < 1.0
+    np.testing.assert_allclose(theta[elsewhere], coordinates.layout.nominal[elsewhere], atol=1e-12)
 
 
 def test_jacobian_of_the_coordinates(coordinates, rng):
@@ -95,13 +106,18 @@ def test_jacobian_of_the_coordinates(coordinates, rng):
 
 def test_volume_of_the_coordinates(coordinates, rng):
     """The product of the scales; with gain and azimuth of a direction times u_z, since du_x du_y = u_z dw dψ."""
-    theta = coordinates.theta_from_y(0.5 * rng.standard_normal((1, len(coordinates.free))))[0]
+    y = 0.5 * rng.standard_normal((1, len(coordinates.free)))
+    theta = coordinates.theta_from_y(y)[0]
     assert np.isfinite(theta).all()
     log_volume = np.linalg.slogdet(coordinates.jacobian(theta)[coordinates.free])[1]
-    assert coordinates.log_scale == pytest.approx(np.log(coordinates.scale).sum(), abs=1e-9)
+    assert coordinates.log_scale == pytest.approx(np.log(coordinates.scale[~coordinates.standard]).sum(), abs=1e-9)
     u_x, u_y = (coordinates.layout.take(theta, symbol)[legs_on_circles(coordinates)] for symbol in ("u_x", "u_y"))
     varying = np.log(1 - u_x**2 - u_y**2).sum() / 2
-    assert log_volume == pytest.approx(coordinates.log_scale + varying, abs=1e-9)
+    rings = coordinates.log_ring_ratio(y[0])
+    for leg, places, ring in coordinates.rings:
+        components = np.array([coordinates.layout.take(theta, symbol)[leg] for symbol in ("u_x", "u_y")])
+        rings += stats.norm.logpdf(y[0, places]).sum() - ring.log_prior(components)
+    assert log_volume == pytest.approx(coordinates.log_scale + varying + rings, abs=1e-6)
     assert coordinates.log_volume(theta) == pytest.approx(varying, abs=1e-12)
 
 
