@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
+from rich.padding import Padding
 
 from bayescal.errors import BayescalError, InputError, NumericalError, name_faults
 from bayescal.experiments.frame.interrupts import INTERRUPTED, end_on_interrupt
@@ -33,6 +34,27 @@ Seed = Annotated[int | None, typer.Option(min=0, help="Seed in place of the conf
 Workers = Annotated[int | None, typer.Option(min=1, help="Processes side by side; default one per core.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Take up an interrupted run of the same config.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"bayescal {version('bayescal')}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def begin(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and end.")
+    ] = False,
+) -> None:
+    """Bayesian identification of parallel-kinematic machines."""
+    del version
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
 
 
 @app.command(epilog="Example: bayescal run experiments/telescope/study.toml --workers 2")
@@ -190,6 +212,50 @@ def compare(
 
     experiment, table = compare_results(results, kind)
     experiment.show_comparison(table, _make_console(WIDE))
+
+
+@app.command(epilog="Example: bayescal validate experiments/telescope/study.toml")
+def validate(experiment: Experiment) -> None:
+    """Find everything at fault in a config and its files without computing, and say what a run would do."""
+    from bayescal.experiments.frame.load import load
+    from bayescal.experiments.frame.run import check_experiment
+    from bayescal.experiments.shared.simulated_data import SimulatedData
+
+    kind, config = load(experiment)
+    with name_faults(experiment):
+        files = check_experiment(config, experiment.parent)
+    typer.echo(f"{experiment}: fit to run, a {config.kind} {config.name!r} ({config.title})")
+    typer.echo(f"{len(files)} files belong to it: {', '.join(files)}" if files else "no other file belongs to it")
+    command = "simulate" if isinstance(kind, SimulatedData) else "run"
+    typer.echo(f"next: bayescal {command} {experiment}, into results/{config.name}")
+
+
+@app.command("list", epilog="Example: bayescal list models")
+def list_names(
+    sort: Annotated[
+        str | None, typer.Argument(metavar="[SORT]", help="kinds, models, sensors, ...; all by default.")
+    ] = None,
+) -> None:
+    """List what a config can name: kinds, models, deformations, sensors, criteria, methods, own ones too."""
+    from bayescal.experiments.frame.catalogue import list_entries, list_sorts
+
+    console = _make_console()
+    sorts = list_sorts() if sort is None else {sort: list_sorts().get(sort, "")}
+    for one in sorts:
+        entries = list_entries(one)
+        console.print(f"{sorts[one]} ({one})")
+        for entry in entries:
+            console.print(Padding(f"{entry.name}{' (own)' if entry.own else ''}: {entry.text}", (0, 0, 0, 2)))
+
+
+@app.command(epilog="Example: bayescal schema study > study.schema.json")
+def schema(kind: Annotated[str, typer.Argument(metavar="KIND", help="Kind of experiment, as in its config.")]) -> None:
+    """Print the JSON Schema of a kind's config, by which editors complete and check it."""
+    import json
+
+    from bayescal.experiments.frame.catalogue import describe_schema
+
+    typer.echo(json.dumps(describe_schema(kind), indent=1, ensure_ascii=False))
 
 
 def make_directory(path: Path) -> None:

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, mod
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from bayescal.config.load import FOLDER, check_section, describe_unknown_key
-from bayescal.config.registry import find_class, is_own, load_class
+from bayescal.config.registry import find_class, is_own, list_references, load_class
 from bayescal.config.sections import Section
 from bayescal.errors import BayescalError, InputError
 
@@ -76,6 +76,14 @@ class ClassMark:
         return core_schema.with_info_plain_validator_function(
             self._read, serialization=core_schema.plain_serializer_function_ser_schema(_write)
         )
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
+        """Return what an editor is told: the known names, or any reference, or a table with a class's options."""
+        del schema, handler
+        known = {"enum": sorted(list_references(self.registry))}
+        reference = {"type": "string", "pattern": ":", "description": "module:Class or file.py:Class"}
+        table = {"type": "object", "properties": {"class": {"type": "string"}}, "required": ["class"]}
+        return {"anyOf": [known, reference, table]}
 
     def _read(self, value: object, info: ValidationInfo) -> ClassName:
         name, options = _split(value)

@@ -126,6 +126,22 @@ def run_experiment(
     return Finished(out, experiment, read_results(out), page)
 
 
+def check_experiment(config: ExperimentConfig, folder: Path) -> list[str]:
+    """Read all that an experiment computes with, and return its files.
+
+    Raises
+    ------
+    InputError
+        For anything at fault in them.
+    """
+    experiment = find_kind(config.kind, folder, folder)
+    with threadpool_limits(1):
+        experiment.read(config, folder)
+    files = sorted(set(_list_files(experiment, config, folder)))
+    identify(config, folder, files)
+    return files
+
+
 def _list_files(experiment: AnyExperiment, config: ExperimentConfig, folder: Path) -> Iterable[str]:
     """Return all files that belong to an experiment's identity, the source of its kind among them."""
     yield from experiment.files(config, folder)

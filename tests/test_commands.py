@@ -1,0 +1,79 @@
+"""Commands that compute nothing: the version, help, what can be named, schemas for editors, a look at a config."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import version
+
+import pytest
+import studies
+
+from bayescal.config.registry import REGISTRIES, list_references
+from bayescal.experiments.frame.catalogue import TITLES, list_entries
+
+
+def test_version(call):
+    assert call("--version") == (0, f"bayescal {version('bayescal')}\n", "")
+
+
+def test_without_a_command_there_is_help(call):
+    code, said, complaint = call()
+    assert (code, complaint) == (0, "")
+    for command in ("run", "audit", "validate", "list", "schema", "report", "compare"):
+        assert f"\n  {command} " in said
+
+
+def test_everything_that_can_be_named_is_listed(call):
+    code, said, _ = call("list")
+    assert code == 0
+    assert set(TITLES) == set(REGISTRIES)
+    for what in REGISTRIES:
+        assert TITLES[what] in said
+        for name in list_references(what):
+            assert f"\n  {name}: " in said
+    assert all(entry.text and not entry.own for what in REGISTRIES for entry in list_entries(what.lower()))
+
+
+def test_one_sort_alone(call):
+    code, said, _ = call("list", "models")
+    assert code == 0
+    assert "six_pus" in said
+    assert "detmax" not in said
+    code, _, complaint = call("list", "modles")
+    assert code == 2
+    assert "found 'modles', expected one of kinds" in complaint
+
+
+@pytest.mark.parametrize("kind", sorted(list_references("KINDS")))
+def test_schema_of_every_kind(call, kind):
+    code, said, _ = call("schema", kind)
+    assert code == 0
+    schema = json.loads(said)
+    assert schema["properties"]["kind"]["const"] == kind
+    assert schema["additionalProperties"] is False
+    assert {"name", "seed"} <= set(schema["properties"])
+
+
+def test_schema_knows_the_classes_that_can_be_named(call):
+    text = call("schema", "study")[1]
+    assert all(f'"{name}"' in text for name in (*list_references("MODELS"), *list_references("DEFORMATIONS")))
+    code, _, complaint = call("schema", "studdy")
+    assert code == 2
+    assert "found 'studdy', expected one of" in complaint
+
+
+def test_a_config_is_looked_at_without_running_it(call, tmp_path):
+    path = studies.write_tiny_study(tmp_path)
+    before = studies.snapshot(tmp_path)
+    code, said, complaint = call("validate", path)
+    assert (code, complaint) == (0, "")
+    assert "fit to run, a study 'tiny' (Tiny study)" in said
+    assert "data/targets.csv" in said
+    assert f"next: bayescal run {path}" in said
+    assert "bayescal simulate" in call("validate", tmp_path / "simulate.toml")[1]
+    studies.edit(path, "data/actuators.csv", "data/actuator.csv")
+    code, said, complaint = call("validate", path)
+    assert (code, said, complaint.count("\n")) == (2, "", 1)
+    assert "actuator.csv: no such file" in complaint
+    studies.edit(path, "data/actuator.csv", "data/actuators.csv")
+    assert studies.snapshot(tmp_path) == before
