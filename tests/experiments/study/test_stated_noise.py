@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 import studies
+from rich.console import Console
 
+from bayescal.api import run_study
 from bayescal.data.simulation import build_twin, format_survey, simulate_survey
+from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.inputs import StudyInputs, load_inputs
@@ -77,6 +81,26 @@ def test_what_is_stated_wrong_is_named_and_nothing_else(folder, stated, wrong, f
     assert {name for name, one in found.items() if one.is_off} == set(wrong)
     for name in wrong:
         assert found[name].factor == pytest.approx(factor, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("noise", "cause"), [(3.0, None), (1.5, "stated too small"), (6.0, "stated too large")], ids=str
+)
+def test_a_study_says_first_which_noise_is_wrong(folder, noise, cause, monkeypatch):
+    monkeypatch.setattr(frame, "write_page", lambda page, folder, more: folder)
+    inputs = read(folder, noise)
+    only = [one for one in inputs.config.variants if one.name == VARIANT]
+    finished = run_study(inputs.config.model_copy(update={"variants": only}), folder, folder / "out")
+    said = [statement for statement in finished.page.verdict if statement.lead == "Noise"]
+    console = Console(file=io.StringIO(), width=120)
+    finished.show(console)
+    assert ("NOISE: " in console.file.getvalue()) == (cause is not None)
+    if cause is None:
+        assert said == []
+    else:
+        assert finished.page.verdict[0].lead == "Noise"
+        assert len(said) >= 2  # the targets on their bodies, and the variant's residuals
+        assert all(cause in one.text for one in said if "rejected" not in one.text)
 
 
 @pytest.mark.slow

@@ -25,7 +25,10 @@ def fold_checks(results: StudyResults) -> list[Block]:
     best = label_variant(results, results.ranking[0])
     folds: list[Block] = [
         Fold(f"Poses left out: where they lie in the predictions of {best} (LOO-PIT)", (_illustrate_pits(results),)),
-        Fold(f"Poses beside replicates of {best} (posterior predictive check)", (_illustrate_replicates(results),)),
+        Fold(
+            f"Errors of poses and of their replicates, {best} (posterior predictive check)",
+            (_illustrate_replicates(results),),
+        ),
         Fold("Pareto k of every pose left out", (_illustrate_pareto_k(results),)),
         Fold(f"Chains of {best} (rank plot)", (_illustrate_ranks(results),)),
     ]
