@@ -15,7 +15,7 @@ k ~ N(0, S) are errors that all poses have in common: T_n k is what an uncertain
 deflections, whose variance alone, pose by pose, is v. Where K was measured in the same photographs as the poses, its
 error depends on theirs, cov(k, e_n) = Γ_n: a platform that seems to stand too high has joints that seem to hang too
 low. All this makes a covariance of low rank beside that of s; of Q common errors only a matrix of Q or 2 Q rows is
-factorised (Woodbury).
+factorised (Woodbury). On the telescope common errors are worth 3.9 nats of the evidence of its best variants.
 
 The derivatives cost five to thirty times the hot path: this density corrects what was found with that one.
 """
