@@ -27,6 +27,7 @@ from bayescal.experiments.study.tables import (
     tabulate_ranking,
     tabulate_ring,
     tabulate_sensitivity,
+    tabulate_tau_scale,
 )
 
 
@@ -49,6 +50,7 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
         "parameters": tabulate_parameters(summary),
         "predictions": tabulate_predictions(inputs, posteriors),
         "sensitivity": tabulate_sensitivity(inputs, fits),
+        "tau_scale": tabulate_tau_scale(inputs, posteriors),
         "least_squares": tabulate_least_squares(inputs, identified),
         "flexure": tabulate_flexure(inputs.mechanism),
         "ring": tabulate_ring(inputs),

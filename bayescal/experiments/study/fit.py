@@ -14,6 +14,7 @@ from bayescal.density.prediction import Prediction, predict
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.schema import StudyConfig, stem_of
 from bayescal.inference.bridge import estimate_by_bridge
+from bayescal.inference.diagnostics import measure_longest_stand
 from bayescal.inference.exploration import Exploration, count_walkers, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
@@ -122,6 +123,7 @@ def _sample(
         "bridge": np.array([bridge.log_evidence, bridge.standard_error]),
         "bridge_converged": np.array(bridge.converged, dtype=float),
         "acceptance": sample.acceptance,
+        "longest_stand": np.array([measure_longest_stand(density), sampler.steps]),
         "mean": natural.mean(axis=(0, 1, 2)),
         "sd": natural.std(axis=(0, 1, 2)),
         "q05": np.quantile(natural, 0.05, axis=(0, 1, 2)),
