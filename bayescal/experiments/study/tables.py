@@ -33,7 +33,7 @@ def tabulate_ranking(summary: dict[str, Any]) -> pd.DataFrame:
         held = variant["verification"] or {}
         rows.append(
             {
-                "rank": rank if variant["converged"] else pd.NA,
+                "rank": rank if variant["converged"] else np.nan,
                 "variant": name,
                 "n_parameters": variant["n_parameters"],
                 "log_evidence": variant["log_evidence"],
@@ -50,7 +50,7 @@ def tabulate_ranking(summary: dict[str, Any]) -> pd.DataFrame:
                 "converged": variant["converged"],
             }
         )
-    return pd.DataFrame(rows).astype({"rank": "Int64"})
+    return pd.DataFrame(rows)
 
 
 def tabulate_tau_scale(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> pd.DataFrame:
