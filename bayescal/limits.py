@@ -7,6 +7,10 @@ ESS_TAIL_LIMIT = 400.0
 PARETO_K_LIMIT = 0.7
 MOVED_LIMIT = 0.5
 """Smallest share of effective draws among those moved to the exact density."""
+EFFECTIVE_LIMIT = 200.0
+"""Effective draws of an importance sampler, below which its weights tell nothing, their tail included."""
+STUCK_SHARE, STUCK_STEPS = 0.4, 60
+"""A walker that stands still for this share of its steps, and for as many, is stuck."""
 AGREEMENT = 0.1
 """Largest difference of the two log-evidences, nats."""
 TEMPERED_LIMIT = 3.0

@@ -6,7 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.limits import ESS_BULK_LIMIT, ESS_TAIL_LIMIT, RHAT_LIMIT, TEMPERED_LIMIT
+from bayescal.limits import (
+    EFFECTIVE_LIMIT,
+    ESS_BULK_LIMIT,
+    ESS_TAIL_LIMIT,
+    PARETO_K_LIMIT,
+    RHAT_LIMIT,
+    STUCK_SHARE,
+    STUCK_STEPS,
+    TEMPERED_LIMIT,
+)
 from bayescal.numerics.geometry import Array
 
 LEAST_ERROR = 0.01  # nats; a few runs tell no smaller standard error
@@ -49,6 +58,40 @@ def diagnose(draws: Array) -> Diagnostics:
         ess_bulk=np.asarray(array_stats.ess(walker_by_walker), dtype=np.float64),
         ess_tail=np.asarray(array_stats.ess(walker_by_walker, method="tail", prob=(0.05, 0.95)), dtype=np.float64),
     )
+
+
+def measure_longest_stand(log_density: Array) -> int:
+    """Return for how many steps the most patient walker stood still; log-densities (ensembles, walkers, steps).
+
+    Where a proposal misses mass, a walker that gets there finds no way back: effective sizes, which average over
+    walkers that never went, do not see it.
+    """
+    longest = current = np.zeros(log_density.shape[:2], dtype=int)
+    for moved in np.moveaxis(np.diff(log_density, axis=2) != 0.0, 2, 0):
+        current = np.where(moved, 0, current + 1)
+        longest = np.maximum(longest, current)
+    return int(longest.max())
+
+
+def list_stand_problems(longest_stand: int, n_steps: int) -> list[str]:
+    """Return in words whether a walker is stuck; empty where none is."""
+    limit = max(STUCK_STEPS, int(np.ceil(STUCK_SHARE * n_steps)))
+    if longest_stand < limit:
+        return []
+    return [f"a walker stood still for {longest_stand} of {n_steps} steps, limit {limit}"]
+
+
+def list_importance_problems(pareto_k: float, n_effective: float) -> list[str]:
+    """Return in words what speaks against the weights of importance sampling; empty where nothing does.
+
+    What the proposal misses the chains that start from it miss, too, so that a bridge from them is no way out.
+    """
+    problems = []
+    if not pareto_k <= PARETO_K_LIMIT:
+        problems.append(f"Pareto k of the importance weights {pareto_k:.2f}, limit {PARETO_K_LIMIT}")
+    if not n_effective >= EFFECTIVE_LIMIT:
+        problems.append(f"{n_effective:.0f} effective draws of importance sampling, limit {EFFECTIVE_LIMIT:.0f}")
+    return problems
 
 
 def list_check_problems(evidence: tuple[float, float], check: tuple[float, float], settled: bool) -> list[str]:

@@ -73,8 +73,9 @@ def _combine(posterior: Target, first: Mode, modes: list[Mode]) -> list[Mode]:
 
     Jumps of different coordinates hardly know of each other: their masses multiply.
     """
-    found = {(jump,): mode for jump, mode in _match_jumps(posterior, first, modes).items()}
-    lost = {jump: first.log_evidence - mode.log_evidence for (jump,), mode in found.items()}
+    singles = _match_jumps(posterior, first, modes)
+    found: dict[tuple[int, ...], Mode] = {(jump,): mode for jump, mode in singles.items()}
+    lost = {jump: first.log_evidence - mode.log_evidence for jump, mode in singles.items()}
     sets = [c for size in range(2, len(lost) + 1) for c in combinations(sorted(lost, key=lambda j: lost[j]), size)]
     sets = [c for c in sets if sum(lost[jump] for jump in c) < WORTH_COMBINING]
     known = [first, *modes]

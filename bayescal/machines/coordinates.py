@@ -9,8 +9,8 @@ that follows (see `directions`), out of the ridges:
   direction (RR-8096 eqs. 38 to 40), which is what κ and u together can tell. Along a level leg κ does nothing.
 
 Where κ is not free, both components of a direction are replaced by its gain and its azimuth about the leg, in the local
-frame of u: by linear functions of these where a normal prior allows but a short arc of the circle (`circles`), otherwise
-by quantiles of the prior along it (`rings`).
+frame of u: by linear functions of these where a normal prior allows but a short arc of the circle (`circles`),
+otherwise by quantiles of the prior along it (`rings`).
 Struts have neither u nor ρ^0, and ridges that are straight as they stand.
 
 Every coordinate is then scaled by the prior's standard deviation. A parameter between bounds is not sheared; its

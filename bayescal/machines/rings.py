@@ -24,6 +24,7 @@ from bayescal.numerics.geometry import Array
 
 FURTHEST = 8.0  # prior sds from the nominal direction that the quantiles reach
 N_ANGLES, N_AZIMUTHS = 600, 720
+ZOOMS = 4
 TAIL = 1e-14
 NEWTON = 30  # steps, of which five do
 HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
@@ -83,9 +84,16 @@ class DirectionRing:
     def _angle_of_y(self) -> CubicHermiteSpline:
         """The angle t by y1."""
         nominal, reach = np.arcsin(self.circles.sine[0]), FURTHEST * float(np.hypot(*self.sd))
-        grid = np.linspace(max(0.0, nominal - reach), min(np.pi / 2, nominal + reach) * 1.5, N_ANGLES)
+        low, high = max(0.0, nominal - reach), min(np.pi / 2, nominal + reach) * 1.5
         azimuth = np.linspace(-np.pi, np.pi, N_AZIMUTHS, endpoint=False)
-        density = self._density(grid[:, None], azimuth).mean(axis=1)
+        for _ in range(ZOOMS):  # on where the prior is: bounds may leave but a small part
+            grid = np.linspace(low, high, N_ANGLES)
+            if self._bounded.all():
+                density = self._arcs(grid)[1].sum(axis=1) * np.sin(grid)
+            else:
+                density = self._density(grid[:, None], azimuth).mean(axis=1)
+            there = np.flatnonzero(density > 0.0)
+            low, high = grid[max(there[0] - 1, 0)], grid[min(there[-1] + 1, N_ANGLES - 1)]
         return _interpolate_quantiles(grid, density)
 
     @cached_property

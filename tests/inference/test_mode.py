@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.posterior import ModelError
+from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import NumericalError
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import find_mode, find_modes
 from bayescal.inference.peaks import Peak, proposal_from_peaks
 
+SIX = ("a_x", "a_y", "b_x", "b_y", "l")
 VARIANTS = [(name, error) for name in ("none", "linear", "matrix") for error in (ModelError(0.01), ModelError(None))]
 
 
@@ -138,3 +141,28 @@ def test_start_without_a_machine_is_refused(twin):
     assert posterior.log_density(start[None])[0] == -np.inf
     with pytest.raises(NumericalError, match="not finite"):
         find_mode(posterior, start)
+
+
+def test_mirrors_of_two_legs_at_once_are_found():
+    """Each of two legs alone has two solutions; all four are modes, and the masses of both jumps about multiply."""
+    machine = machines.build_machine("none")
+    layout, rng = machine.layout, np.random.default_rng(2)
+    poses = machines.simulate_poses(machine, layout.nominal, machines.table_3_actuators()[:12], np.zeros(6), rng)
+    priors = {f"{s}[{leg}]": NormalPrior(layout.nominal[layout.index[s][leg - 1]], 2.0) for s in SIX for leg in (1, 2)}
+    priors |= {f"u_y[{leg}]": UniformPrior(-0.3, 0.3) for leg in (1, 2)}
+    posterior = Posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(None))
+    modes = find_modes(posterior)
+    assert len(modes) == 4
+    best, *others = (layout.take(posterior.theta(mode.y[None])[0], "u_y")[:2] for mode in modes)
+    moved = {tuple(np.abs(other - best) > 0.05) for other in others}
+    assert moved == {(True, False), (False, True), (True, True)}
+    first, *lesser = (mode.log_evidence for mode in modes)
+    assert min(lesser) - first == pytest.approx(sum(sorted(lesser)[1:]) - 2 * first, abs=0.7)
+
+
+def test_a_mirror_beyond_the_bounds_is_no_start(twin):
+    """A jump that leads out of a uniform prior is left out; the mode is found all the same."""
+    machine = machines.build_machine("none")
+    priors = {"u_y[1]": UniformPrior(-0.05, 0.05), "l[1]": NormalPrior(500.0, 2.0)}
+    posterior = Posterior(PoseLikelihood(machine, twin, machines.ACTUATOR_NOISE), priors, ModelError(0.01, shared=True))
+    assert find_modes(posterior)[0].converged

@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 
 from bayescal.inference.bridge import BridgeEvidence, estimate_by_bridge
-from bayescal.inference.diagnostics import Diagnostics, list_check_problems
+from bayescal.inference.diagnostics import (
+    Diagnostics,
+    list_check_problems,
+    list_importance_problems,
+    list_stand_problems,
+    measure_longest_stand,
+)
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
@@ -38,6 +44,8 @@ class Estimate:
     importance : ImportanceEvidence
     bridge : BridgeEvidence
     modes_converged : bool
+    longest_stand, n_steps : int
+        For how many of its steps the most patient walker stood still.
     check : TemperedEvidence or None
         Where the config asks for it.
     """
@@ -49,6 +57,8 @@ class Estimate:
     importance: ImportanceEvidence
     bridge: BridgeEvidence
     modes_converged: bool
+    longest_stand: int
+    n_steps: int
     check: TemperedEvidence | None
 
     @property
@@ -76,6 +86,10 @@ class Estimate:
         gap = abs(self.importance.log_evidence - self.bridge.log_evidence)
         if not gap <= AGREEMENT:
             problems.append(f"the two log-evidences differ by {gap:.2f}, limit {AGREEMENT}")
+        problems += list_importance_problems(
+            self.importance.pareto_k, self.importance.efficiency * self.importance.n_draws
+        )
+        problems += list_stand_problems(self.longest_stand, self.n_steps)
         if self.check is not None:
             own, check = (self.log_evidence, self.log_evidence_se), self.check
             problems += list_check_problems(own, (check.log_evidence, check.standard_error), check.mixed)
@@ -141,6 +155,8 @@ def estimate_posterior(
         importance,
         bridge,
         all(mode.converged for mode in found.modes),
+        measure_longest_stand(sample.log_density),
+        sampler.steps,
         _check(posterior, seed, name, effort),
     )
 

@@ -28,6 +28,7 @@ from bayescal.experiments.study.tables import (
     tabulate_ranking,
     tabulate_ring,
     tabulate_sensitivity,
+    tabulate_tau_scale,
 )
 from bayescal.experiments.study.trees import build_study_tree
 
@@ -54,6 +55,7 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
         "power_scaling": tabulate_power_scaling(inputs, posteriors),
         "blunders": tabulate_blunders(inputs, posteriors),
         "sensitivity": tabulate_sensitivity(inputs, fits),
+        "tau_scale": tabulate_tau_scale(inputs, posteriors),
         "least_squares": tabulate_least_squares(inputs, identified),
         "flexure": tabulate_flexure(inputs.mechanism),
         "ring": tabulate_ring(inputs),

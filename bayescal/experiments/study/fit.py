@@ -28,6 +28,7 @@ from bayescal.experiments.study.schema import StudyConfig, stem_of
 from bayescal.experiments.study.soundness import measure_misfit, measure_pulls
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.correction import Correction
+from bayescal.inference.diagnostics import measure_longest_stand
 from bayescal.inference.exploration import Exploration, count_walkers, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
@@ -158,6 +159,7 @@ def _sample(
         "bridge": np.array([bridge.log_evidence, bridge.standard_error]),
         "bridge_converged": np.array(bridge.converged, dtype=float),
         "acceptance": sample.acceptance,
+        "longest_stand": np.array([measure_longest_stand(density), sampler.steps]),
         "mean": natural.mean(axis=(0, 1, 2)),
         "sd": natural.std(axis=(0, 1, 2)),
         "q05": np.quantile(natural, 0.05, axis=(0, 1, 2)),

@@ -131,10 +131,19 @@ def stem_of(variant: str) -> str:
     return variant.replace("/", "-").replace(" ", "_")
 
 
+TAU_SCALES = [1.0, 3.0, 10.0, 30.0, 100.0]
+
+
 class SensitivityConfig(Section):
-    """Factors on the widths of all priors, sd or half width, for which the evidence is computed anew."""
+    """Factors on the widths of all priors, sd or half width, for which the evidence is computed anew.
+
+    The scale of the model error's prior is varied by itself, without computing anew.
+    """
 
     factor: Annotated[list[Positive], Field(min_length=1)] = Field(default=[0.5, 1.0, 2.0, 5.0])
+    tau_scale_um: Annotated[list[Positive], Field(min_length=1)] = Field(
+        default=TAU_SCALES, exclude_if=lambda value: value == TAU_SCALES
+    )
 
     @model_validator(mode="before")
     @classmethod

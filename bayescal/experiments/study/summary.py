@@ -10,7 +10,12 @@ import numpy as np
 from bayescal.density.prediction import Prediction, compute_elpd, compute_joint_elpd
 from bayescal.experiments.study.fit import Arrays, read_left_out, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.inference.diagnostics import Diagnostics, list_check_problems
+from bayescal.inference.diagnostics import (
+    Diagnostics,
+    list_check_problems,
+    list_importance_problems,
+    list_stand_problems,
+)
 from bayescal.limits import AGREEMENT, MOVED_LIMIT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
@@ -79,6 +84,9 @@ def list_problems(arrays: Arrays) -> list[str]:
     gap = abs(float(arrays["importance"][0] - arrays["bridge"][0]))
     if not gap <= AGREEMENT:
         problems.append(f"the two log-evidences differ by {gap:.2f}, limit {AGREEMENT}")
+    efficiency, pareto_k, n_draws = (float(x) for x in arrays["importance_quality"])
+    problems += list_importance_problems(pareto_k, efficiency * n_draws)
+    problems += list_stand_problems(*(int(x) for x in arrays["longest_stand"]))
     if "tempered" in arrays:
         trusted = arrays["importance_quality"][1] <= PARETO_K_LIMIT
         value, se, settled = (float(x) for x in arrays["tempered"])
@@ -154,5 +162,5 @@ def _measure_distance(parameters: dict[str, dict[str, Any]]) -> dict[str, float]
 
 
 def rank_variants(variants: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return the names of the variants, the largest log-evidence first."""
-    return sorted(variants, key=lambda name: -variants[name]["log_evidence"])
+    """Return the names of the variants, the largest log-evidence first; then those that did not converge."""
+    return sorted(variants, key=lambda name: (not variants[name]["converged"], -variants[name]["log_evidence"]))

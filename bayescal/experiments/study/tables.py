@@ -6,15 +6,19 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from arviz_stats.base import array_stats
+from scipy.special import logsumexp
 
 from bayescal.density.least_squares import LeastSquaresFit, identify, list_identified
 from bayescal.experiments.study.fit import Arrays, Task, list_sensitivity, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.published import read_published
 from bayescal.files.csv_tables import format_table
+from bayescal.limits import PARETO_K_LIMIT
 from bayescal.machines.flexure import CIRCLE, PIVOT, compute_beam_shift, compute_circle_shift
 from bayescal.machines.mechanism import Mechanism
 from bayescal.numerics.geometry import rotation_vector_from_matrix
+from bayescal.numerics.units import MICROMETRE
 
 BENDING, N_BENDINGS = 1.0, 51  # deg
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
@@ -36,7 +40,7 @@ def tabulate_ranking(summary: dict[str, Any], differences: pd.DataFrame) -> pd.D
         held = variant["verification"] or {}
         rows.append(
             {
-                "rank": rank,
+                "rank": rank if variant["converged"] else np.nan,
                 "variant": name,
                 "n_parameters": variant["n_parameters"],
                 "log_evidence": variant["log_evidence"],
@@ -57,6 +61,39 @@ def tabulate_ranking(summary: dict[str, Any], differences: pd.DataFrame) -> pd.D
             }
         )
     return pd.DataFrame(rows)
+
+
+def tabulate_tau_scale(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> pd.DataFrame:
+    """Return the log-evidence of every variant for other scales of the model error's half-normal prior.
+
+    Only this prior changes: Z(s) / Z(s0) is the mean of Π p(τ; s) / p(τ; s0) over the posterior's draws. Where the
+    weights of these have a heavy tail the posterior lies elsewhere, and there is no answer.
+    """
+    rows = []
+    own = inputs.config.model_error.scale_um
+    for task, arrays in posteriors.items():
+        if not task.with_model_error:
+            continue
+        names = inputs.posterior(inputs.variant(task.variant), True).names
+        tau = arrays["draws"][..., [name.startswith("tau") for name in names]]
+        square = np.sum((tau / MICROMETRE) ** 2, axis=-1).ravel()
+        for scale in inputs.config.sensitivity.tau_scale_um:
+            log_weights = tau.shape[-1] * np.log(own / scale) + 0.5 * square * (own**-2 - scale**-2)
+            gain = float(logsumexp(log_weights) - np.log(len(log_weights)))
+            relative = np.exp(log_weights - gain)
+            pareto_k = 0.0 if scale == own else float(array_stats.psislw(-log_weights)[1])
+            trusted = pareto_k <= PARETO_K_LIMIT
+            rows.append(
+                {
+                    "variant": task.variant,
+                    "tau_scale_um": scale,
+                    "log_evidence": arrays["importance"][0] + gain if trusted else np.nan,
+                    "efficiency": 1.0 / np.mean(relative**2),
+                    "pareto_k": pareto_k,
+                }
+            )
+    table = pd.DataFrame(rows)
+    return table.sort_values(["tau_scale_um", "log_evidence"], ascending=[True, False], ignore_index=True)
 
 
 def _error_columns(use: str, errors: dict[str, Any]) -> dict[str, float]:

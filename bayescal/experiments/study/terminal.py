@@ -29,7 +29,7 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
         held = fit["verification"]
         error = (held or fit["calibration"])["position_error_mm"]
         table.add_row(
-            str(rank),
+            str(rank) if fit["converged"] else "not ranked",
             name,
             format_estimate(fit["log_evidence"], fit["log_evidence_se"], 2),
             format_fixed(fit["log_evidence"] - best, 1),

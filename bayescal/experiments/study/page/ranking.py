@@ -35,7 +35,10 @@ from bayescal.report.numbers import (
 
 def tabulate_ranking(results: StudyResults, setting: str) -> Table:
     """Return the ranking of one setting of the model error, the largest evidence first."""
-    names = sorted(results.ranking, key=lambda name: -results.fit(name, setting)["log_evidence"])
+    names = sorted(
+        results.ranking,
+        key=lambda name: (not results.fit(name, setting)["converged"], -results.fit(name, setting)["log_evidence"]),
+    )
     best = results.fit(names[0], setting)["log_evidence"]
     uses = USES if results.n_verification else USES[:1]
     columns = [
@@ -58,7 +61,7 @@ def tabulate_ranking(results: StudyResults, setting: str) -> Table:
         fit = results.fit(name, setting)
         rows.append(
             [
-                str(rank),
+                str(rank) if fit["converged"] else "not ranked",
                 label_variant(results, name),
                 str(fit["n_parameters"]),
                 format_evidence(fit["log_evidence"], fit["log_evidence_se"]),

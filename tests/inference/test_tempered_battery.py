@@ -1,0 +1,132 @@
+"""Importance sampling from the modes against tempering from the prior, which knows of no mode: a battery of posteriors.
+
+Six to twelve poses of the telescope and a few free parameters each, so that both are precise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+import telescope_machines as machines
+
+from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.priors import NormalPrior, UniformPrior
+from bayescal.inference.exploration import explore
+from bayescal.inference.importance import estimate_by_importance, evaluate_in_batches
+from bayescal.inference.tempered import estimate_by_tempering
+
+pytestmark = pytest.mark.slow
+
+AGREED = 0.1  # nats
+SAME_WIDTH = 0.08  # of a posterior sd
+
+
+@dataclass(frozen=True)
+class Case:
+    """Priors by symbol as a kind, a width and legs; what was measured, and what errs."""
+
+    priors: dict[str, tuple[str, float, tuple[int, ...]]]
+    tau: ModelError = field(default_factory=lambda: ModelError(None))
+    noise: float = 1.0
+    offsets: dict[str, float] = field(default_factory=dict)
+    deformation: str = "none"
+    truth: str = "none"
+    n_poses: int = 6
+
+    def measure(self):
+        """Return simulated poses, their noise multiplied."""
+        machine = machines.build_machine(self.truth)
+        theta, actuators = machine.layout.nominal.copy(), machines.table_3_actuators()[: self.n_poses]
+        for name, offset in self.offsets.items():
+            theta[machine.layout.names.index(name)] += offset
+        exact = machines.place_poses(machine, theta, actuators, np.zeros((self.n_poses, 6)))
+        poses = machines.simulate_poses(machine, theta, actuators, np.zeros(6), np.random.default_rng(2))
+        position = exact.position + self.noise * (poses.position - exact.position)
+        return replace(poses, position=position, covariance=poses.covariance * self.noise**2)
+
+    def posterior(self):
+        """Return the posterior."""
+        machine = machines.build_machine(self.deformation)
+        layout, priors = machine.layout, {}
+        for symbol, (kind, width, legs) in self.priors.items():
+            for leg in legs:
+                value = layout.nominal[layout.index[symbol][leg - 1]]
+                narrow, bounded = NormalPrior(value, width), UniformPrior(value - width, value + width)
+                priors[f"{symbol}[{leg}]"] = narrow if kind == "normal" else bounded
+        likelihood = PoseLikelihood(machine, self.measure(), machines.ACTUATOR_NOISE * self.noise)
+        return Posterior(likelihood, priors, self.tau)
+
+
+ALL, ONE, TWO = (1, 2, 3, 4, 5, 6), (1,), (1, 2)
+
+
+def normal(symbols, sd, legs):
+    """Return normal priors of several symbols."""
+    return dict.fromkeys(symbols, ("normal", sd, legs))
+
+
+def uniform(symbols, half_width, legs):
+    """Return uniform priors of several symbols."""
+    return dict.fromkeys(symbols, ("uniform", half_width, legs))
+
+
+LENGTHS, LEG = normal(["l"], 2.0, ALL), normal(["a_x", "a_y", "b_x", "l"], 2.0, ONE)
+JOINTS = normal(["a_x", "a_y", "l"], 2.0, TWO)
+SHARED = ModelError(0.01, shared=True)
+CASES = {
+    "lengths": Case(LENGTHS),
+    "lengths between bounds": Case(uniform(["l"], 2.0, ALL)),
+    "truth at a bound": Case(uniform(["l"], 0.5, ALL), offsets={"l[2]": 0.5}),
+    "truth cut off": Case(uniform(["l"], 0.01, TWO), offsets={"l[2]": 0.05}),
+    "lengths, model error": Case(LENGTHS, SHARED),
+    "lengths between bounds, model error": Case(uniform(["l"], 2.0, ALL), SHARED),
+    "a model error per leg": Case(normal(["l"], 2.0, TWO), ModelError(0.01)),
+    "bad misfit": Case(normal(["l", "a_x"], 2.0, TWO), truth="matrix", n_poses=12),
+    "bad misfit, model error": Case(normal(["l", "a_x"], 2.0, TWO), SHARED, truth="matrix", n_poses=12),
+    "ridge of one leg": Case(normal(["a_x", "a_y", "a_z", "b_z", "l", "rho0"], 1.0, ONE)),
+    "ridge of gain and direction": Case(
+        LEG | normal(["u_x", "u_y"], 0.05, ONE) | normal(["kappa"], 0.01, ONE), deformation="linear", truth="linear"
+    ),
+    "ring, narrow": Case(LEG | normal(["u_x", "u_y"], 0.05, ONE)),
+    "ring, wide": Case(LEG | normal(["u_x", "u_y"], 0.1, ONE)),
+    "ring, wider": Case(LEG | normal(["u_x", "u_y"], 0.2, ONE)),
+    "ring, wide, noise 5": Case(LEG | normal(["u_x", "u_y"], 0.1, ONE), noise=5.0),
+    "ring between bounds": Case(LEG | uniform(["u_x", "u_y"], 0.1, ONE)),
+    "ring between wide bounds": Case(LEG | uniform(["u_x", "u_y"], 0.3, ONE)),
+    "ring between wide bounds, noise 5": Case(LEG | uniform(["u_x", "u_y"], 0.3, ONE), noise=5.0),
+    "ring, one bounded": Case(LEG | normal(["u_x"], 0.1, ONE) | uniform(["u_y"], 0.2, ONE)),
+    "mirror of u_y": Case(LEG | normal(["u_y"], 0.1, ONE)),
+    "mirror of u_y, noise 5": Case(LEG | normal(["u_y"], 0.1, ONE), noise=5.0),
+    "mirror of u_y, both about one": Case(LEG | normal(["u_y"], 0.1, ONE), noise=5.0, offsets={"u_y[1]": -0.05}),
+    "mirror of u_y between bounds": Case(LEG | uniform(["u_y"], 0.3, ONE)),
+    "mirror of u_x": Case(LEG | uniform(["u_x"], 0.6, ONE)),
+    "mirrors of two legs": Case(JOINTS | uniform(["u_y"], 0.3, TWO)),
+    "mirrors of two legs, noise 5": Case(JOINTS | uniform(["u_y"], 0.3, TWO), noise=5.0),
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
+def test_evidence_and_widths_are_those_of_tempering(case):
+    posterior = case.posterior()
+    found = explore(posterior, np.random.SeedSequence(3))
+    density, rng = found.straight.log_density, np.random.default_rng(5)
+    importance = estimate_by_importance(density, found.proposal, rng, 20_000, 0.01, 100_000)
+    x = found.proposal.draw(20_000, rng)
+    log_weights = evaluate_in_batches(density, x) - found.proposal.log_density(x)
+    weights = np.where(np.isfinite(log_weights), np.exp(log_weights - log_weights.max()), 0.0)
+    weights /= weights.sum()
+    natural = posterior.natural(found.straight.y_from_x(np.where(weights[:, None] > 0, x, found.proposal.means[0])))
+    sd = np.sqrt(weights @ (natural - weights @ natural) ** 2)
+    check = estimate_by_tempering(posterior, np.random.SeedSequence(1), 192, 4)
+    _, expected = check.moments(posterior.natural(check.y))
+    gap = importance.log_evidence - check.log_evidence
+    print(
+        f"{gap:+.3f} ± {check.standard_error:.3f}, sds {(sd / expected).min():.3f} to {(sd / expected).max():.3f}, "
+        f"efficiency {importance.efficiency:.2f}, k {importance.pareto_k:.2f}, modes {len(found.modes)}, "
+        f"{check.n_evaluations / 1e3:.0f} thousand densities"
+    )
+    assert abs(gap) < AGREED
+    np.testing.assert_allclose(sd / expected, 1.0, atol=SAME_WIDTH)
