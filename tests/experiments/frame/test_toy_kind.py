@@ -212,8 +212,7 @@ def test_a_failure_on_the_way_leaves_the_old_results(call, tmp_path, monkeypatch
 
     monkeypatch.setattr(frame, "write_page", fail)
     code, said, complaint = call("run", path, "--out", out, "--workers", 1, "--quiet")
-    assert (code, said, complaint.count("
-")) == (3, "", 1)
+    assert (code, said, complaint.count("\n")) == (3, "", 1)
     assert "No space left" in complaint
     assert "expected room to write" in complaint
     assert read_all(out) == before
