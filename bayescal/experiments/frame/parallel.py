@@ -82,7 +82,7 @@ class Run:
         tasks: Mapping[str, T],
         returns: Iterable[Any] = (),
     ) -> tuple[dict[str, R], dict[str, str]]:
-        """Return what `map` does of tasks that succeed, and in words why others failed; InputError where input is at fault.
+        """Return what `map` does of tasks that succeed, and in words why others failed; faults of input are raised.
 
         Parameters are those of `map`.
         """

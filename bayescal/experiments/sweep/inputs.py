@@ -17,6 +17,7 @@ from bayescal.config.load import EXTENDS, merge, read_extended, read_toml
 from bayescal.config.registry import hash_modules, list_sources
 from bayescal.errors import InputError
 from bayescal.experiments.frame.identity import hash_identity, identify
+from bayescal.experiments.frame.load import AnyExperiment, find_kind
 from bayescal.experiments.sweep.keys import Setting, find, split_key
 from bayescal.experiments.sweep.members import Base
 from bayescal.experiments.sweep.schema import AxisConfig, SweepConfig
@@ -33,6 +34,10 @@ class SweepInputs:
     config : SweepConfig
     folder : Path
     base : Base
+    experiment : Experiment
+        Its kind.
+    sources : tuple of str
+        Files of the kind, where it is none of an installed package.
     modules : dict of str to str
         SHA-256 of the modules that somebody else's classes stand in.
     extended : dict of str to tuple of str
@@ -42,6 +47,8 @@ class SweepInputs:
     config: SweepConfig
     folder: Path
     base: Base
+    experiment: AnyExperiment
+    sources: tuple[str, ...]
     modules: dict[str, str]
     extended: dict[str, tuple[str, ...]]
 
@@ -54,8 +61,8 @@ class SweepInputs:
 
     def find_address(self, settings: tuple[Setting, ...]) -> str:
         """Return the hash of all that determines a member's summary; InputError where its config is none."""
-        experiment, config = self.base.vary(settings, self.folder)
-        own = [*experiment.files(config, self.folder), *list_sources("KINDS", self.base.kind, self.folder)]
+        config = self.base.vary(settings, self.experiment, self.folder)
+        own = [*self.experiment.files(config, self.folder), *self.sources]
         names = {one for name in own for one in self.extended.get(name, (name,))}
         changed = {name: hashlib.sha256(text).hexdigest() for name, text in self.base.vary_files(settings).items()}
         files = {name: changed.get(name) or self._hashes[name] for name in sorted(names)}
@@ -75,18 +82,19 @@ def read_sweep(config: SweepConfig, folder: Path) -> SweepInputs:
         For a key that is none, a value that its schema refuses, or input of the experiment as it stands at fault.
     """
     base = _read_base(config, folder)
-    experiment, standing = base.vary((), folder)
+    experiment, sources = find_kind(base.kind, folder, folder), list_sources("KINDS", base.kind, folder)
+    standing = base.vary((), experiment, folder)
     experiment.read(standing, folder)
-    files = {*experiment.files(standing, folder), *list_sources("KINDS", base.kind, folder)}
+    files = {*experiment.files(standing, folder), *sources}
     modules = hash_modules([type(experiment)]) | experiment.modules(standing, folder)
     for number, settings in _list_single(config, base):
         try:
-            varied, found = base.vary(settings, folder)
+            found = base.vary(settings, experiment, folder)
         except InputError as error:
             said = ", ".join(f"{key} = {json.dumps(value)}" for _, key, value in settings)
             raise InputError(f"axes.{number}: with {said}: {error}") from error
-        files |= set(varied.files(found, folder))
-        modules |= varied.modules(found, folder)
+        files |= set(experiment.files(found, folder))
+        modules |= experiment.modules(found, folder)
     extended = {name: _list_extended(name, folder) for name in sorted(files)}
     contents = {name: _read_file(folder / name) for names in extended.values() for name in names}
     whole = Base(base.name, base.kind, base.text, base.content, {**base.files, **contents})
@@ -94,7 +102,7 @@ def read_sweep(config: SweepConfig, folder: Path) -> SweepInputs:
         for file, _ in map(split_key, axis.keys):
             if file and file not in whole.files:
                 raise InputError(f"{axis.name}: found no file {file!r} that the experiment reads, expected one")
-    return SweepInputs(config, folder, whole, modules, extended)
+    return SweepInputs(config, folder, whole, experiment, tuple(sources), modules, extended)
 
 
 def _read_base(config: SweepConfig, folder: Path) -> Base:

@@ -14,6 +14,7 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
@@ -53,11 +54,11 @@ class Base:
     content: dict[str, Any]
     files: Files
 
-    def vary(self, settings: tuple[Setting, ...], folder: Path) -> tuple[AnyExperiment, ExperimentConfig]:
-        """Return a member's kind and checked config; InputError where its keys make none."""
+    def vary(self, settings: tuple[Setting, ...], experiment: AnyExperiment, folder: Path) -> ExperimentConfig:
+        """Return a member's checked config; InputError where its keys make none."""
         content = change(self.content, [(key, value) for file, key, value in settings if not file])
-        experiment = find_kind(self.kind, folder / self.name, folder)
-        return experiment, check_section(experiment.schema, content, folder / self.name, self.text)
+        config: ExperimentConfig = check_section(experiment.schema, content, folder / self.name, self.text)
+        return config
 
     def vary_files(self, settings: tuple[Setting, ...]) -> Files:
         """Return the files that a member reads otherwise than they stand."""
@@ -88,7 +89,8 @@ def compute_member(base: Base, settings: tuple[Setting, ...]) -> Outcome:
     """Return a member's summary, or why there is none."""
     with _go_to(base, settings) as folder:
         try:
-            experiment, config = base.vary(settings, folder)
+            experiment = _find_kind(base.kind, folder)
+            config = base.vary(settings, experiment, folder)
             results = experiment.compute(experiment.read(config, folder), Run())
             summary = json.dumps(results.summary, ensure_ascii=False, allow_nan=False)
             failures = experiment.list_failures(results)
@@ -96,6 +98,12 @@ def compute_member(base: Base, settings: tuple[Setting, ...]) -> Outcome:
             said = " ".join(str(error).split()).replace(f"{folder}{os.sep}", "")
             return Outcome("", said or type(error).__name__)
     return Outcome(summary, "; ".join(failures))
+
+
+@lru_cache(maxsize=4)
+def _find_kind(kind: str, folder: Path) -> AnyExperiment:
+    """Return a kind; the folder's name stands for its content, so that its files are looked through once."""
+    return find_kind(kind, folder, folder)
 
 
 @contextmanager
