@@ -32,6 +32,12 @@ Experiment = Annotated[Path, typer.Argument(metavar="EXPERIMENT.toml", help="Con
 Out = Annotated[Path | None, typer.Option(help="Results directory; default results/NAME.")]
 Seed = Annotated[int | None, typer.Option(min=0, help="Seed in place of the config's.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Processes side by side; default one per core.")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS", help="Of dask: an address, a scheduler's JSON file, or local:N; its workers compute."
+    ),
+]
 Resume = Annotated[bool, typer.Option("--resume", help="Take up an interrupted run of the same config.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 
@@ -63,11 +69,12 @@ def run(
     out: Out = None,
     seed: Seed = None,
     workers: Workers = None,
+    scheduler: Scheduler = None,
     resume: Resume = False,
     quiet: Quiet = False,
 ) -> None:
     """Run an experiment of any kind and write its results and its report."""
-    _run(experiment, None, out, seed, workers, resume, quiet)
+    _run(experiment, None, out, seed, (workers, scheduler), resume, quiet)
 
 
 @app.command(epilog="Example: bayescal audit experiments/audit/m2_hexapod.toml")
@@ -76,11 +83,26 @@ def audit(
     out: Out = None,
     seed: Seed = None,
     workers: Workers = None,
+    scheduler: Scheduler = None,
     resume: Resume = False,
     quiet: Quiet = False,
 ) -> None:
     """Tell what a machine's measurements can and cannot determine: `bayescal run` of an audit."""
-    _run(design, "audit", out, seed, workers, resume, quiet)
+    _run(design, "audit", out, seed, (workers, scheduler), resume, quiet)
+
+
+@app.command(epilog="Example: bayescal sweep experiments/audit/m2_hexapod_tracker.toml --workers 2")
+def sweep(
+    config: Annotated[Path, typer.Argument(metavar="SWEEP.toml", help="Experiment, keys that vary and figures.")],
+    out: Out = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    resume: Resume = False,
+    quiet: Quiet = False,
+) -> None:
+    """Vary keys of an experiment and tell what becomes of its figures: `bayescal run` of a sweep."""
+    _run(config, "sweep", out, seed, (workers, scheduler), resume, quiet)
 
 
 @app.command(epilog="Example: bayescal check experiments/telescope/study.toml --variant six_pus/matrix")
@@ -101,10 +123,19 @@ def check(
 
 
 def _run(
-    path: Path, kind: str | None, out: Path | None, seed: int | None, workers: int | None, resume: bool, quiet: bool
+    path: Path,
+    kind: str | None,
+    out: Path | None,
+    seed: int | None,
+    engine: tuple[int | None, str | None],
+    resume: bool,
+    quiet: bool,
 ) -> None:
     from bayescal.experiments.frame.load import load_experiment, load_kind
 
+    workers, scheduler = engine
+    if workers is not None and scheduler is not None:
+        raise InputError("--workers: found it beside --scheduler, expected one of them")
     config = load_experiment(path) if kind is None else load_kind(path, kind)
     if seed is not None:
         config = config.model_copy(update={"seed": seed})
@@ -121,7 +152,7 @@ def _run_config(
     where = out if out is not None else Path("results") / config.name
     interrupted = f"bayescal: interrupted; finished work is kept, go on with --resume (in {where}.partial)"
     with end_on_interrupt(interrupted), name_faults(path):
-        finished = run_experiment(config, path.parent, where, workers or cpu_count(), resume, quiet)
+        finished = run_experiment(config, path.parent, where, workers or cpu_count(), resume, quiet, scheduler)
     if not quiet:
         finished.show(_make_console())
     if not finished.converged:

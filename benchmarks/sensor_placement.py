@@ -18,6 +18,7 @@ from telescope_problem import write_results
 import numpy as np
 
 from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.engine import Processes
 from bayescal.experiments.frame.parallel import Run
 from bayescal.density.readings.poses import eliminate_poses
 from bayescal.density.readings.tool import compute_tool_sensitivity
@@ -57,7 +58,7 @@ def run(name: str, n_alone: int, counts: list[int]) -> dict[str, object]:
     figures: dict[str, object] = {"sets": len(sets), "poses": len(inputs.pose), "parameters": len(inputs.free)}
     for workers in counts:
         began = time.perf_counter()
-        judged = Run(workers).map("sets of sensors", evaluate_sets, placement, chunks, (Accuracy,))
+        judged = Run(Processes(workers)).map("sets of sensors", evaluate_sets, placement, chunks, (Accuracy,))
         found = [accuracy for chunk in judged.values() for accuracy in chunk]
         figures[f"seconds_{workers}"] = time.perf_counter() - began
     good = [k for k, accuracy in enumerate(found) if accuracy.reason == ""]

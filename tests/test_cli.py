@@ -29,7 +29,7 @@ from bayescal.experiments.study import compute
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.kinematics import solve_forward_kinematics
 
-COMMANDS = ("run", "audit", "simulate", "poses-from-targets", "report", "compare")
+COMMANDS = ("run", "audit", "sweep", "simulate", "poses-from-targets", "report", "compare")
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 
@@ -534,6 +534,7 @@ def test_every_shipped_experiment_is_run_here():
     assert found == {
         *(f"audit/{name}_mechanism.toml" for name in ("camera_hexapod", "m2_hexapod", "yu2023")),
         *(f"audit/{name}.toml" for name in (*audit_problems.SHIPPED, "telescope_posterior")),  # in audit/test_*.py
+        "audit/m2_hexapod_tracker.toml",  # in sweep/test_sweep.py
         *(f"hexapod/{name}.toml" for name in (*hexapod_settings.SHIPPED, "small_mechanism")),  # in calibration_study
         "pose_extraction/figure5.toml",
         *(f"pose_selection/{name}.toml" for name in ("hexapod_i_optimal", "rr8096_figure14", "yu2023_table1")),

@@ -50,16 +50,16 @@ def read_extended(path: Path, depth: int = 0) -> tuple[dict[str, Any], str]:
     if Path(base).parent != Path():
         raise InputError(f"{path}: {EXTENDS}: found {base!r}, expected a config in the same directory")
     below, _ = read_extended(path.parent / base, depth + 1)
-    return _merge(below, content), text
+    return merge(below, content), text
 
 
-def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+def merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     """Return tables merged key by key; what is no table is replaced, and a table that has another kind too."""
     result = dict(below)
     for key, value in above.items():
         old = below.get(key)
         both = isinstance(old, dict) and isinstance(value, dict) and not _differ(old, value)
-        result[key] = _merge(old, value) if both and isinstance(old, dict) else value
+        result[key] = merge(old, value) if both and isinstance(old, dict) else value
     return result
 
 

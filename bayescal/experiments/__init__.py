@@ -12,4 +12,5 @@ KINDS = {
     "sensor_placement": "bayescal.experiments.sensor_placement.kind:SensorPlacement",
     "simulation": "bayescal.experiments.simulation.kind:Simulation",
     "study": "bayescal.experiments.study.kind:Study",
+    "sweep": "bayescal.experiments.sweep.kind:Sweep",
 }

@@ -16,7 +16,8 @@ from bayescal.experiments.frame.lock import remove_locks
 
 INTERRUPTED = 130
 WARNINGS = "PYTHONWARNINGS"
-UNSAID = "ignore::UserWarning:joblib.externals.loky.backend.resource_tracker"
+TRACKERS = ("joblib.externals.loky.backend.resource_tracker", "multiprocessing.resource_tracker")
+UNSAID = ",".join(f"ignore::UserWarning:{tracker}" for tracker in TRACKERS)
 SHOW_CURSOR = "\x1b[?25h\n"  # a progress bar hides it
 
 

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import os
 import re
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any
 
-import joblib
-import numpy as np
-from joblib.externals.loky.process_executor import TerminatedWorkerError
-from threadpoolctl import threadpool_limits
-
-from bayescal.errors import BayescalError, InputError, NumericalError
-from bayescal.experiments.frame.interrupts import follow_parent, shield_children
+from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.frame.engine import Engine, Processes
 from bayescal.experiments.frame.progress import Progress
-from bayescal.experiments.frame.records import Record, decode, encode
+from bayescal.experiments.frame.records import decode
 from bayescal.experiments.frame.store import Store
 
 UNFIT = re.compile(r"[^A-Za-z0-9_.+-]+")
 """What no file name should hold."""
-
-type Failure = tuple[type[BayescalError], str]
+SAID = 12  # failures of a stage in its message
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,14 +26,14 @@ class Run:
 
     Attributes
     ----------
-    workers : int
-        Processes side by side.
+    engine : Engine
+        Computes them; this process where nothing is said.
     store : Store or None
         Keeps finished tasks; None where nothing is kept.
     progress : Progress
     """
 
-    workers: int = 1
+    engine: Engine = field(default_factory=Processes)
     store: Store | None = None
     progress: Progress = field(default_factory=Progress)
 
@@ -73,6 +67,25 @@ class Run:
         NumericalError
             Where tasks fail; all others have been finished and are kept.
         """
+        found, failures = self.attempt(stage, function, shared, tasks, returns)
+        if failures:
+            said = "; ".join(f"{name}: {fault}" for name, fault in islice(failures.items(), SAID))
+            said += f"; and {len(failures) - SAID} more" if len(failures) > SAID else ""
+            raise NumericalError(said + self._say_kept(len(found), len(tasks)))
+        return found
+
+    def attempt[S, T, R](
+        self,
+        stage: str,
+        function: Callable[[S, T], R],
+        shared: S,
+        tasks: Mapping[str, T],
+        returns: Iterable[Any] = (),
+    ) -> tuple[dict[str, R], dict[str, str]]:
+        """Return what `map` does of tasks that succeed, and in words why others failed; faults of input are raised.
+
+        Parameters are those of `map`.
+        """
         names = {name: f"{_slug(stage)}-{_slug(name)}" for name in tasks}
         classes = tuple(returns)
         found: dict[str, R] = {}
@@ -84,22 +97,20 @@ class Run:
                 except (ValueError, KeyError, TypeError):
                     continue  # of another version, or damaged: computed anew
         missing = {name: task for name, task in tasks.items() if name not in found}
-        failures: list[str] = []
+        failures: dict[str, str] = {}
         with self.progress.follow(stage, len(tasks), len(found)) as progress:
-            for name, outcome in _compute(function, shared, missing, self.workers):
+            for name, outcome in self.engine.compute(function, shared, missing):
                 if isinstance(outcome, tuple):
                     kind, fault = outcome
                     if issubclass(kind, InputError):
                         raise kind(fault)
-                    failures.append(f"{name}: {fault}")
+                    failures[name] = fault
                     continue
                 if self.store is not None:
                     self.store.save_task(names[name], outcome)
                 found[name] = decode(outcome, classes)
                 progress.advance(name)
-        if failures:
-            raise NumericalError("; ".join(failures) + self._say_kept(len(tasks) - len(failures), len(tasks)))
-        return {name: found[name] for name in tasks}
+        return {name: found[name] for name in tasks if name in found}, failures
 
     def once[S, R](self, stage: str, function: Callable[[S], R], shared: S, returns: Iterable[Any] = ()) -> R:
         """Return what a function makes of its inputs, as one task."""
@@ -118,40 +129,3 @@ def _slug(name: str) -> str:
     """Return a name as a part of a file's name; what is left out comes back as a checksum."""
     plain = UNFIT.sub("-", name)[:80]
     return plain if plain == name else f"{plain}-{zlib.crc32(name.encode()):08x}"
-
-
-def _compute[S, T](
-    function: Callable[[S, T], Any], shared: S, tasks: Mapping[str, T], workers: int
-) -> Iterator[tuple[str, Record | Failure]]:
-    if workers == 1 or len(tasks) < 2:
-        for name, task in tasks.items():
-            yield _run_guarded(function, shared, name, task)
-        return
-    parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", inner_max_num_threads=1)
-    with shield_children():
-        outcomes = parallel(
-            joblib.delayed(_run_in_worker)(os.getpid(), function, shared, name, task) for name, task in tasks.items()
-        )
-    try:
-        yield from outcomes
-    except TerminatedWorkerError as error:
-        raise NumericalError("a worker was killed, perhaps for want of memory; go on with --resume") from error
-
-
-def _run_in_worker[S, T](
-    parent: int, function: Callable[[S, T], Any], shared: S, name: str, task: T
-) -> tuple[str, Record | Failure]:
-    follow_parent(parent)
-    return _run_guarded(function, shared, name, task)
-
-
-def _run_guarded[S, T](function: Callable[[S, T], Any], shared: S, name: str, task: T) -> tuple[str, Record | Failure]:
-    """Return a task's record, or in words why it failed; BLAS keeps to one thread."""
-    try:
-        # whatever is not finite is looked for where it matters; numpy's warnings would only litter the terminal
-        with threadpool_limits(1), np.errstate(all="ignore"):
-            return name, encode(function(shared, task))
-    except InputError as error:
-        return name, (InputError, str(error))
-    except (NumericalError, ArithmeticError, ValueError) as error:  # SciPy and LAPACK raise the last two
-        return name, (NumericalError, str(error))

@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
+from bayescal.experiments.frame.engine import Processes, open_engine
 from bayescal.experiments.frame.identity import describe_provenance, identify
 from bayescal.experiments.frame.load import AnyExperiment, find_kind
 from bayescal.experiments.frame.lock import hold_lock
@@ -81,6 +82,7 @@ def run_experiment(
     workers: int = 1,
     resume: bool = False,
     quiet: bool = True,
+    scheduler: str | None = None,
 ) -> Finished:
     """Run an experiment and put its results in ``out``.
 
@@ -98,6 +100,8 @@ def run_experiment(
         Take up an interrupted run of the same config.
     quiet : bool
         Say nothing of the progress.
+    scheduler : str, optional
+        Of dask, whose workers compute in place of processes: an address, a scheduler's JSON file, or ``local:N``.
 
     Raises
     ------
@@ -113,10 +117,10 @@ def run_experiment(
         modules = hash_modules([type(experiment)]) | experiment.modules(config, folder)
         identity = identify(config, folder, _list_files(experiment, config, folder), modules)
         store.check(identity, resume)
-        with hold_lock(store.lock, out):
+        with open_engine(workers, scheduler, quiet) as engine, hold_lock(store.lock, out):
             store = store.begin(identity, resume)
             try:
-                results = experiment.compute(inputs, Run(workers, store, Progress(quiet)))
+                results = experiment.compute(inputs, Run(engine, store, Progress(quiet)))
             except InputError:
                 store.discard()
                 raise
@@ -152,7 +156,7 @@ def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1)
     """Return what an experiment finds, without writing anything."""
     experiment = find_kind(config.kind, folder, folder)
     with threadpool_limits(1), np.errstate(all="ignore"):
-        return experiment.compute(experiment.read(config, folder), Run(workers))
+        return experiment.compute(experiment.read(config, folder), Run(Processes(workers)))
 
 
 def _write(experiment: AnyExperiment, results: Results, folder: Path) -> Page:

@@ -148,11 +148,15 @@ class Store:
         """Keep the arrays of a finished task, with a checksum that only this run's have."""
         buffer = io.BytesIO()
         np.savez(buffer, allow_pickle=False, **arrays, **{CHECKSUM: self._sum(arrays)})
-        write_atomically(self.partial / f"{key}.npz", buffer.getvalue())
+        write_atomically(self.locate_task(key), buffer.getvalue())
+
+    def locate_task(self, key: str) -> Path:
+        """Return the file of a finished task."""
+        return self.partial / f"{key}.npz"
 
     def load_task(self, key: str) -> dict[str, Array] | None:
         """Return the arrays of a finished task, or None; a damaged file, or another run's, counts as not finished."""
-        path = self.partial / f"{key}.npz"
+        path = self.locate_task(key)
         if not path.is_file():
             return None
         try:

@@ -13,6 +13,7 @@ import calibrations
 import pytest
 import reading_studies
 import studies
+import sweeps
 import tiny_experiments
 
 from bayescal import cli
@@ -68,6 +69,7 @@ MAKE = {
     "sensor_placement": take_tiny("sliding_star/m2_hexapod_sensors"),
     "simulation": take_tiny("telescope/simulate"),
     "study": studies.write_tiny_study,
+    "sweep": sweeps.write_apart,
 }
 """What writes a small experiment of a kind to a folder and returns its config."""
 WITHOUT_TASKS = (
@@ -236,8 +238,8 @@ def test_compare_takes_two_results_or_says_why_not(finished, call):
 
 
 def test_options_are_those_of_every_kind(call):
-    for command in ("run", "audit"):
+    for command in ("run", "audit", "sweep"):
         code, said, _ = call(command, "--help")
         assert code == 0
-        assert all(option in said for option in ("--out", "--seed", "--workers", "--resume", "--quiet"))
+        assert all(option in said for option in ("--out", "--seed", "--workers", "--scheduler", "--resume", "--quiet"))
     assert cli.INTERRUPTED == 130

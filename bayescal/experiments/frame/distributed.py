@@ -1,0 +1,256 @@
+"""Tasks on the workers of a dask scheduler, on this machine or many: the same numbers as in one process.
+
+What all tasks of a stage need goes to the scheduler once, as bytes, and from worker to worker; each unpacks it once.
+It is a task of dask itself, so that it is made again where all workers that had it are gone. Tasks of lost workers are
+dask's to repeat; their numbers depend on nothing but what they are given.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import pickle
+import re
+import sys
+import threading
+import uuid
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import cloudpickle
+
+from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.frame.engine import Engine, Failure, run_guarded
+from bayescal.experiments.frame.interrupts import shield_children
+from bayescal.experiments.frame.records import Record
+from bayescal.experiments.frame.versions import list_versions
+
+LOCAL = re.compile(r"local:([1-9]\d{0,3})")
+LOOPBACK = "127.0.0.1"
+TIMEOUT = 10.0  # seconds for a scheduler to answer
+KEPT = 2  # stages that a worker keeps unpacked: the next one begins while tasks of the last may be under way
+PACKAGES = ("cloudpickle", "dask", "distributed", "pydantic")
+"""What must be the same at both ends besides what numbers depend on."""
+WANT = "--scheduler"
+
+type Versions = dict[str, str]
+type Parcel = tuple[str, Versions, bytes]
+
+
+class Cluster(Engine):
+    """The workers of a scheduler.
+
+    Attributes
+    ----------
+    client : distributed.Client
+    address : str
+        As it was asked for.
+    """
+
+    def __init__(self, client: Any, address: str) -> None:
+        self.client = client
+        self.address = address
+
+    def compute[S, T](
+        self, function: Callable[[S, T], Any], shared: S, tasks: Mapping[str, T]
+    ) -> Iterator[tuple[str, Record | Failure]]:
+        """Yield each task's name with its record or failure as they come; see `Engine.compute`.
+
+        What is still under way when the caller wants no more is cancelled.
+        """
+        if not tasks:
+            return
+        stage, parcel = uuid.uuid4().hex, self._send(function, shared)
+        keys = {f"bayescal-{stage}-{number}": name for number, name in enumerate(tasks)}
+        packed = [cloudpickle.dumps(task) for task in tasks.values()]
+        with _unwarned():
+            sent = self.client.map(_work, packed, key=list(keys), parcel=parcel, pure=False)
+        waiting = {future.key: future for future in sent}
+        try:
+            yield from self._collect(sent, waiting, keys)
+        finally:
+            with suppress(Exception):  # whatever came before matters more
+                self.client.cancel(list(waiting.values()))
+
+    def _collect(
+        self, sent: list[Any], waiting: dict[str, Any], keys: Mapping[str, str]
+    ) -> Iterator[tuple[str, Record | Failure]]:
+        from distributed import as_completed
+
+        ended = as_completed(sent, loop=self.client.loop, with_results=True, raise_errors=False)
+        sent.clear()  # a result that was fetched is dropped by the cluster when nothing here holds on to it
+        for future, result in ended:
+            name = keys[future.key]
+            if future.status == "finished":
+                yield name, pickle.loads(result)
+            elif future.status == "error":
+                yield name, self._explain(future.exception())
+            else:
+                raise NumericalError(
+                    f"the scheduler at {self.address} went away or dropped its tasks; go on with --resume"
+                )
+            del waiting[future.key]
+
+    def _explain(self, error: BaseException) -> Failure:
+        """Return in words why dask gave a task up; what is no fault of the cluster's is raised."""
+        from distributed import KilledWorker
+
+        if isinstance(error, KilledWorker):
+            return (
+                NumericalError,
+                f"killed {error.allowed_failures + 1} workers one after another, perhaps for want of memory",
+            )
+        if isinstance(error, ImportError | AttributeError | pickle.UnpicklingError):
+            return NumericalError, f"a worker lacks what it needs ({_one_line(error)})"
+        raise error
+
+    def _send[S, T](self, function: Callable[[S, T], Any], shared: S) -> Any:
+        """Send what all tasks of a stage need to every worker that is there; return what stands for it."""
+        content = cloudpickle.dumps((function, shared))
+        token = hashlib.sha256(content).hexdigest()
+        with _unwarned():
+            sent = self.client.submit(_keep, (token, list_all_versions(), content), key=f"bayescal-shared-{token}")
+        if self.client.nthreads():
+            with suppress(Exception):  # it only saves time: workers fetch from each other what they miss
+                sent.exception(timeout=TIMEOUT)
+                self.client.replicate([sent])
+        return sent
+
+
+@contextmanager
+def connect(address: str, quiet: bool = True) -> Iterator[Cluster]:
+    """Hold a connection to a scheduler, or to one of this machine's own for ``local:N``.
+
+    Raises
+    ------
+    InputError
+        Where dask is not installed, no scheduler answers, or versions differ between it, its workers and here.
+    """
+    distributed = _import_distributed()
+    local = LOCAL.fullmatch(address)
+    if address.startswith("local") and not local:
+        raise InputError(f"{WANT}: found {address!r}, expected local:N with N workers, such as local:4")
+    with _serve(distributed, int(local[1])) if local else _answer(distributed, address) as client:
+        _check_versions(client, address)
+        if not quiet and not client.nthreads():
+            print(f"waiting for workers of {address}", file=sys.stderr, flush=True)
+        yield Cluster(client, address)
+
+
+def _import_distributed() -> Any:
+    try:
+        import dask
+
+        if "distributed" not in sys.modules:  # what goes wrong is said in one line, and not in its logs besides
+            loggers = ("distributed", "distributed.client", "tornado", "tornado.application")
+            given = dask.config.get("logging", {})
+            dask.config.set({"logging": {**dict.fromkeys(loggers, "critical"), **given}})
+        import distributed
+    except ImportError as error:
+        raise InputError(
+            f"{WANT}: found no dask.distributed ({_one_line(error)}), expected it: pip install 'bayescal[dask]'"
+        ) from error
+    return distributed
+
+
+@contextmanager
+def _serve(distributed: Any, workers: int) -> Iterator[Any]:
+    """Hold a scheduler and workers of this machine that nobody else can reach."""
+    nowhere = f"{LOOPBACK}:0"
+    with shield_children(), _unwarned():
+        cluster = distributed.LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            host=LOOPBACK,
+            dashboard_address=nowhere,
+            worker_dashboard_address=nowhere,
+            silence_logs=logging.CRITICAL,
+        )
+    with cluster, distributed.Client(cluster, set_as_default=False) as client:
+        yield client
+
+
+@contextmanager
+def _answer(distributed: Any, address: str) -> Iterator[Any]:
+    """Hold a connection to a scheduler that runs already."""
+    where: dict[str, Any] = {"address": address}
+    if address.endswith(".json"):
+        if not Path(address).is_file():
+            raise InputError(f"{WANT}: found no file {address}, expected the one that a scheduler writes")
+        where = {"scheduler_file": address}
+    try:
+        with _unwarned():
+            client = distributed.Client(**where, timeout=TIMEOUT, set_as_default=False)
+    except (OSError, ValueError, TypeError, KeyError, ImportError, RuntimeError) as error:
+        raise InputError(
+            f"{WANT}: found no scheduler at {address} ({_one_line(error)}), expected one that answers within "
+            f"{TIMEOUT:.0f} s"
+        ) from error
+    with client:
+        yield client
+
+
+def _check_versions(client: Any, address: str) -> None:
+    """Raise InputError where scheduler or workers are of other versions."""
+    here = list_all_versions()
+    packages = client.get_versions()["scheduler"]["packages"]
+    there = {name: packages.get(name) for name in ("dask", "distributed")}
+    if differ := _compare(there, here):
+        raise InputError(f"{WANT}: the scheduler at {address} has {differ}")
+    for worker, found in client.run(list_all_versions, on_error="return").items():
+        if not isinstance(found, dict):
+            raise InputError(f"{WANT}: the worker at {worker} cannot say its versions ({_one_line(found)})")
+        if differ := _compare(found, here):
+            raise InputError(f"{WANT}: the worker at {worker} has {differ}")
+
+
+def _compare(there: Mapping[str, str | None], here: Versions) -> str:
+    """Return in words what differs; nothing where all is the same."""
+    other = [name for name in there if there[name] != here[name]]
+    found = ", ".join(f"{name} {there[name]}" for name in other)
+    return f"{found}, expected {', '.join(f'{name} {here[name]}' for name in other)}" if other else ""
+
+
+def list_all_versions() -> Versions:
+    """Return the versions of all that numbers, or what is sent, depend on."""
+    return list_versions(PACKAGES)
+
+
+@contextmanager
+def _unwarned() -> Iterator[None]:
+    """Leave out what dask warns of and what is checked here, or meant: versions, ports, large inputs."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def _one_line(error: object) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())[:300]
+
+
+# --- on a worker -------------------------------------------------------------------------------------------------
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Of a worker with several threads: the limit on BLAS holds for a process, and scratch memory is one thread's."""
+_unpacked: dict[str, tuple[Callable[[Any, Any], Any], Any]] = {}
+
+
+def _keep(parcel: Parcel) -> Parcel:
+    return parcel
+
+
+def _work(task: bytes, parcel: Parcel) -> bytes:
+    """Return a task's record or failure; bytes both ways, so that arrays lie in memory as in any other process."""
+    token, wanted, content = parcel
+    with _ONE_AT_A_TIME:
+        if differ := _compare(list_all_versions(), wanted):
+            return pickle.dumps((NumericalError, f"a worker has {differ}"))
+        if token not in _unpacked:
+            while len(_unpacked) >= KEPT:
+                del _unpacked[next(iter(_unpacked))]
+            _unpacked[token] = pickle.loads(content)
+        function, shared = _unpacked[token]
+        return pickle.dumps(run_guarded(function, shared, pickle.loads(task)), protocol=pickle.HIGHEST_PROTOCOL)

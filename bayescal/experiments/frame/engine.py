@@ -1,0 +1,119 @@
+"""What computes tasks: processes of this machine, or the workers of a scheduler; the numbers are the same."""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+import joblib
+import numpy as np
+from joblib.externals.loky.process_executor import TerminatedWorkerError
+from threadpoolctl import threadpool_limits
+
+from bayescal.errors import BayescalError, InputError, NumericalError
+from bayescal.experiments.frame.interrupts import follow_parent, shield_children
+from bayescal.experiments.frame.records import Record, encode
+
+type Failure = tuple[type[BayescalError], str]
+
+
+class Engine(ABC):
+    """Computes tasks side by side."""
+
+    @abstractmethod
+    def compute[S, T](
+        self, function: Callable[[S, T], Any], shared: S, tasks: Mapping[str, T]
+    ) -> Iterator[tuple[str, Record | Failure]]:
+        """Yield each task's name with its record, or in words why it failed, as they end, in any order.
+
+        Parameters
+        ----------
+        function : callable
+            Takes ``shared`` and a task.
+        shared : object
+            What all tasks need.
+        tasks : mapping of str to object
+
+        Raises
+        ------
+        NumericalError
+            Where the engine itself fails; what was yielded before is good.
+        """
+
+
+@dataclass(frozen=True)
+class Processes(Engine):
+    """Processes of this machine; one of them, or a single task, is this process.
+
+    Attributes
+    ----------
+    workers : int
+    """
+
+    workers: int = 1
+
+    def compute[S, T](
+        self, function: Callable[[S, T], Any], shared: S, tasks: Mapping[str, T]
+    ) -> Iterator[tuple[str, Record | Failure]]:
+        """Yield each task's name with its record or failure; see `Engine.compute`."""
+        if self.workers == 1 or len(tasks) < 2:
+            for name, task in tasks.items():
+                yield name, run_guarded(function, shared, task)
+            return
+        parallel = joblib.Parallel(n_jobs=self.workers, return_as="generator_unordered", inner_max_num_threads=1)
+        with shield_children():
+            outcomes = parallel(
+                joblib.delayed(_run_in_worker)(os.getpid(), function, shared, name, task)
+                for name, task in tasks.items()
+            )
+        try:
+            yield from outcomes
+        except TerminatedWorkerError as error:
+            raise NumericalError("a worker was killed, perhaps for want of memory; go on with --resume") from error
+
+
+def open_engine(workers: int = 1, scheduler: str | None = None, quiet: bool = True) -> AbstractContextManager[Engine]:
+    """Return what computes tasks, open as long as its context.
+
+    Parameters
+    ----------
+    workers : int
+        Processes side by side, where there is no scheduler.
+    scheduler : str, optional
+        Of dask: its address, the JSON file that it writes, or ``local:N``.
+    quiet : bool
+        Say nothing of workers that are waited for.
+
+    Raises
+    ------
+    InputError
+        Where dask is not installed, or no scheduler answers, or its versions differ.
+    """
+    if scheduler is None:
+        return nullcontext(Processes(workers))
+    from bayescal.experiments.frame.distributed import connect
+
+    return connect(scheduler, quiet)
+
+
+def _run_in_worker[S, T](
+    parent: int, function: Callable[[S, T], Any], shared: S, name: str, task: T
+) -> tuple[str, Record | Failure]:
+    follow_parent(parent)
+    return name, run_guarded(function, shared, task)
+
+
+def run_guarded[S, T](function: Callable[[S, T], Any], shared: S, task: T) -> Record | Failure:
+    """Return a task's record, or in words why it failed; BLAS keeps to one thread."""
+    try:
+        # whatever is not finite is looked for where it matters; numpy's warnings would only litter the terminal
+        with threadpool_limits(1), np.errstate(all="ignore"):
+            return encode(function(shared, task))
+    except InputError as error:
+        return InputError, str(error)
+    except (NumericalError, ArithmeticError, ValueError) as error:  # SciPy and LAPACK raise the last two
+        return NumericalError, str(error)

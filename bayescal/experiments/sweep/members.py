@@ -1,0 +1,148 @@
+"""One member of a sweep: an experiment of any kind with some keys changed, computed wherever a worker is.
+
+A worker need not see the sweep's folder: what members read is sent, and laid out in a folder of its own there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+import tomllib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from multiprocessing.util import Finalize
+from pathlib import Path
+from typing import Any
+
+from bayescal.config.load import check_section
+from bayescal.config.sections import ExperimentConfig
+from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.frame.load import AnyExperiment, find_kind
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.sweep.keys import Setting, change, write_toml
+
+type Files = dict[str, bytes]
+
+_laid_out: dict[str, Path] = {}
+
+
+@dataclass(frozen=True)
+class Base:
+    """The experiment that members vary.
+
+    Attributes
+    ----------
+    name : str
+        Of its file.
+    kind : str
+    text : str
+        Of the file.
+    content : dict
+        Of the file and what it extends, with the sweep's seed.
+    files : dict of str to bytes
+        All that members read, by names relative to the folder.
+    """
+
+    name: str
+    kind: str
+    text: str
+    content: dict[str, Any]
+    files: Files
+
+    def vary(self, settings: tuple[Setting, ...], experiment: AnyExperiment, folder: Path) -> ExperimentConfig:
+        """Return a member's checked config; InputError where its keys make none."""
+        content = change(self.content, [(key, value) for file, key, value in settings if not file])
+        config: ExperimentConfig = check_section(experiment.schema, content, folder / self.name, self.text)
+        return config
+
+    def vary_files(self, settings: tuple[Setting, ...]) -> Files:
+        """Return the files that a member reads otherwise than they stand."""
+        changed: Files = {}
+        for file in dict.fromkeys(file for file, _, _ in settings if file):
+            own = [(key, value) for other, key, value in settings if other == file]
+            changed[file] = write_toml(change(tomllib.loads(self.files[file].decode()), own)).encode()
+        return changed
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a member.
+
+    Attributes
+    ----------
+    summary : str
+        JSON, as ``summary.json`` has it; empty where the member failed.
+    failure : str
+        Why it failed, or what forbids to rely on it.
+    """
+
+    summary: str
+    failure: str
+
+
+def compute_member(base: Base, settings: tuple[Setting, ...]) -> Outcome:
+    """Return a member's summary, or why there is none."""
+    with _go_to(base, settings) as folder:
+        try:
+            experiment = _find_kind(base.kind, folder)
+            config = base.vary(settings, experiment, folder)
+            results = experiment.compute(experiment.read(config, folder), Run())
+            summary = json.dumps(results.summary, ensure_ascii=False, allow_nan=False)
+            failures = experiment.list_failures(results)
+        except (InputError, NumericalError, ArithmeticError, ValueError) as error:  # SciPy and LAPACK raise the latter
+            said = " ".join(str(error).split()).replace(f"{folder}{os.sep}", "")
+            return Outcome("", said or type(error).__name__)
+    return Outcome(summary, "; ".join(failures))
+
+
+@lru_cache(maxsize=4)
+def _find_kind(kind: str, folder: Path) -> AnyExperiment:
+    """Return a kind; the folder's name stands for its content, so that its files are looked through once."""
+    return find_kind(kind, folder, folder)
+
+
+@contextmanager
+def _go_to(base: Base, settings: tuple[Setting, ...]) -> Iterator[Path]:
+    """Hold a folder with the files of a member: one of its own where these vary."""
+    changed = base.vary_files(settings)
+    if not changed:
+        yield _lay_out_once(base.files)
+        return
+    with tempfile.TemporaryDirectory(prefix="bayescal_") as root:
+        yield lay_out({**base.files, **changed}, Path(root))
+
+
+def _lay_out_once(files: Files) -> Path:
+    """Return a folder with files, the same as long as this process lives."""
+    content = hash_files(files)
+    if content not in _laid_out:
+        root = tempfile.mkdtemp(prefix="bayescal_")
+        Finalize(None, shutil.rmtree, (root, True), exitpriority=0)  # at the end of a worker process, too
+        _laid_out[content] = lay_out(files, Path(root))
+    return _laid_out[content]
+
+
+def hash_files(files: Files) -> str:
+    """Return the SHA-256 of files with their names."""
+    whole = hashlib.sha256()
+    for name, content in sorted(files.items()):
+        whole.update(f"{name} {len(content)} ".encode() + content)
+    return whole.hexdigest()
+
+
+def lay_out(files: Mapping[str, bytes], root: Path) -> Path:
+    """Write files below a root, so deep that names which lead upwards stay inside; return where names start."""
+    names = {os.path.normpath(name): content for name, content in files.items()}
+    depth = max((Path(name).parts.count(os.pardir) for name in names), default=0)
+    folder = root.resolve().joinpath(*["in"] * depth)
+    for name, content in names.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder

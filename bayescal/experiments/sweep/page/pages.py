@@ -1,0 +1,199 @@
+"""The page of a sweep: how good what was swept must be, figures against it, and every member."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import Any
+
+import pandas as pd
+
+from bayescal.experiments.frame.results import Results
+from bayescal.experiments.sweep.answers import ALWAYS, FROM, MIXED, NEVER, UP_TO, is_numeric
+from bayescal.experiments.sweep.page.figures import draw_against, name_axis, name_figure
+from bayescal.experiments.sweep.schema import AxisConfig, FigureConfig, SweepConfig
+from bayescal.report.blocks import (
+    Block,
+    Cell,
+    Column,
+    Figure,
+    Fold,
+    Level,
+    Page,
+    Section,
+    Statement,
+    make_section,
+    make_table,
+)
+from bayescal.report.numbers import NOTHING, format_count, format_plain, format_power
+
+KIND = "Sweep"
+MOST_PICTURES = 24
+MOST_ROWS = 500
+MOST_SAID = 8
+LEVELS: dict[str, Level] = {ALWAYS: "good", UP_TO: "good", FROM: "good", MIXED: "warning", NEVER: "bad"}
+
+
+def build_page(config: SweepConfig, results: Results) -> Page:
+    """Return the page of a sweep's tables."""
+    members, answers, summary = results.table("members"), results.table("answers"), results.summary
+    axes, figures = {axis.name: axis for axis in config.axes}, {figure.key: figure for figure in config.figures}
+    said = [_say(row, axes, figures) for row in answers.to_dict("records")]
+    verdict = (*said[:MOST_SAID], *_count(summary), *_miss(config, summary))
+    sections = (
+        *_answer_section(said, answers, axes, figures),
+        make_section("Figures against what was swept", (), (), tuple(_list_pictures(config, members))),
+        *_failed_section(config, members),
+        _member_section(config, members),
+    )
+    origin = f"Members are as {summary['experiment']} makes them, but for the keys that vary."
+    headline = said[0].text if said else _state_span(config.figures[0], summary)
+    return Page(KIND, config.name, config.title, origin, headline, verdict, sections, _list_facts(config, summary))
+
+
+# --- in words ----------------------------------------------------------------------------------------------------
+
+
+def _say(row: Mapping[Any, Any], axes: dict[str, AxisConfig], figures: dict[str, FigureConfig]) -> Statement:
+    """Return where a figure keeps what is required of it."""
+    figure, axis = figures[row["figure"]], axes[row["axis"]]
+    where = f" with {row['where']}" if row["where"] else ""
+    text = f"{_require(figure)}{where}: {_place(row, axis)}."
+    return Statement(text, LEVELS[row["holds"]], figure.label or figure.key)
+
+
+def _require(figure: FigureConfig) -> str:
+    word, limit = ("at most", figure.at_most) if figure.at_most is not None else ("at least", figure.at_least)
+    return f"{figure.label or figure.key} {word} {format_plain(limit or 0.0)} {figure.unit}".rstrip()
+
+
+def _place(row: Mapping[Any, Any], axis: AxisConfig) -> str:
+    name = axis.label or axis.name
+    if row["holds"] in (ALWAYS, NEVER):
+        return f"{row['holds']} on the axis {name}"
+    if row["holds"] == MIXED:
+        return f"in places along {name}, not on one side of a bound"
+    unit = f" {axis.unit}" if axis.unit and axis.factors is None else " times" if axis.factors is not None else ""
+    inside, outside = format_plain(row["inside"]), format_plain(row["outside"])
+    return (
+        f"{name} {row['holds']} {format_plain(row['bound'], 3)}{unit}, interpolated between {inside}, where it holds, "
+        f"and {outside}, where it does not"
+    )
+
+
+def _state_span(figure: FigureConfig, summary: dict[str, Any]) -> str:
+    found = summary["figures"][figure.key]
+    if "least" not in found:
+        return f"{format_count(summary['n_members'])} members; {figure.label or figure.key} is a number in none."
+    return (
+        f"Over {format_count(summary['n_members'])} members {figure.label or figure.key} runs from "
+        f"{format_power(found['least'], 3)} to {format_power(found['most'], 3)} {figure.unit}".rstrip()
+        + "."
+    )
+
+
+def _count(summary: dict[str, Any]) -> Iterator[Statement]:
+    n, failed, unsure = summary["n_members"], summary["n_failed"], summary["n_not_converged"]
+    text = f"{format_count(n)} members, {format_count(summary['n_distinct'])} of them different"
+    text += f"; {format_count(failed)} failed" if failed else "; none failed"
+    text += f", {format_count(unsure)} did not converge" if unsure else ""
+    level: Level = "bad" if failed == n else "warning" if failed or unsure else "plain"
+    yield Statement(f"{text}.", level, "Members")
+
+
+def _miss(config: SweepConfig, summary: dict[str, Any]) -> Iterator[Statement]:
+    """Yield figures that no summary has."""
+    for figure in config.figures:
+        if summary["figures"][figure.key]["n_known"] == 0 and summary["n_failed"] < summary["n_members"]:
+            yield Statement(f"No member's summary has a number at {figure.key}.", "warning", "Missing")
+
+
+def _list_facts(config: SweepConfig, summary: dict[str, Any]) -> tuple[tuple[str, str], ...]:
+    axes = tuple((name_axis(axis), _span(axis)) for axis in config.axes)
+    return (("Experiment", summary["experiment"]), *axes)
+
+
+def _span(axis: AxisConfig) -> str:
+    taken = axis.settings
+    if all(isinstance(one, int | float) and not isinstance(one, bool) for one in taken):
+        return f"{len(taken)}, {format_plain(min(taken))} to {format_plain(max(taken))}"
+    return ", ".join(map(str, taken[:6])) + (f" and {len(taken) - 6} more" if len(taken) > 6 else "")
+
+
+# --- sections ----------------------------------------------------------------------------------------------------
+
+
+def _answer_section(
+    said: list[Statement], answers: pd.DataFrame, axes: dict[str, AxisConfig], figures: dict[str, FigureConfig]
+) -> Iterator[Section]:
+    if answers.empty:
+        return
+    columns = [Column(title, kind="text") for title in ("Required", "Along", "With", "Holds")]
+    columns += [Column(title) for title in ("Bound", "Still", "No more")]
+    rows = [
+        [
+            _require(figures[row["figure"]]),
+            name_axis(axes[row["axis"]]),
+            row["where"] or NOTHING,
+            Cell(row["holds"], LEVELS[row["holds"]]),
+            *(_number(row[name], 3 if name == "bound" else 6) for name in ("bound", "inside", "outside")),
+        ]
+        for row in answers.to_dict("records")
+    ]
+    table = make_table("Where requirements hold; bounds are interpolated between neighbours.", columns, rows)
+    yield make_section("How good it must be", (), (table,))
+
+
+def _list_pictures(config: SweepConfig, members: pd.DataFrame) -> Iterator[Figure]:
+    """Yield a picture of each figure against each axis of numbers, the first ones where there are many."""
+    pairs = [
+        (k, figure, n, axis)
+        for k, figure in enumerate(config.figures, 1)
+        for n, axis in enumerate(config.axes, 1)
+        if is_numeric(members[axis.name]) and members[figure.key].dtype.kind == "f"
+    ]
+    for k, figure, n, axis in pairs[:MOST_PICTURES]:
+        name, caption = f"figure_{k}_axis_{n}", f"{name_figure(figure)} against {name_axis(axis)}."
+        if members[figure.key].notna().any():
+            yield Figure(name, caption, partial(draw_against, config, members, figure, axis))
+        else:
+            yield Figure(name, caption, None, "no member's summary has a number there")
+
+
+def _failed_section(config: SweepConfig, members: pd.DataFrame) -> Iterator[Section]:
+    bad = members[members["reason"] != ""]
+    if bad.empty:
+        return
+    columns = [*(Column(name_axis(axis), kind="text") for axis in config.axes), *_texts("State", "Reason")]
+    rows = [
+        [*(_cell(row[axis.name]) for axis in config.axes), row["state"], row["reason"]]
+        for row in bad.head(MOST_ROWS).to_dict("records")
+    ]
+    yield make_section(
+        "Members to be wary of", (), (make_table(_head("They failed, or did not converge", bad), columns, rows),)
+    )
+
+
+def _member_section(config: SweepConfig, members: pd.DataFrame) -> Section:
+    names = [*(axis.name for axis in config.axes), *(figure.key for figure in config.figures)]
+    columns = [Column(title) for title in (*map(name_axis, config.axes), *map(name_figure, config.figures))]
+    rows = [[*(_cell(row[name]) for name in names), row["state"]] for row in members.head(MOST_ROWS).to_dict("records")]
+    table = make_table(_head("Every member", members), [*columns, *_texts("State")], rows, style="wide")
+    blocks: tuple[Block, ...] = (Fold(f"{format_count(len(members))} members", (table,)),)
+    return Section("Members", blocks)
+
+
+def _texts(*titles: str) -> list[Column]:
+    return [Column(title, kind="text") for title in titles]
+
+
+def _head(caption: str, rows: pd.DataFrame) -> str:
+    return f"{caption}." if len(rows) <= MOST_ROWS else f"{caption}; the first {MOST_ROWS}, all in members.csv."
+
+
+def _cell(value: Any) -> str:
+    return _number(value, 4) if isinstance(value, float) else str(value) or NOTHING
+
+
+def _number(value: float, digits: int) -> str:
+    return NOTHING if value != value else format_plain(value, digits)
