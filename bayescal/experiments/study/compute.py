@@ -10,6 +10,7 @@ from bayescal.config.classes import label_class
 from bayescal.density.least_squares import LeastSquaresFit
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
+from bayescal.experiments.study.calibrated import describe_nominal
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task
 from bayescal.experiments.study.inputs import StudyInputs
@@ -58,7 +59,7 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
     if claims is not None:
         tables["claims"] = run.once("claims", _judge, (claims, inputs, summary, identified))
         summary["publication"] = claims.describe()
-    return Results(summary, tables, files)
+    return Results(summary, tables, {**files, **describe_nominal(inputs)})
 
 
 def compute_posteriors(inputs: StudyInputs, run: Run) -> dict[Task, Arrays]:
