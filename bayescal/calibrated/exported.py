@@ -10,7 +10,7 @@ import numpy as np
 
 from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors, Source
 from bayescal.calibrated.mechanism_file import format_mechanism, format_value
-from bayescal.calibrated.settle import can_settle
+from bayescal.calibrated.settle import find_hindrance
 from bayescal.config.load import check_section, read_toml
 from bayescal.config.sections import InputFile, NotNegative, Section
 from bayescal.errors import InputError
@@ -65,14 +65,12 @@ def list_machine_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     Raises
     ------
     InputError
-        Where the machine has a model or deformation of somebody else's, or no level home pose any more.
+        Where no drawings hold the machine's kinematics, or it has no level home pose any more.
     """
     machine = calibrated.machine
-    if not can_settle(machine):
-        raise InputError(
-            f"variant {calibrated.source.variant!r}: found a model or deformation of one's own, whose parameters no "
-            "mechanism's file holds, expected built-in ones"
-        )
+    hindrance = find_hindrance(machine)
+    if hindrance:
+        raise InputError(f"variant {calibrated.source.variant!r}: found {hindrance}")
     check_home_pose(machine)
     texts = {
         CALIBRATED: _format_calibrated(calibrated),

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayescal.calibrated.settle import can_settle, express_parameters, settle_machine
+from bayescal.calibrated.settle import express_parameters, find_hindrance, settle_machine
 from bayescal.machines.kinematics import Machine
 from bayescal.numerics.geometry import Array
 
@@ -111,7 +111,7 @@ class CalibratedMachine:
     machine : Machine
         Mechanism, model and deformation.
     theta : ndarray, shape (D,)
-        Posterior mean in the machine's layout; its nominal vector, but for somebody else's model or deformation.
+        Posterior mean in the machine's layout; its nominal vector where drawings hold the kinematics.
     free : ndarray of int, shape (n,)
         Which of its entries are uncertain.
     covariance : ndarray, shape (n, n), or None
@@ -157,7 +157,7 @@ class CalibratedMachine:
 def build_calibrated(
     machine: Machine, theta: Array, draws: Array | None, errors: LegErrors, source: Source
 ) -> CalibratedMachine:
-    """Return a calibrated machine from its posterior, settled where its model and deformation are built in.
+    """Return a calibrated machine from its posterior, settled where drawings hold its kinematics.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def build_calibrated(
     errors : LegErrors
     source : Source
     """
-    if can_settle(machine):
+    if not find_hindrance(machine):
         settled = settle_machine(machine, theta)
         draws = None if draws is None else express_parameters(machine, settled, draws)
         machine, theta = settled, settled.layout.nominal

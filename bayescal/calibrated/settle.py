@@ -16,15 +16,29 @@ from bayescal.machines.kinematics import Machine, build_machine
 from bayescal.machines.mechanism import BeamSection, Flexures
 from bayescal.machines.models import MODELS
 from bayescal.machines.models.legs import actuator_directions, chart_of
+from bayescal.machines.models.six_pus import SixPus
+from bayescal.machines.models.six_ups import SixUps
 from bayescal.machines.parameters import ParameterLayout
-from bayescal.numerics.geometry import Array
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 
 KAPPA, TRAVEL = "kappa", "rho0"
 
 
-def can_settle(machine: Machine) -> bool:
-    """Return whether files hold everything of a machine's model and deformation: whether both are built in."""
-    return type(machine.model) in MODELS.values() and type(machine.deformation) in DEFORMATIONS.values()
+def find_hindrance(machine: Machine) -> str:
+    """Return why no drawings hold a machine's kinematics, in words; empty where they do.
+
+    Of a machine with more legs than six the home pose that flexures and the Jacobian-based model refer to is a
+    compromise, weighed at the nominal machine (see `models.home`): with other drawings it is another one.
+    """
+    if type(machine.model) not in MODELS.values() or type(machine.deformation) not in DEFORMATIONS.values():
+        return "a model or deformation of one's own, whose parameters no mechanism's file holds, expected built-in ones"
+    perfect = isinstance(machine.model, SixPus | SixUps)
+    if machine.mechanism.n_legs != DEGREES_OF_FREEDOM and not perfect:
+        return (
+            f"model {machine.model.name!r} of {machine.mechanism.n_legs} legs, which refers to the nominal home pose, "
+            f"expected {DEGREES_OF_FREEDOM} legs or perfect joints"
+        )
+    return ""
 
 
 def settle_machine(machine: Machine, theta: Array) -> Machine:

@@ -70,7 +70,7 @@ def _calibrate(path: Path, variant: str | None, experiment: Path | None) -> Cali
     provenance = read_json(path / PROVENANCE_FILE)
     results = Results(read_json(path / SUMMARY_FILE), provenance=provenance, folder=path)
     name = provenance.get("kind")
-    kind = None if not isinstance(name, str) or ":" in name else find_kind(name, path, None)
+    kind: object = None if not isinstance(name, str) or ":" in name else find_kind(name, path, None)
     if not isinstance(kind, Calibrating):
         raise InputError(f"{path}: found results of kind {name!r}, which hold no mechanism on legs, expected a study's")
     return kind.calibrate(results, variant, experiment)
