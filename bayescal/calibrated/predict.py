@@ -168,15 +168,15 @@ def draw_poses(
     """
     if calibrated.draws is None:
         raise InputError(f"experiment {calibrated.source.experiment}: found no draws of its posterior, expected some")
-    mean = predict_poses(calibrated, actuators)
-    errors = _draw_errors(calibrated, mean, actuators, n_draws, rng)
+    mean, theta = predict_poses(calibrated, actuators), calibrated.thin(n_draws)
+    errors = _draw_errors(calibrated, mean, actuators, len(theta), rng)
     positions, rotations = [], []
-    for theta, moved in zip(calibrated.thin(n_draws), errors, strict=False):
-        found = solve_forward_kinematics(calibrated.machine, theta, actuators, check=False)
-        position, rotation = _move(found, moved)
+    for part in _split(len(theta), max(1, CHUNK // len(actuators))):
+        found = solve_forward_kinematics(calibrated.machine, theta[part, None], actuators, check=False)
+        position, rotation = _move(found, errors[part])
         positions.append(position)
         rotations.append(rotation)
-    return np.stack(positions), np.stack(rotations)
+    return np.concatenate(positions), np.concatenate(rotations)
 
 
 def _draw_errors(
@@ -195,10 +195,10 @@ def _draw_errors(
 
 
 def _move(found: ForwardKinematics, moved: Array) -> tuple[Array, Array]:
-    """Return poses moved by errors (P, 6) in mm and rad; NaN where none was found."""
-    good = found.converged[:, None]
-    position = np.where(good, found.position + moved[:, :3], np.nan)
-    turned = matrix_from_rotation_vector(np.where(good, moved[:, 3:], 0.0)) @ found.rotation
+    """Return poses moved by errors (..., 6) in mm and rad; NaN where none was found."""
+    good = found.converged[..., None]
+    position = np.where(good, found.position + moved[..., :3], np.nan)
+    turned = matrix_from_rotation_vector(np.where(good, moved[..., 3:], 0.0)) @ found.rotation
     return position, np.where(good[..., None], turned, np.nan)
 
 
@@ -244,8 +244,8 @@ def _check_shape(values: Array, n: int, what: str) -> None:
         raise InputError(f"{what}: found none, expected at least one")
 
 
-def _split(n: int) -> Iterator[slice]:
-    return (slice(k, k + CHUNK) for k in range(0, n, CHUNK))
+def _split(n: int, size: int = CHUNK) -> Iterator[slice]:
+    return (slice(k, k + size) for k in range(0, n, size))
 
 
 def _join(parts: list[Array | None]) -> Array | None:

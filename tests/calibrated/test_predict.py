@@ -16,41 +16,37 @@ from bayescal.errors import InputError
 from bayescal.machines.kinematics import solve_inverse_kinematics
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
 
-MODELS = ("six_pus", "six_ups", "beam")
+CASES = (("six_pus", "matrix"), ("six_ups", "none"), ("beam", "none"))
 
 
-@pytest.fixture(params=[(m, d) for m in MODELS for d in ("none", "matrix")], ids="/".join)
+@pytest.fixture(params=CASES, ids="/".join)
 def made_up(request, rng):
     model, deformation = request.param
-    return calibrated.build_made_up(machines.build_machine(deformation, model=model), rng, n_draws=4000)
+    return calibrated.build_made_up(machines.build_machine(deformation, model=model), rng, n_draws=2000)
 
 
 def test_covariance_agrees_with_draws(made_up, rng):
-    """4,000 draws tell a standard deviation to 1.1 %: four of these are 4.5 %."""
-    actuators = calibrated.measurable_actuators(made_up.machine, 6, rng)
+    """2,000 draws tell a standard deviation to 1.6 %: four of these are 6.5 %."""
+    actuators = calibrated.measurable_actuators(made_up.machine, 2, rng)
     prediction = predict_poses(made_up, actuators)
-    position, rotation = draw_poses(made_up, actuators, 4000, rng)
+    position, rotation = draw_poses(made_up, actuators, 2000, rng)
     errors = compute_pose_error(position, rotation, prediction.position, prediction.rotation)
     sd = np.sqrt(np.diagonal(prediction.covariance, axis1=1, axis2=2))
-    np.testing.assert_allclose(errors.std(axis=0) / sd, 1.0, atol=0.045)
+    np.testing.assert_allclose(errors.std(axis=0) / sd, 1.0, atol=0.065)
     white = np.linalg.solve(np.linalg.cholesky(prediction.covariance), errors[..., None])[..., 0]
     correlation = np.einsum("spi,spj->pij", white, white) / len(white)
-    np.testing.assert_allclose(correlation, np.tile(np.eye(6), (6, 1, 1)), atol=0.1)
-    assert np.abs(errors.mean(axis=0) / sd).max() < 0.07
+    np.testing.assert_allclose(correlation, np.tile(np.eye(6), (2, 1, 1)), atol=0.12)
+    assert np.abs(errors.mean(axis=0) / sd).max() < 0.1
     assert (sd > np.sqrt(np.diagonal(prediction.of_geometry, axis1=1, axis2=2))).all()
 
 
 def test_actuators_agree_with_draws(made_up, rng):
-    prediction = predict_poses(made_up, calibrated.measurable_actuators(made_up.machine, 5, rng))
+    prediction = predict_poses(made_up, calibrated.measurable_actuators(made_up.machine, 2, rng))
     geometry = replace(made_up, errors=IndependentErrors(0.0, np.zeros(6)))
     command = command_poses(geometry, prediction.position, prediction.rotation)
     assert command.reached.all()
-    drawn = np.stack(
-        [
-            solve_inverse_kinematics(made_up.machine, theta, prediction.position, prediction.rotation).actuators
-            for theta in made_up.thin(2000)
-        ]
-    )
+    theta, pose = made_up.thin(2000)[:, None], (prediction.position, prediction.rotation)
+    drawn = solve_inverse_kinematics(made_up.machine, theta, *pose).actuators
     np.testing.assert_allclose(drawn.std(axis=0) / command.sd, 1.0, atol=0.065)
     np.testing.assert_allclose(drawn.mean(axis=0), command.actuators, atol=0.1 * command.sd.max())
 
@@ -68,13 +64,13 @@ def test_errors_of_the_legs_are_those_of_the_density(deformation, rng):
 
 
 def test_command_undoes_predict(made_up, rng):
-    actuators = calibrated.measurable_actuators(made_up.machine, 2100, rng)  # more than two chunks
+    actuators = calibrated.measurable_actuators(made_up.machine, 1100, rng)  # more than a chunk
     prediction = predict_poses(made_up, actuators)
     assert prediction.found.all()
-    assert prediction.covariance.shape == (2100, 6, 6)
+    assert prediction.covariance.shape == (1100, 6, 6)
     command = command_poses(made_up, prediction.position, prediction.rotation)
     np.testing.assert_allclose(command.actuators, actuators, rtol=0, atol=1e-8)
-    assert command.covariance.shape == (2100, 6, 6)
+    assert command.covariance.shape == (1100, 6, 6)
 
 
 def test_poses_out_of_reach_say_why(rng):
