@@ -5,10 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from bayescal.calibrated.export import export_machine
+from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.frame.run import Finished, compute_experiment, run_experiment
+from bayescal.experiments.shared.calibrating import load_calibrated
 from bayescal.experiments.study.schema import StudyConfig
+
+__all__ = [
+    "command_poses",
+    "compute_audit",
+    "draw_poses",
+    "export_machine",
+    "load_calibrated",
+    "predict_poses",
+    "run_study",
+    "write_audit",
+]
 
 
 def run_study(config: StudyConfig, folder: Path, out: Path, workers: int = 1, resume: bool = False) -> Finished:

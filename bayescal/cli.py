@@ -16,6 +16,7 @@ from bayescal.errors import BayescalError, InputError, NumericalError, name_faul
 from bayescal.experiments.frame.interrupts import INTERRUPTED, end_on_interrupt
 
 if TYPE_CHECKING:
+    from bayescal.calibrated.machine import CalibratedMachine
     from bayescal.config.sections import ExperimentConfig
 
 WIDTH, WIDE = 120, 160
@@ -171,7 +172,7 @@ def simulate(
     from bayescal.experiments.frame.load import load
     from bayescal.experiments.frame.run import compute_experiment
     from bayescal.experiments.shared.simulated_data import SimulatedData
-    from bayescal.files.atomic import write_atomically
+    from bayescal.files.atomic import make_directory, write_atomically
 
     experiment, loaded = load(config)
     if not isinstance(experiment, SimulatedData):
@@ -200,7 +201,6 @@ def poses_from_targets(
     from bayescal.experiments.frame.load import load_kind
     from bayescal.experiments.study.inputs import load_inputs
     from bayescal.experiments.study.tables import format_poses
-    from bayescal.files.atomic import write_atomically
 
     config = load_kind(experiment, "study")
     if config.data.measurement != "targets":
@@ -208,13 +208,108 @@ def poses_from_targets(
     if method is not None:
         look_up(METHODS, method, "--method", experiment)
         config = config.model_copy(update={"data": config.data.model_copy(update={"pose_method": method})})
-    text = format_poses(load_inputs(config, experiment.parent))
+    _put(format_poses(load_inputs(config, experiment.parent)), out)
+
+
+Calibrated = Annotated[
+    Path, typer.Argument(metavar="RESULTS", help="Results directory of a study, or a machine that export wrote.")
+]
+Variant = Annotated[str | None, typer.Option(help="Variant by its name; default the best.")]
+Config = Annotated[
+    Path | None, typer.Option("--experiment", help="Config of results that do not hold the nominal machine.")
+]
+Force = Annotated[bool, typer.Option("--force", help="Take a posterior that did not converge; files say so.")]
+Table = Annotated[Path | None, typer.Option(help="CSV file; default standard output.")]
+
+
+@app.command(epilog="Example: bayescal export results/m2_hexapod --format urdf --out machines/m2")
+def export(
+    results: Calibrated,
+    variant: Variant = None,
+    name: Annotated[
+        str, typer.Option("--format", help="mechanism (every command takes it), csv, json, urdf or genhexkins.")
+    ] = "mechanism",
+    out: Annotated[Path | None, typer.Option(help="Directory; default machines/NAME-VARIANT.")] = None,
+    experiment: Config = None,
+    force: Force = False,
+) -> None:
+    """Write the machine as calibrated, with covariance and draws, as files for the next tool."""
+    from bayescal.api import export_machine, load_calibrated
+
+    calibrated = load_calibrated(results, variant, experiment, force)
+    for path in export_machine(calibrated, out or Path("machines") / calibrated.source.stem, name):
+        typer.echo(f"wrote {path}")
+    _tell_missing(results, calibrated)
+
+
+@app.command(epilog="Example: bayescal command results/m2_hexapod poses.csv --out actuators.csv")
+def command(
+    results: Calibrated,
+    poses: Annotated[Path, typer.Argument(metavar="POSES.csv", help="pose, x_mm ... z_mm, rx_deg ... rz_deg.")],
+    variant: Variant = None,
+    out: Table = None,
+    mark: Annotated[bool, typer.Option("--mark", help="Mark poses out of reach instead of refusing them.")] = False,
+    experiment: Config = None,
+    force: Force = False,
+) -> None:
+    """Tell the actuator positions that hold commanded poses, and how sure they are."""
+    from bayescal.api import command_poses, load_calibrated
+    from bayescal.calibrated.tables import check_reached, format_command, read_commanded
+
+    calibrated = load_calibrated(results, variant, experiment, force)
+    commanded = read_commanded(poses, calibrated.n_legs)
+    found = command_poses(calibrated, commanded.position, commanded.rotation)
+    if not mark:
+        check_reached(commanded, found)
+    _put(format_command(calibrated, commanded.names, found), out)
+    _tell_missing(results, calibrated)
+
+
+@app.command(epilog="Example: bayescal predict results/m2_hexapod actuators.csv --out poses.csv")
+def predict(
+    results: Calibrated,
+    actuators: Annotated[Path, typer.Argument(metavar="ACTUATORS.csv", help="pose, rho_1_mm, rho_2_mm ...")],
+    variant: Variant = None,
+    out: Table = None,
+    draws: Annotated[Path | None, typer.Option(help="CSV file for poses by draws of the posterior.")] = None,
+    n_draws: Annotated[int, typer.Option(min=1, help="How many of them.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Of the draws' errors.")] = 0,
+    experiment: Config = None,
+    force: Force = False,
+) -> None:
+    """Predict the poses of actuator positions with their covariance."""
+    import numpy as np
+
+    from bayescal.api import draw_poses, load_calibrated, predict_poses
+    from bayescal.calibrated.tables import check_found, format_draws, format_prediction, read_positions
+
+    calibrated = load_calibrated(results, variant, experiment, force)
+    names, positions = read_positions(actuators, calibrated)
+    found = predict_poses(calibrated, positions)
+    check_found(actuators, names, found)
+    if draws is not None:
+        drawn = draw_poses(calibrated, positions, n_draws, np.random.default_rng(seed))
+        _put(format_draws(calibrated, names, *drawn), draws)
+    _put(format_prediction(calibrated, names, found), out)
+    _tell_missing(results, calibrated)
+
+
+def _put(text: str, out: Path | None) -> None:
+    """Write a text to a file, or to standard output."""
+    from bayescal.files.atomic import make_directory, write_atomically
+
     if out is None:
         typer.echo(text, nl=False)
     else:
         make_directory(out.parent)
         write_atomically(out, text.encode())
         typer.echo(f"wrote {out}")
+
+
+def _tell_missing(results: Path, calibrated: CalibratedMachine) -> None:
+    """Say on standard error that there is no covariance, and why."""
+    if calibrated.covariance is None:
+        typer.echo(f"{results}: no draws of the posterior (posterior/*.nc): without covariance and draws", err=True)
 
 
 Kind = Annotated[
@@ -287,14 +382,6 @@ def schema(kind: Annotated[str, typer.Argument(metavar="KIND", help="Kind of exp
     from bayescal.experiments.frame.catalogue import describe_schema
 
     typer.echo(json.dumps(describe_schema(kind), indent=1, ensure_ascii=False))
-
-
-def make_directory(path: Path) -> None:
-    """Make a directory; InputError where a file is in the way or it may not be made."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be made a directory ({error.strerror})") from error
 
 
 def _make_console(width: int = WIDTH) -> Console:

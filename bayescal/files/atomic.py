@@ -50,3 +50,11 @@ def write_atomically(path: Path, content: bytes) -> None:
             temporary.unlink(missing_ok=True)
         error.filename = str(path)  # a full disk does not say where
         raise
+
+
+def make_directory(path: Path) -> None:
+    """Make a directory; InputError where a file is in the way or it may not be made."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be made a directory ({error.strerror})") from error

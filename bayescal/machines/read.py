@@ -62,7 +62,7 @@ def load_mechanism(path: Path) -> Mechanism:
 def _legs(config: MechanismConfig, base: Array, home: HomeStart, path: Path) -> dict[str, Array]:
     """Return what there is of every leg, shapes (N, ...), by the names of the fields."""
     n_legs = len(base)
-    given = 0.0 if home.position is not None else config.legs.length_mm
+    given = 0.0 if config.legs.length_mm is None else config.legs.length_mm
     columns = {
         "platform": points_of(config.platform),
         "legs.length_mm": np.atleast_1d(np.array(given, dtype=np.float64)),
@@ -75,7 +75,7 @@ def _legs(config: MechanismConfig, base: Array, home: HomeStart, path: Path) -> 
     for field, values in columns.items():
         if len(values) not in ((1, n_legs) if field != "platform" else (n_legs,)):
             raise InputError(f"{path}: {field}: found {len(values)} legs, expected {n_legs} as in base")
-    if home.position is not None:
+    if config.legs.length_mm is None:
         travel = columns["legs.initial_actuator_position_mm"][:, None] * columns["legs.direction"]
         columns["legs.length_mm"] = _span(base + travel, np.array(home.position) + columns["platform"], path)
     if config.flexures is not None:
@@ -109,6 +109,9 @@ def _home(config: MechanismConfig, path: Path, text: str) -> HomeStart:
     if home.position_mm is None:
         if config.legs.length_mm is None:
             raise InputError(f"{field}: missing, expected a value or [home] with position_mm")
+        if home.near_mm is not None:
+            x, y, z = home.near_mm
+            return HomeStart((x, y, z))
         return HomeStart(below=home.platform == "below")
     if config.legs.length_mm is not None:
         raise InputError(f"{field}: found lengths beside [home], expected one of them, since home has them")

@@ -51,16 +51,18 @@ class LegsConfig(Section):
 class HomeConfig(Section):
     """Where the platform's origin stands at home, base frame, with the platform level; it gives the legs' lengths.
 
-    With lengths given, on which side of the legs' lower joints the platform stands, above where nothing is said.
+    With lengths given, near which place it is found, or on which side of the legs' lower joints the platform stands,
+    above where nothing is said.
     """
 
     position_mm: Vector | None = None
+    near_mm: Vector | None = None
     platform: Literal["above", "below"] | None = None
 
     @model_validator(mode="after")
     def _check_one_way(self) -> Self:
-        if (self.position_mm is None) == (self.platform is None):
-            raise ValueError("expected either position_mm, or platform with the legs' lengths")
+        if sum(one is not None for one in (self.position_mm, self.near_mm, self.platform)) != 1:
+            raise ValueError("expected either position_mm, or platform or near_mm with the legs' lengths")
         return self
 
 

@@ -10,6 +10,7 @@ from bayescal.density.least_squares import LeastSquaresFit
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.shared.trees import write_tree
+from bayescal.experiments.study.calibrated import describe_nominal
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task
 from bayescal.experiments.study.held_out import compare_variants, describe_stacking, tabulate_left_out
@@ -64,7 +65,7 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
     if claims is not None:
         tables["claims"] = run.once("claims", _judge, (claims, inputs, summary, identified))
         summary["publication"] = claims.describe()
-    return Results(summary, tables, files)
+    return Results(summary, tables, {**files, **describe_nominal(inputs)})
 
 
 def compute_posteriors(inputs: StudyInputs, run: Run) -> dict[Task, Arrays]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +11,16 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
+from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.config.classes import label_class
 from bayescal.config.registry import find_class
 from bayescal.errors import InputError
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.calibrating import Calibrating
 from bayescal.experiments.shared.measured import MeasuredVariant, Measuring, VariantChoice
+from bayescal.experiments.study.calibrated import calibrate_study, load_same
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.compute import compute_study
 from bayescal.experiments.study.inputs import StudyInputs, load_inputs
@@ -36,7 +39,7 @@ class StudyTask:
     claims: Claims | None
 
 
-class Study(Experiment[StudyConfig, StudyTask], Measuring):
+class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
     """A machine calibrated from measured poses: variants ranked by evidence and by prediction."""
 
     schema = StudyConfig
@@ -52,6 +55,15 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring):
         if claims is not None and inputs.targets is None:
             raise InputError(f"{folder}: claims: found {config.claims!r} without targets, expected measured targets")
         return StudyTask(inputs, claims)
+
+    def config_of(self, results: Results) -> StudyConfig:
+        """Return the config that results were made with; a variant's name with a slash is none of its own."""
+        variants = [
+            {key: value for key, value in variant.items() if not (key == "name" and "/" in value)}
+            for variant in results.config.get("variants", [])
+        ]
+        provenance = {**results.provenance, "config": {**results.config, "variants": variants}}
+        return super().config_of(replace(results, provenance=provenance))
 
     def compute(self, inputs: StudyTask, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""
@@ -106,6 +118,11 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring):
             one.name: VariantChoice(label_class(one.model), label_class(one.deformation), one.name)
             for one in config.variants
         }
+
+    def calibrate(self, results: Results, variant: str | None, experiment: Path | None) -> CalibratedMachine:
+        """Return the machine of a variant of the study."""
+        config = self.config_of(results) if experiment is None else load_same(results, experiment)
+        return calibrate_study(results, config, variant, experiment)
 
     def show_comparison(self, table: pd.DataFrame, console: Console) -> None:
         """Print variants of several studies ranked together."""

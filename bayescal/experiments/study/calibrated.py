@@ -1,0 +1,197 @@
+"""The calibrated machine of a study's results, and the nominal one that is kept with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayescal.calibrated.exported import (
+    MATRIX,
+    MATRIX_COVARIANCE,
+    MECHANISM,
+    PER_MILLE,
+    format_matrix,
+    format_matrix_covariance,
+    read_matrix_covariance,
+)
+from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors, Source, build_calibrated
+from bayescal.calibrated.mechanism_file import format_mechanism
+from bayescal.config.registry import list_references
+from bayescal.density.schema import FixedConfig
+from bayescal.errors import InputError
+from bayescal.experiments.frame.identity import identify
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.per_leg import spread_over_legs
+from bayescal.experiments.study.inputs import StudyInputs, load_inputs
+from bayescal.experiments.study.schema import StudyConfig, VariantConfig, stem_of
+from bayescal.files.csv_tables import read_matrix
+from bayescal.machines.deformations import NominalDeformation
+from bayescal.machines.kinematics import Machine
+from bayescal.machines.parameters import ParameterLayout
+from bayescal.machines.read import build_named_machine, load_mechanism
+from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import MICROMETRE
+
+NOMINAL = "machine"
+"""Folder of the results that holds the nominal machine."""
+TAU = "tau"
+
+
+def describe_nominal(inputs: StudyInputs) -> dict[str, str]:
+    """Return the files of the nominal machine that a study's results keep, by name."""
+    comments = [f"Nominal mechanism of study {inputs.config.name}; what calibrated it stands in the results"]
+    texts = {MECHANISM: format_mechanism(inputs.mechanism, comments)}
+    if any(inputs.machine(variant).deformation.uses_matrix for variant in inputs.config.variants):
+        texts[MATRIX] = format_matrix(inputs.matrix)
+        covariance = find_matrix_covariance(inputs)
+        if covariance is not None:
+            texts[MATRIX_COVARIANCE] = format_matrix_covariance(covariance)
+    return {f"{NOMINAL}/{name}": text for name, text in texts.items()}
+
+
+def find_matrix_covariance(inputs: StudyInputs) -> Array | None:
+    """Return the covariance of each row of a measured K, shape (N, N, N); None where K was not measured."""
+    if not inputs.matrix_from_targets or inputs.measured_matrix is None:
+        return None
+    n = inputs.mechanism.n_legs
+    legs = np.arange(n)
+    return np.asarray(inputs.measured_matrix.covariance.reshape(n, n, n, n)[legs, :, legs, :])
+
+
+def calibrate_study(
+    results: Results, config: StudyConfig, variant: str | None, experiment: Path | None
+) -> CalibratedMachine:
+    """Return the machine of a variant of a study's results; see `Calibrating.calibrate`."""
+    chosen, name = _choose(results, config, variant)
+    fit = results.summary["variants"][name]
+    if experiment is None:
+        machine, covariance = _read_nominal(results, config, chosen)
+    else:
+        machine, covariance = _load_nominal(config, chosen, experiment.parent)
+    theta = _fix(config, machine.layout)
+    _set_named(theta, machine.layout, {name: one["mean"] for name, one in fit["parameters"].items()})
+    errors = IndependentErrors(
+        config.data.actuator_noise_um * MICROMETRE, _find_model_variance(fit["parameters"], machine), covariance
+    )
+    source = Source(config.name, name, config.data.origin, tuple(fit["problems"]))
+    return build_calibrated(machine, theta, _read_draws(results, name, machine.layout, theta), errors, source)
+
+
+def load_same(results: Results, path: Path) -> StudyConfig:
+    """Return the study of a file, which must be that of the results."""
+    experiment, config = load(path)
+    if not isinstance(config, StudyConfig):
+        raise InputError(f"{path}: kind: found {config.kind!r}, expected 'study'")
+    identity = identify(config, path.parent, experiment.files(config, path.parent))
+    if any(results.provenance.get(key) != identity[key] for key in ("config", "files")):
+        raise InputError(
+            f"{path}: found another study than that of {results.folder}, expected the same config and files"
+        )
+    return config
+
+
+def _choose(results: Results, config: StudyConfig, name: str | None) -> tuple[VariantConfig, str]:
+    """Return the variant that is wanted, and what the results call it."""
+    known = results.summary["ranking"]
+    wanted = known[0] if name is None else name
+    for variant, content in zip(config.variants, results.config["variants"], strict=True):
+        if content["name"] == wanted:
+            return variant, wanted
+    raise InputError(f"{results.folder}: --variant: found {wanted!r}, expected one of {', '.join(known)}")
+
+
+# --- the nominal machine -----------------------------------------------------------------------------------------
+
+
+def _read_nominal(results: Results, config: StudyConfig, variant: VariantConfig) -> tuple[Machine, Array | None]:
+    """Return the nominal machine that the results keep, and the covariance of its measured K."""
+    assert results.folder is not None
+    folder = results.folder / NOMINAL
+    if not (folder / MECHANISM).is_file():
+        raise InputError(
+            f"{folder / MECHANISM}: no such file, expected the nominal machine, which earlier versions did not write; "
+            "name the study's config: --experiment STUDY.toml"
+        )
+    for what, name in (("MODELS", variant.model), ("DEFORMATIONS", variant.deformation)):
+        if name not in list_references(what):
+            raise InputError(
+                f"{results.folder}: found variant {variant.name!r} with {name!r}, whose code results do not decide "
+                "on, expected the study's config: --experiment STUDY.toml"
+            )
+    mechanism = load_mechanism(folder / MECHANISM)
+    nominal = NominalDeformation(
+        config.deformation.kappa, lambda: PER_MILLE * read_matrix(folder / MATRIX, mechanism.n_legs)
+    )
+    names = (variant.model, variant.deformation)
+    machine = build_named_machine(mechanism, folder / MECHANISM, *names, nominal, "variants", folder)
+    if not (machine.deformation.uses_matrix and (folder / MATRIX_COVARIANCE).is_file()):
+        return machine, None
+    return machine, read_matrix_covariance(folder / MATRIX_COVARIANCE, mechanism.n_legs)
+
+
+def _load_nominal(config: StudyConfig, variant: VariantConfig, folder: Path) -> tuple[Machine, Array | None]:
+    """Return the nominal machine of a study's own files, and the covariance of its measured K."""
+    inputs = load_inputs(config, folder)
+    machine = inputs.machine(variant)
+    return machine, find_matrix_covariance(inputs) if machine.deformation.uses_matrix else None
+
+
+# --- the posterior -----------------------------------------------------------------------------------------------
+
+
+def _fix(config: StudyConfig, layout: ParameterLayout) -> Array:
+    """Return the nominal vector with what the config fixes off nominal, shape (D,)."""
+    theta = layout.nominal.copy()
+    for symbol, prior in config.parameters.items():
+        if isinstance(prior, FixedConfig) and symbol in layout.index:
+            theta[layout.index[symbol]] += spread_over_legs(prior.offset, len(layout.index[symbol]), symbol)
+    return theta
+
+
+def _set_named(theta: Array, layout: ParameterLayout, values: dict[str, Any]) -> None:
+    """Set parameters (..., D) by name; those of frames and model errors are none of the machine's."""
+    position = {name: k for k, name in enumerate(layout.names)}
+    for name, value in values.items():
+        if name in position:
+            theta[..., position[name]] = value
+
+
+def _find_model_variance(parameters: dict[str, Any], machine: Machine) -> Array:
+    """Return the posterior mean of τ_i², shape (N,), mm²; zero without a model error."""
+    n_legs = machine.mechanism.n_legs
+    square = {name: one["mean"] ** 2 + one["sd"] ** 2 for name, one in parameters.items()}
+    return np.array([square.get(TAU, square.get(f"{TAU}[{leg}]", 0.0)) for leg in range(1, n_legs + 1)])
+
+
+def _read_draws(results: Results, variant: str, layout: ParameterLayout, theta: Array) -> Array | None:
+    """Return the posterior's draws as parameter vectors (S, D); None where the results have none."""
+    assert results.folder is not None
+    path = results.folder / "posterior" / f"{stem_of(variant)}.nc"
+    if not path.is_file():
+        return None
+    values = _read_posterior(path)
+    n_draws = len(next(iter(values.values())))
+    draws = np.broadcast_to(theta, (n_draws, layout.size)).copy()
+    _set_named(draws, layout, values)
+    return draws
+
+
+def _read_posterior(path: Path) -> dict[str, Array]:
+    """Return the draws of each parameter by its name, shapes (S,)."""
+    import xarray as xr  # takes a second, for those who need it
+
+    values: dict[str, Array] = {}
+    try:
+        with xr.open_dataset(path, engine="h5netcdf", group="posterior") as posterior:
+            for symbol, found in posterior.data_vars.items():
+                flat = found.to_numpy().reshape(found.sizes["chain"] * found.sizes["draw"], -1)
+                names = (
+                    [str(symbol)] if "leg" not in found.dims else [f"{symbol}[{leg}]" for leg in found["leg"].values]
+                )
+                values |= dict(zip(names, flat.T, strict=True))
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read as a posterior ({' '.join(str(error).split())})") from error
+    return values

@@ -1,0 +1,146 @@
+"""What a calibrated machine predicts and commands, against draws and against another way to the same number."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import calibrated_machines as calibrated
+import numpy as np
+import pytest
+import telescope_machines as machines
+
+from bayescal.calibrated.machine import IndependentErrors, LegErrors
+from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
+from bayescal.density.likelihood import PoseLikelihood
+from bayescal.errors import InputError
+from bayescal.machines.kinematics import solve_inverse_kinematics
+from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
+
+CASES = (("six_pus", "matrix"), ("six_ups", "none"), ("beam", "none"))
+
+
+@pytest.fixture(params=CASES, ids="/".join)
+def made_up(request, rng):
+    model, deformation = request.param
+    return calibrated.build_made_up(machines.build_machine(deformation, model=model), rng, n_draws=2000)
+
+
+def test_covariance_agrees_with_draws(made_up, rng):
+    """2,000 draws tell a standard deviation to 1.6 %: four of these are 6.5 %."""
+    actuators = calibrated.measurable_actuators(made_up.machine, 2, rng)
+    prediction = predict_poses(made_up, actuators)
+    position, rotation = draw_poses(made_up, actuators, 2000, rng)
+    errors = compute_pose_error(position, rotation, prediction.position, prediction.rotation)
+    sd = np.sqrt(np.diagonal(prediction.covariance, axis1=1, axis2=2))
+    np.testing.assert_allclose(errors.std(axis=0) / sd, 1.0, atol=0.065)
+    white = np.linalg.solve(np.linalg.cholesky(prediction.covariance), errors[..., None])[..., 0]
+    correlation = np.einsum("spi,spj->pij", white, white) / len(white)
+    np.testing.assert_allclose(correlation, np.tile(np.eye(6), (2, 1, 1)), atol=0.12)
+    assert np.abs(errors.mean(axis=0) / sd).max() < 0.1
+    assert (sd > np.sqrt(np.diagonal(prediction.of_geometry, axis1=1, axis2=2))).all()
+
+
+def test_actuators_agree_with_draws(made_up, rng):
+    prediction = predict_poses(made_up, calibrated.measurable_actuators(made_up.machine, 2, rng))
+    geometry = replace(made_up, errors=IndependentErrors(0.0, np.zeros(6)))
+    command = command_poses(geometry, prediction.position, prediction.rotation)
+    assert command.reached.all()
+    theta, pose = made_up.thin(2000)[:, None], (prediction.position, prediction.rotation)
+    drawn = solve_inverse_kinematics(made_up.machine, theta, *pose).actuators
+    np.testing.assert_allclose(drawn.std(axis=0) / command.sd, 1.0, atol=0.065)
+    np.testing.assert_allclose(drawn.mean(axis=0), command.actuators, atol=0.1 * command.sd.max())
+
+
+@pytest.mark.parametrize("deformation", ["none", "matrix"])
+def test_errors_of_the_legs_are_those_of_the_density(deformation, rng):
+    """Without a posterior's spread the covariance is that which a study's likelihood gives measured poses."""
+    machine = machines.build_machine(deformation)
+    made_up = calibrated.build_made_up(machine, rng, scale=1e-9)
+    actuators = calibrated.measurable_actuators(machine, 6, rng)
+    poses = machines.place_poses(made_up.machine, made_up.theta, actuators, np.zeros((6, 6)))
+    likelihood = PoseLikelihood(made_up.machine, replace(poses, covariance=np.zeros((6, 6, 6))), 1e-3)
+    expected = likelihood.pose_covariance(np.full(6, 2e-3))
+    np.testing.assert_allclose(predict_poses(made_up, actuators).covariance, expected, rtol=1e-6, atol=1e-16)
+
+
+def test_command_undoes_predict(made_up, rng):
+    actuators = calibrated.measurable_actuators(made_up.machine, 1100, rng)  # more than a chunk
+    prediction = predict_poses(made_up, actuators)
+    assert prediction.found.all()
+    assert prediction.covariance.shape == (1100, 6, 6)
+    command = command_poses(made_up, prediction.position, prediction.rotation)
+    np.testing.assert_allclose(command.actuators, actuators, rtol=0, atol=1e-8)
+    assert command.covariance.shape == (1100, 6, 6)
+
+
+def test_poses_out_of_reach_say_why(rng):
+    made_up = calibrated.build_made_up(machines.build_machine("none"), rng)
+    home = predict_poses(made_up, made_up.machine.mechanism.initial_actuator_positions[None])
+    position = home.position + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [900.0, 0.0, 0.0]])
+    command = command_poses(made_up, position, np.tile(home.rotation, (3, 1, 1)))
+    assert command.reached.tolist() == [True, False, False]
+    assert command.faults[1].startswith("leg ")
+    assert "would move by 2" in command.faults[1]
+    assert "its range is 1.3 mm" in command.faults[1]
+    assert command.faults[2] == "no actuator positions hold it"
+    assert np.isnan(command.actuators[2]).all()
+    assert np.isfinite(command.actuators[:2]).all()
+
+
+@pytest.mark.parametrize("values", [np.zeros(6), np.zeros((3, 5)), np.zeros((0, 6))])
+def test_other_shapes_are_refused(values, rng):
+    made_up = calibrated.build_made_up(machines.build_machine("none"), rng, n_draws=20)
+    with pytest.raises(InputError, match="actuator positions: found"):
+        predict_poses(made_up, values)
+
+
+@dataclass(frozen=True, eq=False)
+class Offset(LegErrors):
+    """A model error with a mean: every leg is too long by a share of its actuator's displacement."""
+
+    share: float
+
+    def mean(self, displacement):
+        return self.share * displacement
+
+    def covariance(self, displacement, actuators):
+        return np.broadcast_to(1e-6 * np.eye(6), actuators.shape)
+
+
+def test_errors_with_a_mean_move_pose_and_actuators(rng):
+    """A structured model error: struts too short by 1e-4 of their travel are actuators that travel less."""
+    made_up = calibrated.build_made_up(machines.build_machine("none", model="six_ups"), rng)
+    mechanism = made_up.machine.mechanism
+    actuators = calibrated.measurable_actuators(made_up.machine, 5, rng)
+    less = mechanism.initial_actuator_positions + (1 - 1e-4) * (actuators - mechanism.initial_actuator_positions)
+    biased = replace(made_up, errors=Offset(1e-4))
+    one, other = predict_poses(biased, actuators), predict_poses(made_up, less)
+    np.testing.assert_allclose(one.position, other.position, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(one.rotation, other.rotation, rtol=0, atol=1e-9)
+    back = command_poses(biased, one.position, one.rotation)
+    np.testing.assert_allclose(back.actuators, actuators, rtol=0, atol=1e-7)
+    assert np.abs(actuators - less).max() > 1e-5
+    position, _ = draw_poses(biased, actuators, 400, rng)
+    spread = position.std(axis=0) / 20
+    np.testing.assert_array_less(np.abs(position.mean(axis=0) - one.position), 5 * spread)
+
+
+def test_same_random_numbers_same_draws(rng):
+    made_up = calibrated.build_made_up(machines.build_machine("none"), rng, n_draws=50)
+    actuators = calibrated.measurable_actuators(made_up.machine, 3, rng)
+    first, second = (draw_poses(made_up, actuators, 20, np.random.default_rng(5)) for _ in range(2))
+    np.testing.assert_array_equal(first[0], second[0])
+    assert first[0].shape == (20, 3, 3)
+    with pytest.raises(InputError, match="found no draws"):
+        draw_poses(replace(made_up, draws=None), actuators, 20, rng)
+
+
+def test_turned_far_at_the_edge(rng):
+    """Rotation vectors: covariances are about the base axes, wherever the platform points."""
+    made_up = calibrated.build_made_up(machines.build_machine("none", model="six_ups"), rng, n_draws=50)
+    turn = matrix_from_rotation_vector(np.array([0.0, 0.0, 2e-3]))
+    home = predict_poses(made_up, made_up.machine.mechanism.initial_actuator_positions[None])
+    command = command_poses(made_up, home.position, turn @ home.rotation)
+    again = predict_poses(made_up, command.actuators)
+    error = compute_pose_error(again.position, again.rotation, home.position, home.rotation)
+    np.testing.assert_allclose(error, [[0, 0, 0, 0, 0, 2e-3]], atol=1e-9)

@@ -1,0 +1,165 @@
+"""A calibrated machine as drawings of its own: the same poses before, as exported, and as read again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import calibrated_machines as calibrated
+import guided_machines
+import hexapods
+import numpy as np
+import pytest
+import studies
+import telescope_machines as machines
+
+from bayescal.calibrated.export import export_machine
+from bayescal.calibrated.exported import read_exported
+from bayescal.calibrated.machine import IndependentErrors, Source, build_calibrated
+from bayescal.calibrated.mechanism_file import format_mechanism
+from bayescal.calibrated.predict import command_poses, predict_poses
+from bayescal.calibrated.settle import express_parameters, settle_machine
+from bayescal.errors import InputError
+from bayescal.machines.deformations import NoDeformation
+from bayescal.machines.kinematics import Machine, build_machine, solve_forward_kinematics
+from bayescal.machines.mechanism import ExternalLoad
+from bayescal.machines.models.six_pus import SixPus
+from bayescal.machines.read import load_mechanism
+
+SAME = {"rtol": 0, "atol": 1e-9}  # mm
+SAME_TURN = {"rtol": 0, "atol": 1e-12}
+CASES = [
+    *((model, 6, "matrix") for model in machines.model_names()),
+    *((model, 6, deformation) for model in machines.PERFECT_JOINTS for deformation in ("none", "linear")),
+    *((model, 8, "matrix") for model in machines.PERFECT_JOINTS),
+]
+
+
+def build(model: str, n_legs: int, deformation: str) -> Machine:
+    return machines.build_machine(deformation, machines.build_random_mechanism(n_legs, seed=n_legs), model)
+
+
+def assert_same_poses(found, expected) -> None:
+    assert found.converged.all()
+    assert expected.converged.all()
+    np.testing.assert_allclose(found.position, expected.position, **SAME)
+    np.testing.assert_allclose(found.rotation, expected.rotation, **SAME_TURN)
+
+
+@pytest.mark.parametrize(("model", "n_legs", "deformation"), CASES)
+def test_settled_machine_has_the_same_poses(model, n_legs, deformation, rng):
+    machine = build(model, n_legs, deformation)
+    theta = calibrated.draw_machines(machine, 3, rng, scale=0.1)
+    settled = settle_machine(machine, theta[0])
+    actuators = calibrated.measurable_actuators(machine, 4, rng)
+    expected = solve_forward_kinematics(machine, theta[:, None], actuators)
+    assert_same_poses(
+        solve_forward_kinematics(settled, express_parameters(machine, settled, theta)[:, None], actuators), expected
+    )
+    nominal = solve_forward_kinematics(settled, settled.layout.nominal, actuators)
+    np.testing.assert_allclose(nominal.position, expected.position[0], **SAME)
+    before = solve_forward_kinematics(machine, machine.layout.nominal, actuators)
+    assert np.abs(before.position - expected.position[0]).max() > 1e-2  # the calibration matters
+
+
+@pytest.mark.parametrize("build_guided", [guided_machines.build_hexaglide, guided_machines.build_hanging])
+def test_actuators_in_any_direction(build_guided, rng):
+    mechanism = build_guided()
+    machine = build_machine(SixPus, mechanism, NoDeformation())
+    made_up = calibrated.build_made_up(machine, rng)
+    draws = calibrated.draw_machines(machine, 1, rng, scale=0.0)[0]
+    settled = settle_machine(machine, draws)
+    actuators = calibrated.measurable_actuators(machine, 4, rng) * 0.3 + 0.7 * mechanism.initial_actuator_positions
+    found = solve_forward_kinematics(settled, settled.layout.nominal, actuators)
+    assert_same_poses(found, solve_forward_kinematics(machine, draws, actuators))
+    assert made_up.is_settled
+
+
+@pytest.mark.parametrize(("model", "n_legs", "deformation"), CASES)
+def test_exported_and_read_again(model, n_legs, deformation, rng, tmp_path):
+    machine = build(model, n_legs, deformation)
+    made_up = calibrated.build_made_up(machine, rng, 20, source=Source("x", "y z", 'quoted "text"', ("R-hat 1.2",)))
+    export_machine(made_up, tmp_path / "out")
+    again = read_exported(tmp_path / "out")
+    assert (again.source, again.names) == (made_up.source, made_up.names)
+    np.testing.assert_allclose(again.covariance, made_up.covariance, rtol=1e-12)
+    np.testing.assert_array_equal(again.draws, made_up.draws)
+    actuators = calibrated.measurable_actuators(machine, 4, rng)
+    one, other = predict_poses(made_up, actuators), predict_poses(again, actuators)
+    np.testing.assert_allclose(other.position, one.position, **SAME)
+    np.testing.assert_allclose(other.rotation, one.rotation, **SAME_TURN)
+    np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-6, atol=1e-18)
+    first, second = (command_poses(m, one.position, one.rotation) for m in (made_up, again))
+    np.testing.assert_allclose(second.actuators, first.actuators, **SAME)
+
+
+def test_measured_matrix_keeps_its_uncertainty(rng, tmp_path):
+    machine = machines.build_machine("matrix")
+    covariance = np.tile(np.diag(rng.uniform(0.5, 1.0, 6) * 1e-6), (6, 1, 1))
+    errors = IndependentErrors(1e-3, np.full(6, 1e-6), covariance)
+    made_up = calibrated.build_made_up(machine, rng, errors=errors)
+    export_machine(made_up, tmp_path)
+    actuators = calibrated.measurable_actuators(machine, 5, rng)
+    known = replace(made_up, errors=replace(errors, matrix_covariance=None))
+    one, other, less = (predict_poses(m, actuators).covariance for m in (made_up, read_exported(tmp_path), known))
+    np.testing.assert_allclose(other, one, rtol=1e-9, atol=1e-20)
+    assert (np.linalg.eigvalsh(one - less).min(axis=1) > -1e-18).all()
+    assert np.trace(one[0]) > 1.02 * np.trace(less[0])
+
+
+SHIPPED = [
+    studies.TELESCOPE / "mechanism.toml",
+    hexapods.AUDIT / "m2_hexapod_mechanism.toml",
+    hexapods.AUDIT / "camera_hexapod_mechanism.toml",
+    studies.EXPERIMENTS / "hexaglide" / "mechanism.toml",
+]
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.parent.name + "/" + path.stem)
+def test_mechanism_is_written_to_the_last_digit(path, tmp_path):
+    mechanism = load_mechanism(path)
+    mechanism = replace(
+        mechanism, load=ExternalLoad((1.0, 2.0, 3.0), (0.1, 0.0, 0.2), (0.0, 3.0, -40.0), (1.0, 2.0, 3.0))
+    )
+    (tmp_path / "m.toml").write_text(format_mechanism(mechanism, ["a comment"]))
+    again = load_mechanism(tmp_path / "m.toml")
+    for name in ("base_points", "platform_points", "leg_lengths", "initial_actuator_positions"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(mechanism, name))
+    np.testing.assert_allclose(again.directions, mechanism.directions, rtol=0, atol=1e-16)
+    np.testing.assert_allclose(again.load.weight, mechanism.load.weight, rtol=1e-15, atol=1e-15)
+    plain = {"name", "actuator_range", "drive", "home_position", "platform_below"}
+    assert {n: getattr(again, n) for n in plain} == {n: getattr(mechanism, n) for n in plain}
+    assert (again.load.force, again.load.moment, again.load.centre_of_mass) == (
+        (1.0, 2.0, 3.0),
+        (0.1, 0.0, 0.2),
+        (1.0, 2.0, 3.0),
+    )
+    assert (again.flexures is None) == (mechanism.flexures is None)
+    if mechanism.flexures is not None:
+        assert again.flexures.section == mechanism.flexures.section
+        assert again.flexures.leg_section == mechanism.flexures.leg_section
+
+
+def test_near_leads_the_search_for_home(tmp_path):
+    """The same lengths from below: without [home] the platform would stand above."""
+    mechanism = replace(guided_machines.build_hanging(), home_position=None, platform_below=True)
+    machine = build_machine(SixPus, mechanism, NoDeformation())
+    home = machine.nominal_home
+    text = format_mechanism(mechanism).replace('platform = "below"', f"near_mm = {home.position.round().tolist()}")
+    (tmp_path / "m.toml").write_text(text)
+    again = build_machine(SixPus, load_mechanism(tmp_path / "m.toml"), NoDeformation())
+    np.testing.assert_allclose(again.nominal_home.position, home.position, **SAME)
+    (tmp_path / "m.toml").write_text(text.replace("near_mm", 'platform = "above"\nnear_mm'))
+    with pytest.raises(InputError, match="home: expected either position_mm, or platform or near_mm"):
+        load_mechanism(tmp_path / "m.toml")
+
+
+def test_without_draws_there_is_a_machine_but_no_covariance(rng, tmp_path):
+    machine = machines.build_machine("none")
+    theta = calibrated.draw_machines(machine, 1, rng)[0]
+    found = build_calibrated(machine, theta, None, IndependentErrors(1e-3, np.zeros(6)), calibrated.SOURCE)
+    written = {path.name for path in export_machine(found, tmp_path)}
+    assert written == {"calibrated.toml", "mechanism.toml", "parameters.csv"}
+    again = read_exported(tmp_path)
+    prediction = predict_poses(again, calibrated.measurable_actuators(machine, 4, rng))
+    assert prediction.covariance is None
+    assert prediction.found.all()

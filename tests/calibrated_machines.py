@@ -1,0 +1,39 @@
+"""Calibrated machines for the tests: posteriors made up as normal draws, and what a study leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+import telescope_machines as machines
+
+from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors, Source, build_calibrated
+from bayescal.machines.kinematics import Machine
+
+SOURCE = Source("made_up", "any/none", "Made up for the tests, never measured")
+
+
+def draw_machines(machine: Machine, n_draws: int, rng: np.random.Generator, scale: float = 1e-3) -> np.ndarray:
+    """Return parameter vectors (S, D) correlated along ridges, off nominal and spread by a share of `spread_of`."""
+    layout = machine.layout
+    spread = machines.spread_of(layout)
+    mean = layout.nominal + 0.3 * spread * rng.uniform(-1, 1, layout.size)
+    mixing = rng.normal(size=(layout.size, layout.size)) / np.sqrt(layout.size)
+    return mean + scale * spread * (rng.normal(size=(n_draws, layout.size)) @ mixing)
+
+
+def build_made_up(
+    machine: Machine, rng: np.random.Generator, n_draws: int = 400, scale: float = 1e-3, **changes: object
+) -> CalibratedMachine:
+    """Return a machine calibrated by made-up draws."""
+    draws = draw_machines(machine, n_draws, rng, scale)
+    n_legs = machine.mechanism.n_legs
+    fields = {
+        "errors": IndependentErrors(1e-3, np.full(n_legs, 4e-6)),
+        "source": SOURCE,
+    }
+    return build_calibrated(machine, draws.mean(axis=0), draws, **(fields | changes))
+
+
+def measurable_actuators(machine: Machine, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Return actuator positions (n, N) within the range, mm."""
+    mechanism = machine.mechanism
+    return mechanism.initial_actuator_positions + mechanism.actuator_range * rng.uniform(-1, 1, (n, mechanism.n_legs))
