@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.errors import NumericalError
+from bayescal.inference.clusters import fit_mixture
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import Mode, find_modes
@@ -28,6 +29,7 @@ MAX_ROUNDS = 2
 PLAUSIBLE = 3.0  # nats that a lesser mode's mass may lose when it is sharpened; beyond, the steps went astray
 TELLING = 0.02  # below it a trial's efficiency is mostly chance, and the later proposal is the better guess
 TRIAL_DRAWS = 2000
+OWN_SHARE, CLUSTER_DOF = 0.2, 6.0  # of the proposal so far beside clusters of a pilot's draws, and their tails
 PILOT_STEPS = 100
 PILOT_BURN_IN = 40
 MAX_PILOTS = 6
@@ -98,6 +100,28 @@ def explore(
         if efficiency > best.efficiency or best.efficiency < TELLING:
             best = Exploration(straight, proposal, modes, efficiency)
     return best
+
+
+def add_clusters(found: Exploration, seed: np.random.SeedSequence, n_walkers: int = 128) -> Exploration:
+    """Return an exploration whose proposal has clusters of a pilot's draws beside its own components.
+
+    For weights with a heavy tail: what no Gaussian describes in any of the coordinates, a bent ridge or a corner,
+    several may.
+    """
+    pilot_seed, fit_seed = seed.spawn(2)
+    rng, straight, own = np.random.default_rng(fit_seed), found.straight, found.proposal
+    walkers = count_walkers(straight.posterior.n_parameters, n_walkers)
+    pilot = run_ensemble(straight.log_density, own, pilot_seed, walkers, PILOT_BURN_IN, PILOT_STEPS)
+    x = pilot.draws.reshape(-1, straight.posterior.n_parameters)
+    walker = np.arange(len(x)) // PILOT_STEPS
+    clusters = fit_mixture(x, np.full(len(x), 1.0 / len(x)), walker % 2 == 0, rng)
+    proposal = MixtureProposal(
+        np.concatenate([OWN_SHARE * own.weights, (1.0 - OWN_SHARE) * clusters.weights]),
+        np.concatenate([own.means, clusters.means]),
+        np.concatenate([own.factors, clusters.factors]),
+        CLUSTER_DOF,
+    )
+    return Exploration(straight, proposal, found.modes, _try_out(straight, proposal, rng))
 
 
 def _peak_in(straight: Straightening, mode: Mode) -> Peak:

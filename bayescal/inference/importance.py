@@ -10,11 +10,13 @@ from scipy.special import logsumexp
 
 from bayescal.errors import NumericalError
 from bayescal.inference.proposal import MixtureProposal
+from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
 type LogDensity = Callable[[Array], Array]
 
 BATCH = 256
+WORTH_ANOTHER = 0.05  # efficiency below which another proposal is tried
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,15 @@ class ImportanceEvidence:
     efficiency: float
     pareto_k: float
     n_draws: int
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the weights have so heavy a tail, or so few of them count, that another proposal is worth a try."""
+        return not (self.pareto_k <= PARETO_K_LIMIT and self.efficiency >= WORTH_ANOTHER)
+
+    def is_better_than(self, other: ImportanceEvidence) -> bool:
+        """Return whether more of its draws count, with a tail that is light or lighter."""
+        return self.efficiency > other.efficiency and self.pareto_k <= max(other.pareto_k, PARETO_K_LIMIT)
 
 
 def evaluate_in_batches(log_density: LogDensity, y: Array) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import telescope_machines as machines
@@ -9,7 +11,7 @@ import telescope_machines as machines
 from bayescal.density.posterior import ModelError
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.exploration import count_walkers, explore
+from bayescal.inference.exploration import add_clusters, count_walkers, explore
 from bayescal.inference.importance import estimate_by_importance
 
 SEED, NAMES = 1, ("none", "linear", "matrix")
@@ -75,3 +77,20 @@ def test_same_seed_explores_alike(explorations):
 def test_number_of_walkers_is_even_and_large_enough(n_parameters, asked, expected):
     assert count_walkers(n_parameters, asked) == expected
     assert count_walkers(n_parameters, asked) >= 2 * n_parameters + 2
+
+
+def test_clusters_mend_weights_with_a_heavy_tail(twin):
+    """A proposal half as wide as the posterior has such weights; with clusters of its chains' draws it has not."""
+    posterior = machines.build_posterior("matrix", twin.select(np.arange(12)), ModelError(None), ("l", "kappa"))
+    found = explore(posterior, np.random.SeedSequence(SEED))
+    narrow = replace(found, proposal=replace(found.proposal, factors=0.5 * found.proposal.factors))
+    density, rng = found.straight.log_density, np.random.default_rng(3)
+    bad, mended = (
+        estimate_by_importance(density, one.proposal, rng, 4000)
+        for one in (narrow, add_clusters(narrow, np.random.SeedSequence(2)))
+    )
+    good = estimate_by_importance(density, found.proposal, rng, 4000)
+    assert bad.is_doubtful
+    assert not mended.is_doubtful
+    assert mended.is_better_than(bad)
+    assert mended.log_evidence == pytest.approx(good.log_evidence, abs=0.1)

@@ -16,7 +16,7 @@ from bayescal.inference.diagnostics import (
     list_stand_problems,
     measure_longest_stand,
 )
-from bayescal.inference.exploration import explore
+from bayescal.inference.exploration import Exploration, add_clusters, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
@@ -128,14 +128,12 @@ def estimate_posterior(
     ).spawn(4)
     found = explore(posterior, explore_seed, sampler.walkers)
     density = found.straight.log_density
-    importance = estimate_by_importance(
-        density,
-        found.proposal,
-        np.random.default_rng(importance_seed),
-        effort.draws,
-        effort.target_error,
-        effort.max_draws,
-    )
+    importance = _integrate(found, importance_seed, effort)
+    if importance.is_doubtful:
+        other = add_clusters(found, explore_seed, sampler.walkers)
+        again = _integrate(other, importance_seed, effort)
+        if again.is_better_than(importance):
+            found, importance = other, again
     sample = sample_posterior(found, ensemble_seed, sampler.ensembles, sampler.walkers, sampler.burn_in, sampler.steps)
     bridge = estimate_by_bridge(
         density,
@@ -159,6 +157,11 @@ def estimate_posterior(
         sampler.steps,
         _check(posterior, seed, name, effort),
     )
+
+
+def _integrate(found: Exploration, seed: np.random.SeedSequence, effort: EvidenceConfig) -> ImportanceEvidence:
+    rng, density = np.random.default_rng(seed), found.straight.log_density
+    return estimate_by_importance(density, found.proposal, rng, effort.draws, effort.target_error, effort.max_draws)
 
 
 def _check(posterior: Target, seed: int, name: str, effort: EvidenceConfig) -> TemperedEvidence | None:

@@ -29,7 +29,7 @@ from bayescal.experiments.study.soundness import measure_misfit, measure_pulls
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.correction import Correction
 from bayescal.inference.diagnostics import measure_longest_stand
-from bayescal.inference.exploration import Exploration, count_walkers, explore
+from bayescal.inference.exploration import Exploration, add_clusters, count_walkers, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.tempered import estimate_by_tempering
@@ -89,6 +89,11 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
     explore_seed, importance_seed, ensemble_seed, bridge_seed, predict_seed, correct_seed = seed.spawn(6)
     exploration = explore(posterior, explore_seed, inputs.config.sampler.walkers)
     importance = _importance(inputs.config, exploration, importance_seed)
+    if importance.is_doubtful:
+        other = add_clusters(exploration, explore_seed, inputs.config.sampler.walkers)
+        again = _importance(inputs.config, other, importance_seed)
+        if again.is_better_than(importance):
+            exploration, importance = other, again
     arrays = {
         "importance": np.array([importance.log_evidence, importance.standard_error]),
         "importance_quality": np.array([importance.efficiency, importance.pareto_k, importance.n_draws]),
