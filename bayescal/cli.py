@@ -114,13 +114,14 @@ def check(
     out: Out = None,
     seed: Seed = None,
     workers: Workers = None,
+    scheduler: Scheduler = None,
     resume: Resume = False,
     quiet: Quiet = False,
 ) -> None:
     """Check a study's config: simulation-based calibration, and the usual faults looked for one by one."""
     from bayescal.experiments.check.kind import configure_check
 
-    _run_config(configure_check(study, variant or [], data_sets, seed), study, out, workers, resume, quiet)
+    _run_config(configure_check(study, variant or [], data_sets, seed), study, out, (workers, scheduler), resume, quiet)
 
 
 def _run(
@@ -134,22 +135,27 @@ def _run(
 ) -> None:
     from bayescal.experiments.frame.load import load_experiment, load_kind
 
-    workers, scheduler = engine
-    if workers is not None and scheduler is not None:
-        raise InputError("--workers: found it beside --scheduler, expected one of them")
     config = load_experiment(path) if kind is None else load_kind(path, kind)
     if seed is not None:
         config = config.model_copy(update={"seed": seed})
-    _run_config(config, path, out, workers, resume, quiet)
+    _run_config(config, path, out, engine, resume, quiet)
 
 
 def _run_config(
-    config: ExperimentConfig, path: Path, out: Path | None, workers: int | None, resume: bool, quiet: bool
+    config: ExperimentConfig,
+    path: Path,
+    out: Path | None,
+    engine: tuple[int | None, str | None],
+    resume: bool,
+    quiet: bool,
 ) -> None:
     from joblib import cpu_count
 
     from bayescal.experiments.frame.run import run_experiment
 
+    workers, scheduler = engine
+    if workers is not None and scheduler is not None:
+        raise InputError("--workers: found it beside --scheduler, expected one of them")
     where = out if out is not None else Path("results") / config.name
     interrupted = f"bayescal: interrupted; finished work is kept, go on with --resume (in {where}.partial)"
     with end_on_interrupt(interrupted), name_faults(path):
