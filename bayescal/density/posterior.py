@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -170,8 +170,12 @@ class Posterior:
 
     def all_priors(self) -> dict[str, Prior]:
         """Return the priors of the free parameters and of the model errors by name, in order."""
-        result = dict(zip(self.names, self._ordered_priors, strict=False))
-        for name in self.names[self.n_geometry :]:
+        return self._name_priors(self.names)
+
+    def _name_priors(self, names: Sequence[str]) -> dict[str, Prior]:
+        """Return the priors of the geometry, then of the model errors τ, of these names."""
+        result = dict(zip(names, self._ordered_priors, strict=False))
+        for name in names[self.n_geometry :]:
             assert self.model_error.scale is not None
             result[name] = HalfNormalPrior(self.model_error.scale)
         return result
@@ -190,6 +194,14 @@ class Posterior:
         tau = self.model_error.tau_from_zeta(y[..., self.n_geometry :])
         return np.broadcast_to(tau, (*tau.shape[:-1], n_legs))
 
+    def model_errors(self, y: Array) -> Array:
+        """Return what the likelihood takes as model errors, shape (B, N) or (N,), mm."""
+        return self.tau(y)
+
+    def _model_errors_at(self, y: Array) -> Array:
+        """Return `model_errors` at one vector y, shape (n,)."""
+        return np.broadcast_to(self.model_errors(y[None]), (1, self.likelihood.n_model_errors))[0]
+
     def natural(self, y: Array) -> Array:
         """Return the free parameters and model errors in their own units, shape (B, n)."""
         free = self.theta(y)[..., self.coordinates.free]
@@ -207,10 +219,14 @@ class Posterior:
         """Add the normal priors to the coordinates that are standard normal themselves: bounded ones, model errors."""
         normal, centre, scale = self._normal
         z = (theta[..., self.coordinates.free[normal]] - centre) / scale
-        standard = y[..., self._standard]
+        standard = self._deviations(y)
         total = -0.5 * (np.einsum("...i,...i->...", z, z) + np.einsum("...i,...i->...", standard, standard))
         total = total + self.coordinates.log_volume(theta)
         return total + self.coordinates.log_scale - np.log(scale).sum() - self.n_parameters * HALF_LOG_TWO_PI
+
+    def _deviations(self, y: Array) -> Array:
+        """Return what is standard normal under the prior, whatever the other coordinates are, (..., n) to (..., k)."""
+        return y[..., self._standard]
 
     def log_density(self, y: Array) -> Array:
         """Return log-likelihood plus log-prior, shape (B,), for coordinates (B, n); -inf where there is no machine."""
@@ -218,12 +234,12 @@ class Posterior:
             theta = self.theta(y)
             inside = self._layout.inside(theta)
             theta[~inside] = self.coordinates.start  # keeps what is no machine out of the models
-            total = self._log_prior(y, theta) + self.likelihood(theta, self.tau(y))
+            total = self._log_prior(y, theta) + self.likelihood(theta, self.model_errors(y))
         return np.where(inside & np.isfinite(total), total, -np.inf)
 
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each pose, shape (B, P)."""
-        return self.likelihood.pointwise(self.theta(y), self.tau(y))
+        return self.likelihood.pointwise(self.theta(y), self.model_errors(y))
 
     # --- derivatives ---------------------------------------------------------------------------------------------
 
@@ -275,7 +291,7 @@ class Posterior:
     def _linearise(self, y: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Return θ, r, dr/dy, the precision of r and dθ/dy at y, shape (n,)."""
         theta = self.theta(y[None])[0]
-        tau = np.broadcast_to(self.tau(y[None]), (1, self.likelihood.n_legs))[0]
+        tau = self._model_errors_at(y)
         errors, slope = self.likelihood.error_jacobian(theta)
         change = self.coordinates.jacobian(theta)
         return theta, errors, slope @ change, np.linalg.inv(self.likelihood.error_covariance(tau)), change
@@ -325,12 +341,12 @@ class Posterior:
         """
         y = np.zeros(self.n_parameters)
         for tau in APPROACH:
-            y = self._fit_geometry(y, np.full(self.likelihood.n_legs, tau))
+            y = self._fit_geometry(y, np.full(self.likelihood.n_model_errors, tau))
         return y
 
     def polish(self, y: Array) -> Array:
         """Return y, shape (n,), with the geometry of least squares at its model errors."""
-        return self._fit_geometry(y, np.broadcast_to(self.tau(y[None]), (1, self.likelihood.n_legs))[0])
+        return self._fit_geometry(y, self._model_errors_at(y))
 
     def _fit_geometry(self, start: Array, tau: Array) -> Array:
         """Return y with the geometry of least squares, whitened errors and priors together, at model errors (N,)."""
