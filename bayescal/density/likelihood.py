@@ -253,6 +253,11 @@ class PoseLikelihood(Likelihood):
     # --- covariance ----------------------------------------------------------------------------------------------
 
     @property
+    def gain(self) -> Array:
+        """The pose per error of the legs, shape (P, 6, N)."""
+        return self._gain
+
+    @property
     def log_constant(self) -> Array:
         """What the density of each pose has beside that of r, shape (P,): log-volume of A⁰ and powers of 2 π."""
         return self._constant

@@ -82,8 +82,12 @@ def predict(likelihood: Likelihood, theta: Array, model_error: Array, rng: np.ra
         For the noise of the predicted measurements.
     """
     errors = likelihood.pose_errors(theta)
+    return summarise_draws(errors, _draw_noise(likelihood, model_error, rng.standard_normal(errors.shape)))
+
+
+def summarise_draws(errors: Array, noise: Array) -> Prediction:
+    """Return the predictive summary of draws of pose errors, measured minus predicted, and of their noise, (S, P, 6)."""
     mean = errors.mean(axis=0)
-    noise = _draw_noise(likelihood, model_error, rng.standard_normal(errors.shape))
     spread = noise - (errors - mean)  # measured minus mean prediction, had the draw been the truth
     low, high = np.quantile(spread, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0)
     distance = measure_length(spread[..., :3])

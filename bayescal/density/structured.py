@@ -40,8 +40,8 @@ class Conditional(NamedTuple):
     ----------
     mean : ndarray, shape (B, Q, N)
         Of g, mm along the closure of the legs.
-    covariance : ndarray, shape (B, Q, Q, N, N)
-        Of g between poses, mm².
+    covariance : ndarray, shape (B, Q, N, N)
+        Of g at each pose, mm².
     """
 
     mean: Array
@@ -219,14 +219,48 @@ class StructuredLikelihood(Likelihood):
 
     def condition(self, poses: PoseLikelihood, theta: Array, model_error: Array) -> Conditional:
         """Return g at poses given the errors at the calibration poses, for vectors (B, D) and model errors (B, 2 N)."""
-        precision, solved = self._solve(theta, model_error)
+        mean, precision, seen, scale = self._transfer(poses, theta, model_error)
         inputs, held = self.inputs_of(poses), self._find_map(poses)
-        seen = self.kernel(inputs, self._inputs) @ self.combination
+        taken = np.einsum("qk,bkij->bqij", seen**2, precision, optimize=True)
+        own = np.diagonal(self.kernel(inputs, inputs))
+        left = own[:, None, None] * (np.eye(self.n_legs) * scale[:, None, None, :])
+        left = left - scale[:, None, :, None] * taken * scale[:, None, None, :]
+        return Conditional(np.einsum("qij,bqj->bqi", held, mean), held @ left @ np.swapaxes(held, -1, -2))
+
+    def joint(self, poses: PoseLikelihood, theta: Array, model_error: Array) -> Array:
+        """Return the log-density of all held-back poses together, given the calibration poses, shape (B,).
+
+        Parameters
+        ----------
+        poses : PoseLikelihood
+            Density of Q held-back poses without structured error.
+        theta : ndarray, shape (B, D)
+        model_error : ndarray, shape (B, 2 N)
+        """
+        mean, precision, seen, scale = self._transfer(poses, theta, model_error)
+        inputs, held = self.inputs_of(poses), self._find_map(poses)
+        n, n_poses = self.n_legs, poses.n_poses
+        taken = np.einsum("qk,bkij,rk->bqirj", seen, precision, seen, optimize=True)
+        taken *= scale[:, None, :, None, None] * scale[:, None, None, None, :]
+        prior = np.einsum("qr,ij,bj->bqirj", self.kernel(inputs, inputs), np.eye(n), scale)
+        noise = self._mean_known + np.eye(n) * (self._legs_weight * model_error[:, :n] ** 2)[:, None, :]
+        total = prior - taken + np.einsum("qr,bij->bqirj", np.eye(n_poses), noise)
+        errors = np.einsum("qij,bqj->bqi", np.linalg.inv(held), poses.leg_errors(theta)) - mean
+        factor = np.linalg.cholesky(total.reshape(len(theta), n_poses * n, -1))
+        white = np.linalg.solve(factor, errors.reshape(len(theta), -1, 1))[..., 0]
+        half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+        constant = poses.log_constant.sum() - np.linalg.slogdet(held)[1].sum()
+        return np.asarray(constant - half_log_det - 0.5 * np.einsum("bi,bi->b", white, white))
+
+    def _transfer(self, poses: PoseLikelihood, theta: Array, model_error: Array) -> tuple[Array, Array, Array, Array]:
+        """Return g's mean at poses (B, Q, N), the precisions, the kernel seen by combinations (Q, P), and w s²."""
+        precision, solved = self._solve(theta, model_error)
+        seen = self.kernel(self.inputs_of(poses), self._inputs) @ self.combination
         scale = self._legs_weight * model_error[:, self.n_legs :] ** 2
-        mean = scale[:, None, :] * np.einsum("qk,bki->bqi", seen, solved)
-        taken = np.einsum("qk,bkij,rk->bqrij", seen, precision, seen, optimize=True)
-        taken *= scale[:, None, None, :, None] * scale[:, None, None, None, :]
-        prior = self.kernel(inputs, inputs)[..., None, None] * (np.eye(self.n_legs) * scale[:, None, None, :, None])
-        left = prior - taken
-        mean = np.einsum("qij,bqj->bqi", held, mean)
-        return Conditional(mean, np.einsum("qij,bqrjk,rlk->bqril", held, left, held, optimize=True))
+        mean = scale[:, None, :] * np.einsum("qk,bki->bqi", seen, solved, optimize=True)
+        return mean, precision, seen, scale
+
+    @property
+    def per_actuator(self) -> Array:
+        """Closure per displacement of each leg's actuator, without its sign, shape (N,)."""
+        return np.asarray(np.sqrt(self._legs_weight))

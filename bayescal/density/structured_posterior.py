@@ -6,11 +6,20 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from bayescal.density.model_error import BORDER, KernelScale, KernelScalePrior
 from bayescal.density.posterior import Funnel, Posterior
 from bayescal.density.priors import Prior
+from bayescal.density.structured import StructuredLikelihood
+from bayescal.machines.closing_coordinates import ClosingCoordinates
+from bayescal.machines.coordinates import Coordinates
 from bayescal.numerics.geometry import Array
+
+
+def average_rotation(rotations: Array) -> Array:
+    """Return the rotation nearest to the mean of rotations (P, 3, 3)."""
+    return np.asarray(Rotation.from_matrix(rotations).mean().as_matrix())
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -27,6 +36,15 @@ class StructuredPosterior(Posterior):
     kernel_scale: KernelScale
 
     # --- coordinates ---------------------------------------------------------------------------------------------
+
+    @cached_property
+    def coordinates(self) -> Coordinates:
+        """Coordinates of the geometry, the lengths following so that the legs close at the mean of the poses."""
+        known, likelihood = super().coordinates, self.likelihood
+        assert isinstance(likelihood, StructuredLikelihood)
+        poses = likelihood.base.poses
+        where = poses.position.mean(axis=0), average_rotation(poses.rotation), poses.actuators.mean(axis=0)
+        return ClosingCoordinates.around(known, likelihood.machine, *(one[None] for one in where))
 
     @property
     def _n_tau(self) -> int:
@@ -131,17 +149,22 @@ class StructuredPosterior(Posterior):
     def funnel(self, y: Array) -> Funnel | None:
         """Return how the geometry depends on τ at y, shape (n,); see `Posterior.funnel`.
 
-        What the kernel adds belongs to few combinations of the poses; the mean over all of them is that of τ.
+        Combinations of the poses in which the kernel's error is larger than the noise tell the same whatever τ: what
+        these know of the geometry counts as prior knowledge.
         """
         if self._ties_legs and not self.model_error.shared:
             return None
         n_legs, tau = self.likelihood.n_legs, self.tau(y[None])[0]
-        covariance = self.likelihood.error_covariance(self._model_errors_at(y))
-        precision = np.diagonal(np.linalg.inv(covariance), axis1=-2, axis2=-1).mean(axis=0)
-        weight = self.likelihood.actuator_weight[:, :n_legs].mean(axis=0)
-        rest = np.maximum(1.0 / np.maximum(precision, np.finfo(float).tiny) / weight - tau**2, 1e-12)
-        information, prior = self.information(y)
-        return Funnel(information, prior, rest, tau)
+        _, _, slope, precision, change = self._linearise(y)
+        weight = self.likelihood.actuator_weight
+        noise = 1.0 / np.diagonal(precision, axis1=-2, axis2=-1)
+        added = weight[:, n_legs:] * self.scales(y[None])[0] ** 2
+        free_of_kernel = 1.0 - np.minimum(added / noise, 1.0).mean(axis=1)
+        rest = np.average(noise, axis=0, weights=free_of_kernel + 1e-12) / weight[:, :n_legs].mean(axis=0) - tau**2
+        information = np.einsum("pik,pij,pjm->pkm", slope, precision, slope, optimize=True)
+        rows = self._prior_slope(change)
+        telling = np.einsum("p,pkm->km", free_of_kernel, information)
+        return Funnel(telling, rows.T @ rows + information.sum(axis=0) - telling, np.maximum(rest, 1e-12), tau)
 
     def probability_of_error(self, y: Array) -> Array:
         """Return the share of draws (B, n) with a structured error, of each scale."""

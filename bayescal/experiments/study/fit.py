@@ -11,8 +11,10 @@ import numpy as np
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import Prediction, predict
+from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.schema import StudyConfig, stem_of
+from bayescal.experiments.study.structured import evaluate_structured
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.exploration import Exploration, count_walkers, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
@@ -139,24 +141,30 @@ def _evaluate(
 ) -> Arrays:
     """Return pointwise densities and predictions of all poses, in the survey's order, from draws (E, S, n)."""
     variant, flat = inputs.variant(task.variant), kept.reshape(-1, kept.shape[-1])
-    theta, tau = posterior.theta(flat), posterior.tau(flat)
+    theta, errors = posterior.theta(flat), posterior.model_errors(flat)
     chosen = np.linspace(0, len(flat) - 1, min(PREDICTIVE_DRAWS, len(flat))).astype(int)
     pieces: dict[str, list[Array]] = {}
+    together: Arrays = {}
     held = inputs.verification
     for use, rng_seed in zip((False, True), seed.spawn(2), strict=True):
         if not np.any(held == use):
             continue
-        likelihood = inputs.likelihood(variant, verification=use)
-        pointwise = np.concatenate([_pointwise(likelihood, theta, tau, k) for k in range(0, len(flat), 256)])
-        some_tau = tau if tau.ndim == 1 else tau[chosen]
-        prediction = predict(likelihood, theta[chosen], some_tau, np.random.default_rng(rng_seed))
-        for name, value in {"log_likelihood": pointwise.T, **vars(prediction)}.items():
+        likelihood, rng = inputs.likelihood(variant, verification=use), np.random.default_rng(rng_seed)
+        if isinstance(posterior, StructuredPosterior):
+            found, more = evaluate_structured(posterior, likelihood, theta, errors, chosen, use, rng)
+            together |= more
+        else:
+            pointwise = np.concatenate([_pointwise(likelihood, theta, errors, k) for k in range(0, len(flat), 256)])
+            some = errors if errors.ndim == 1 else errors[chosen]
+            prediction = predict(likelihood, theta[chosen], some, rng)
+            found = {"log_likelihood": pointwise.T, **vars(prediction)}
+        for name, value in found.items():
             pieces.setdefault(name, []).append(value)
     order = np.concatenate([np.flatnonzero(held == use) for use in (False, True)])
     back = np.argsort(order)
     arrays = {name: np.concatenate(parts)[back] for name, parts in pieces.items()}
     arrays["log_likelihood"] = arrays["log_likelihood"].T.reshape(*kept.shape[:2], -1)
-    return arrays
+    return arrays | together
 
 
 def _pointwise(likelihood: Likelihood, theta: Array, tau: Array, start: int) -> Array:

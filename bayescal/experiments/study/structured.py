@@ -1,0 +1,127 @@
+"""Structured model errors of a study: what is kept of their posteriors, and what the summary says of them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.special import logsumexp
+
+from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches
+from bayescal.density.structured import StructuredLikelihood
+from bayescal.density.structured_posterior import StructuredPosterior
+from bayescal.density.structured_prediction import pointwise_given, predict_structured
+from bayescal.numerics.geometry import Array
+
+if TYPE_CHECKING:
+    from bayescal.experiments.study.inputs import StudyInputs
+
+KEPT_FOR_G = 500  # draws for the error g: its mean and interval need no more
+
+
+def evaluate_structured(
+    posterior: StructuredPosterior,
+    poses: Likelihood,
+    theta: Array,
+    errors: Array,
+    chosen: np.ndarray,
+    verification: bool,
+    rng: np.random.Generator,
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return densities, predictions and the structured error at the poses of one use, by pose, and what is of all.
+
+    The density of a calibration pose is that given all other poses; that of a verification pose given the calibration.
+    """
+    likelihood = posterior.likelihood
+    assert isinstance(likelihood, StructuredLikelihood)
+    assert isinstance(poses, PoseLikelihood)
+    prediction, error = predict_structured(likelihood, poses, theta[chosen], errors[chosen], rng)
+    more: dict[str, Array] = {}
+    if verification:
+        pointwise, more["joint_density"] = pointwise_given(likelihood, poses, theta, errors)
+    else:
+        parts = [likelihood.pointwise(theta[part], errors[part]) for part in batches(len(theta))]
+        pointwise = np.concatenate(parts)
+        more["structured_size"] = error.size
+        more["structured_present"] = (errors[:, likelihood.n_legs :] > 0.0).mean(axis=0)
+    by_pose = {f"structured_{name}": getattr(error, name) for name in ("mean", "low", "high")}
+    return {"log_likelihood": pointwise.T, **vars(prediction), **by_pose}, more
+
+
+def compute_joint_elpd(arrays: dict[str, Array], held: np.ndarray) -> float:
+    """Return the log predictive density of all verification poses together, given the calibration."""
+    if "joint_density" in arrays:
+        joint = arrays["joint_density"]
+    else:  # given the parameters the poses are independent
+        joint = arrays["log_likelihood"][..., held].sum(axis=-1).ravel()
+    return float(logsumexp(joint) - np.log(len(joint)))
+
+
+def describe_structured(inputs: StudyInputs, name: str, arrays: dict[str, Array]) -> dict[str, Any]:
+    """Return how large the structured error of a variant is, along which motion, and what explains it; µm."""
+    variant, used = inputs.variant(name), ~inputs.verification
+    size = 1e3 * arrays["structured_size"]
+    mean = arrays["structured_mean"][used]
+    travel = inputs.displacement[used] / inputs.mechanism.actuator_range
+    slopes = np.linalg.lstsq(travel, mean, rcond=None)[0].T  # (leg, actuator)
+    legs, actuators = np.unravel_index(np.argmax(np.abs(slopes)), slopes.shape)
+    return {
+        "kernel": inputs.kernel_name(variant),
+        "present": arrays["structured_present"].tolist(),
+        "rms_um": {
+            "mean": size.mean(axis=0).tolist(),
+            "q05": np.quantile(size, 0.05, axis=0).tolist(),
+            "q95": np.quantile(size, 0.95, axis=0).tolist(),
+        },
+        "slope_um": (1e3 * slopes).tolist(),
+        "linear_share": _share(mean, travel @ slopes.T),
+        "largest": {"leg": int(legs) + 1, "actuator": int(actuators) + 1, "um": float(1e3 * slopes[legs, actuators])},
+        "explained": explain(inputs, name, arrays),
+    }
+
+
+def _share(values: Array, explained: Array) -> float:
+    """Return the share of the sum of squares that is explained, between 0 and 1; 0 where there is nothing."""
+    total = float(np.sum(values**2))
+    return 0.0 if total == 0.0 else max(0.0, 1.0 - float(np.sum((values - explained) ** 2)) / total)
+
+
+def explain(inputs: StudyInputs, name: str, arrays: dict[str, Array]) -> dict[str, float]:
+    """Return the share of the structured error that each known deformation explains.
+
+    Both are compared where the data see them: what the leg's own parameters imitate is taken out of either first. The
+    linear deformation has a coefficient for every leg, the matrix is as it was measured or stated.
+    """
+    variant, used = inputs.variant(name), ~inputs.verification
+    mean, travel = arrays["structured_mean"][used], inputs.displacement[used]
+    posterior = inputs.posterior(variant, with_model_error=True)
+    n_geometry = posterior.n_geometry
+    where = posterior.coordinates.start.copy()
+    where[posterior.coordinates.free] = arrays["mean"][:n_geometry]
+    likelihood = inputs.likelihood(variant, verification=False)
+    slope = likelihood.error_jacobian(where)[1][..., posterior.coordinates.free]
+    own = [_remove(slope[:, leg], np.column_stack([mean[:, leg], travel[:, leg]])) for leg in range(mean.shape[1])]
+    left = np.column_stack([pair[:, 0] for pair in own])
+    linear = np.column_stack([_project(pair[:, 0], pair[:, 1]) for pair in own])
+    shares = {"linear": _share(left, linear)}
+    if inputs.measured_matrix is not None or not inputs.matrix_from_targets:
+        deflection = travel @ inputs.matrix.T
+        matrix = [_remove(slope[:, leg], deflection[:, [leg]])[:, 0] for leg in range(mean.shape[1])]
+        flat = np.column_stack(matrix)
+        shares["matrix"] = _share(left, _project(left.ravel(), flat.ravel()).reshape(left.shape))
+    return shares
+
+
+def _remove(slope: Array, values: Array) -> Array:
+    """Return values (P, K) less what a leg's parameters imitate, by slopes (P, D) of which some vanish."""
+    moved = slope[:, np.abs(slope).max(axis=0) > 0.0]
+    moved = moved / np.linalg.norm(moved, axis=0)
+    basis, size, _ = np.linalg.svd(moved, full_matrices=False)
+    basis = basis[:, size > 1e-3 * size[0]] if len(size) else basis
+    return np.asarray(values - basis @ (basis.T @ values))
+
+
+def _project(values: Array, onto: Array) -> Array:
+    """Return the part of values along another vector of their length."""
+    square = float(onto @ onto)
+    return np.zeros_like(values) if square == 0.0 else np.asarray(onto * (float(values @ onto) / square))
