@@ -13,18 +13,24 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
 from bayescal.density.priors import Prior
 from bayescal.numerics.geometry import Array
 
-INDEPENDENT = "independent"
+INDEPENDENT: Final = "independent"
+SCALE = "sigma_g"  # name of s among the free parameters
 type KernelName = Literal["independent", "linear", "quadratic", "smooth"]
 
 OFF = -12.0  # where the switch of a scale stands when there is no structured error; when there is one, about zero
 BORDER = 0.5 * OFF
+
+
+def is_model_error(name: str) -> bool:
+    """Whether a free parameter's name is that of a model error, τ or the scale of a leg or of all."""
+    return name.split("[")[0] in ("tau", SCALE)
 
 
 class Kernel(ABC):
@@ -140,7 +146,7 @@ class KernelScale:
 
     def names(self, n_legs: int) -> tuple[str, ...]:
         """Names of the scales."""
-        return ("s",) if self.shared else tuple(f"s[{leg}]" for leg in range(1, n_legs + 1))
+        return (SCALE,) if self.shared else tuple(f"{SCALE}[{leg}]" for leg in range(1, n_legs + 1))
 
     def scale_from_switch(self, c: Array) -> Array:
         """Return s in mm."""

@@ -86,7 +86,7 @@ def predict(likelihood: Likelihood, theta: Array, model_error: Array, rng: np.ra
 
 
 def summarise_draws(errors: Array, noise: Array) -> Prediction:
-    """Return the predictive summary of draws of pose errors, measured minus predicted, and of their noise, (S, P, 6)."""
+    """Return the predictive summary of draws (S, P, 6) of pose errors, measured minus predicted, and of their noise."""
     mean = errors.mean(axis=0)
     spread = noise - (errors - mean)  # measured minus mean prediction, had the draw been the truth
     low, high = np.quantile(spread, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0)

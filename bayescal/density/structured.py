@@ -29,7 +29,7 @@ from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.scratch import Scratch
 
-ALIKE = 0.1
+ALIKE = 0.25  # largest entry of T - 1
 FEWEST_POSES = 3
 
 
@@ -109,7 +109,7 @@ class StructuredLikelihood(Likelihood):
         found = map_covariance(self._mean_known, poses.legs_known)
         off = np.abs(found - np.eye(poses.n_legs)).max(axis=(1, 2))
         if off.max() > ALIKE:
-            name = poses.poses.names[int(off.argmax())]
+            name = str(poses.poses.names[int(off.argmax())])
             raise InputError(
                 f"model_error.kernel: pose {name!r}: found a covariance {1e2 * off.max():.0f} % off the poses' mean, "
                 f"expected at most {1e2 * ALIKE:.0f} %, poses that are measured alike, or kernel 'independent'"

@@ -36,13 +36,16 @@ def diagnose(draws: Array) -> Diagnostics:
     """Return the diagnostics of draws, shape (ensembles, walkers, steps, n).
 
     R-hat splits every ensemble in time, so that a drift of all walkers shows. The effective sizes take the draws walker
-    by walker: then the autocorrelation along the chain is that of the walkers in time.
+    by walker: then the autocorrelation along the chain is that of the walkers in time. A parameter that is the same in
+    all draws, a scale that is zero, has nothing to mix, unless all others stand still as well.
     """
     n_ensembles, n_walkers, n_steps, _ = draws.shape
     walker_by_walker = np.moveaxis(draws.reshape(n_ensembles, n_walkers * n_steps, -1), -1, 0)
     step_by_step = np.moveaxis(np.swapaxes(draws, 1, 2).reshape(n_ensembles, n_walkers * n_steps, -1), -1, 0)
-    return Diagnostics(
-        rhat=np.asarray(array_stats.rhat(step_by_step), dtype=np.float64),
-        ess_bulk=np.asarray(array_stats.ess(walker_by_walker), dtype=np.float64),
-        ess_tail=np.asarray(array_stats.ess(walker_by_walker, method="tail", prob=(0.05, 0.95)), dtype=np.float64),
-    )
+    rhat = np.asarray(array_stats.rhat(step_by_step), dtype=np.float64)
+    bulk = np.asarray(array_stats.ess(walker_by_walker), dtype=np.float64)
+    tail = np.asarray(array_stats.ess(walker_by_walker, method="tail", prob=(0.05, 0.95)), dtype=np.float64)
+    still = np.ptp(walker_by_walker, axis=(1, 2)) == 0.0
+    if still.any() and not still.all():
+        rhat[still], bulk[still], tail[still] = 1.0, *[float(walker_by_walker[0].size)] * 2
+    return Diagnostics(rhat, bulk, tail)

@@ -105,7 +105,8 @@ class VariantConfig(Section):
     """A kinematic model with a deformation and its free parameters; all others stay at their nominal values.
 
     Without a name of its own a variant is called after model and deformation, ``six_pus/none``; several free sets of
-    one model and deformation, or several kernels of the model error, need names. A name has no slash, so that nobody takes it for the other kind.
+    one model and deformation, or several kernels of the model error, need names. A name has no slash, so that nobody
+    takes it for the other kind.
     """
 
     model: Annotated[str, ClassMark("MODELS")]

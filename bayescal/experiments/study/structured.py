@@ -62,8 +62,7 @@ def describe_structured(inputs: StudyInputs, name: str, arrays: dict[str, Array]
     variant, used = inputs.variant(name), ~inputs.verification
     size = 1e3 * arrays["structured_size"]
     mean = arrays["structured_mean"][used]
-    travel = inputs.displacement[used] / inputs.mechanism.actuator_range
-    slopes = np.linalg.lstsq(travel, mean, rcond=None)[0].T  # (leg, actuator)
+    travel, slopes = inputs.displacement[used] / inputs.mechanism.actuator_range, fit_slopes(inputs, arrays)
     legs, actuators = np.unravel_index(np.argmax(np.abs(slopes)), slopes.shape)
     return {
         "kernel": inputs.kernel_name(variant),
@@ -78,6 +77,18 @@ def describe_structured(inputs: StudyInputs, name: str, arrays: dict[str, Array]
         "largest": {"leg": int(legs) + 1, "actuator": int(actuators) + 1, "um": float(1e3 * slopes[legs, actuators])},
         "explained": explain(inputs, name, arrays),
     }
+
+
+def fit_slopes(inputs: StudyInputs, arrays: dict[str, Array]) -> Array:
+    """Return by how much each leg errs per actuator at the end of its range, (leg, actuator), mm: the linear part."""
+    used = ~inputs.verification
+    travel = inputs.displacement[used] / inputs.mechanism.actuator_range
+    return np.asarray(np.linalg.lstsq(travel, arrays["structured_mean"][used], rcond=None)[0].T)
+
+
+def find_telling_actuators(inputs: StudyInputs, arrays: dict[str, Array]) -> np.ndarray:
+    """Return the actuator whose motion tells most of each leg's error, counted from zero, shape (N,)."""
+    return np.asarray(np.argmax(np.abs(fit_slopes(inputs, arrays)), axis=1))
 
 
 def _share(values: Array, explained: Array) -> float:

@@ -11,9 +11,11 @@ import arviz as az
 import numpy as np
 import xarray as xr
 
+from bayescal.density.model_error import is_model_error
 from bayescal.density.prediction import Prediction, compute_elpd
 from bayescal.experiments.study.fit import Arrays, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.structured import compute_joint_elpd, describe_structured
 from bayescal.inference.diagnostics import Diagnostics
 from bayescal.limits import AGREEMENT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
@@ -123,6 +125,10 @@ def summarise_fit(
     if held.any():
         pointwise = arrays["log_likelihood"][..., held]
         summary["verification"]["elpd"] = compute_elpd(pointwise.reshape(-1, pointwise.shape[-1]))
+        if inputs.has_kernels:
+            summary["verification"]["elpd_joint"] = compute_joint_elpd(arrays, held)
+    if "structured_mean" in arrays:
+        summary["structured_error"] = describe_structured(inputs, variant, arrays)
     summary["distance_from_nominal"] = _measure_distance(summary["parameters"])
     return summary
 
@@ -182,7 +188,7 @@ def _summarise_parameters(
 
 def _measure_distance(parameters: dict[str, dict[str, Any]]) -> dict[str, float]:
     """Return how far the geometry moved from nominal: rms in mm of the lengths, rms of all in prior sds."""
-    geometry = {name: p for name, p in parameters.items() if not name.startswith("tau")}
+    geometry = {name: p for name, p in parameters.items() if not is_model_error(name)}
     lengths = [p["mean"] - p["nominal"] for p in geometry.values() if p["unit"] == "mm"]
     scaled = [(p["mean"] - p["nominal"]) / p["prior_sd"] for p in geometry.values()]
     return {

@@ -20,7 +20,7 @@ from bayescal.experiments.frame.results import SUMMARY_FILE, Results
 from bayescal.experiments.study.page.publication import Publication, read_publication
 from bayescal.experiments.study.schema import stem_of
 from bayescal.report.reading import NUMBER, Kinds, check_keys
-from bayescal.report.symbols import split_name
+from bayescal.report.symbols import KERNEL_SCALE, split_name
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
@@ -103,6 +103,7 @@ TABLE_COLUMNS = {
         "along_circle_um",
         "circle_error_nm",
     ),
+    "structured": ("variant", "pose", "use", "leg", "actuator", "travel_mm", "mean_um", "low_um", "high_um"),
     "claims": ("claim", "section", "statement", "expected", "found", "value", "unit", "verdict", "why"),
 }
 REQUIRED = ("predictions", "sensitivity", "least_squares")
@@ -127,6 +128,8 @@ class StudyResults:
         Statements of the publication, each with a verdict; None where the study tests none.
     flexure : DataFrame or None
         Displacement of a flexure joint; None where no model has flexures.
+    structured : DataFrame or None
+        The structured model error at every pose; None where no variant has one.
     publication : Publication or None
         What the study repeats; None for anybody's machine.
     draws : dict
@@ -142,6 +145,7 @@ class StudyResults:
     deformation: pd.DataFrame | None = None
     claims: pd.DataFrame | None = None
     flexure: pd.DataFrame | None = None
+    structured: pd.DataFrame | None = None
     publication: Publication | None = None
     draws: dict[str, dict[str, Array]] = field(default_factory=dict)
 
@@ -214,7 +218,7 @@ class StudyResults:
     @property
     def parameters(self) -> pd.DataFrame:
         """One row per posterior and parameter of the machine; ``leg`` is zero where a parameter belongs to none."""
-        return self._all_parameters[~self._of_frames]
+        return self._all_parameters[~self._of_frames & (self._all_parameters["symbol"] != KERNEL_SCALE)]
 
     @property
     def frames(self) -> pd.DataFrame:
@@ -354,6 +358,8 @@ def _read_draws(path: Path) -> dict[str, Array]:
                 if values.ndim < 2:
                     continue  # coordinates
                 flat = np.asarray(values, dtype=np.float64).reshape(values.shape[0] * values.shape[1], -1)
+                if symbol == KERNEL_SCALE:
+                    continue  # of the error, not of the machine
                 single = values.ndim == 2
                 draws |= {symbol if single else f"{symbol}[{k + 1}]": flat[:, k] for k in range(flat.shape[1])}
     except (OSError, KeyError) as error:
