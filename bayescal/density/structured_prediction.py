@@ -24,12 +24,15 @@ class StructuredError:
         Posterior mean and 90 % interval.
     size : ndarray, shape (S, N)
         Root mean square over the poses, draw by draw.
+    slopes : ndarray, shape (S, N, N)
+        Linear part, draw by draw: error of each leg per actuator at the end of its range.
     """
 
     mean: Array
     low: Array
     high: Array
     size: Array
+    slopes: Array
 
 
 def predict_structured(
@@ -59,9 +62,9 @@ def predict_structured(
     per_actuator = likelihood.per_actuator
     drawn = np.concatenate(draws) / per_actuator
     low, high = np.quantile(drawn, [0.05, 0.95], axis=0)
-    error = StructuredError(
-        np.concatenate(means).mean(axis=0) / per_actuator, low, high, np.sqrt(np.mean(drawn**2, axis=1))
-    )
+    mean, size = np.concatenate(means).mean(axis=0) / per_actuator, np.sqrt(np.mean(drawn**2, axis=1))
+    linear = np.linalg.pinv(likelihood.inputs_of(poses))
+    error = StructuredError(mean, low, high, size, np.einsum("jp,spi->sij", linear, drawn))
     return summarise_draws(np.concatenate(errors), np.concatenate(noise)), error
 
 

@@ -43,6 +43,7 @@ def evaluate_structured(
         parts = [likelihood.pointwise(theta[part], errors[part]) for part in batches(len(theta))]
         pointwise = np.concatenate(parts)
         more["structured_size"] = error.size
+        more["structured_slopes"] = error.slopes
         more["structured_present"] = (errors[:, likelihood.n_legs :] > 0.0).mean(axis=0)
     by_pose = {f"structured_{name}": getattr(error, name) for name in ("mean", "low", "high")}
     return {"log_likelihood": pointwise.T, **vars(prediction), **by_pose}, more
@@ -59,13 +60,13 @@ def compute_joint_elpd(arrays: dict[str, Array], held: np.ndarray) -> float:
 
 def describe_structured(inputs: StudyInputs, name: str, arrays: dict[str, Array]) -> dict[str, Any]:
     """Return how large the structured error of a variant is, along which motion, and what explains it; µm."""
-    variant, used = inputs.variant(name), ~inputs.verification
+    used = ~inputs.verification
     size = 1e3 * arrays["structured_size"]
     mean = arrays["structured_mean"][used]
     travel, slopes = inputs.displacement[used] / inputs.mechanism.actuator_range, fit_slopes(inputs, arrays)
     legs, actuators = np.unravel_index(np.argmax(np.abs(slopes)), slopes.shape)
     return {
-        "kernel": inputs.kernel_name(variant),
+        "kernel": inputs.kernel_name(inputs.variant(name)),
         "present": arrays["structured_present"].tolist(),
         "rms_um": {
             "mean": size.mean(axis=0).tolist(),
@@ -75,7 +76,7 @@ def describe_structured(inputs: StudyInputs, name: str, arrays: dict[str, Array]
         "slope_um": (1e3 * slopes).tolist(),
         "linear_share": _share(mean, travel @ slopes.T),
         "largest": {"leg": int(legs) + 1, "actuator": int(actuators) + 1, "um": float(1e3 * slopes[legs, actuators])},
-        "explained": explain(inputs, name, arrays),
+        "explained": explain(inputs, arrays),
     }
 
 
@@ -97,42 +98,28 @@ def _share(values: Array, explained: Array) -> float:
     return 0.0 if total == 0.0 else max(0.0, 1.0 - float(np.sum((values - explained) ** 2)) / total)
 
 
-def explain(inputs: StudyInputs, name: str, arrays: dict[str, Array]) -> dict[str, float]:
-    """Return the share of the structured error that each known deformation explains.
+def explain(inputs: StudyInputs, arrays: dict[str, Array]) -> dict[str, float]:
+    """Return the share of the structured error that each known deformation explains, of what is known of it.
 
-    Both are compared where the data see them: what the leg's own parameters imitate is taken out of either first. The
-    linear deformation has a coefficient for every leg, the matrix is as it was measured or stated.
+    Compared are the linear parts, N² slopes, in the metric of their posterior: directions that the geometry imitates
+    are hardly known and count little. The linear deformation has a coefficient for every leg, the matrix, as it was
+    measured or stated, one in all. Without a structured error there is nothing to explain.
     """
-    variant, used = inputs.variant(name), ~inputs.verification
-    mean, travel = arrays["structured_mean"][used], inputs.displacement[used]
-    posterior = inputs.posterior(variant, with_model_error=True)
-    n_geometry = posterior.n_geometry
-    where = posterior.coordinates.start.copy()
-    where[posterior.coordinates.free] = arrays["mean"][:n_geometry]
-    likelihood = inputs.likelihood(variant, verification=False)
-    slope = likelihood.error_jacobian(where)[1][..., posterior.coordinates.free]
-    own = [_remove(slope[:, leg], np.column_stack([mean[:, leg], travel[:, leg]])) for leg in range(mean.shape[1])]
-    left = np.column_stack([pair[:, 0] for pair in own])
-    linear = np.column_stack([_project(pair[:, 0], pair[:, 1]) for pair in own])
-    shares = {"linear": _share(left, linear)}
+    draws = arrays["structured_slopes"].reshape(len(arrays["structured_slopes"]), -1)
+    n_legs = inputs.mechanism.n_legs
+    covariance = np.cov(draws, rowvar=False)
+    if not np.trace(covariance) > 0.0:
+        return {}
+    values, vectors = np.linalg.eigh(covariance)
+    whitening = vectors / np.sqrt(np.maximum(values, 1e-9 * values[-1]))
+    own = np.zeros((n_legs**2, n_legs))
+    own[np.arange(n_legs) * (n_legs + 1), np.arange(n_legs)] = 1.0
+    known = {"linear": own}
     if inputs.measured_matrix is not None or not inputs.matrix_from_targets:
-        deflection = travel @ inputs.matrix.T
-        matrix = [_remove(slope[:, leg], deflection[:, [leg]])[:, 0] for leg in range(mean.shape[1])]
-        flat = np.column_stack(matrix)
-        shares["matrix"] = _share(left, _project(left.ravel(), flat.ravel()).reshape(left.shape))
-    return shares
+        known["matrix"] = inputs.matrix.reshape(-1, 1)
+    return {name: _explain_by(draws.mean(axis=0) @ whitening, whitening.T @ one) for name, one in known.items()}
 
 
-def _remove(slope: Array, values: Array) -> Array:
-    """Return values (P, K) less what a leg's parameters imitate, by slopes (P, D) of which some vanish."""
-    moved = slope[:, np.abs(slope).max(axis=0) > 0.0]
-    moved = moved / np.linalg.norm(moved, axis=0)
-    basis, size, _ = np.linalg.svd(moved, full_matrices=False)
-    basis = basis[:, size > 1e-3 * size[0]] if len(size) else basis
-    return np.asarray(values - basis @ (basis.T @ values))
-
-
-def _project(values: Array, onto: Array) -> Array:
-    """Return the part of values along another vector of their length."""
-    square = float(onto @ onto)
-    return np.zeros_like(values) if square == 0.0 else np.asarray(onto * (float(values @ onto) / square))
+def _explain_by(values: Array, design: Array) -> float:
+    """Return the share of the sum of squares of values (K,) that a design (K, m) explains."""
+    return _share(values, design @ np.linalg.lstsq(design, values, rcond=None)[0])

@@ -70,13 +70,15 @@ def state_structured(study: StudyResults, name: str, one: dict[str, Any]) -> Sta
 
 
 def _say_explained(shares: dict[str, float]) -> str:
-    """Say what known deformations explain of the error, where the geometry does not imitate it."""
+    """Say what known deformations explain of the error."""
+    if not shares:
+        return ""
     words = [
         f"a {name} deformation explains {format_fixed(100.0 * share, 0)} % of it" for name, share in shares.items()
     ]
     best = max(shares, key=lambda name: shares[name])
     end = f": try {best}" if shares[best] >= EXPLAINED else ": no known deformation explains it"
-    return f"Of what the geometry cannot imitate, {' and '.join(words)}{end}."
+    return f"Of what is known of its linear part, {' and '.join(words)}{end}."
 
 
 def illustrate_structured(study: StudyResults, name: str) -> Figure:
