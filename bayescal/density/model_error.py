@@ -24,7 +24,7 @@ INDEPENDENT: Final = "independent"
 SCALE = "sigma_g"  # name of s among the free parameters
 type KernelName = Literal["independent", "linear", "quadratic", "smooth"]
 
-OFF = -12.0  # where the switch of a scale stands when there is no structured error; when there is one, about zero
+OFF = -20.0  # where the switch of a scale stands when there is no structured error; when there is one, about zero
 BORDER = 0.5 * OFF
 
 
