@@ -1,6 +1,6 @@
 """Intervals and predictions of a wrong model, with and without a structured model error, over many twins.
 
-    python benchmarks/model_error.py [--first 0] [--twins 40] [--kernel linear] [--scale 20] [--spread 0.2]
+    python benchmarks/model_error.py [--first 0] [--twins 40] [--kernel linear] [--scale 20] [--spread 0.05]
 
 Twins of the telescope are drawn from the priors of the telescope's study, deformed by eq. 4's matrix and surveyed; the
 variants `none`, which leaves the deformation out, and `matrix`, which is right, are fitted with τ alone and with a
@@ -92,7 +92,7 @@ def main() -> None:
     parser.add_argument("--twins", type=int, default=40)
     parser.add_argument("--kernel", default="linear")
     parser.add_argument("--scale", type=float, default=20.0)
-    parser.add_argument("--spread", type=float, default=0.2)
+    parser.add_argument("--spread", type=float, default=0.05)
     arguments = parser.parse_args()
     twin, config = (
         build_twin(load_simulation(TELESCOPE / "simulate.toml"), TELESCOPE),

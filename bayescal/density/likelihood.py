@@ -19,6 +19,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from copy import copy
+from typing import Self
 
 import numpy as np
 
@@ -166,12 +168,19 @@ class PoseLikelihood(Likelihood):
         self._constant = 0.5 * log_volume - 0.5 * pose.shape[-2] * np.log(2 * np.pi)
         self._to_error = self._find_projection()
         self._scratch = Scratch()
+        self._refinements = REFINEMENTS
         self._whitening: tuple[Array, Array, Array] | None = None
 
     @property
     def n_poses(self) -> int:
         """Number of poses P."""
         return self.poses.n_poses
+
+    def refined(self) -> Self:
+        """Return the same density with two more digits of the pose errors, for machines far from nominal."""
+        other = copy(self)
+        other._scratch, other._refinements = Scratch(), self._refinements + 1
+        return other
 
     # --- residuals -----------------------------------------------------------------------------------------------
 
@@ -182,7 +191,7 @@ class PoseLikelihood(Likelihood):
         result = self._scratch.take("leg errors", n_legs, n_poses, n_batch)
         both = self._scratch.take("error", self._to_error.shape[1], n_poses, n_batch)
         seen = closure
-        for _ in range(REFINEMENTS):
+        for _ in range(self._refinements):
             np.matmul(self._to_error, seen.transpose(1, 0, 2), out=both.transpose(1, 0, 2))
             error, seen = both[:6], both[6:] if len(both) > 6 else seen
             seen = np.subtract(seen, self._bound.along(error), out=result)  # (A⁰ - A(θ)) e

@@ -46,6 +46,6 @@ class ModelErrorConfig(Section):
     per_leg: bool = True
     kernel: KernelName = Field(default=INDEPENDENT, exclude_if=lambda value: value == INDEPENDENT)
     kernel_scale_um: Positive = Field(default=20.0, exclude_if=lambda value: value == 20.0)
-    kernel_spread: Positive = Field(default=0.2, exclude_if=lambda value: value == 0.2)
+    kernel_spread: Positive = Field(default=0.05, exclude_if=lambda value: value == 0.05)
     kernel_length: Positive = Field(default=5.0, exclude_if=lambda value: value == 5.0)
     kernel_per_leg: bool = Field(default=False, exclude_if=lambda value: value is False)

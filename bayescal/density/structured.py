@@ -86,7 +86,8 @@ class StructuredLikelihood(Likelihood):
             raise InputError(
                 f"model_error.kernel: found {poses.n_poses} calibration poses, expected {FEWEST_POSES} or more"
             )
-        self.base, self.kernel, self.travel = poses, kernel, travel
+        # where the geometry is hardly known the mode's gradient needs more digits
+        self.base, self.kernel, self.travel = poses.refined(), kernel, travel
         self.machine, self.layout = poses.machine, poses.layout
         known = poses.legs_known
         self._mean_known = known.mean(axis=0)

@@ -34,7 +34,9 @@ def poses():
     theta, rng = machines.telescope_truth(machine), np.random.default_rng(1)
     found = machines.simulate_poses(machine, theta, actuators, np.full(6, 2e-3), rng)
     seen = np.arange(len(actuators)) < N_POSES
-    calibration, held = (PoseLikelihood(machine, found.select(one), machines.ACTUATOR_NOISE) for one in (seen, ~seen))
+    calibration, held = (
+        PoseLikelihood(machine, found.select(one), machines.ACTUATOR_NOISE).refined().refined() for one in (seen, ~seen)
+    )
     return calibration, held, theta
 
 
