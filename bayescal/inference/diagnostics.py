@@ -10,6 +10,8 @@ from arviz_stats.base import array_stats
 from bayescal.limits import ESS_BULK_LIMIT, ESS_TAIL_LIMIT, RHAT_LIMIT
 from bayescal.numerics.geometry import Array
 
+APART = 100.0  # R-hat of ensembles that stand still at different places
+
 
 @dataclass(frozen=True, eq=False)
 class Diagnostics:
@@ -48,4 +50,6 @@ def diagnose(draws: Array) -> Diagnostics:
     still = np.ptp(walker_by_walker, axis=(1, 2)) == 0.0
     if still.any() and not still.all():
         rhat[still], bulk[still], tail[still] = 1.0, *[float(walker_by_walker[0].size)] * 2
-    return Diagnostics(rhat, bulk, tail)
+    stuck = ~np.isfinite(rhat) & ~still & np.isfinite(walker_by_walker).all(axis=(1, 2))
+    rhat[stuck], bulk[stuck], tail[stuck] = APART, 1.0, 1.0
+    return Diagnostics(rhat, np.where(np.isfinite(bulk), bulk, 1.0), np.where(np.isfinite(tail), tail, 1.0))

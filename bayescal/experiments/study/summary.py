@@ -21,6 +21,7 @@ from bayescal.limits import AGREEMENT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
 ELPD_VARIABLE = "measured_pose"
+HOPELESS_K = 10.0  # stands for a tail too heavy for its shape to be found
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +85,8 @@ def compute_loo(tree: xr.DataTree) -> Loo:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Estimated shape parameter of Pareto distribution")
         loo = az.loo(tree, var_name=ELPD_VARIABLE, pointwise=True)
-    return Loo(float(loo.elpd), float(loo.se), np.asarray(loo.pareto_k, dtype=np.float64))
+    pareto_k = np.asarray(loo.pareto_k, dtype=np.float64)
+    return Loo(float(loo.elpd), float(loo.se), np.where(np.isfinite(pareto_k), pareto_k, HOPELESS_K))
 
 
 def summarise_fit(
