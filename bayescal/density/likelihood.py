@@ -18,6 +18,9 @@ redundant legs too.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from copy import copy
+from typing import Self
 
 import numpy as np
 
@@ -60,6 +63,11 @@ class Likelihood(ABC):
     @property
     def n_legs(self) -> int:
         """Number of legs N."""
+        return self.actuator_weight.shape[1]
+
+    @property
+    def n_model_errors(self) -> int:
+        """Number of entries of a model error: one per leg, or several kinds of N each."""
         return self.actuator_weight.shape[1]
 
     @property
@@ -161,6 +169,7 @@ class PoseLikelihood(Likelihood):
         self._constant = 0.5 * log_volume - 0.5 * pose.shape[-2] * np.log(2 * np.pi)
         self._to_error = self._find_projection()
         self._scratch = Scratch()
+        self._refinements = REFINEMENTS
         self._whitening: tuple[Array, Array, Array] | None = None
 
     @property
@@ -168,16 +177,22 @@ class PoseLikelihood(Likelihood):
         """Number of poses P."""
         return self.poses.n_poses
 
+    def refined(self) -> Self:
+        """Return the same density with two more digits of the pose errors, for machines far from nominal."""
+        other = copy(self)
+        other._scratch, other._refinements = Scratch(), self._refinements + 1
+        return other
+
     # --- residuals -----------------------------------------------------------------------------------------------
 
-    def _leg_errors(self, theta: Array) -> Array:
+    def leg_errors_by_leg(self, theta: Array) -> Array:
         """Return r for parameter vectors (B, D), as an array (N, P, B) that the next call overwrites."""
         closure = self._bound.evaluate(np.asfortranarray(theta))  # the batch contiguous
         n_legs, n_poses, n_batch = closure.shape
         result = self._scratch.take("leg errors", n_legs, n_poses, n_batch)
         both = self._scratch.take("error", self._to_error.shape[1], n_poses, n_batch)
         seen = closure
-        for _ in range(REFINEMENTS):
+        for _ in range(self._refinements):
             np.matmul(self._to_error, seen.transpose(1, 0, 2), out=both.transpose(1, 0, 2))
             error, seen = both[:6], both[6:] if len(both) > 6 else seen
             seen = np.subtract(seen, self._bound.along(error), out=result)  # (A⁰ - A(θ)) e
@@ -229,7 +244,7 @@ class PoseLikelihood(Likelihood):
         """Return r = A⁰ e, the pose errors seen by the legs in mm, for (B, D) parameter vectors, shape (B, P, N)."""
         result = np.empty((len(theta), self.poses.n_poses, self.n_legs))
         for part in batches(len(theta)):
-            result[part] = self._leg_errors(theta[part]).transpose(2, 1, 0)
+            result[part] = self.leg_errors_by_leg(theta[part]).transpose(2, 1, 0)
         return result
 
     def pose_errors(self, theta: Array) -> Array:
@@ -251,6 +266,16 @@ class PoseLikelihood(Likelihood):
         return seen, here.parameters + (self._pose_jacobian - here.pose) @ pose_change @ here.parameters
 
     # --- covariance ----------------------------------------------------------------------------------------------
+
+    @property
+    def gain(self) -> Array:
+        """The pose per error of the legs, shape (P, 6, N)."""
+        return self._gain
+
+    @property
+    def log_constant(self) -> Array:
+        """What the density of each pose has beside that of r, shape (P,): log-volume of A⁰ and powers of 2 π."""
+        return self._constant
 
     @property
     def legs_known(self) -> Array:
@@ -282,7 +307,7 @@ class PoseLikelihood(Likelihood):
 
     @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
     def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
-        errors = self._leg_errors(theta)
+        errors = self.leg_errors_by_leg(theta)
         if model_error.ndim == 1:
             density, square = self._density_fixed(errors, model_error)
         else:
@@ -309,25 +334,49 @@ class PoseLikelihood(Likelihood):
         return -0.5 * square - half_log_det[:, None], square
 
     def _density_varying(self, errors: Array, model_error: Array) -> tuple[Array, Array]:
-        """Cholesky factors of all poses and batch entries at once, by columns.
+        variance = model_error.T**2
 
-        The errors are carried along as one more row of the matrix; in the factor that row holds the whitened errors.
-        """
-        n, variance = self.n_legs, model_error.T**2
-        factor = self._scratch.take("factor", n + 1, n, *errors.shape[1:])
-        determinant = np.ones(errors.shape[1:])
-        for j in range(n):
-            column = factor[j:, j]
-            known = self._known[:, j:, j].T[..., None]
-            if j:
-                np.einsum("ikpb,kpb->ipb", factor[j:, :j], factor[j, :j], out=column)
-                np.subtract(known, column[:-1], out=column[:-1])
-                np.subtract(errors[j], column[-1], out=column[-1])
-            else:
-                column[:-1], column[-1] = known, errors[j]
-            column[0] += self.actuator_weight[:, j, None] * variance[j]
-            inverse = 1.0 / np.sqrt(column[0])
-            column[1:] *= inverse
-            determinant *= inverse
-        square = np.einsum("kpb,kpb->pb", factor[n], factor[n])
-        return np.log(determinant) - 0.5 * square, square
+        def add(leg: int) -> Array:
+            return np.asarray(self.actuator_weight[:, leg, None] * variance[leg])
+
+        return factor_by_columns(self._known, add, errors, self._scratch)
+
+
+def factor_by_columns(
+    known: Array, add: Callable[[int], Array], errors: Array, scratch: Scratch
+) -> tuple[Array, Array]:
+    """Return log-densities but for 2 π, and rᵀ C⁻¹ r; Cholesky factors of all poses and batch entries, by columns.
+
+    The errors are carried along as one more row of the matrix; in the factor that row holds the whitened errors.
+
+    Parameters
+    ----------
+    known : ndarray, shape (P, N, N)
+        Covariance but for the model error.
+    add : callable
+        From a leg to the variance that its model error adds, shape (P, B).
+    errors : ndarray, shape (N, P, B)
+    scratch : Scratch
+
+    Returns
+    -------
+    ndarray, ndarray, shapes (P, B)
+    """
+    n = len(errors)
+    factor = scratch.take("factor", n + 1, n, *errors.shape[1:])
+    determinant = np.ones(errors.shape[1:])
+    for j in range(n):
+        column = factor[j:, j]
+        own = known[:, j:, j].T[..., None]
+        if j:
+            np.einsum("ikpb,kpb->ipb", factor[j:, :j], factor[j, :j], out=column)
+            np.subtract(own, column[:-1], out=column[:-1])
+            np.subtract(errors[j], column[-1], out=column[-1])
+        else:
+            column[:-1], column[-1] = own, errors[j]
+        column[0] += add(j)
+        inverse = 1.0 / np.sqrt(column[0])
+        column[1:] *= inverse
+        determinant *= inverse
+    square = np.einsum("kpb,kpb->pb", factor[n], factor[n])
+    return np.log(determinant) - 0.5 * square, square

@@ -195,6 +195,14 @@ class Posterior:
         tau = self.model_error.tau_from_zeta(y[..., self.n_geometry :])
         return np.broadcast_to(tau, (*tau.shape[:-1], n_legs))
 
+    def model_errors(self, y: Array) -> Array:
+        """Return what the likelihood takes as model errors, shape (B, N) or (N,), mm."""
+        return self.tau(y)
+
+    def _model_errors_at(self, y: Array) -> Array:
+        """Return `model_errors` at one vector y, shape (n,)."""
+        return np.broadcast_to(self.model_errors(y[None]), (1, self.likelihood.n_model_errors))[0]
+
     def natural(self, y: Array) -> Array:
         """Return the free parameters and model errors in their own units, shape (B, n)."""
         free = self.theta(y)[..., self.coordinates.free]
@@ -212,7 +220,7 @@ class Posterior:
         """Add the normal priors to the coordinates that are standard normal themselves: bounded ones, model errors."""
         normal, centre, scale = self._normal
         z = (theta[..., self.coordinates.free[normal]] - centre) / scale
-        standard = y[..., self._standard]
+        standard = self._deviations(y)
         total = -0.5 * (np.einsum("...i,...i->...", z, z) + np.einsum("...i,...i->...", standard, standard))
         total = total + self.coordinates.log_volume(theta) + self.coordinates.log_ring_ratio(y[..., : self.n_geometry])
         return total + self.coordinates.log_scale - np.log(scale).sum() - self.n_parameters * HALF_LOG_TWO_PI
@@ -227,6 +235,10 @@ class Posterior:
             y[:, : self.n_geometry] = self.coordinates.y_from_theta(theta)
         return y
 
+    def _deviations(self, y: Array) -> Array:
+        """Return what is standard normal under the prior, whatever the other coordinates are, (..., n) to (..., k)."""
+        return y[..., self._standard]
+
     def log_density(self, y: Array) -> Array:
         """Return log-likelihood plus log-prior, shape (B,), for coordinates (B, n); -inf where there is no machine."""
         with np.errstate(all="ignore"):  # far out numbers overflow; what is not finite has no density
@@ -238,7 +250,7 @@ class Posterior:
 
     def _log_likelihood(self, y: Array, theta: Array) -> Array:
         """Return the log-likelihood, shape (B,), of coordinates (B, n) and their parameters (B, D)."""
-        return self.likelihood(theta, self.tau(y))
+        return self.likelihood(theta, self.model_errors(y))
 
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each pose, shape (B, P)."""
@@ -246,7 +258,7 @@ class Posterior:
 
     def evaluate_poses(self, likelihood: Likelihood, y: Array) -> Array:
         """Return the log-likelihood of each pose, of these or of others, shape (B, P), for coordinates (B, n)."""
-        return likelihood.pointwise(self.theta(y), self.tau(y))
+        return likelihood.pointwise(self.theta(y), self.model_errors(y))
 
     # --- derivatives ---------------------------------------------------------------------------------------------
 
@@ -298,7 +310,7 @@ class Posterior:
     def _linearise(self, y: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Return θ, r, dr/dy, the precision of r and dθ/dy at y, shape (n,)."""
         theta = self.theta(y[None])[0]
-        tau = np.broadcast_to(self.tau(y[None]), (1, self.likelihood.n_legs))[0]
+        tau = self._model_errors_at(y)
         errors, slope = self.likelihood.error_jacobian(theta)
         change = self.coordinates.jacobian(theta)
         return theta, errors, slope @ change, np.linalg.inv(self.likelihood.error_covariance(tau)), change
@@ -348,12 +360,12 @@ class Posterior:
         """
         y = np.zeros(self.n_parameters)
         for tau in APPROACH:
-            y = self._fit_geometry(y, np.full(self.likelihood.n_legs, tau))
+            y = self._fit_geometry(y, np.full(self.likelihood.n_model_errors, tau))
         return y
 
     def polish(self, y: Array) -> Array:
         """Return y, shape (n,), with the geometry of least squares at its model errors."""
-        return self._fit_geometry(y, np.broadcast_to(self.tau(y[None]), (1, self.likelihood.n_legs))[0])
+        return self._fit_geometry(y, self._model_errors_at(y))
 
     def _fit_geometry(self, start: Array, tau: Array, weight: Array | None = None) -> Array:
         """Return y with the geometry of least squares, whitened errors and priors together, at model errors (N,).

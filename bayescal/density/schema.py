@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from bayescal.config.sections import PerLeg, Positive, PositivePerLeg, Section
+from bayescal.density.model_error import INDEPENDENT, KernelName
 
 
 class NormalConfig(Section):
@@ -34,10 +35,20 @@ type PriorConfig = Annotated[NormalConfig | UniformConfig | FixedConfig, Field(d
 
 
 class ModelErrorConfig(Section):
-    """Half-normal prior of the model error τ; one τ per leg or one for all legs."""
+    """Prior of the model error: half-normal of τ, one per leg or one for all; and of what is a function of the pose.
+
+    ``kernel_scale_um`` is what one actuator at the end of its range makes a leg err by, one standard deviation, where
+    there is a structured error; ``kernel_spread`` the standard deviation of its logarithm, ``kernel_length`` in units
+    of the actuators' range.
+    """
 
     scale_um: Positive = 10.0
     per_leg: bool = True
+    kernel: KernelName = Field(default=INDEPENDENT, exclude_if=lambda value: value == INDEPENDENT)
+    kernel_scale_um: Positive = Field(default=20.0, exclude_if=lambda value: value == 20.0)
+    kernel_spread: Positive = Field(default=0.05, exclude_if=lambda value: value == 0.05)
+    kernel_length: Positive = Field(default=5.0, exclude_if=lambda value: value == 5.0)
+    kernel_per_leg: bool = Field(default=False, exclude_if=lambda value: value is False)
 
 
 class BlundersConfig(Section):

@@ -19,6 +19,7 @@ from bayescal.limits import (
 from bayescal.numerics.geometry import Array
 
 LEAST_ERROR = 0.01  # nats; a few runs tell no smaller standard error
+APART = 100.0  # R-hat of ensembles that stand still at different places
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,18 +47,23 @@ def diagnose(draws: Array) -> Diagnostics:
     """Return the diagnostics of draws, shape (ensembles, walkers, steps, n).
 
     R-hat splits every ensemble in time, so that a drift of all walkers shows. The effective sizes take the draws walker
-    by walker: then the autocorrelation along the chain is that of the walkers in time.
+    by walker: then the autocorrelation along the chain is that of the walkers in time. A parameter that is the same in
+    all draws, a scale that is zero, has nothing to mix, unless all others stand still as well.
     """
     from arviz_stats.base import array_stats  # seconds to import, for those who sample
 
     n_ensembles, n_walkers, n_steps, _ = draws.shape
     walker_by_walker = np.moveaxis(draws.reshape(n_ensembles, n_walkers * n_steps, -1), -1, 0)
     step_by_step = np.moveaxis(np.swapaxes(draws, 1, 2).reshape(n_ensembles, n_walkers * n_steps, -1), -1, 0)
-    return Diagnostics(
-        rhat=np.asarray(array_stats.rhat(step_by_step), dtype=np.float64),
-        ess_bulk=np.asarray(array_stats.ess(walker_by_walker), dtype=np.float64),
-        ess_tail=np.asarray(array_stats.ess(walker_by_walker, method="tail", prob=(0.05, 0.95)), dtype=np.float64),
-    )
+    rhat = np.asarray(array_stats.rhat(step_by_step), dtype=np.float64)
+    bulk = np.asarray(array_stats.ess(walker_by_walker), dtype=np.float64)
+    tail = np.asarray(array_stats.ess(walker_by_walker, method="tail", prob=(0.05, 0.95)), dtype=np.float64)
+    still = np.ptp(walker_by_walker, axis=(1, 2)) == 0.0
+    if still.any() and not still.all():
+        rhat[still], bulk[still], tail[still] = 1.0, *[float(walker_by_walker[0].size)] * 2
+    stuck = ~np.isfinite(rhat) & ~still & np.isfinite(walker_by_walker).all(axis=(1, 2))
+    rhat[stuck], bulk[stuck], tail[stuck] = APART, 1.0, 1.0
+    return Diagnostics(rhat, np.where(np.isfinite(bulk), bulk, 1.0), np.where(np.isfinite(tail), tail, 1.0))
 
 
 def measure_longest_stand(log_density: Array) -> int:

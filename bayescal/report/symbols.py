@@ -7,9 +7,10 @@ import re
 from bayescal.report.numbers import MICROMETRES, PER_MILLE
 
 MODEL_ERROR = "tau"
+KERNEL_SCALE = "sigma_g"
 GREEK = {
     **{"alpha": "α", "beta": "β", "eta": "η", "kappa": "κ", "xi": "ξ"},
-    **{"rho": "ρ", "tau": "τ", "phi": "φ", "psi": "ψ"},
+    **{"rho": "ρ", "tau": "τ", "phi": "φ", "psi": "ψ", "sigma": "σ"},
 }
 
 
@@ -20,8 +21,8 @@ def split_name(name: str) -> tuple[str, int]:
 
 
 def is_model_error(symbol: str) -> bool:
-    """Whether a symbol is a model error τ, which is no parameter of the machine."""
-    return symbol == MODEL_ERROR
+    """Whether a symbol is a model error τ or the scale of a structured one, which are no parameters of the machine."""
+    return symbol in (MODEL_ERROR, KERNEL_SCALE)
 
 
 def split_symbol(symbol: str) -> tuple[str, str, str]:

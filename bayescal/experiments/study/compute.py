@@ -16,6 +16,7 @@ from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task
 from bayescal.experiments.study.held_out import compare_variants, describe_stacking, tabulate_left_out
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.schema import StudyConfig
+from bayescal.experiments.study.structured_table import tabulate_structured
 from bayescal.experiments.study.summary import rank_variants, summarise_fit
 from bayescal.experiments.study.tables import (
     identify_variants,
@@ -62,6 +63,8 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
         "ring": tabulate_ring(inputs),
         "deformation": tabulate_deformation(inputs),
     }
+    if inputs.has_kernels:
+        tables["structured"] = tabulate_structured(inputs, posteriors)
     if claims is not None:
         tables["claims"] = run.once("claims", _judge, (claims, inputs, summary, identified))
         summary["publication"] = claims.describe()

@@ -12,6 +12,7 @@ from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches
 from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import Prediction, replicate
 from bayescal.density.robust import RobustPosterior
+from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.experiments.shared.trees import SAVED_DRAWS, choose_draws, spread
 from bayescal.experiments.study.correct import (
     correct_draws,
@@ -26,6 +27,7 @@ from bayescal.experiments.study.power_scaling import measure_sensitivity
 from bayescal.experiments.study.replicates import replicate_prior
 from bayescal.experiments.study.schema import StudyConfig, stem_of
 from bayescal.experiments.study.soundness import measure_misfit, measure_pulls
+from bayescal.experiments.study.structured import evaluate_structured
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.correction import Correction
 from bayescal.inference.diagnostics import measure_longest_stand
@@ -213,6 +215,8 @@ def _check(
 def _measure_misfit(inputs: StudyInputs, task: Task, posterior: Posterior, mode: Array) -> Array:
     """Return χ² at a mode (n,) of the poses that are no blunders there, and its degrees of freedom."""
     clean = None
+    if isinstance(posterior, StructuredPosterior):
+        return measure_misfit(posterior, mode, posterior.likelihood)
     if isinstance(posterior, RobustPosterior):
         clean = posterior.blunder_probabilities(posterior.likelihood, mode[None])[0] < BLUNDER
     return measure_misfit(posterior, mode, *inputs.without_shared_errors(task.variant), clean)
@@ -224,7 +228,10 @@ def _scale_power(inputs: StudyInputs, posterior: Posterior, arrays: Arrays) -> A
     draws, density = (arrays[name].reshape(-1, arrays[name].shape[-1])[chosen] for name in ("draws", "log_likelihood"))
     priors = posterior.all_priors().values()
     log_prior = sum(prior.log_density(draws[..., k]) for k, prior in enumerate(priors))
-    return measure_sensitivity(draws, np.asarray(log_prior), density[..., ~inputs.verification].sum(axis=-1))
+    together = density[..., ~inputs.verification].sum(axis=-1)
+    if "calibration_density" in arrays:  # poses that depend on each other: their densities do not add up
+        together = arrays["calibration_density"][chosen]
+    return measure_sensitivity(draws, np.asarray(log_prior), together)
 
 
 def _evaluate(
@@ -235,27 +242,33 @@ def _evaluate(
     They are of the hot path, whose covariance is that of the nominal machine, pose by pose.
     """
     variant, flat = inputs.variant(task.variant), kept.reshape(-1, kept.shape[-1])
-    theta, tau = posterior.theta(flat), posterior.tau(flat)
+    theta, errors = posterior.theta(flat), posterior.model_errors(flat)
     chosen = spread(len(flat), SAVED_DRAWS)
     pieces: dict[str, list[Array]] = {}
+    together: Arrays = {}
     held = inputs.verification
     for use, rng_seed in zip((False, True), seed.spawn(2), strict=True):
         if not np.any(held == use):
             continue
-        likelihood = inputs.likelihood(variant, verification=use)
-        pointwise = np.concatenate([posterior.evaluate_poses(likelihood, flat[part]) for part in batches(len(flat))])
-        some_tau = tau if tau.ndim == 1 else tau[chosen]
-        made = replicate(likelihood, theta[chosen], some_tau, np.random.default_rng(rng_seed))
-        misfit = made.misfit.astype(np.float32).swapaxes(0, 1)
-        suspicion = _suspect(posterior, likelihood, flat)
-        found = {"log_likelihood": pointwise.T, "misfit": misfit, **suspicion, **vars(made.summarise())}
+        likelihood, rng = inputs.likelihood(variant, verification=use), np.random.default_rng(rng_seed)
+        found: Arrays
+        if isinstance(posterior, StructuredPosterior):
+            found, more = evaluate_structured(posterior, likelihood, theta, errors, chosen, use, rng)
+            together |= more
+        else:
+            parts = [posterior.evaluate_poses(likelihood, flat[part]) for part in batches(len(flat))]
+            some = errors if errors.ndim == 1 else errors[chosen]
+            made = replicate(likelihood, theta[chosen], some, rng)
+            misfit: Array = made.misfit.astype(np.float32).swapaxes(0, 1)
+            found = {"log_likelihood": np.concatenate(parts).T, **vars(made.summarise())}
+            found |= {"misfit": misfit} | _suspect(posterior, likelihood, flat)
         for name, value in found.items():
             pieces.setdefault(name, []).append(value)
     order = np.concatenate([np.flatnonzero(held == use) for use in (False, True)])
     back = np.argsort(order)
     arrays = {name: np.concatenate(parts)[back] for name, parts in pieces.items()}
     arrays["log_likelihood"] = arrays["log_likelihood"].T.reshape(*kept.shape[:2], -1)
-    return arrays
+    return arrays | together
 
 
 def _suspect(posterior: Posterior, likelihood: Likelihood, y: Array) -> Arrays:

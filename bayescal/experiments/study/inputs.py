@@ -21,10 +21,13 @@ from bayescal.data.photogrammetry.joint_deflection import (
 )
 from bayescal.density.exact import CommonErrors, ExactDensity
 from bayescal.density.likelihood import Likelihood, PoseLikelihood
+from bayescal.density.model_error import INDEPENDENT, KernelScale, build_kernel
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.robust import RobustPosterior, build_robust
 from bayescal.density.schema import FixedConfig, NormalConfig
+from bayescal.density.structured import StructuredLikelihood
+from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.errors import InputError, PoseInputError, name_faults
 from bayescal.experiments.shared.per_leg import spread_over_legs
 from bayescal.experiments.study.measurement import (
@@ -249,9 +252,42 @@ class StudyInputs:
         if with_model_error:
             scale = self.config.model_error.scale_um * MICROMETRE
             error = ModelError(scale, shared=not self.config.model_error.per_leg)
-        plain = Posterior(self.likelihood(variant, verification=False), priors, error, fixed)
+        likelihood = self.likelihood(variant, verification=False)
+        if with_model_error and self.kernel_name(variant) != INDEPENDENT:
+            if self.config.blunders is not None:
+                raise InputError(
+                    f"blunders: found them beside kernel {self.kernel_name(variant)!r}, by which poses depend on each "
+                    f"other, expected kernel {INDEPENDENT!r}"
+                )
+            structured = self._structure(likelihood, self.kernel_name(variant))
+            return StructuredPosterior(structured, priors, error, fixed, kernel_scale=self._kernel_scale)
+        plain = Posterior(likelihood, priors, error, fixed)
         blunders = self.config.blunders
         return plain if blunders is None else build_robust(plain, blunders.expected_share)
+
+    def kernel_name(self, variant: VariantConfig) -> str:
+        """Return the kernel of a variant's model error: its own, or that of all."""
+        return variant.model_error or self.config.model_error.kernel
+
+    @property
+    def has_kernels(self) -> bool:
+        """Whether any variant has a structured model error."""
+        return any(self.kernel_name(variant) != INDEPENDENT for variant in self.config.variants)
+
+    def _structure(self, likelihood: Likelihood, kernel: str) -> StructuredLikelihood:
+        """Return the density of the calibration poses with a structured model error."""
+        if not isinstance(likelihood, PoseLikelihood):
+            raise InputError(
+                f"model_error.kernel: found {kernel!r} with poses measured in part, points, or frames to be found, "
+                f"expected whole poses in known frames, or kernel {INDEPENDENT!r}"
+            )
+        length = self.config.model_error.kernel_length
+        return StructuredLikelihood(likelihood, build_kernel(kernel, length), self.mechanism.actuator_range)
+
+    @property
+    def _kernel_scale(self) -> KernelScale:
+        config = self.config.model_error
+        return KernelScale(config.kernel_scale_um * MICROMETRE, config.kernel_spread, not config.kernel_per_leg)
 
     def priors(self, variant: VariantConfig, factor: float = 1.0) -> tuple[dict[str, Prior], dict[str, float]]:
         """Return the priors of a variant's free parameters and frames, and what is fixed off nominal.

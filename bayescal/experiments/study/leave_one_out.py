@@ -19,6 +19,7 @@ from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
 MAX_REFITS = 10
+HOPELESS_K = 10.0  # stands for a tail too heavy for its shape to be found
 """Poses of one posterior that are left out by runs of their own; where more are bad, the posterior is, and none is."""
 REFIT_BURN_IN, REFIT_STEPS = 30, 30
 
@@ -70,6 +71,7 @@ def leave_out(draws: Array, log_likelihood: Array) -> LeftOut:
     by_parameter = np.moveaxis(draws, -1, 0)
     size = float(np.mean(array_stats.ess(by_parameter, method="mean"))) / n_draws if len(draws) > 1 else 1.0
     elpd, pareto_k, effective = array_stats.loo(np.moveaxis(log_likelihood, -1, 0), r_eff=size)
+    pareto_k = np.where(np.isfinite(pareto_k), pareto_k, HOPELESS_K)
     return LeftOut(elpd, pareto_k, effective, np.full(len(elpd), np.nan))
 
 

@@ -9,6 +9,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from bayescal.config.classes import ClassMark, label_class
 from bayescal.config.load import MEASURED
 from bayescal.config.sections import ExperimentConfig, InputFile, NotNegative, Positive, Section
+from bayescal.density.model_error import KernelName
 from bayescal.density.schema import BlundersConfig, FixedConfig, ModelErrorConfig, PriorConfig
 from bayescal.experiments.shared.schema import DeformationConfig, FramesConfig
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
@@ -104,7 +105,8 @@ class VariantConfig(Section):
     """A kinematic model with a deformation and its free parameters; all others stay at their nominal values.
 
     Without a name of its own a variant is called after model and deformation, ``six_pus/none``; several free sets of
-    one model and deformation need names. A name has no slash, so that nobody takes it for the other kind.
+    one model and deformation, or several kernels of the model error, need names. A name has no slash, so that nobody
+    takes it for the other kind.
     """
 
     model: Annotated[str, ClassMark("MODELS")]
@@ -112,6 +114,7 @@ class VariantConfig(Section):
     name: VariantName = Field(default_factory=lambda known: name_variant(known.get("model"), known.get("deformation")))
     free: Annotated[list[str], Field(min_length=1)]
     published: InputFile | None = None
+    model_error: KernelName | None = Field(default=None, exclude_if=lambda value: value is None)
 
     @property
     def has_own_name(self) -> bool:

@@ -42,8 +42,8 @@ def measure_misfit(
         Poses that count; all without it.
     """
     theta = posterior.theta(mode[None])[0]
-    tau = np.broadcast_to(posterior.tau(mode[None]), (1, likelihood.n_legs))[0]
-    whitening = np.linalg.inv(np.linalg.cholesky(likelihood.error_covariance(tau)))
+    model_error = np.broadcast_to(posterior.model_errors(mode[None]), (1, likelihood.n_model_errors))[0]
+    whitening = np.linalg.inv(np.linalg.cholesky(likelihood.error_covariance(model_error)))
     errors = likelihood.errors(theta[None])[0]
     by_machine, prior_slope = posterior.residual_slope(theta)
     extra = np.empty((*errors.shape, 0)) if shared is None else shared

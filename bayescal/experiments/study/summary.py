@@ -10,6 +10,7 @@ import numpy as np
 from bayescal.density.prediction import Prediction, compute_elpd, compute_joint_elpd
 from bayescal.experiments.study.fit import Arrays, read_left_out, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.structured import describe_structured
 from bayescal.inference.diagnostics import (
     Diagnostics,
     list_check_problems,
@@ -18,6 +19,7 @@ from bayescal.inference.diagnostics import (
 )
 from bayescal.limits import AGREEMENT, MOVED_LIMIT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
+from bayescal.report.symbols import is_model_error
 
 
 def summarise_fit(inputs: StudyInputs, variant: str, with_model_error: bool, arrays: Arrays) -> dict[str, Any]:
@@ -61,12 +63,15 @@ def summarise_fit(inputs: StudyInputs, variant: str, with_model_error: bool, arr
         summary["exact_density"] = dict(zip(names, (float(x) for x in arrays["correction"]), strict=True))
     if held.any():
         pointwise = arrays["log_likelihood"][..., held].reshape(-1, held.sum())
-        joint, monte_carlo = compute_joint_elpd(pointwise)
+        together = arrays["joint_density"].reshape(-1, 1) if "joint_density" in arrays else pointwise
+        joint, monte_carlo = compute_joint_elpd(together)
         summary["verification"] |= {
             "elpd": joint,
             "elpd_monte_carlo_se": monte_carlo,
             "elpd_pose_by_pose": compute_elpd(pointwise),
         }
+    if "structured_mean" in arrays:
+        summary["structured_error"] = describe_structured(inputs, variant, arrays)
     summary["distance_from_nominal"] = _measure_distance(summary["parameters"])
     for key in ("misfit", "pulls"):
         chi2, dof = (float(x) for x in arrays[f"{key}_chi2"])
@@ -152,7 +157,7 @@ def _summarise_parameters(
 
 def _measure_distance(parameters: dict[str, dict[str, Any]]) -> dict[str, float]:
     """Return how far the geometry moved from nominal: rms in mm of the lengths, rms of all in prior sds."""
-    geometry = {name: p for name, p in parameters.items() if not name.startswith("tau")}
+    geometry = {name: p for name, p in parameters.items() if not is_model_error(name)}
     lengths = [p["mean"] - p["nominal"] for p in geometry.values() if p["unit"] == "mm"]
     scaled = [(p["mean"] - p["nominal"]) / p["prior_sd"] for p in geometry.values()]
     return {

@@ -22,6 +22,7 @@ from bayescal.experiments.study.page.ranking import tabulate_effects, tabulate_r
 from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.page.ridges import state_ridges, tabulate_ridges
 from bayescal.experiments.study.page.soundness import has_doubts
+from bayescal.experiments.study.page.structured import show_structured
 from bayescal.experiments.study.page.verdict import state_headline, state_verdict
 from bayescal.report.blocks import Block, Fold, Heading, Page, Section
 
@@ -71,6 +72,7 @@ def build_page(results: Results) -> Page:
         show_frames(study),
         _show_deformation(study),
         _show_model_error(study),
+        show_structured(study),
         _show_evidence(study),
         _show_diagnostics(study),
         Section("Data", (tabulate_data(study),), anchor="data"),

@@ -18,7 +18,7 @@ from bayescal.experiments.frame.results import SUMMARY_FILE, Results
 from bayescal.experiments.study.page.posterior_files import Replicates, read_posteriors, read_replicates
 from bayescal.experiments.study.page.publication import Publication, read_publication
 from bayescal.report.reading import NUMBER, Kinds, check_keys
-from bayescal.report.symbols import split_name
+from bayescal.report.symbols import KERNEL_SCALE, split_name
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
@@ -112,6 +112,7 @@ TABLE_COLUMNS = {
         "along_circle_um",
         "circle_error_nm",
     ),
+    "structured": ("variant", "pose", "use", "leg", "actuator", "travel_mm", "mean_um", "low_um", "high_um"),
     "claims": ("claim", "section", "statement", "expected", "found", "value", "unit", "verdict", "why"),
 }
 REQUIRED = ("predictions", "left_out", "sensitivity", "least_squares")
@@ -140,6 +141,8 @@ class StudyResults:
         Statements of the publication, each with a verdict; None where the study tests none.
     flexure : DataFrame or None
         Displacement of a flexure joint; None where no model has flexures.
+    structured : DataFrame or None
+        The structured model error at every pose; None where no variant has one.
     publication : Publication or None
         What the study repeats; None for anybody's machine.
     draws : dict
@@ -160,6 +163,7 @@ class StudyResults:
     deformation: pd.DataFrame | None = None
     claims: pd.DataFrame | None = None
     flexure: pd.DataFrame | None = None
+    structured: pd.DataFrame | None = None
     publication: Publication | None = None
     draws: dict[str, dict[str, Array]] = field(default_factory=dict)
     replicates: Replicates | None = None
@@ -235,7 +239,7 @@ class StudyResults:
     @property
     def parameters(self) -> pd.DataFrame:
         """One row per posterior and parameter of the machine; ``leg`` is zero where a parameter belongs to none."""
-        return self._all_parameters[~self._of_frames]
+        return self._all_parameters[~self._of_frames & (self._all_parameters["symbol"] != KERNEL_SCALE)]
 
     @property
     def frames(self) -> pd.DataFrame:

@@ -1,0 +1,267 @@
+"""The density of poses whose model error is a function of the pose, as fast as that of independent poses.
+
+In the directions of the legs the errors of P poses are
+
+    r_n = noise_n + δ_n + g(z_n),    g_i ~ GP(0, s_i² k)    (`bayescal.density.model_error`).
+
+Poses that are measured alike have one covariance C of noise and τ. Then the eigenvectors U of the kernel's matrix over
+the poses, K = U diag(λ) Uᵀ, take the P poses to P combinations of poses that are independent of each other,
+
+    q_k = Σ_n U_nk r_n ~ N(0, C + λ_k diag(w_i s_i²)),
+
+each with a model error of its own: whatever the kernel and its rank, the density costs what that of independent poses
+costs. Real poses differ a little, by the machine's Jacobian and by what was measured of them. With C_n the known
+covariance of pose n and C its mean over the poses, r_n is first taken to T_n⁻¹ r_n, T_n C T_nᵀ = C_n with T_n the
+symmetric matrix nearest to one. What is known of the noise stays exact, and the model errors act along the columns of
+T_n in place of the legs. Where these differ by more than `ALIKE` the poses are refused.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import eigh
+
+from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches, factor_by_columns
+from bayescal.density.model_error import Kernel
+from bayescal.errors import InputError
+from bayescal.numerics.geometry import Array
+from bayescal.numerics.scratch import Scratch
+
+ALIKE = 0.25  # largest entry of T - 1
+FEWEST_POSES = 3
+
+
+class Conditional(NamedTuple):
+    """The structured error at Q poses, given the errors at the calibration poses, for B draws.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (B, Q, N)
+        Of g, mm along the closure of the legs.
+    covariance : ndarray, shape (B, Q, N, N)
+        Of g at each pose, mm².
+    """
+
+    mean: Array
+    covariance: Array
+
+
+def _root(matrix: Array) -> tuple[Array, Array]:
+    """Return the symmetric square roots of positive definite matrices (..., N, N), and their inverses."""
+    values, vectors = np.linalg.eigh(matrix)
+    root = np.sqrt(values)[..., None, :]
+    return (vectors * root) @ np.swapaxes(vectors, -1, -2), (vectors / root) @ np.swapaxes(vectors, -1, -2)
+
+
+def map_covariance(first: Array, second: Array) -> Array:
+    """Return the symmetric T with T A Tᵀ = B for covariances A (N, N) and B (P, N, N), shape (P, N, N)."""
+    root, inverse = _root(first)
+    middle, _ = _root(root @ second @ root)
+    return np.asarray(inverse @ middle @ inverse)
+
+
+class StructuredLikelihood(Likelihood):
+    """Log-density of poses with a structured model error, in terms of independent combinations of the poses.
+
+    Its rows are those of combination k; model errors are vectors of 2 N entries, τ of each leg and then s.
+
+    Parameters
+    ----------
+    poses : PoseLikelihood
+        Density of the calibration poses without structured error.
+    kernel : Kernel
+    travel : float
+        What the actuators' displacements are divided by, mm.
+
+    Raises
+    ------
+    InputError
+        For poses that are not measured alike, or too few.
+    """
+
+    def __init__(self, poses: PoseLikelihood, kernel: Kernel, travel: float) -> None:
+        if poses.n_poses < FEWEST_POSES:
+            raise InputError(
+                f"model_error.kernel: found {poses.n_poses} calibration poses, expected {FEWEST_POSES} or more"
+            )
+        # where the geometry is hardly known the mode's gradient needs more digits
+        self.base, self.kernel, self.travel = poses.refined(), kernel, travel
+        self.machine, self.layout = poses.machine, poses.layout
+        known = poses.legs_known
+        self._mean_known = known.mean(axis=0)
+        self._map = self._find_map(poses)
+        self._unmap = np.linalg.inv(self._map)
+        self._legs_weight = poses.actuator_weight.mean(axis=0)
+        inputs = self.inputs_of(poses)
+        self._inputs = inputs
+        values, self.combination = eigh(kernel(inputs, inputs))
+        self.eigenvalues = np.maximum(values, 0.0)
+        if not self.eigenvalues.max() > 0.0:
+            raise InputError("model_error.kernel: found all calibration poses at home, expected actuators that move")
+        own = np.broadcast_to(self._legs_weight, (poses.n_poses, poses.n_legs))
+        self.actuator_weight = np.concatenate([own, self.eigenvalues[:, None] * own], axis=1)
+        self._log_constant = float(poses.log_constant.sum() - np.linalg.slogdet(self._map)[1].sum())
+        self._scratch = Scratch()
+
+    def _find_map(self, poses: PoseLikelihood) -> Array:
+        """Return T of poses, shape (P, N, N)."""
+        found = map_covariance(self._mean_known, poses.legs_known)
+        off = np.abs(found - np.eye(poses.n_legs)).max(axis=(1, 2))
+        if off.max() > ALIKE:
+            name = str(poses.poses.names[int(off.argmax())])
+            raise InputError(
+                f"model_error.kernel: pose {name!r}: found a covariance {1e2 * off.max():.0f} % off the poses' mean, "
+                f"expected at most {1e2 * ALIKE:.0f} %, poses that are measured alike, or kernel 'independent'"
+            )
+        return found
+
+    def inputs_of(self, poses: PoseLikelihood) -> Array:
+        """Return the kernel's inputs at poses, shape (P, N): travel from home in units of the range."""
+        home = poses.machine.mechanism.initial_actuator_positions
+        return np.asarray((poses.poses.actuators - home) / self.travel)
+
+    @property
+    def n_legs(self) -> int:
+        """Number of legs N."""
+        return self.base.n_legs
+
+    @property
+    def n_poses(self) -> int:
+        """Number of poses P, and of their combinations."""
+        return self.base.n_poses
+
+    # --- rows ----------------------------------------------------------------------------------------------------
+
+    def errors(self, theta: Array) -> Array:
+        """Return the combinations q of the legs' errors for vectors (B, D), shape (B, P, N), mm."""
+        return self._combine(self.base.leg_errors(theta)[..., None])[..., 0]
+
+    def _combine(self, rows: Array) -> Array:
+        """Return combinations of legs' errors or their derivatives, shape (..., P, N, D)."""
+        return np.asarray(np.einsum("pk,pij,...pjd->...kid", self.combination, self._unmap, rows, optimize=True))
+
+    def error_jacobian(self, theta: Array) -> tuple[Array, Array]:
+        """Return q, shape (P, N), and its derivative (P, N, D) for one parameter vector (D,)."""
+        errors, slope = self.base.leg_error_jacobian(theta)
+        return self._combine(errors[..., None])[..., 0], self._combine(slope)
+
+    def error_covariance(self, model_error: Array) -> Array:
+        """Return the covariance of q, shape (..., P, N, N), for model errors (..., 2 N) in mm."""
+        added = self.actuator_weight * model_error[..., None, :] ** 2
+        n = self.n_legs
+        return self._mean_known + np.eye(n) * (added[..., :n] + added[..., n:])[..., None, :]
+
+    def on_legs(self, rows: Array) -> Array:
+        """Return the rows twice: τ and s act on each of them."""
+        return np.concatenate([rows, rows], axis=1)
+
+    def pose_errors(self, theta: Array) -> Array:
+        """Return measured minus predicted pose (mm, rad), shape (B, P, 6), of the poses themselves."""
+        return self.base.pose_errors(theta)
+
+    def pose_covariance(self, model_error: Array) -> Array:
+        """Return the covariance of a pose but for the structured error, (..., P, 6, 6), for model errors (..., 2 N)."""
+        return self.base.pose_covariance(model_error[..., : self.n_legs])
+
+    # --- density -------------------------------------------------------------------------------------------------
+
+    def __call__(self, theta: Array, model_error: Array) -> Array:
+        """Return the log-likelihood, shape (B,), for vectors (B, D) and model errors (B, 2 N) or (2 N,)."""
+        result = np.empty(len(theta))
+        model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
+        for part in batches(len(theta)):
+            result[part] = self._evaluate(theta[part], model_error[part])
+        return result
+
+    @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
+    def _evaluate(self, theta: Array, model_error: Array) -> Array:
+        errors = self.base.leg_errors_by_leg(theta)
+        n, n_poses, n_batch = errors.shape
+        mapped = self._scratch.take("mapped", n_poses, n, n_batch)
+        np.matmul(self._unmap, errors.transpose(1, 0, 2), out=mapped)
+        rows = self._scratch.take("combined", n_poses, n, n_batch)
+        np.matmul(self.combination.T, mapped.reshape(n_poses, -1), out=rows.reshape(n_poses, -1))
+        variance = model_error.T**2
+        weight = self.actuator_weight
+
+        def add(leg: int) -> Array:
+            return np.asarray(weight[:, leg, None] * variance[leg] + weight[:, n + leg, None] * variance[n + leg])
+
+        known = np.broadcast_to(self._mean_known, (n_poses, n, n))
+        density = factor_by_columns(known, add, rows.transpose(1, 0, 2), self._scratch)[0].sum(axis=0)
+        density += self._log_constant
+        density[~np.isfinite(density)] = -np.inf
+        return np.asarray(density)
+
+    def _pointwise(self, theta: Array, model_error: Array) -> Array:
+        """Return log p(r_n | all other poses, θ, τ, s) of each pose, shape (B, P).
+
+        With A the inverse of the covariance of all poses and α = A r the density of r_n given the others is normal with
+        precision A_nn, and its deviation from its mean is A_nn⁻¹ α_n.
+        """
+        model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
+        precision, solved = self._solve(theta, model_error)
+        u = self.combination
+        alpha = np.einsum("pk,bki->bpi", u, solved)
+        own = np.einsum("pk,bkij->bpij", u**2, precision)
+        deviation = np.linalg.solve(own, alpha[..., None])[..., 0]
+        _, log_det = np.linalg.slogdet(own)
+        constant = self.base.log_constant - np.linalg.slogdet(self._map)[1]
+        return np.asarray(constant + 0.5 * log_det - 0.5 * np.einsum("bpi,bpi->bp", alpha, deviation))
+
+    def _solve(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
+        """Return the precisions of the combinations (B, P, N, N) and these times q, shape (B, P, N)."""
+        precision = np.linalg.inv(self.error_covariance(model_error))
+        return precision, np.einsum("bkij,bkj->bki", precision, self.errors(theta))
+
+    # --- prediction ----------------------------------------------------------------------------------------------
+
+    def condition(self, poses: PoseLikelihood, theta: Array, model_error: Array) -> Conditional:
+        """Return g at poses given the errors at the calibration poses, for vectors (B, D) and model errors (B, 2 N)."""
+        mean, precision, seen, scale = self._transfer(poses, theta, model_error)
+        inputs, held = self.inputs_of(poses), self._find_map(poses)
+        taken = np.einsum("qk,bkij->bqij", seen**2, precision, optimize=True)
+        own = np.diagonal(self.kernel(inputs, inputs))
+        left = own[:, None, None] * (np.eye(self.n_legs) * scale[:, None, None, :])
+        left = left - scale[:, None, :, None] * taken * scale[:, None, None, :]
+        return Conditional(np.einsum("qij,bqj->bqi", held, mean), held @ left @ np.swapaxes(held, -1, -2))
+
+    def joint(self, poses: PoseLikelihood, theta: Array, model_error: Array) -> Array:
+        """Return the log-density of all held-back poses together, given the calibration poses, shape (B,).
+
+        Parameters
+        ----------
+        poses : PoseLikelihood
+            Density of Q held-back poses without structured error.
+        theta : ndarray, shape (B, D)
+        model_error : ndarray, shape (B, 2 N)
+        """
+        mean, precision, seen, scale = self._transfer(poses, theta, model_error)
+        inputs, held = self.inputs_of(poses), self._find_map(poses)
+        n, n_poses = self.n_legs, poses.n_poses
+        taken = np.einsum("qk,bkij,rk->bqirj", seen, precision, seen, optimize=True)
+        taken *= scale[:, None, :, None, None] * scale[:, None, None, None, :]
+        prior = np.einsum("qr,ij,bj->bqirj", self.kernel(inputs, inputs), np.eye(n), scale)
+        noise = self._mean_known + np.eye(n) * (self._legs_weight * model_error[:, :n] ** 2)[:, None, :]
+        total = prior - taken + np.einsum("qr,bij->bqirj", np.eye(n_poses), noise)
+        errors = np.einsum("qij,bqj->bqi", np.linalg.inv(held), poses.leg_errors(theta)) - mean
+        factor = np.linalg.cholesky(total.reshape(len(theta), n_poses * n, -1))
+        white = np.linalg.solve(factor, errors.reshape(len(theta), -1, 1))[..., 0]
+        half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+        constant = poses.log_constant.sum() - np.linalg.slogdet(held)[1].sum()
+        return np.asarray(constant - half_log_det - 0.5 * np.einsum("bi,bi->b", white, white))
+
+    def _transfer(self, poses: PoseLikelihood, theta: Array, model_error: Array) -> tuple[Array, Array, Array, Array]:
+        """Return g's mean at poses (B, Q, N), the precisions, the kernel seen by combinations (Q, P), and w s²."""
+        precision, solved = self._solve(theta, model_error)
+        seen = self.kernel(self.inputs_of(poses), self._inputs) @ self.combination
+        scale = self._legs_weight * model_error[:, self.n_legs :] ** 2
+        mean = scale[:, None, :] * np.einsum("qk,bki->bqi", seen, solved, optimize=True)
+        return mean, precision, seen, scale
+
+    @property
+    def per_actuator(self) -> Array:
+        """Closure per displacement of each leg's actuator, without its sign, shape (N,)."""
+        return np.asarray(np.sqrt(self._legs_weight))

@@ -1,0 +1,252 @@
+"""A model error that is a function of the pose: density, conditionals and coordinates against plain formulas."""
+
+import numpy as np
+import pytest
+import telescope_machines as machines
+from scipy.stats import multivariate_normal
+
+from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.model_error import (
+    OFF,
+    KernelScale,
+    KernelScalePrior,
+    LinearKernel,
+    QuadraticKernel,
+    SmoothKernel,
+    build_kernel,
+)
+from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.priors import NormalPrior
+from bayescal.density.structured import StructuredLikelihood, map_covariance
+from bayescal.density.structured_posterior import StructuredPosterior
+from bayescal.density.structured_prediction import pointwise_given, predict_structured
+from bayescal.errors import InputError
+
+N_POSES, N_HELD = 12, 3
+KERNELS = [LinearKernel(), QuadraticKernel(2.0), SmoothKernel(1.5)]
+TAU, SCALE = np.array([1e-3, 2e-3, 0.0, 3e-3, 1e-3, 2e-3]), np.array([8e-3, 5e-3, 0.0, 9e-3, 1e-2, 4e-3])
+
+
+@pytest.fixture(scope="module")
+def poses():
+    machine = machines.build_machine("none")
+    actuators = machines.table_3_actuators()[: N_POSES + N_HELD]
+    theta, rng = machines.telescope_truth(machine), np.random.default_rng(1)
+    found = machines.simulate_poses(machine, theta, actuators, np.full(6, 2e-3), rng)
+    seen = np.arange(len(actuators)) < N_POSES
+    calibration, held = (
+        PoseLikelihood(machine, found.select(one), machines.ACTUATOR_NOISE).refined().refined() for one in (seen, ~seen)
+    )
+    return calibration, held, theta
+
+
+def build(poses, kernel):
+    return StructuredLikelihood(poses[0], kernel, machines.ACTUATOR_RANGE)
+
+
+def stack_density(likelihood, theta, *parts):
+    """Return errors, covariance (legs of all poses) and constant of some poses together, from the plain formula."""
+    errors, maps, inputs, constant = [], [], [], 0.0
+    mean = likelihood.base.legs_known.mean(axis=0)
+    for part in parts:
+        errors.append(part.leg_errors(theta[None])[0].ravel())
+        maps += list(map_covariance(mean, part.legs_known))
+        inputs.append((part.poses.actuators - machines.INITIAL_POSITION) / machines.ACTUATOR_RANGE)
+        constant += part.log_constant.sum()
+    inputs = np.concatenate(inputs)
+    weight = likelihood.base.actuator_weight.mean(axis=0)
+    noise = np.kron(np.eye(len(inputs)), mean + np.diag(weight * TAU**2))
+    covariance = noise + np.kron(likelihood.kernel(inputs, inputs), np.diag(weight * SCALE**2))
+    change = np.zeros_like(covariance)
+    for k, one in enumerate(maps):
+        change[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = one
+    errors = np.concatenate(errors)
+    return errors, change @ covariance @ change.T, constant + 0.5 * len(errors) * np.log(2 * np.pi)
+
+
+def log_normal(errors, covariance):
+    return multivariate_normal(np.zeros(len(errors)), covariance).logpdf(errors)
+
+
+@pytest.mark.parametrize("kernel", KERNELS, ids=lambda one: one.name)
+def test_density_is_that_of_all_poses_together(poses, kernel):
+    likelihood, theta = build(poses, kernel), poses[2]
+    errors, covariance, constant = stack_density(likelihood, theta, poses[0])
+    found = likelihood(theta[None], np.concatenate([TAU, SCALE])[None])
+    assert found == pytest.approx(log_normal(errors, covariance) + constant, abs=1e-6)
+
+
+def test_without_a_model_error_nothing_changes(poses):
+    likelihood, theta = build(poses, LinearKernel()), np.stack([poses[2], poses[0].machine.layout.nominal])
+    none = np.zeros(12)
+    np.testing.assert_allclose(likelihood(theta, none), poses[0](theta, none[:6]), rtol=1e-9)
+
+
+@pytest.mark.parametrize("kernel", KERNELS, ids=lambda one: one.name)
+def test_pointwise_density_is_given_all_other_poses(poses, kernel):
+    likelihood, theta = build(poses, kernel), poses[2]
+    errors, covariance, _ = stack_density(likelihood, theta, poses[0])
+    found = likelihood.pointwise(theta[None], np.concatenate([TAU, SCALE])[None])[0]
+    for pose in (0, 7):
+        rest = np.delete(np.arange(len(errors)), np.arange(6 * pose, 6 * pose + 6))
+        rest_alone = log_normal(errors[rest], covariance[np.ix_(rest, rest)])
+        expected = log_normal(errors, covariance) - rest_alone + poses[0].log_constant[pose] + 3 * np.log(2 * np.pi)
+        assert found[pose] == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("kernel", KERNELS, ids=lambda one: one.name)
+def test_held_back_poses_are_predicted_given_the_calibration(poses, kernel):
+    likelihood, theta = build(poses, kernel), poses[2]
+    calibration, covariance, constant = stack_density(likelihood, theta, poses[0])
+    errors, both, constant_both = stack_density(likelihood, theta, poses[0], poses[1])
+    model_error = np.concatenate([TAU, SCALE])[None]
+    single, together = pointwise_given(likelihood, poses[1], theta[None], model_error)
+    expected = log_normal(errors, both) + constant_both - log_normal(calibration, covariance) - constant
+    assert together[0] == pytest.approx(expected, abs=1e-5)
+    n = len(calibration)
+    gain = both[n:, :n] @ np.linalg.inv(covariance)
+    mean, left = gain @ calibration, both[n:, n:] - gain @ both[:n, n:]
+    found = likelihood.condition(poses[1], theta[None], model_error)
+    np.testing.assert_allclose(found.mean[0].ravel(), mean, atol=1e-9)
+    # τ acts along the legs themselves in the density of a pose by itself: alike to the poses' differences
+    for pose in range(N_HELD):
+        own = slice(6 * pose, 6 * pose + 6)
+        alone = log_normal(errors[n:][own] - mean[own], left[own, own]) + 3 * np.log(2 * np.pi)
+        assert single[0, pose] == pytest.approx(alone + poses[1].log_constant[pose], abs=0.05)
+
+
+def test_prediction_without_structured_error_is_that_of_the_geometry(poses):
+    likelihood, theta = build(poses, LinearKernel()), np.tile(poses[2], (40, 1))
+    none = np.concatenate([np.full(6, 1e-3), np.zeros(6)])
+    prediction, error = predict_structured(
+        likelihood, poses[1], theta, np.tile(none, (40, 1)), np.random.default_rng(0)
+    )
+    np.testing.assert_allclose(prediction.error, poses[1].pose_errors(theta[:1])[0], atol=1e-12)
+    assert not error.size.any()
+
+
+def test_structured_error_is_found_and_interpolated(poses):
+    """A function of the travel added to the errors comes back at poses that were held back."""
+    machine, theta = poses[0].machine, poses[2]
+    actuators = machines.table_3_actuators()[:30]
+    slopes = 0.01 * np.random.default_rng(2).standard_normal((6, 6))
+    false = machines.ACTUATOR_RANGE * (actuators - machines.INITIAL_POSITION) / machines.ACTUATOR_RANGE @ slopes.T
+    moved = machines.place_poses(machine, theta, actuators + false, np.zeros((30, 6)))
+    told = type(moved)(moved.names, moved.position, moved.rotation, moved.covariance, actuators)
+    seen = np.arange(30) < 24
+    calibration, held = (PoseLikelihood(machine, told.select(one), machines.ACTUATOR_NOISE) for one in (seen, ~seen))
+    likelihood = StructuredLikelihood(calibration, LinearKernel(), machines.ACTUATOR_RANGE)
+    model_error = np.concatenate([np.full(6, 1e-4), np.full(6, 1e-2)])
+    prediction, error = predict_structured(
+        likelihood, held, np.tile(theta, (20, 1)), np.tile(model_error, (20, 1)), np.random.default_rng(0)
+    )
+    before = np.abs(held.leg_errors(theta[None])[0])
+    assert (
+        prediction.position_error.mean() < 0.1 * np.linalg.norm(held.pose_errors(theta[None])[0, :, :3], axis=1).mean()
+    )
+    assert np.abs(np.abs(error.mean) - before / likelihood.per_actuator).max() < 0.1 * before.max()
+
+
+# --- posterior -------------------------------------------------------------------------------------------------------
+
+
+def build_posterior(poses, kernel, shared):
+    layout = poses[0].machine.layout
+    names = [name for name in layout.names if name.split("[")[0] in machines.FREE_SYMBOLS["none"]]
+    position = {name: k for k, name in enumerate(layout.names)}
+    priors = {n: NormalPrior(layout.nominal[position[n]], machines.PRIOR_SD.get(n.split("[")[0], 2.0)) for n in names}
+    scale = KernelScale(0.02, 0.3, shared)
+    return StructuredPosterior(build(poses, kernel), priors, ModelError(0.01), kernel_scale=scale)
+
+
+@pytest.mark.parametrize("shared", [True, False], ids=["shared", "per leg"])
+@pytest.mark.parametrize("kernel", KERNELS, ids=lambda one: one.name)
+def test_gradient_against_differences(poses, kernel, shared):
+    posterior = build_posterior(poses, kernel, shared)
+    y = posterior.polish(posterior.approach())
+    y += np.random.default_rng(3).standard_normal(posterior.n_parameters) / np.sqrt(-np.diag(posterior.gradient(y)[1]))
+    gradient, hessian = posterior.gradient(y)
+    expected = machines.stencil_derivative(posterior.log_density, y, np.full(len(y), 1e-3))
+    assert np.linalg.eigvalsh(hessian).max() < 0.0
+    off = (gradient - expected) / np.sqrt(-np.diag(hessian))  # per posterior sd of each coordinate by itself
+    # the legs' errors are found by iteration, their derivative is exact; in τ and s nothing is iterated
+    assert np.abs(off).max() < 0.02
+    assert np.abs(off[posterior.n_geometry :]).max() < 1e-6
+    assert np.abs(gradient / np.sqrt(-np.diag(hessian))).max() > 0.5
+
+
+def test_lengths_follow_the_joints(poses):
+    posterior = build_posterior(poses, LinearKernel(), True)
+    coordinates, n = posterior.coordinates, posterior.n_geometry
+    y = 0.4 * np.random.default_rng(4).standard_normal((3, n))
+    theta = coordinates.theta_from_y(y)
+    np.testing.assert_allclose(coordinates.y_from_theta(theta), y, atol=1e-10)
+    expected = machines.stencil_derivative(coordinates.theta_from_y, y[0], np.full(n, 0.05))
+    np.testing.assert_allclose(coordinates.jacobian(theta[0]), expected, atol=1e-7)
+    own = coordinates.jacobian(theta[0])[coordinates.free]
+    assert np.linalg.slogdet(own)[1] == pytest.approx(coordinates.log_scale, abs=1e-9)
+    # joints a millimetre off leave the mean closure where it was
+    likelihood = posterior.likelihood.base
+    y[:, [k for k, name in enumerate(posterior.names[:n]) if name.startswith("l[")]] = 0.0
+    y = np.vstack([np.zeros(n), y])
+    moved = likelihood.leg_errors(coordinates.theta_from_y(y)).mean(axis=1)
+    plain = Posterior.coordinates.func(posterior).theta_from_y(y)
+    assert np.abs(moved - moved[0]).max() < 5e-3
+    assert np.abs(likelihood.leg_errors(plain).mean(axis=1) - moved[0]).max() > 0.1
+
+
+def test_switch_has_the_probability_of_its_prior():
+    scale, prior = KernelScale(0.02, 0.3), KernelScalePrior(0.02, 0.3)
+    c = np.concatenate([np.random.default_rng(5).standard_normal(100_000) + place for place in (0.0, OFF)])
+    values = scale.scale_from_switch(c)
+    assert (values == 0.0).mean() == pytest.approx(0.5, abs=1e-3)
+    assert values.mean() == pytest.approx(prior.mean, rel=0.01)
+    assert values.std() == pytest.approx(prior.sd, rel=0.01)
+    grid = np.geomspace(1e-3, 0.2, 20_000)
+    assert np.trapezoid(np.exp(prior.log_density(grid)), grid) == pytest.approx(0.5, abs=1e-3)
+    assert scale.scale_from_switch(np.array(scale.flip(0.3))) == 0.0
+    assert scale.scale_from_switch(np.array(scale.flip(OFF))) == pytest.approx(0.02)
+    assert KernelScale.deviation(np.array([0.5, OFF + 0.5])) == pytest.approx([0.5, 0.5])
+
+
+def test_log_prior_is_normalised_over_the_switch(poses):
+    posterior = build_posterior(poses, LinearKernel(), True)
+    c = np.linspace(OFF - 8.0, 8.0, 4001)
+    y = np.zeros((len(c), posterior.n_parameters))
+    y[:, -1] = c
+    ratio = np.exp(posterior.log_prior(y) - posterior.log_prior(y[-1:] * 0.0)) * np.exp(
+        posterior.log_prior(y[:1] * 0.0)
+    )
+    without = posterior.log_prior(np.zeros((1, posterior.n_parameters)))[0] + 0.5 * np.log(2 * np.pi) + np.log(2.0)
+    assert np.log(np.trapezoid(ratio, c)) == pytest.approx(without, abs=1e-6)
+
+
+# --- kernels and bad input -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kernel", KERNELS, ids=lambda one: one.name)
+def test_kernel_vanishes_at_home_and_is_a_covariance(kernel):
+    inputs = np.vstack([np.zeros(6), np.random.default_rng(6).uniform(-1, 1, (30, 6))])
+    matrix = kernel(inputs, inputs)
+    assert np.abs(matrix[0]).max() < 1e-15
+    assert np.linalg.eigvalsh(matrix).min() > -1e-12
+
+
+@pytest.mark.parametrize("name", ["quadratic", "smooth"])
+def test_long_kernels_are_linear(name):
+    inputs = np.random.default_rng(7).uniform(-1, 1, (9, 6))
+    long, short = (build_kernel(name, length)(inputs, inputs) for length in (1e4, 1.0))
+    np.testing.assert_allclose(long, LinearKernel()(inputs, inputs), atol=1e-6)
+    assert np.abs(short - long).max() > 0.1
+
+
+def test_too_few_poses_and_poses_not_measured_alike_are_refused(poses):
+    machine, found = poses[0].machine, poses[0].poses
+    few = PoseLikelihood(machine, found.select(np.arange(N_POSES) < 2), machines.ACTUATOR_NOISE)
+    with pytest.raises(InputError, match="2 calibration poses, expected 3 or more"):
+        StructuredLikelihood(few, LinearKernel(), 1.3)
+    covariance = found.covariance.copy()
+    covariance[4] *= 9.0
+    uneven = type(found)(found.names, found.position, found.rotation, covariance, found.actuators)
+    with pytest.raises(InputError, match=r"pose '5': found a covariance .* measured alike"):
+        StructuredLikelihood(PoseLikelihood(machine, uneven, machines.ACTUATOR_NOISE), LinearKernel(), 1.3)
