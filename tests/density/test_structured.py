@@ -121,7 +121,7 @@ def test_prediction_without_structured_error_is_that_of_the_geometry(poses):
     prediction, error = predict_structured(
         likelihood, poses[1], theta, np.tile(none, (40, 1)), np.random.default_rng(0)
     )
-    np.testing.assert_allclose(prediction.error, poses[1].pose_errors(theta[:1])[0], atol=1e-12)
+    np.testing.assert_allclose(prediction.summarise().error, poses[1].pose_errors(theta[:1])[0], atol=1e-12)
     assert not error.size.any()
 
 
@@ -142,7 +142,8 @@ def test_structured_error_is_found_and_interpolated(poses):
     )
     before = np.abs(held.leg_errors(theta[None])[0])
     assert (
-        prediction.position_error.mean() < 0.1 * np.linalg.norm(held.pose_errors(theta[None])[0, :, :3], axis=1).mean()
+        prediction.summarise().position_error.mean()
+        < 0.1 * np.linalg.norm(held.pose_errors(theta[None])[0, :, :3], axis=1).mean()
     )
     assert np.abs(np.abs(error.mean) - before / likelihood.per_actuator).max() < 0.1 * before.max()
 

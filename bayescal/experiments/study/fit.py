@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import zlib
 from dataclasses import dataclass, fields
+from typing import cast
 
 import numpy as np
 
@@ -259,7 +260,7 @@ def _evaluate(
             parts = [posterior.evaluate_poses(likelihood, flat[part]) for part in batches(len(flat))]
             some = errors if errors.ndim == 1 else errors[chosen]
             made = replicate(likelihood, theta[chosen], some, rng)
-            misfit: Array = made.misfit.astype(np.float32).swapaxes(0, 1)
+            misfit = cast("Array", made.misfit.astype(np.float32).swapaxes(0, 1))
             found = {"log_likelihood": np.concatenate(parts).T, **vars(made.summarise())}
             found |= {"misfit": misfit} | _suspect(posterior, likelihood, flat)
         for name, value in found.items():
