@@ -177,7 +177,7 @@ def test_members_that_fail_are_listed_and_stop_nothing(call, tmp_path):
     sweep = sweeps.SWEEP.replace("values = [4, 16]", "values = [7, 16]")
     more = '[[axes]]\nkey = "noise.level_um"\nvalues = [1.0, 13.0]\n'
     path, out = sweeps.write(tmp_path, more, sweep), tmp_path / "out"
-    code, said, complaint = call("sweep", path, "--out", out, "--workers", 1, "--quiet")
+    code, _, complaint = call("sweep", path, "--out", out, "--workers", 1, "--quiet")
     assert (code, complaint) == (0, "")
     members = pd.read_csv(out / "members.csv", keep_default_na=False)
     failed = members[members["noise.level_um"] == 13.0]
