@@ -131,7 +131,7 @@ class Cluster(Engine):
                 NumericalError,
                 f"killed {error.allowed_failures + 1} workers one after another, perhaps for want of memory",
             )
-        if isinstance(error, ImportError | AttributeError | pickle.UnpicklingError):
+        if isinstance(error, ImportError | pickle.UnpicklingError):
             return NumericalError, f"a worker lacks what it needs ({_one_line(error)})"
         raise error
 
@@ -276,13 +276,22 @@ def _keep(parcel: Parcel) -> Parcel:
 
 def _work(task: bytes, parcel: Parcel) -> bytes:
     """Return a task's record or failure; bytes both ways, so that arrays lie in memory as in any other process."""
-    token, wanted, content = parcel
     with _ONE_AT_A_TIME:
-        if differ := _compare(list_all_versions(), wanted):
+        if differ := _compare(list_all_versions(), parcel[1]):
             return pickle.dumps((NumericalError, f"a worker has {differ}"))
-        if token not in _unpacked:
-            while len(_unpacked) >= KEPT:
-                del _unpacked[next(iter(_unpacked))]
-            _unpacked[token] = pickle.loads(content)
-        function, shared = _unpacked[token]
-        return pickle.dumps(run_guarded(function, shared, pickle.loads(task)), protocol=pickle.HIGHEST_PROTOCOL)
+        try:
+            function, shared = _unpack(parcel)
+            mine = pickle.loads(task)
+        except (ImportError, AttributeError, pickle.UnpicklingError) as error:
+            return pickle.dumps((NumericalError, f"a worker lacks what it needs ({_one_line(error)})"))
+        return pickle.dumps(run_guarded(function, shared, mine), protocol=pickle.HIGHEST_PROTOCOL)
+
+
+def _unpack(parcel: Parcel) -> tuple[Callable[[Any, Any], Any], Any]:
+    """Return a stage's function and what its tasks share, unpacked once."""
+    token, _, content = parcel
+    if token not in _unpacked:
+        while len(_unpacked) >= KEPT:
+            del _unpacked[next(iter(_unpacked))]
+        _unpacked[token] = pickle.loads(content)
+    return _unpacked[token]

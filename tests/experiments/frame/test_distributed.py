@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import cloudpickle
 import lives
 import pytest
 import test_kind_contract as contract
@@ -208,6 +210,21 @@ def test_other_versions_are_refused(dask, monkeypatch):
         open_engine(scheduler=dask.address),
     ):
         pass
+
+
+@pytest.mark.parametrize(
+    ("versions", "content", "message"),
+    [
+        ({"numpy": "1.0"}, cloudpickle.dumps((lives.say_pid, None)), "a worker has numpy"),
+        ({}, b"cno_such_module\nfunction\n.", "a worker lacks what it needs (ModuleNotFoundError: "),
+        ({}, b"nonsense", "a worker lacks what it needs (UnpicklingError: "),
+    ],
+)
+def test_a_worker_that_comes_late_says_what_it_lacks(versions, content, message):
+    parcel = (message, {**engine.list_all_versions(), **versions}, content)
+    kind, said = pickle.loads(engine._work(cloudpickle.dumps(1), parcel))
+    assert kind is NumericalError
+    assert said.startswith(message)
 
 
 @pytest.mark.parametrize(

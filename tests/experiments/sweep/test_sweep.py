@@ -12,7 +12,6 @@ import pytest
 import sweeps
 import tiny_experiments
 
-from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import compute_experiment, run_experiment
 from bayescal.experiments.frame.store import Store
@@ -259,11 +258,28 @@ def test_the_shipped_sweep_of_audits(tmp_path):
     assert many == pytest.approx(alone, rel=1e-8)
 
 
-def test_a_sweep_checks_what_it_is_given_before_it_computes(tmp_path):
+def test_a_sweep_checks_what_it_is_given_before_it_computes(call, tmp_path):
     path = sweeps.write(tmp_path)
     (tmp_path / "machine.toml").write_text("[legs]\n")
-    with pytest.raises(KeyError):
-        load(path)[0].read(load(path)[1], tmp_path)
-    (tmp_path / "machine.toml").unlink()
-    with pytest.raises((InputError, FileNotFoundError)):
-        load(path)[0].read(load(path)[1], tmp_path)
+    code, _, complaint = call("sweep", path, "--out", tmp_path / "out")
+    assert (code, complaint.count("\n")) == (2, 1)
+    assert "machine.toml: found no length of legs" in complaint
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_members_that_fail_in_files_of_their_own_say_so_without_folders(tmp_path):
+    """A machine without length, and a slip in the code of the kind: both listed, neither stops the others."""
+    path = sweeps.write(tmp_path)
+    text = path.read_text().replace('key = "poses"\nvalues = [4, 16]', 'key = "noise.level_um"\nvalues = [1.0, 17.0]')
+    path.write_text(text)
+    members = compute(path).tables["members"].set_index("noise.level_um")
+    assert set(members.loc[1.0, "state"]) == {"done"}
+    assert set(members.loc[17.0, "reason"]) == {"KeyError: 'a slip in the code'"}
+    path.write_text(
+        text.replace(
+            '"noise.level_um"\nvalues = [1.0, 17.0]', '"machine.toml:legs"\nvalues = [{}, { length_mm = 1.0 }]'
+        )
+    )
+    members = compute(path).tables["members"]
+    assert set(members["reason"]) == {"machine.toml: found no length of legs, expected one", ""}
+    assert (members["state"] == "failed").sum() == 5
