@@ -15,6 +15,7 @@ import tiny_experiments
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import compute_experiment, run_experiment
 from bayescal.experiments.frame.store import Store
+from bayescal.experiments.sweep.answers import find_answers
 from bayescal.experiments.sweep.keys import change, look_up, write_toml
 
 SHIPPED = tiny_experiments.SHIPPED / "audit" / "m2_hexapod_tracker.toml"
@@ -65,8 +66,26 @@ def test_the_sweeps_seed_is_that_of_its_members(tmp_path):
     assert set(compute(path).tables["members"]["seed"]) == {5.0}
     repeated = sweeps.SWEEP.replace('key = "poses"\nvalues = [4, 16]', 'key = "seed"\nvalues = [8, 9]')
     path = sweeps.write(tmp_path, '[[figures]]\nkey = "poses"\n', repeated)
-    members = compute(path).tables["members"]
-    assert list(members["seed"]) == [8.0, 9.0] * 5
+    results = compute(path)
+    assert list(results.tables["members"]["seed"]) == [8.0, 9.0] * 5
+    answers = results.tables["answers"]
+    assert list(answers["axis"]) == ["noise.tracker_um"]  # seeds only repeat
+    assert list(answers["holds"]) == ["up to"]
+
+
+def test_of_repeats_the_worst_counts_and_several_bounds_are_said(tmp_path):
+    config = load(sweeps.write(tmp_path))[1]
+    axis, figure = config.axes[0], config.figures[0]
+    columns = {axis.name: [1.0, 1.0, 2.0, 2.0, 3.0, 4.0], "poses": 4.0}
+
+    def find(values):
+        found = find_answers(config, pd.DataFrame({**columns, figure.key: values}))
+        return next(one for one in found if one["axis"] == axis.name)
+
+    assert find([1.0, 2.0, 30.0, 1.0, 40.0, 50.0])["outside"] == 2.0
+    assert find([1.0, 2.0, 3.0, 1.0, 40.0, 5.0])["holds"] == "in places"
+    assert find([1.0, math.nan, 3.0, 1.0, math.nan, 5.0])["holds"] == "everywhere"
+    assert find([math.nan] * 6)["holds"] == "nowhere"
 
 
 LIST = """

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.sweep.answers import ALWAYS, FROM, MIXED, NEVER, UP_TO, is_numeric
+from bayescal.experiments.sweep.answers import ALWAYS, FROM, MIXED, NEVER, UP_TO, is_scale
 from bayescal.experiments.sweep.page.figures import draw_against, name_axis, name_figure
 from bayescal.experiments.sweep.schema import AxisConfig, FigureConfig, SweepConfig
 from bayescal.report.blocks import (
@@ -70,11 +70,11 @@ def _require(figure: FigureConfig) -> str:
 def _place(row: Mapping[Any, Any], axis: AxisConfig) -> str:
     name = axis.label or axis.name
     if row["holds"] in (ALWAYS, NEVER):
-        return f"{row['holds']} on the axis {name}"
+        return f"{row['holds']} along {name}"
     if row["holds"] == MIXED:
         return f"in places along {name}, not on one side of a bound"
     unit = f" {axis.unit}" if axis.unit and axis.factors is None else " times" if axis.factors is not None else ""
-    inside, outside = format_plain(row["inside"]), format_plain(row["outside"])
+    inside, outside = format_plain(row["inside"], 4), format_plain(row["outside"], 4)
     return (
         f"{name} {row['holds']} {format_plain(row['bound'], 3)}{unit}, interpolated between {inside}, where it holds, "
         f"and {outside}, where it does not"
@@ -136,7 +136,7 @@ def _answer_section(
             name_axis(axes[row["axis"]]),
             row["where"] or NOTHING,
             Cell(row["holds"], LEVELS[row["holds"]]),
-            *(_number(row[name], 3 if name == "bound" else 6) for name in ("bound", "inside", "outside")),
+            *(_number(row[name], 3 if name == "bound" else 4) for name in ("bound", "inside", "outside")),
         ]
         for row in answers.to_dict("records")
     ]
@@ -150,7 +150,7 @@ def _list_pictures(config: SweepConfig, members: pd.DataFrame) -> Iterator[Figur
         (k, figure, n, axis)
         for k, figure in enumerate(config.figures, 1)
         for n, axis in enumerate(config.axes, 1)
-        if is_numeric(members[axis.name]) and members[figure.key].dtype.kind == "f"
+        if is_scale(axis, members[axis.name]) and members[figure.key].dtype.kind == "f"
     ]
     for k, figure, n, axis in pairs[:MOST_PICTURES]:
         name, caption = f"figure_{k}_axis_{n}", f"{name_figure(figure)} against {name_axis(axis)}."
