@@ -57,7 +57,7 @@ def _name(axis: AxisConfig) -> str:
 
 def _show(value: Any, axis: AxisConfig) -> str:
     text = format_plain(value, 4) if isinstance(value, float) else str(value)
-    return f"{text} {axis.unit}".rstrip()
+    return f"{text} {axis.unit if axis.factors is None else 'times'}".rstrip()
 
 
 def _find_one(axis: AxisConfig, figure: FigureConfig, rows: pd.DataFrame) -> dict[str, Any]:

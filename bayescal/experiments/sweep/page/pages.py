@@ -47,7 +47,7 @@ def build_page(config: SweepConfig, results: Results) -> Page:
         _member_section(config, members),
     )
     origin = f"Members are as {summary['experiment']} makes them, but for the keys that vary."
-    headline = said[0].text if said else _state_span(config.figures[0], summary)
+    headline = f"{said[0].lead} {said[0].text}" if said else _state_span(config.figures[0], summary)
     return Page(KIND, config.name, config.title, origin, headline, verdict, sections, _list_facts(config, summary))
 
 
@@ -58,13 +58,13 @@ def _say(row: Mapping[Any, Any], axes: dict[str, AxisConfig], figures: dict[str,
     """Return where a figure keeps what is required of it."""
     figure, axis = figures[row["figure"]], axes[row["axis"]]
     where = f" with {row['where']}" if row["where"] else ""
-    text = f"{_require(figure)}{where}: {_place(row, axis)}."
+    text = f"{_limit(figure)}{where}: {_place(row, axis)}."
     return Statement(text, LEVELS[row["holds"]], figure.label or figure.key)
 
 
-def _require(figure: FigureConfig) -> str:
+def _limit(figure: FigureConfig) -> str:
     word, limit = ("at most", figure.at_most) if figure.at_most is not None else ("at least", figure.at_least)
-    return f"{figure.label or figure.key} {word} {format_plain(limit or 0.0)} {figure.unit}".rstrip()
+    return f"{word} {format_plain(limit or 0.0)} {figure.unit}".rstrip()
 
 
 def _place(row: Mapping[Any, Any], axis: AxisConfig) -> str:
@@ -132,7 +132,7 @@ def _answer_section(
     columns += [Column(title) for title in ("Bound", "Still", "No more")]
     rows = [
         [
-            _require(figures[row["figure"]]),
+            f"{figures[row['figure']].label or row['figure']} {_limit(figures[row['figure']])}",
             name_axis(axes[row["axis"]]),
             row["where"] or NOTHING,
             Cell(row["holds"], LEVELS[row["holds"]]),
