@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: study real audits test test-slow check data benchmark clean help
+.PHONY: study real audits test test-dask test-slow check data benchmark clean help
 
 help:
 	@echo "make study      the telescope study: environment, run, ranking, report (about a minute)"
@@ -12,6 +12,7 @@ help:
 	@echo "make audits     all shipped identifiability audits"
 	@echo "make test       environment and the test suite"
 	@echo "make test-slow  the slow statistical suites"
+	@echo "make test-dask  schedulers and workers of dask, killed and late (installs dask.distributed)"
 	@echo "make check      linter, types, import contracts"
 	@echo "make data       simulate the shipped twins again"
 	@echo "make benchmark  speed against a compiled loop and against NUTS (installs numba and numpyro)"
@@ -23,12 +24,16 @@ real: $(STAMP)
 	$(THREADS) $(BIN)/bayescal run experiments/hangprinter/study.toml
 
 audits: $(STAMP)
-	@for design in $(filter-out %_mechanism.toml,$(wildcard experiments/audit/*.toml)); do \
+	@for design in $(filter-out %_mechanism.toml %_tracker.toml,$(wildcard experiments/audit/*.toml)); do \
 	  echo "$$design" && $(THREADS) $(BIN)/bayescal audit $$design || exit $$?; \
 	done
 
 test: $(STAMP)
 	$(THREADS) $(BIN)/python -m pytest -q -n 2 --dist loadfile
+
+test-dask: $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dask]"
+	$(THREADS) $(BIN)/python -m pytest -q -m "slow or not slow" tests/experiments/frame/test_distributed.py
 
 test-slow: $(STAMP)
 	$(THREADS) $(BIN)/python -m pytest -q -n 2 -m slow

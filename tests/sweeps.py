@@ -13,7 +13,7 @@ from pathlib import Path
 from pydantic import Field
 
 from bayescal.config.sections import ExperimentConfig, InputFile, Positive, Section
-from bayescal.errors import NumericalError
+from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.results import Results
 from bayescal.report.blocks import Page, make_section
@@ -35,7 +35,10 @@ class Tiny(Experiment):
     schema = TinyConfig
 
     def read(self, config, folder):
-        return config, tomllib.loads((folder / config.machine).read_text())["legs"]["length_mm"]
+        try:
+            return config, tomllib.loads((folder / config.machine).read_text())["legs"]["length_mm"]
+        except (OSError, KeyError) as error:
+            raise InputError(f"{config.machine}: found no length of legs, expected one") from error
 
     def compute(self, inputs, run):
         config, length = inputs
@@ -44,6 +47,8 @@ class Tiny(Experiment):
                 log.write("x")
         if config.noise.level_um == 13.0:
             raise NumericalError("no machine has\\nsuch a level")
+        if config.noise.level_um == 17.0:
+            raise KeyError("a slip in the code")
         value = config.noise.tracker_um * length / config.poses**0.5
         sensors = {"tracker.a": {"sd": value, "seen": True}, "names": ["a", {"b": 3}], "none": None}
         return Results({"sensors": sensors, "seed": config.seed, "poses": config.poses})

@@ -34,6 +34,7 @@ LOADERS = {
     "audit": load_audit,
     "calibration": load_experiment,
     "line_machine": read_reading_model,
+    "sweep": load_experiment,
 }
 SHIPPED = sorted(studies.EXPERIMENTS.rglob("*.toml"))
 

@@ -13,6 +13,7 @@ import pickle
 import re
 import sys
 import threading
+import time
 import uuid
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -31,6 +32,8 @@ from bayescal.experiments.frame.versions import list_versions
 LOCAL = re.compile(r"local:([1-9]\d{0,3})")
 LOOPBACK = "127.0.0.1"
 TIMEOUT = 10.0  # seconds for a scheduler to answer
+POLL = 0.01  # seconds between two looks for results
+LOST = 30.0  # seconds after which workers are looked for
 KEPT = 2  # stages that a worker keeps unpacked: the next one begins while tasks of the last may be under way
 PACKAGES = ("cloudpickle", "dask", "distributed", "pydantic")
 """What must be the same at both ends besides what numbers depend on."""
@@ -48,11 +51,14 @@ class Cluster(Engine):
     client : distributed.Client
     address : str
         As it was asked for.
+    own : bool
+        Whether scheduler and workers belong to this run.
     """
 
-    def __init__(self, client: Any, address: str) -> None:
+    def __init__(self, client: Any, address: str, own: bool) -> None:
         self.client = client
         self.address = address
+        self.own = own
 
     def compute[S, T](
         self, function: Callable[[S, T], Any], shared: S, tasks: Mapping[str, T]
@@ -82,17 +88,39 @@ class Cluster(Engine):
 
         ended = as_completed(sent, loop=self.client.loop, with_results=True, raise_errors=False)
         sent.clear()  # a result that was fetched is dropped by the cluster when nothing here holds on to it
-        for future, result in ended:
-            name = keys[future.key]
-            if future.status == "finished":
-                yield name, pickle.loads(result)
-            elif future.status == "error":
-                yield name, self._explain(future.exception())
-            else:
-                raise NumericalError(
-                    f"the scheduler at {self.address} went away or dropped its tasks; go on with --resume"
-                )
-            del waiting[future.key]
+        seen = time.monotonic()
+        while not ended.is_empty():
+            if not ended.has_ready():
+                time.sleep(POLL)
+                seen = self._look_for_workers(seen)
+                continue
+            for future, result in ended.next_batch(block=False):
+                yield keys[future.key], self._read(future, result)
+                del waiting[future.key]
+
+    def _read(self, future: Any, result: Any) -> Record | Failure:
+        """Return the record or failure of a task that has ended."""
+        if future.status == "finished":
+            outcome: Record | Failure = pickle.loads(result)
+            return outcome
+        if future.status == "error":
+            return self._explain(future.exception())
+        raise NumericalError(f"the scheduler at {self.address} went away or dropped its tasks; go on with --resume")
+
+    def _look_for_workers(self, seen: float) -> float:
+        """Return when workers were seen last; NumericalError where this run's own are gone for good.
+
+        A nanny does not start a worker again that ends while it is still starting it. Workers of another scheduler may
+        come whenever a queue lets them.
+        """
+        now = time.monotonic()
+        if not self.own or now - seen < LOST or self.client.status != "running":
+            return seen
+        if not self.client.nthreads():
+            raise NumericalError(
+                f"all workers of {self.address} were killed, perhaps for want of memory; go on with --resume"
+            )
+        return now
 
     def _explain(self, error: BaseException) -> Failure:
         """Return in words why dask gave a task up; what is no fault of the cluster's is raised."""
@@ -103,7 +131,7 @@ class Cluster(Engine):
                 NumericalError,
                 f"killed {error.allowed_failures + 1} workers one after another, perhaps for want of memory",
             )
-        if isinstance(error, ImportError | AttributeError | pickle.UnpicklingError):
+        if isinstance(error, ImportError | pickle.UnpicklingError):
             return NumericalError, f"a worker lacks what it needs ({_one_line(error)})"
         raise error
 
@@ -137,7 +165,7 @@ def connect(address: str, quiet: bool = True) -> Iterator[Cluster]:
         _check_versions(client, address)
         if not quiet and not client.nthreads():
             print(f"waiting for workers of {address}", file=sys.stderr, flush=True)
-        yield Cluster(client, address)
+        yield Cluster(client, address, local is not None)
 
 
 def _import_distributed() -> Any:
@@ -177,6 +205,10 @@ def _serve(distributed: Any, workers: int) -> Iterator[Any]:
 def _answer(distributed: Any, address: str) -> Iterator[Any]:
     """Hold a connection to a scheduler that runs already."""
     where: dict[str, Any] = {"address": address}
+    if address.startswith("tls:") and distributed.Security().tls_client_cert is None:
+        raise InputError(
+            f"{WANT}: found no certificate for {address} in dask's configuration, expected one of a client"
+        )
     if address.endswith(".json"):
         if not Path(address).is_file():
             raise InputError(f"{WANT}: found no file {address}, expected the one that a scheduler writes")
@@ -244,13 +276,22 @@ def _keep(parcel: Parcel) -> Parcel:
 
 def _work(task: bytes, parcel: Parcel) -> bytes:
     """Return a task's record or failure; bytes both ways, so that arrays lie in memory as in any other process."""
-    token, wanted, content = parcel
     with _ONE_AT_A_TIME:
-        if differ := _compare(list_all_versions(), wanted):
+        if differ := _compare(list_all_versions(), parcel[1]):
             return pickle.dumps((NumericalError, f"a worker has {differ}"))
-        if token not in _unpacked:
-            while len(_unpacked) >= KEPT:
-                del _unpacked[next(iter(_unpacked))]
-            _unpacked[token] = pickle.loads(content)
-        function, shared = _unpacked[token]
-        return pickle.dumps(run_guarded(function, shared, pickle.loads(task)), protocol=pickle.HIGHEST_PROTOCOL)
+        try:
+            function, shared = _unpack(parcel)
+            mine = pickle.loads(task)
+        except (ImportError, AttributeError, pickle.UnpicklingError) as error:
+            return pickle.dumps((NumericalError, f"a worker lacks what it needs ({_one_line(error)})"))
+        return pickle.dumps(run_guarded(function, shared, mine), protocol=pickle.HIGHEST_PROTOCOL)
+
+
+def _unpack(parcel: Parcel) -> tuple[Callable[[Any, Any], Any], Any]:
+    """Return a stage's function and what its tasks share, unpacked once."""
+    token, _, content = parcel
+    if token not in _unpacked:
+        while len(_unpacked) >= KEPT:
+            del _unpacked[next(iter(_unpacked))]
+        _unpacked[token] = pickle.loads(content)
+    return _unpacked[token]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.sweep.schema import AxisConfig, FigureConfig, SweepConfig
+from bayescal.experiments.sweep.schema import SEED, AxisConfig, FigureConfig, SweepConfig
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_plain
 
@@ -18,9 +18,9 @@ NUMBERS = dict.fromkeys(("bound", "inside", "outside"), float)
 ALWAYS, NEVER, UP_TO, FROM, MIXED = "everywhere", "nowhere", "up to", "from", "in places"
 
 
-def is_numeric(column: pd.Series) -> bool:
-    """Whether a column holds numbers, two different ones at least."""
-    return column.dtype.kind == "f" and column.nunique() >= 2
+def is_scale(axis: AxisConfig, column: pd.Series) -> bool:
+    """Whether an axis takes two different numbers at least; seeds only repeat."""
+    return axis.name != SEED and column.dtype.kind == "f" and column.nunique() >= 2
 
 
 def find_answers(config: SweepConfig, members: pd.DataFrame) -> list[dict[str, Any]]:
@@ -33,17 +33,17 @@ def find_answers(config: SweepConfig, members: pd.DataFrame) -> list[dict[str, A
         if (figure.at_most is None and figure.at_least is None) or members[figure.key].dtype.kind != "f":
             continue
         for axis in config.axes:
-            if not is_numeric(members[axis.name]):
+            if not is_scale(axis, members[axis.name]):
                 continue
             for where, rows in group_others(config, members, axis):
-                answer = _find_one(axis, figure, rows.sort_values(axis.name, kind="stable"))
+                answer = _find_one(axis, figure, rows)
                 found.append({"figure": figure.key, "axis": axis.name, "where": where, **answer})
     return found
 
 
 def group_others(config: SweepConfig, members: pd.DataFrame, axis: AxisConfig) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield the members of each setting of all other axes, with the setting in words; all where rows are a list."""
-    others = [one for one in config.axes if one.name != axis.name]
+    """Yield the members of each setting of all other axes but seeds, with it in words; all where rows are a list."""
+    others = [one for one in config.axes if one.name not in (axis.name, SEED)]
     if not others or config.combine == "list":
         yield "", members
         return
@@ -56,14 +56,16 @@ def _name(axis: AxisConfig) -> str:
 
 
 def _show(value: Any, axis: AxisConfig) -> str:
-    text = format_plain(value) if isinstance(value, float) else str(value)
-    return f"{text} {axis.unit}".rstrip()
+    text = format_plain(value, 4) if isinstance(value, float) else str(value)
+    return f"{text} {axis.unit if axis.factors is None else 'times'}".rstrip()
 
 
 def _find_one(axis: AxisConfig, figure: FigureConfig, rows: pd.DataFrame) -> dict[str, Any]:
-    """Return where along an axis a figure keeps its requirement."""
+    """Return where along an axis a figure keeps its requirement; of repeats the worst counts."""
     known = rows[np.isfinite(rows[figure.key])]
-    x, y = known[axis.name].to_numpy(), known[figure.key].to_numpy()
+    repeats = known.groupby(axis.name)[figure.key]
+    worst = repeats.max() if figure.at_most is not None else repeats.min()
+    x, y = worst.index.to_numpy(), worst.to_numpy()
     limit = figure.at_most if figure.at_most is not None else figure.at_least
     assert limit is not None
     good = y <= limit if figure.at_most is not None else y >= limit
@@ -73,7 +75,7 @@ def _find_one(axis: AxisConfig, figure: FigureConfig, rows: pd.DataFrame) -> dic
         return {"holds": NEVER, **nothing}
     if good.all():
         return {"holds": ALWAYS, **nothing}
-    if len(changes) > 1 or len(np.unique(x)) < len(x):
+    if len(changes) > 1:
         return {"holds": MIXED, **nothing}
     k = int(changes[0])
     bound = _interpolate(x[k : k + 2], y[k : k + 2], limit, axis.scale == "log", figure.scale == "log")

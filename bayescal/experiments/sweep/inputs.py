@@ -20,9 +20,7 @@ from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import AnyExperiment, find_kind
 from bayescal.experiments.sweep.keys import Setting, find, split_key
 from bayescal.experiments.sweep.members import Base
-from bayescal.experiments.sweep.schema import AxisConfig, SweepConfig
-
-SEED = "seed"
+from bayescal.experiments.sweep.schema import SEED, AxisConfig, SweepConfig
 
 
 @dataclass(frozen=True, eq=False)

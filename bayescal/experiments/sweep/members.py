@@ -94,9 +94,14 @@ def compute_member(base: Base, settings: tuple[Setting, ...]) -> Outcome:
             results = experiment.compute(experiment.read(config, folder), Run())
             summary = json.dumps(results.summary, ensure_ascii=False, allow_nan=False)
             failures = experiment.list_failures(results)
-        except (InputError, NumericalError, ArithmeticError, ValueError) as error:  # SciPy and LAPACK raise the latter
+        except MemoryError as error:  # another time, or on another machine, it may do: such an outcome is not kept
+            raise NumericalError("found no memory for it") from error
+        except Exception as error:  # whatever it is, the other members go on, and it is listed
+            known = isinstance(
+                error, InputError | NumericalError | ArithmeticError | ValueError
+            )  # LAPACK's are the last
             said = " ".join(str(error).split()).replace(f"{folder}{os.sep}", "")
-            return Outcome("", said or type(error).__name__)
+            return Outcome("", said if known and said else f"{type(error).__name__}: {said}")
     return Outcome(summary, "; ".join(failures))
 
 

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from bayescal.config.sections import ExperimentConfig, InputFile, Number, Positive, Section
 
 MAX_MEMBERS = 100_000
+SEED = "seed"
 
 type Scale = Literal["linear", "log"]
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import cloudpickle
 import lives
 import pytest
 import test_kind_contract as contract
@@ -26,6 +28,7 @@ psutil = pytest.importorskip("psutil")
 
 PATH = os.pathsep.join([str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])])  # for `lives`
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": PATH}
+ENVIRONMENT["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = "1"
 STARTED = 60.0  # seconds
 
 
@@ -135,15 +138,27 @@ def test_every_kind_gives_the_bytes_of_one_process(kind, dask, tmp_path, no_pict
 # --- what goes wrong ---------------------------------------------------------------------------------------------
 
 
-def test_a_task_that_kills_workers_is_given_up_and_the_others_are_done(tmp_path):
-    """With workers of its own, which are started again when they are killed."""
-    with open_engine(scheduler="local:1") as cluster:
+def test_a_task_that_kills_workers_is_given_up_and_the_others_are_done(dask, tmp_path):
+    """The scheduler allows a task to meet the end of one worker; three more are there afterwards."""
+    with open_engine(scheduler=dask.address) as cluster:
+        with pytest.raises(NumericalError, match=r"^bad: killed 2 workers one after another") as caught:
+            Run(cluster).map("lives", lives.end_life, tmp_path / "first", {"bad": "always"})
+        assert "\n" not in str(caught.value)
+        assert [process.wait() for process in dask.started[1:]] == [-signal.SIGKILL] * 2
+        for _ in range(2):
+            dask.add_worker()
         tasks = {name: name for name in ("once", "plain", "other")}
-        found = Run(cluster).map("lives", lives.end_life, tmp_path / "first", tasks)
-        assert list(found.values()) == ["once done", "plain done", "other done"]
-        with pytest.raises(NumericalError, match=r"^bad: killed 4 workers one after another") as caught:
-            Run(cluster).map("lives", lives.end_life, tmp_path / "second", {"bad": "always"})
-    assert "\n" not in str(caught.value)
+        found = Run(cluster).map("lives", lives.end_life, tmp_path / "second", tasks)
+    assert list(found.values()) == ["once done", "plain done", "other done"]
+    assert sorted(process.poll() is None for process in dask.started[3:]) == [False, True]
+
+
+def test_own_workers_that_are_gone_are_one_line(monkeypatch, tmp_path):
+    monkeypatch.setattr(engine, "LOST", 0.5)
+    with open_engine(scheduler="local:1") as cluster:
+        cluster.client.retire_workers(list(cluster.client.nthreads()))
+        with pytest.raises(NumericalError, match=r"^all workers of local:1 were killed"):
+            Run(cluster).map("lives", lives.end_life, tmp_path, {"plain": "plain"})
 
 
 def test_an_interrupt_cancels_what_is_under_way(dask, tmp_path):
@@ -198,12 +213,28 @@ def test_other_versions_are_refused(dask, monkeypatch):
 
 
 @pytest.mark.parametrize(
+    ("versions", "content", "message"),
+    [
+        ({"numpy": "1.0"}, cloudpickle.dumps((lives.say_pid, None)), "a worker has numpy"),
+        ({}, b"cno_such_module\nfunction\n.", "a worker lacks what it needs (ModuleNotFoundError: "),
+        ({}, b"nonsense", "a worker lacks what it needs (UnpicklingError: "),
+    ],
+)
+def test_a_worker_that_comes_late_says_what_it_lacks(versions, content, message):
+    parcel = (message, {**engine.list_all_versions(), **versions}, content)
+    kind, said = pickle.loads(engine._work(cloudpickle.dumps(1), parcel))
+    assert kind is NumericalError
+    assert said.startswith(message)
+
+
+@pytest.mark.parametrize(
     ("address", "message"),
     [
         ("local:0", "expected local:N with N workers"),
         ("local", "expected local:N with N workers"),
         ("nowhere.json", "found no file nowhere.json"),
         ("tcp://127.0.0.1:1", "found no scheduler at tcp://127.0.0.1:1"),
+        ("tls://127.0.0.1:1", "found no certificate for tls://127.0.0.1:1"),
         ("nonsense://here", "found no scheduler at nonsense://here"),
     ],
 )

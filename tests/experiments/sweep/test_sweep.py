@@ -12,10 +12,10 @@ import pytest
 import sweeps
 import tiny_experiments
 
-from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import compute_experiment, run_experiment
 from bayescal.experiments.frame.store import Store
+from bayescal.experiments.sweep.answers import find_answers
 from bayescal.experiments.sweep.keys import change, look_up, write_toml
 
 SHIPPED = tiny_experiments.SHIPPED / "audit" / "m2_hexapod_tracker.toml"
@@ -66,8 +66,26 @@ def test_the_sweeps_seed_is_that_of_its_members(tmp_path):
     assert set(compute(path).tables["members"]["seed"]) == {5.0}
     repeated = sweeps.SWEEP.replace('key = "poses"\nvalues = [4, 16]', 'key = "seed"\nvalues = [8, 9]')
     path = sweeps.write(tmp_path, '[[figures]]\nkey = "poses"\n', repeated)
-    members = compute(path).tables["members"]
-    assert list(members["seed"]) == [8.0, 9.0] * 5
+    results = compute(path)
+    assert list(results.tables["members"]["seed"]) == [8.0, 9.0] * 5
+    answers = results.tables["answers"]
+    assert list(answers["axis"]) == ["noise.tracker_um"]  # seeds only repeat
+    assert list(answers["holds"]) == ["up to"]
+
+
+def test_of_repeats_the_worst_counts_and_several_bounds_are_said(tmp_path):
+    config = load(sweeps.write(tmp_path))[1]
+    axis, figure = config.axes[0], config.figures[0]
+    columns = {axis.name: [1.0, 1.0, 2.0, 2.0, 3.0, 4.0], "poses": 4.0}
+
+    def find(values):
+        found = find_answers(config, pd.DataFrame({**columns, figure.key: values}))
+        return next(one for one in found if one["axis"] == axis.name)
+
+    assert find([1.0, 2.0, 30.0, 1.0, 40.0, 50.0])["outside"] == 2.0
+    assert find([1.0, 2.0, 3.0, 1.0, 40.0, 5.0])["holds"] == "in places"
+    assert find([1.0, math.nan, 3.0, 1.0, math.nan, 5.0])["holds"] == "everywhere"
+    assert find([math.nan] * 6)["holds"] == "nowhere"
 
 
 LIST = """
@@ -259,11 +277,28 @@ def test_the_shipped_sweep_of_audits(tmp_path):
     assert many == pytest.approx(alone, rel=1e-8)
 
 
-def test_a_sweep_checks_what_it_is_given_before_it_computes(tmp_path):
+def test_a_sweep_checks_what_it_is_given_before_it_computes(call, tmp_path):
     path = sweeps.write(tmp_path)
     (tmp_path / "machine.toml").write_text("[legs]\n")
-    with pytest.raises(KeyError):
-        load(path)[0].read(load(path)[1], tmp_path)
-    (tmp_path / "machine.toml").unlink()
-    with pytest.raises((InputError, FileNotFoundError)):
-        load(path)[0].read(load(path)[1], tmp_path)
+    code, _, complaint = call("sweep", path, "--out", tmp_path / "out")
+    assert (code, complaint.count("\n")) == (2, 1)
+    assert "machine.toml: found no length of legs" in complaint
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_members_that_fail_in_files_of_their_own_say_so_without_folders(tmp_path):
+    """A machine without length, and a slip in the code of the kind: both listed, neither stops the others."""
+    path = sweeps.write(tmp_path)
+    text = path.read_text().replace('key = "poses"\nvalues = [4, 16]', 'key = "noise.level_um"\nvalues = [1.0, 17.0]')
+    path.write_text(text)
+    members = compute(path).tables["members"].set_index("noise.level_um")
+    assert set(members.loc[1.0, "state"]) == {"done"}
+    assert set(members.loc[17.0, "reason"]) == {"KeyError: 'a slip in the code'"}
+    path.write_text(
+        text.replace(
+            '"noise.level_um"\nvalues = [1.0, 17.0]', '"machine.toml:legs"\nvalues = [{}, { length_mm = 1.0 }]'
+        )
+    )
+    members = compute(path).tables["members"]
+    assert set(members["reason"]) == {"machine.toml: found no length of legs, expected one", ""}
+    assert (members["state"] == "failed").sum() == 5

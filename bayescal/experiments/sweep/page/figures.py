@@ -49,10 +49,14 @@ def draw_against(config: SweepConfig, members: pd.DataFrame, figure: FigureConfi
 
 
 def _draw_lines(axes: Axes, lines: list[tuple[str, pd.DataFrame]], x: str, y: str) -> None:
+    """Draw a line for each setting; of repeats the median, and from their least to their most."""
     for k, (label, rows) in enumerate(lines):
-        rows = rows.sort_values(x, kind="stable")
         colour, marker = LEG_COLOURS[k % len(LEG_COLOURS)], MARKERS[k % len(MARKERS)]
-        axes.plot(rows[x], rows[y], label=label or None, linewidth=1.2, markersize=4.5, color=colour, marker=marker)
+        repeats = rows.groupby(x)[y]
+        middle = repeats.median()
+        axes.plot(middle.index, middle, label=label or None, linewidth=1.2, markersize=4.5, color=colour, marker=marker)
+        if repeats.size().max() > 1:
+            axes.fill_between(middle.index, repeats.min(), repeats.max(), color=colour, alpha=0.2, linewidth=0.0)
 
 
 def _draw_spread(axes: Axes, known: pd.DataFrame, x: str, y: str) -> None:
@@ -81,5 +85,5 @@ def _scale(axes: Axes, known: pd.DataFrame, figure: FigureConfig, axis: AxisConf
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
     taken = np.unique(known[axis.name])
     if len(taken) <= MOST_TICKS:
-        axes.set_xticks(taken, [format_plain(value) for value in taken])
+        axes.set_xticks(taken, [format_plain(value, 4) for value in taken])
     axes.tick_params(colors=INK)

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.sweep.answers import ALWAYS, FROM, MIXED, NEVER, UP_TO, is_numeric
+from bayescal.experiments.sweep.answers import ALWAYS, FROM, MIXED, NEVER, UP_TO, is_scale
 from bayescal.experiments.sweep.page.figures import draw_against, name_axis, name_figure
 from bayescal.experiments.sweep.schema import AxisConfig, FigureConfig, SweepConfig
 from bayescal.report.blocks import (
@@ -47,7 +47,7 @@ def build_page(config: SweepConfig, results: Results) -> Page:
         _member_section(config, members),
     )
     origin = f"Members are as {summary['experiment']} makes them, but for the keys that vary."
-    headline = said[0].text if said else _state_span(config.figures[0], summary)
+    headline = f"{said[0].lead} {said[0].text}" if said else _state_span(config.figures[0], summary)
     return Page(KIND, config.name, config.title, origin, headline, verdict, sections, _list_facts(config, summary))
 
 
@@ -58,23 +58,23 @@ def _say(row: Mapping[Any, Any], axes: dict[str, AxisConfig], figures: dict[str,
     """Return where a figure keeps what is required of it."""
     figure, axis = figures[row["figure"]], axes[row["axis"]]
     where = f" with {row['where']}" if row["where"] else ""
-    text = f"{_require(figure)}{where}: {_place(row, axis)}."
+    text = f"{_limit(figure)}{where}: {_place(row, axis)}."
     return Statement(text, LEVELS[row["holds"]], figure.label or figure.key)
 
 
-def _require(figure: FigureConfig) -> str:
+def _limit(figure: FigureConfig) -> str:
     word, limit = ("at most", figure.at_most) if figure.at_most is not None else ("at least", figure.at_least)
-    return f"{figure.label or figure.key} {word} {format_plain(limit or 0.0)} {figure.unit}".rstrip()
+    return f"{word} {format_plain(limit or 0.0)} {figure.unit}".rstrip()
 
 
 def _place(row: Mapping[Any, Any], axis: AxisConfig) -> str:
     name = axis.label or axis.name
     if row["holds"] in (ALWAYS, NEVER):
-        return f"{row['holds']} on the axis {name}"
+        return f"{row['holds']} along {name}"
     if row["holds"] == MIXED:
         return f"in places along {name}, not on one side of a bound"
     unit = f" {axis.unit}" if axis.unit and axis.factors is None else " times" if axis.factors is not None else ""
-    inside, outside = format_plain(row["inside"]), format_plain(row["outside"])
+    inside, outside = format_plain(row["inside"], 4), format_plain(row["outside"], 4)
     return (
         f"{name} {row['holds']} {format_plain(row['bound'], 3)}{unit}, interpolated between {inside}, where it holds, "
         f"and {outside}, where it does not"
@@ -132,11 +132,11 @@ def _answer_section(
     columns += [Column(title) for title in ("Bound", "Still", "No more")]
     rows = [
         [
-            _require(figures[row["figure"]]),
+            f"{figures[row['figure']].label or row['figure']} {_limit(figures[row['figure']])}",
             name_axis(axes[row["axis"]]),
             row["where"] or NOTHING,
             Cell(row["holds"], LEVELS[row["holds"]]),
-            *(_number(row[name], 3 if name == "bound" else 6) for name in ("bound", "inside", "outside")),
+            *(_number(row[name], 3 if name == "bound" else 4) for name in ("bound", "inside", "outside")),
         ]
         for row in answers.to_dict("records")
     ]
@@ -150,7 +150,7 @@ def _list_pictures(config: SweepConfig, members: pd.DataFrame) -> Iterator[Figur
         (k, figure, n, axis)
         for k, figure in enumerate(config.figures, 1)
         for n, axis in enumerate(config.axes, 1)
-        if is_numeric(members[axis.name]) and members[figure.key].dtype.kind == "f"
+        if is_scale(axis, members[axis.name]) and members[figure.key].dtype.kind == "f"
     ]
     for k, figure, n, axis in pairs[:MOST_PICTURES]:
         name, caption = f"figure_{k}_axis_{n}", f"{name_figure(figure)} against {name_axis(axis)}."
