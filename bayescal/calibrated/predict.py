@@ -18,6 +18,7 @@ from bayescal.machines.kinematics import ForwardKinematics, solve_forward_kinema
 from bayescal.machines.models.base import Linearisation
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 
+SLACK = 1e-6  # mm beyond an actuator's range, which digits of a table leave
 CHUNK = 1024
 """Poses at a time: what they take of the memory stays small."""
 
@@ -216,7 +217,7 @@ def _name_faults(
         travel = moved[k, leg]
         if not closed[k]:
             faults.append("no actuator positions hold it")
-        elif abs(travel) > mechanism.actuator_range:
+        elif abs(travel) > mechanism.actuator_range + SLACK:
             faults.append(f"leg {leg + 1} would move by {travel:.4g} mm, its range is {mechanism.actuator_range:g} mm")
         else:
             faults.append("" if on_branch[k] else "only on another assembly branch")
