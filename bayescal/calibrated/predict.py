@@ -1,8 +1,9 @@
 """What a calibrated machine does: poses of actuator positions, actuator positions of poses, and how sure both are.
 
-Means are those of the machine at its posterior mean. Their covariance is linearised there: by the closure
-F(pose, ρ; θ) = e of the legs, e their errors, the pose moves by -F_x⁻¹ (F_θ δθ - e) and the actuators that hold a pose
-by -F_ρ⁻¹ (F_θ δθ - e). Draws go through the kinematics themselves.
+By the closure F(pose, ρ; θ) = e of the legs, e their errors, a machine θ near the posterior mean θ̄ has its pose moved
+by -F_x⁻¹ (F(θ) - e), and the actuators that hold a pose by -F_ρ⁻¹ (F(θ) - e), with F at what θ̄ has there. Where
+draws of the posterior keep to the tangent, F_θ (θ - θ̄) stands for it: the mean is that of the machine θ̄, and the
+covariance follows from that of θ. Along a bent ridge they do not: some draws are put into F as they are.
 """
 
 from __future__ import annotations
@@ -18,6 +19,12 @@ from bayescal.machines.kinematics import ForwardKinematics, solve_forward_kinema
 from bayescal.machines.models.base import Linearisation
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 
+SPREAD_DRAWS = 300
+"""Draws that tell a covariance, its standard deviations to 4 %."""
+SPREAD_POSES = 16  # at a time: scratch memory of these draws stays in the cache
+LOOKS = 16  # poses of the workspace at which the closure is held against its tangent
+BENT = 0.1  # of a standard deviation that draws may be off the tangent, root mean square
+SLACK = 1e-6  # mm beyond an actuator's range, which digits of a table leave
 CHUNK = 1024
 """Poses at a time: what they take of the memory stays small."""
 
@@ -29,7 +36,7 @@ class PosePrediction:
     Attributes
     ----------
     position, rotation : ndarray, shapes (P, 3) and (P, 3, 3)
-        Platform frame in the base frame, mm.
+        Platform frame in the base frame, mm: posterior mean. Without draws that of the mean machine.
     covariance : ndarray, shape (P, 6, 6), or None
         Of position (mm) and rotation vector (rad) about the base axes: geometry, errors of the legs and noise of the
         actuators. None where the posterior's covariance is not known.
@@ -53,7 +60,7 @@ class Command:
     Attributes
     ----------
     actuators : ndarray, shape (P, N)
-        Posterior mean, mm; NaN where a leg does not reach.
+        Posterior mean, mm; NaN where a leg does not reach. Without draws that of the mean machine.
     covariance : ndarray, shape (P, N, N), or None
         Of the positions that hold the pose, mm²: geometry, errors of the legs and noise of the actuators.
     faults : tuple of str, length P
@@ -84,7 +91,8 @@ def predict_poses(calibrated: CalibratedMachine, actuators: Array) -> PosePredic
         For another shape.
     """
     _check_shape(actuators, calibrated.n_legs, "actuator positions")
-    parts = [_predict_some(calibrated, actuators[part]) for part in _split(len(actuators))]
+    bent = _find_bent(calibrated)
+    parts = [_predict_some(calibrated, actuators[part], bent) for part in _split(len(actuators))]
     return PosePrediction(
         np.concatenate([one.position for one in parts]),
         np.concatenate([one.rotation for one in parts]),
@@ -94,17 +102,17 @@ def predict_poses(calibrated: CalibratedMachine, actuators: Array) -> PosePredic
     )
 
 
-def _predict_some(calibrated: CalibratedMachine, actuators: Array) -> PosePrediction:
+def _predict_some(calibrated: CalibratedMachine, actuators: Array, bent: Array | None) -> PosePrediction:
     machine, theta = calibrated.machine, calibrated.theta
     displacement = actuators - machine.mechanism.initial_actuator_positions
     found = solve_forward_kinematics(machine, theta, actuators, check=False)
     here = machine.linearise(theta, found.position, found.rotation, actuators)
     gain = _invert(here.pose, found.converged)
-    moved = np.nan_to_num(np.einsum("pij,pj->pi", gain, calibrated.errors.mean(displacement)))
-    position, rotation = _move(found, moved)
+    moved = np.einsum("pij,pj->pi", gain, calibrated.errors.mean(displacement))
     if calibrated.covariance is None:
-        return PosePrediction(position, rotation, None, None, found.converged)
-    of_geometry = _spread(gain, here, calibrated)
+        return PosePrediction(*_move(found, moved), None, None, found.converged)
+    shift, of_geometry = _spread(calibrated, gain, here, (found.position, found.rotation), actuators, bent)
+    position, rotation = _move(found, moved + shift)
     others = gain @ calibrated.errors.covariance(displacement, here.actuators) @ np.swapaxes(gain, 1, 2)
     return PosePrediction(position, rotation, of_geometry + others, of_geometry, found.converged)
 
@@ -118,13 +126,14 @@ def command_poses(calibrated: CalibratedMachine, position: Array, rotation: Arra
         For another shape.
     """
     _check_shape(position, 3, "positions")
-    parts = [_command_some(calibrated, position[part], rotation[part]) for part in _split(len(position))]
+    bent = _find_bent(calibrated)
+    parts = [_command_some(calibrated, position[part], rotation[part], bent) for part in _split(len(position))]
     covariance = _join([one.covariance for one in parts])
     faults = tuple(fault for one in parts for fault in one.faults)
     return Command(np.concatenate([one.actuators for one in parts]), covariance, faults)
 
 
-def _command_some(calibrated: CalibratedMachine, position: Array, rotation: Array) -> Command:
+def _command_some(calibrated: CalibratedMachine, position: Array, rotation: Array, bent: Array | None) -> Command:
     machine, theta = calibrated.machine, calibrated.theta
     found = solve_inverse_kinematics(machine, theta, position, rotation, check=False)
     actuators = found.actuators
@@ -132,12 +141,13 @@ def _command_some(calibrated: CalibratedMachine, position: Array, rotation: Arra
     here = machine.linearise(theta, position, rotation, actuators)
     gain = _invert(here.actuators, found.converged)
     displacement = actuators - machine.mechanism.initial_actuator_positions
-    actuators = actuators + np.einsum("pij,pj->pi", gain, calibrated.errors.mean(displacement))
-    actuators = np.where(found.converged[:, None], actuators, np.nan)
+    moved = actuators + np.einsum("pij,pj->pi", gain, calibrated.errors.mean(displacement))
+    moved = np.where(found.converged[:, None], moved, np.nan)
     if calibrated.covariance is None:
-        return Command(actuators, None, faults)
+        return Command(moved, None, faults)
+    shift, of_geometry = _spread(calibrated, gain, here, (position, rotation), actuators, bent)
     others = gain @ calibrated.errors.covariance(displacement, here.actuators) @ np.swapaxes(gain, 1, 2)
-    return Command(actuators, _spread(gain, here, calibrated) + others, faults)
+    return Command(moved + shift, of_geometry + others, faults)
 
 
 def draw_poses(
@@ -216,18 +226,77 @@ def _name_faults(
         travel = moved[k, leg]
         if not closed[k]:
             faults.append("no actuator positions hold it")
-        elif abs(travel) > mechanism.actuator_range:
+        elif abs(travel) > mechanism.actuator_range + SLACK:
             faults.append(f"leg {leg + 1} would move by {travel:.4g} mm, its range is {mechanism.actuator_range:g} mm")
         else:
             faults.append("" if on_branch[k] else "only on another assembly branch")
     return tuple(faults)
 
 
-def _spread(gain: Array, here: Linearisation, calibrated: CalibratedMachine) -> Array:
-    """Return G F_θ C F_θᵀ Gᵀ, shape (P, m, m), of a gain (P, m, N)."""
+def _find_bent(calibrated: CalibratedMachine) -> Array | None:
+    """Return draws (S, D) where these leave the tangent at the mean somewhere in the workspace; None where they do not.
+
+    It is seen at poses of actuators anywhere within their range, the same ones at every call.
+    """
+    if calibrated.draws is None:
+        return None
+    machine, theta = calibrated.machine, calibrated.thin(SPREAD_DRAWS)
+    share = np.random.default_rng(0).uniform(-1.0, 1.0, (LOOKS, calibrated.n_legs))
+    actuators = machine.mechanism.initial_actuator_positions + machine.mechanism.actuator_range * share
+    found = solve_forward_kinematics(machine, calibrated.theta, actuators, check=False)
+    position, rotation, actuators = (one[found.converged] for one in (found.position, found.rotation, actuators))
+    here = machine.linearise(calibrated.theta, position, rotation, actuators)
+    gain = np.linalg.pinv(here.pose)
+    moved = _respond(calibrated, gain, position, rotation, actuators, theta)
+    tangent = gain @ here.parameters @ (calibrated.theta - theta).T
+    off = np.sqrt(np.mean((moved - tangent) ** 2, axis=-1))
+    return theta if np.any(off > BENT * moved.std(axis=-1)) else None
+
+
+def _spread(
+    calibrated: CalibratedMachine,
+    gain: Array,
+    here: Linearisation,
+    pose: tuple[Array, Array],
+    actuators: Array,
+    bent: Array | None,
+) -> tuple[Array, Array]:
+    """Return how a posterior moves what the mean machine does, in the mean (P, m) and as a covariance (P, m, m).
+
+    Parameters
+    ----------
+    calibrated : CalibratedMachine
+    gain : ndarray, shape (P, m, N)
+        What moves by a unit of the closure; NaN where there is nothing.
+    here : Linearisation
+        Of the mean machine there.
+    pose : pair of ndarray, shapes (P, 3) and (P, 3, 3)
+    actuators : ndarray, shape (P, N)
+    bent : ndarray, shape (S, D), or None
+        Draws, where the tangent does not do.
+    """
     assert calibrated.covariance is not None
     slope = gain @ here.parameters[..., calibrated.free]
-    return slope @ calibrated.covariance @ np.swapaxes(slope, 1, 2)
+    if bent is None:
+        return np.zeros(gain.shape[:2]), slope @ calibrated.covariance @ np.swapaxes(slope, 1, 2)
+    mean, covariance = np.empty(gain.shape[:2]), np.empty((*gain.shape[:2], gain.shape[1]))
+    for part in _split(len(gain), SPREAD_POSES):
+        moved = _respond(calibrated, gain[part], pose[0][part], pose[1][part], actuators[part], bent)
+        mean[part] = moved.mean(axis=-1)
+        apart = moved - mean[part, :, None]
+        covariance[part] = apart @ np.swapaxes(apart, 1, 2) / (len(bent) - 1)
+    chance = (bent.mean(axis=0) - calibrated.theta)[calibrated.free]  # that these draws have another mean than all
+    return mean + np.einsum("pik,k->pi", slope, chance), covariance
+
+
+def _respond(
+    calibrated: CalibratedMachine, gain: Array, position: Array, rotation: Array, actuators: Array, theta: Array
+) -> Array:
+    """Return what moves by machines θ, shape (S, D), by their closures as they are, shape (P, m, S)."""
+    machine = calibrated.machine
+    closure = machine.model.bind(machine.layout, position, rotation, machine.basis(actuators))
+    with np.errstate(all="ignore"):  # poses that were not found
+        return np.asarray(-(gain @ closure.evaluate(np.asfortranarray(theta)).transpose(1, 0, 2)))
 
 
 def _invert(slopes: Array, good: np.ndarray) -> Array:

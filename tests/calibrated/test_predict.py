@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.calibrated.machine import IndependentErrors, LegErrors
+from bayescal.calibrated.machine import IndependentErrors, LegErrors, build_calibrated
 from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
 from bayescal.density.likelihood import PoseLikelihood
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import solve_inverse_kinematics
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
 
+NO_ERRORS = IndependentErrors(0.0, np.zeros(6))
 CASES = (("six_pus", "matrix"), ("six_ups", "none"), ("beam", "none"))
 
 
@@ -144,3 +145,20 @@ def test_turned_far_at_the_edge(rng):
     again = predict_poses(made_up, command.actuators)
     error = compute_pose_error(again.position, again.rotation, home.position, home.rotation)
     np.testing.assert_allclose(error, [[0, 0, 0, 0, 0, 2e-3]], atol=1e-9)
+
+
+def test_along_a_bent_ridge_draws_tell_mean_and_covariance(rng):
+    """Directions that lean to either side by 0.05 shorten every travel alike: the mean direction would lean nowhere."""
+    machine = machines.build_machine("none")
+    layout = machine.layout
+    draws = np.tile(layout.nominal, (2000, 1))
+    draws[:, layout.index["u_x"]] += 0.05 * rng.standard_normal((2000, 6))
+    draws[:, layout.index["a_x"]] -= machines.INITIAL_POSITION * (draws[:, layout.index["u_x"]])  # joints stay at home
+    made_up = build_calibrated(machine, draws.mean(axis=0), draws, NO_ERRORS, calibrated.SOURCE)
+    actuators = machines.INITIAL_POSITION + np.full((1, 6), machines.ACTUATOR_RANGE)
+    found = predict_poses(made_up, actuators)
+    position, _ = draw_poses(made_up, actuators, 2000, rng)
+    tangent = predict_poses(replace(made_up, draws=None), actuators)
+    sd, z = position.std(axis=0)[0], position[:, 0, 2]
+    assert abs(found.position[0, 2] - z.mean()) < 0.1 * z.std() < 0.2 * abs(tangent.position[0, 2] - z.mean())
+    np.testing.assert_allclose(np.sqrt(np.diagonal(found.covariance[0]))[:3] / sd, 1.0, atol=0.17)

@@ -163,3 +163,25 @@ def test_without_draws_there_is_a_machine_but_no_covariance(rng, tmp_path):
     prediction = predict_poses(again, calibrated.measurable_actuators(machine, 4, rng))
     assert prediction.covariance is None
     assert prediction.found.all()
+
+
+class Own(SixPus):
+    """Somebody else's model, with the closure of a built-in one."""
+
+    name = "own"
+
+
+def test_a_model_of_ones_own_predicts_but_has_no_drawings(rng, tmp_path):
+    built_in = machines.build_machine("none")
+    own = Machine(built_in.mechanism, Own(), built_in.deformation)
+    draws = calibrated.draw_machines(built_in, 50, rng)
+    rest = (draws.mean(axis=0), draws, IndependentErrors(1e-3, np.full(6, 1e-6)), calibrated.SOURCE)
+    one, other = build_calibrated(built_in, *rest), build_calibrated(own, *rest)
+    assert (one.is_settled, other.is_settled) == (True, False)
+    actuators = calibrated.measurable_actuators(built_in, 4, rng)
+    first, second = predict_poses(one, actuators), predict_poses(other, actuators)
+    np.testing.assert_allclose(second.position, first.position, **SAME)
+    np.testing.assert_allclose(second.covariance, first.covariance, rtol=1e-5, atol=1e-11)
+    with pytest.raises(InputError, match="found a model or deformation of one's own"):
+        export_machine(other, tmp_path / "out")
+    assert studies.snapshot(tmp_path) == {}

@@ -1,0 +1,223 @@
+"""From a study's results to the machine and its use, as a user does it: bayescal export, command and predict."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import studies
+
+from bayescal.calibrated.predict import predict_poses
+from bayescal.data.instruments.read_poses import PoseNoise, read_poses
+from bayescal.errors import InputError
+from bayescal.experiments.frame import run as frame
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.shared.calibrating import load_calibrated
+from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.machines.read import load_mechanism
+from bayescal.numerics.geometry import rotation_vector_from_matrix
+
+COMMITTED = Path(__file__).parents[3] / "results"
+VARIANT = "six_pus/matrix"
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    """Return a tiny study with its results, which are too few draws to converge."""
+    folder = tmp_path_factory.mktemp("finished")
+    path = studies.write_tiny_study(folder)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(frame, "write_page", lambda page, folder, *more: folder)
+        for name, value in {"MAX_PILOTS": 0, "MAX_ROUNDS": 0, "TRIAL_DRAWS": 100}.items():
+            patched.setattr(f"bayescal.inference.exploration.{name}", value)
+        frame.run_experiment(load_experiment(path), folder, folder / "out")
+    return folder
+
+
+@pytest.fixture
+def study(finished, tmp_path, monkeypatch) -> Path:
+    """Return a copy of the study in the current directory, its results passed off as converged."""
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    change_summary(lambda fit: fit.update(problems=[], converged=True))
+    return tmp_path
+
+
+def change_summary(change) -> None:
+    path = Path("out/summary.json")
+    summary = json.loads(path.read_text())
+    for fit in summary["variants"].values():
+        change(fit)
+    path.write_text(json.dumps(summary))
+
+
+@pytest.fixture
+def refuse(call, tmp_path):
+    """Return a function that checks a refusal (code 2, one line, nothing written) and returns the line."""
+
+    def check(*arguments: object) -> str:
+        before = studies.snapshot(tmp_path)
+        code, out, err = call(*arguments)
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert studies.snapshot(tmp_path) == before
+        return err
+
+    return check
+
+
+def write_actuators(path: Path, rows: np.ndarray) -> None:
+    header = "pose," + ",".join(f"rho_{leg}_mm" for leg in range(1, 7))
+    cells = [f"P{k}," + ",".join(repr(float(x)) for x in row) for k, row in enumerate(rows)]
+    path.write_text("\n".join([header, *cells]) + "\n")
+
+
+def draw_actuators(n: int) -> np.ndarray:
+    return 10.0 + 1.3 * np.random.default_rng(4).uniform(-1, 1, (n, 6))
+
+
+def test_exported_machine_predicts_as_the_posterior_mean_of_the_study(study, call):
+    code, out, _ = call("export", "out")
+    folder = Path("machines/tiny-six_pus-matrix")
+    assert code == 0
+    assert f"wrote {folder / 'mechanism.toml'}" in out
+    inputs = studies.load_study(study / "study.toml")
+    machine = inputs.machine(inputs.variant(VARIANT))
+    theta = machine.layout.nominal.copy()
+    fit = json.loads(Path("out/summary.json").read_text())["variants"][VARIANT]
+    for k, name in enumerate(machine.layout.names):
+        theta[k] = fit["parameters"].get(name, {"mean": theta[k]})["mean"]
+    actuators = draw_actuators(50)
+    expected = solve_forward_kinematics(machine, theta, actuators)
+    for path in (folder, Path("out")):
+        found = predict_poses(load_calibrated(path), actuators)
+        np.testing.assert_allclose(found.position, expected.position, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.rotation, expected.rotation, rtol=0, atol=1e-12)
+    assert load_mechanism(folder / "mechanism.toml").n_legs == 6
+
+
+def test_every_command_takes_the_exported_mechanism(study, call):
+    """The study again, about the machine as calibrated: its first guess is now what it found."""
+    call("export", "out", "--out", "machine")
+    text = Path("study.toml").read_text().replace('"mechanism.toml"', '"machine/mechanism.toml"')
+    Path("again.toml").write_text(text.replace('matrix = "targets"', 'matrix = "machine/deformation_matrix.csv"'))
+    first, again = (studies.load_study(study / name) for name in ("study.toml", "again.toml"))
+    errors = []
+    for inputs in (first, again):
+        likelihood = inputs.likelihood(inputs.variant(VARIANT), verification=True)
+        errors.append(np.abs(likelihood.pose_errors(likelihood.layout.nominal[None])).max())
+    assert errors[1] < 0.05 < errors[0]  # mm: nominal against calibrated
+
+
+def test_command_and_predict_undo_each_other(study, call):
+    actuators = draw_actuators(20)
+    write_actuators(Path("actuators.csv"), actuators)
+    assert call("predict", "out", "actuators.csv", "--out", "poses.csv", "--draws", "draws.csv", "--n-draws", 5)[0] == 0
+    assert call("command", "out", "poses.csv", "--out", "commanded.csv")[0] == 0
+    rows = [line.split(",") for line in Path("commanded.csv").read_text().splitlines() if not line.startswith("#")]
+    assert rows[0][:3] == ["pose", "reached", "rho_1_mm"]
+    assert {row[1] for row in rows[1:]} == {"yes"}
+    np.testing.assert_allclose([[float(x) for x in row[2:8]] for row in rows[1:]], actuators, rtol=0, atol=1e-6)
+    assert all(0.1 < float(x) < 50.0 for row in rows[1:] for x in row[8:])  # µm
+    code, again, _ = call("predict", "out", "commanded.csv")
+    assert code == 0
+    assert again.count("\n") == Path("poses.csv").read_text().count("\n")
+    assert sum(not line.startswith("#") for line in Path("draws.csv").read_text().splitlines()) == 1 + 5 * 20
+
+
+def test_predicted_table_is_one_of_measured_poses(study, call):
+    """Covariances are in the units of `poses-from-targets`, and come back."""
+    write_actuators(Path("actuators.csv"), draw_actuators(4))
+    call("predict", "out", "actuators.csv", "--out", "poses.csv")
+    lines = Path("actuators.csv").read_text().splitlines()
+    Path("taken.csv").write_text("\n".join([f"use,{lines[0]}", *(f"calibration,{line}" for line in lines[1:])]) + "\n")
+    readings, _ = read_poses(Path("poses.csv"), Path("taken.csv"), PoseNoise(), 6)
+    expected = predict_poses(load_calibrated(Path("out")), draw_actuators(4))
+    np.testing.assert_allclose(readings.covariance, expected.covariance, rtol=1e-6, atol=1e-15)
+    np.testing.assert_allclose(readings.values[:, :3], expected.position, rtol=0, atol=1e-8)
+
+
+def test_poses_out_of_reach_are_named_row_by_row(study, refuse, call):
+    home = predict_poses(load_calibrated(Path("out")), np.full((1, 6), 10.0))
+    z, turn = home.position[0, 2], ",".join(map(str, np.degrees(rotation_vector_from_matrix(home.rotation[0]))))
+    x, y = home.position[0, :2]
+    rows = [f"home,{x},{y},{z},{turn}", f"high,{x},{y},{z + 9},{turn}", f"far,{x},{y + 800},{z},{turn}"]
+    Path("poses.csv").write_text("\n".join(["pose,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg", *rows]) + "\n")
+    message = refuse("command", "out", "poses.csv", "--out", "commanded.csv")
+    assert "poses.csv: found 2 of 3 poses out of reach" in message
+    assert "line 3, pose 'high': leg " in message
+    assert "line 4, pose 'far': no actuator positions hold it" in message
+    code, out, _ = call("command", "out", "poses.csv", "--mark")
+    rows = [line for line in out.splitlines() if not line.startswith("#")]
+    assert code == 0
+    assert rows[1].startswith("home,yes,")
+    assert rows[2].startswith('high,"leg ')
+    assert rows[2].endswith("," * 12)
+    assert rows[3] == "far,no actuator positions hold it" + "," * 12
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("export", "out", "--variant", "six_pus"), "--variant: found 'six_pus', expected one of six_pus/"),
+        (("export", "out", "--format", "urdf"), "format urdf: found a platform that bends in variant 'six_pus/matrix'"),
+        (("export", "out", "--format", "step"), "--format: found 'step', expected one of"),
+        (("export", "out", "--experiment", "other.toml"), "other.toml: found another study than that of out"),
+        (("export", "nowhere"), "nowhere/provenance.json: no such file"),
+        (("export", "out", "--out", "study.toml"), "study.toml: cannot be made a directory"),
+        (("predict", "out", "far.csv"), "far.csv: pose 'P0', leg 1: found 20 mm"),
+        (("command", "out", "far.csv"), "far.csv, line 1: found no column 'x_mm'"),
+    ],
+)
+def test_refusals(study, refuse, arguments, expected):
+    Path("other.toml").write_text(Path("study.toml").read_text().replace("seed = 11", "seed = 12"))
+    write_actuators(Path("far.csv"), np.full((1, 6), 20.0))
+    assert expected in refuse(*arguments)
+
+
+def test_without_convergence_only_by_force_and_the_file_says_so(study, refuse, call):
+    change_summary(lambda fit: fit.update(problems=["R-hat 1.2, limit 1.01"], converged=False))
+    write_actuators(Path("actuators.csv"), draw_actuators(2))
+    for arguments in (("export", "out"), ("predict", "out", "actuators.csv")):
+        assert "variant 'six_pus/matrix' did not converge (R-hat 1.2, limit 1.01)" in refuse(*arguments)
+    assert call("export", "out", "--force", "--out", "machine")[0] == 0
+    assert "# NOT CONVERGED, written by force: R-hat 1.2" in Path("machine/mechanism.toml").read_text()
+    assert "did not converge" in refuse("predict", "machine", "actuators.csv")
+    code, out, _ = call("predict", "machine", "actuators.csv", "--force")
+    assert code == 0
+    assert "# NOT CONVERGED" in out
+
+
+def test_results_of_earlier_versions_take_the_studys_config(study, refuse, call):
+    shutil.rmtree("out/machine")
+    assert "out/machine/mechanism.toml: no such file" in refuse("export", "out")
+    call("export", "out", "--experiment", "study.toml", "--out", "machine")
+    assert load_calibrated(Path("machine")).covariance is not None
+
+
+def test_results_without_draws_say_what_is_missing(study, call):
+    shutil.rmtree("out/posterior")
+    write_actuators(Path("actuators.csv"), draw_actuators(2))
+    code, out, err = call("predict", "out", "actuators.csv")
+    assert (code, err.count("\n")) == (0, 1)
+    assert "no draws of the posterior" in err
+    assert "cov_x_x" not in out
+
+
+@pytest.mark.parametrize("name", ["hangprinter", "hexapod_table8"])
+def test_kinds_without_a_mechanism_are_refused(name):
+    with pytest.raises(InputError, match="which hold no mechanism on legs, expected a study's"):
+        load_calibrated(COMMITTED / name)
+
+
+def test_committed_hexapod_with_its_config():
+    """The shipped results have no draws; the machine is as far from nominal as the table of parameters says."""
+    config = studies.EXPERIMENTS / "m2_hexapod" / "study.toml"
+    found = load_calibrated(COMMITTED / "m2_hexapod", None, config)
+    assert found.source.variant == "six_ups/none"
+    summary = json.loads((COMMITTED / "m2_hexapod" / "summary.json").read_text())
+    expected = summary["variants"]["six_ups/none"]["parameters"]
+    for name, value in zip(found.machine.layout.names, found.theta, strict=True):
+        assert value == expected[name]["mean"]
