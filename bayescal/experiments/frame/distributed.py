@@ -34,11 +34,17 @@ from bayescal.experiments.frame.versions import list_versions
 LOCAL = re.compile(r"local:([1-9]\d{0,3})")
 LOOPBACK = "127.0.0.1"
 TIMEOUT = 10.0  # seconds for a scheduler to answer
-POLL = 0.01  # seconds between two looks for results
+POLL = 0.03  # seconds between two looks for results
 LOST = 30.0  # seconds after which workers are looked for
 KEPT = 2  # stages that a worker keeps unpacked: the next one begins while tasks of the last may be under way
 PACKAGES = ("cloudpickle", "dask", "distributed", "pydantic")
 """What must be the same at both ends besides what numbers depend on."""
+SPARING = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "500ms",
+    "distributed.admin.system-monitor.interval": "5s",
+}
+"""What dask would otherwise spend on watching itself, a tenth of a core; nobody looks at workers of one run."""
 WANT = "--scheduler"
 
 type Versions = dict[str, str]
@@ -201,7 +207,9 @@ def _import_distributed() -> Any:
 def _serve(distributed: Any, workers: int) -> Iterator[Any]:
     """Hold a scheduler and workers of this machine that nobody else can reach."""
     nowhere = f"{LOOPBACK}:0"
-    with shield_children(), _unwarned():
+    import dask
+
+    with dask.config.set(SPARING), shield_children(), _unwarned():
         cluster = distributed.LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
