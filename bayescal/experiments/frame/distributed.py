@@ -17,14 +17,16 @@ import time
 import uuid
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import cloudpickle
+from threadpoolctl import threadpool_limits
 
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.frame.engine import Engine, Failure, run_guarded
+from bayescal.experiments.frame.engine import Engine, Failure, run_guarded, run_quietly
 from bayescal.experiments.frame.interrupts import shield_children
 from bayescal.experiments.frame.records import Record
 from bayescal.experiments.frame.versions import list_versions
@@ -32,11 +34,17 @@ from bayescal.experiments.frame.versions import list_versions
 LOCAL = re.compile(r"local:([1-9]\d{0,3})")
 LOOPBACK = "127.0.0.1"
 TIMEOUT = 10.0  # seconds for a scheduler to answer
-POLL = 0.01  # seconds between two looks for results
+POLL = 0.03  # seconds between two looks for results
 LOST = 30.0  # seconds after which workers are looked for
 KEPT = 2  # stages that a worker keeps unpacked: the next one begins while tasks of the last may be under way
 PACKAGES = ("cloudpickle", "dask", "distributed", "pydantic")
 """What must be the same at both ends besides what numbers depend on."""
+SPARING = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "500ms",
+    "distributed.admin.system-monitor.interval": "5s",
+}
+"""What dask would otherwise spend on watching itself, a tenth of a core; nobody looks at workers of one run."""
 WANT = "--scheduler"
 
 type Versions = dict[str, str]
@@ -86,7 +94,7 @@ class Cluster(Engine):
     ) -> Iterator[tuple[str, Record | Failure]]:
         from distributed import as_completed
 
-        ended = as_completed(sent, loop=self.client.loop, with_results=True, raise_errors=False)
+        ended = as_completed(sent, loop=self.client.loop)
         sent.clear()  # a result that was fetched is dropped by the cluster when nothing here holds on to it
         seen = time.monotonic()
         while not ended.is_empty():
@@ -94,18 +102,29 @@ class Cluster(Engine):
                 time.sleep(POLL)
                 seen = self._look_for_workers(seen)
                 continue
-            for future, result in ended.next_batch(block=False):
-                yield keys[future.key], self._read(future, result)
+            batch = list(ended.next_batch(block=False))
+            for future, outcome in zip(batch, self._fetch(batch), strict=True):
+                yield keys[future.key], outcome
                 del waiting[future.key]
 
-    def _read(self, future: Any, result: Any) -> Record | Failure:
+    def _fetch(self, batch: list[Any]) -> list[Record | Failure]:
+        """Return the records or failures of tasks that have ended."""
+        try:
+            return [pickle.loads(one) for one in self.client.gather(batch)]  # the usual case: one message for all
+        except (Exception, CancelledError):  # one of them has none
+            return [self._read(future) for future in batch]
+
+    def _read(self, future: Any) -> Record | Failure:
         """Return the record or failure of a task that has ended."""
-        if future.status == "finished":
-            outcome: Record | Failure = pickle.loads(result)
-            return outcome
-        if future.status == "error":
-            return self._explain(future.exception())
-        raise NumericalError(f"the scheduler at {self.address} went away or dropped its tasks; go on with --resume")
+        try:
+            outcome: Record | Failure = pickle.loads(future.result())
+        except (CancelledError, OSError) as error:
+            raise NumericalError(
+                f"the scheduler at {self.address} went away or dropped its tasks; go on with --resume"
+            ) from error
+        except Exception as error:
+            return self._explain(error)
+        return outcome
 
     def _look_for_workers(self, seen: float) -> float:
         """Return when workers were seen last; NumericalError where this run's own are gone for good.
@@ -188,7 +207,9 @@ def _import_distributed() -> Any:
 def _serve(distributed: Any, workers: int) -> Iterator[Any]:
     """Hold a scheduler and workers of this machine that nobody else can reach."""
     nowhere = f"{LOOPBACK}:0"
-    with shield_children(), _unwarned():
+    import dask
+
+    with dask.config.set(SPARING), shield_children(), _unwarned():
         cluster = distributed.LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
@@ -267,6 +288,8 @@ def _one_line(error: object) -> str:
 
 _ONE_AT_A_TIME = threading.Lock()
 """Of a worker with several threads: the limit on BLAS holds for a process, and scratch memory is one thread's."""
+_limited = 0
+"""How many modules were there when the threads of BLAS were limited."""
 _unpacked: dict[str, tuple[Callable[[Any, Any], Any], Any]] = {}
 
 
@@ -284,7 +307,7 @@ def _work(task: bytes, parcel: Parcel) -> bytes:
             mine = pickle.loads(task)
         except (ImportError, AttributeError, pickle.UnpicklingError) as error:
             return pickle.dumps((NumericalError, f"a worker lacks what it needs ({_one_line(error)})"))
-        return pickle.dumps(run_guarded(function, shared, mine), protocol=pickle.HIGHEST_PROTOCOL)
+        return pickle.dumps(_run_limited(function, shared, mine), protocol=pickle.HIGHEST_PROTOCOL)
 
 
 def _unpack(parcel: Parcel) -> tuple[Callable[[Any, Any], Any], Any]:
@@ -295,3 +318,14 @@ def _unpack(parcel: Parcel) -> tuple[Callable[[Any, Any], Any], Any]:
             del _unpacked[next(iter(_unpacked))]
         _unpacked[token] = pickle.loads(content)
     return _unpacked[token]
+
+
+def _run_limited[S, T](function: Callable[[S, T], Any], shared: S, task: T) -> Record | Failure:
+    """Return a task's record or failure; to look for libraries to limit takes longer than to send a task."""
+    global _limited
+    if len(sys.modules) == _limited:  # libraries come with modules
+        return run_quietly(function, shared, task)
+    outcome = run_guarded(function, shared, task)
+    threadpool_limits(1)  # for good, those that this task has brought among them
+    _limited = len(sys.modules)
+    return outcome

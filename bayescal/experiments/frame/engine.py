@@ -109,9 +109,15 @@ def _run_in_worker[S, T](
 
 def run_guarded[S, T](function: Callable[[S, T], Any], shared: S, task: T) -> Record | Failure:
     """Return a task's record, or in words why it failed; BLAS keeps to one thread."""
+    with threadpool_limits(1):
+        return run_quietly(function, shared, task)
+
+
+def run_quietly[S, T](function: Callable[[S, T], Any], shared: S, task: T) -> Record | Failure:
+    """Return a task's record, or in words why it failed, where BLAS keeps to one thread anyway."""
     try:
         # whatever is not finite is looked for where it matters; numpy's warnings would only litter the terminal
-        with threadpool_limits(1), np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):
             return encode(function(shared, task))
     except InputError as error:
         return InputError, str(error)
