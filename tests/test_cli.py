@@ -29,7 +29,18 @@ from bayescal.experiments.study import compute
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.kinematics import solve_forward_kinematics
 
-COMMANDS = ("run", "audit", "sweep", "simulate", "poses-from-targets", "report", "compare", "export", "command", "predict")
+COMMANDS = (
+    "run",
+    "audit",
+    "sweep",
+    "simulate",
+    "poses-from-targets",
+    "report",
+    "compare",
+    "export",
+    "command",
+    "predict",
+)
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 
