@@ -7,7 +7,7 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 .PHONY: study real audits test test-dask test-slow check data benchmark clean help
 
 help:
-	@echo "make study      the telescope study: environment, run, ranking, report (about a minute)"
+	@echo "make study      the telescope study: environment, run, ranking, report (three to four minutes on two cores)"
 	@echo "make real       a real machine, really measured: the Hangprinter HP4 (about two minutes)"
 	@echo "make audits     all shipped identifiability audits"
 	@echo "make test       environment and the test suite"
