@@ -131,7 +131,6 @@ def test_help_of_every_command_shows_an_example(call, command):
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        ((), "Missing command"),
         (("rum",), "No such command 'rum'"),
         (("run",), "Missing argument"),
         (("run", "study.toml", "--wokers", "2"), "No such option: --wokers"),

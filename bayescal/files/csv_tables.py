@@ -19,7 +19,7 @@ from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
 from bayescal.numerics.geometry import Array
 
-LEG_NUMBER = re.compile(r"_([1-9][0-9]*)(?=_|$)")
+LEG_NUMBER = re.compile(r"(?:^|[^0-9])([1-9][0-9]*)(?=_|$)")
 SHOWN = 12  # columns that may be there, listed in a message
 LARGEST = 1e9
 """Numbers beyond this size are taken for slips: as millimetres, a thousand kilometres."""

@@ -54,7 +54,7 @@ def test_drive_of_the_telescope_is_at_the_base():
         (
             "position_mm = [0.0, 0.0, -703.0]",
             "",
-            "line 29: home: expected either position_mm, or platform with the legs'",
+            "line 29: home: expected either position_mm, or platform or near_mm with the legs'",
         ),
         (HOME, '[home]\nplatform = "below"\n', "line 32: legs.length_mm: missing, expected a value or [home] with pos"),
         (

@@ -177,8 +177,10 @@ def _say(statement: Statement) -> dict[str, str]:
 def _write_page(experiment: AnyExperiment, folder: Path) -> Page:
     results = read_results(folder)
     page = experiment.page(results)
-    earlier = results.provenance.get(WRITTEN, [])
-    write_page(page, folder, (show_provenance(results.provenance),), earlier if isinstance(earlier, list) else [])
+    earlier = results.provenance.get(WRITTEN)
+    if not isinstance(earlier, list):  # new ones, or of an earlier version: all figures are its own
+        earlier = [path.relative_to(folder).as_posix() for path in folder.glob("figures/*.png")]
+    write_page(page, folder, (show_provenance(results.provenance),), earlier)
     return page
 
 

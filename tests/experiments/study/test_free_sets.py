@@ -63,6 +63,7 @@ def test_every_variant_has_its_rows_and_files(result):
     for table in ("ranking", "parameters", "predictions", "sensitivity", "least_squares"):
         assert set(pd.read_csv(result.out / "tables" / f"{table}.csv")["variant"]) == names, table
     stems = {"six_pus-none", "six_pus-matrix", "joints_alone", "lengths"}
+    stems |= {f"{stem}-tau-zero" for stem in stems}
     assert {file.stem for file in (result.out / "posterior").iterdir()} == stems
     joints = result.summary["variants"]["joints alone"]["parameters"]
     assert {name.partition("[")[0] for name in joints} == {"a_x", "tau"}

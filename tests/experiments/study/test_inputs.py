@@ -11,7 +11,7 @@ import studies
 
 from bayescal.api import run_study
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.frame import parallel
+from bayescal.experiments.frame import engine
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.study import compute
 
@@ -266,6 +266,6 @@ def kill_worker(parent, *_):
 
 
 def test_a_killed_worker_is_a_numerical_failure(folder, monkeypatch):
-    monkeypatch.setattr(parallel, "_run_in_worker", kill_worker)
+    monkeypatch.setattr(engine, "_run_in_worker", kill_worker)
     with pytest.raises(NumericalError, match="a worker was killed"):
         run_study(load_experiment(folder / "study.toml"), folder, folder / "out", workers=2)

@@ -87,7 +87,7 @@ def test_what_is_stated_wrong_is_named_and_nothing_else(folder, stated, wrong, f
     ("noise", "cause"), [(3.0, None), (1.5, "stated too small"), (6.0, "stated too large")], ids=str
 )
 def test_a_study_says_first_which_noise_is_wrong(folder, noise, cause, monkeypatch):
-    monkeypatch.setattr(frame, "write_page", lambda page, folder, more: folder)
+    monkeypatch.setattr(frame, "write_page", lambda page, folder, *more: folder)
     inputs = read(folder, noise)
     only = [one for one in inputs.config.variants if one.name == VARIANT]
     finished = run_study(inputs.config.model_copy(update={"variants": only}), folder, folder / "out")

@@ -357,7 +357,8 @@ def read_page(folder) -> Page:
 def write_report(folder) -> Path:
     """Write the page of a results directory as the frame does."""
     results = frame.read_results(folder)
-    return write_page(build_page(results), folder, [show_provenance(results.provenance)])
+    earlier = [path.relative_to(folder).as_posix() for path in folder.glob("figures/*.png")]
+    return write_page(build_page(results), folder, [show_provenance(results.provenance)], earlier)
 
 
 def render_text(folder) -> str:
