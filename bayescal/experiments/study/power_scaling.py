@@ -5,6 +5,8 @@ Kallioinen et al. 2023, as ArviZ's `psense_summary` does it.
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from arviz_stats.base import array_stats
 
@@ -26,6 +28,8 @@ def measure_sensitivity(draws: Array, log_prior: Array, log_likelihood: Array) -
 
 
 def _measure_one(draws: Array, component: Array) -> Array:
-    weights = [np.exp(array_stats.power_scale_lw(component, alpha=power, axis=(-2, -1))) for power in POWERS]
+    with warnings.catch_warnings():  # of very few draws the tail is that of five
+        warnings.filterwarnings("ignore", message="Number of tail draws")
+        weights = [np.exp(array_stats.power_scale_lw(component, alpha=power, axis=(-2, -1))) for power in POWERS]
     shares = [np.broadcast_to(one / one.sum(), draws.shape) for one in weights]
     return np.asarray(array_stats.power_scale_sense(draws, *shares, *POWERS))
