@@ -28,8 +28,16 @@ def measure_sensitivity(draws: Array, log_prior: Array, log_likelihood: Array) -
 
 
 def _measure_one(draws: Array, component: Array) -> Array:
-    with warnings.catch_warnings():  # of very few draws the tail is that of five
-        warnings.filterwarnings("ignore", message="Number of tail draws")
-        weights = [np.exp(array_stats.power_scale_lw(component, alpha=power, axis=(-2, -1))) for power in POWERS]
+    weights = [_weigh(component, power) for power in POWERS]
     shares = [np.broadcast_to(one / one.sum(), draws.shape) for one in weights]
     return np.asarray(array_stats.power_scale_sense(draws, *shares, *POWERS))
+
+
+def _weigh(component: Array, power: float) -> Array:
+    """Return the weights (E, S) of a component raised to a power; smoothed where they have a tail."""
+    try:
+        with warnings.catch_warnings():  # of very few draws the tail is that of five
+            warnings.filterwarnings("ignore", message="Number of tail draws")
+            return np.asarray(np.exp(array_stats.power_scale_lw(component, alpha=power, axis=(-2, -1))))
+    except ValueError:  # squeezed against a bound, all draws of the tail are alike
+        return np.exp((power - 1.0) * (component - component.max()))
