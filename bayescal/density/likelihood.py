@@ -300,6 +300,7 @@ class PoseLikelihood(Likelihood):
         for part in batches(len(theta)):
             some = model_error if model_error.ndim == 1 else model_error[part]
             density[part], square[part] = self._evaluate(theta[part], some)
+        square[~np.isfinite(square)] = np.inf
         return density, square
 
     def _pointwise(self, theta: Array, model_error: Array) -> Array:
@@ -314,7 +315,6 @@ class PoseLikelihood(Likelihood):
             density, square = self._density_varying(errors, model_error)
         density += self._constant[:, None]
         density[~np.isfinite(density)] = -np.inf
-        square[~np.isfinite(square)] = np.inf
         return density.T, square.T
 
     def _whiten(self, model_error: Array) -> tuple[Array, Array]:

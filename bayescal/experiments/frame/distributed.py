@@ -3,6 +3,9 @@
 What all tasks of a stage need goes to the scheduler once, as bytes, and from worker to worker; each unpacks it once.
 It is a task of dask itself, so that it is made again where all workers that had it are gone. Tasks of lost workers are
 dask's to repeat; their numbers depend on nothing but what they are given.
+
+What travels is pickled, as all that dask sends is: scheduler and workers run what they are sent, and this run takes
+back what they answer, so that both have to be trusted. Nothing is unpickled from a file.
 """
 
 from __future__ import annotations
