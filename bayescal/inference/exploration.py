@@ -15,7 +15,7 @@ from bayescal.errors import NumericalError
 from bayescal.inference.clusters import fit_mixture
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.importance import estimate_by_importance
-from bayescal.inference.mode import Mode, find_modes
+from bayescal.inference.mode import Mode, find_modes, revisit_modes
 from bayescal.inference.peaks import Peak, bend_at, curve_at, proposal_from_peaks, refine_peak
 from bayescal.inference.proposal import MixtureProposal, proposal_from_draws
 from bayescal.inference.straightening import Straightening, straighten
@@ -75,14 +75,47 @@ def explore(
     NumericalError
         Where no mode is found or no proposal draw has a finite density.
     """
-    modes = find_modes(posterior)
+    return _explore_from(find_modes(posterior), posterior, seed, n_walkers, max_pilots, GOOD_ENOUGH)
+
+
+def explore_near(
+    posterior: Target, starts: Array | None, seed: np.random.SeedSequence, n_walkers: int = 128
+) -> Exploration:
+    """Find a proposal that is good enough for an evidence alone, of a posterior close to one that was explored.
+
+    Parameters
+    ----------
+    posterior : Target
+    starts : ndarray, shape (M, n), or None
+        Where its modes are about; None where there may be others, which are searched for.
+    seed : SeedSequence
+    n_walkers : int
+
+    Raises
+    ------
+    NumericalError
+        As `explore`.
+    """
+    modes = find_modes(posterior) if starts is None else revisit_modes(posterior, starts)
+    return _explore_from(modes, posterior, seed, n_walkers, MAX_PILOTS, ACCEPTABLE)
+
+
+def _explore_from(
+    modes: list[Mode],
+    posterior: Target,
+    seed: np.random.SeedSequence,
+    n_walkers: int,
+    max_pilots: int,
+    enough: float,
+) -> Exploration:
+    """Straighten the coordinates around known modes and fit a proposal; it is sharpened until it is good enough."""
     trial_seed, *pilot_seeds = seed.spawn(1 + MAX_PILOTS)
     trial_rng = np.random.default_rng(trial_seed)
     straight = straighten(posterior, modes[0])
     peaks = [_peak_in(straight, mode) for mode in modes]
     best = _try_peaks(straight, peaks, modes, trial_rng)
     for round_ in range(MAX_ROUNDS):
-        if best.efficiency >= GOOD_ENOUGH:
+        if best.efficiency >= enough:
             return best
         straight, peaks = _sharpen(straight, peaks[0], modes, curve=round_ == 0)
         found = _try_peaks(straight, peaks, modes, trial_rng)

@@ -134,6 +134,28 @@ def _follow_jumps(posterior: Target) -> tuple[Climb, list[Climb]]:
             return best, others
 
 
+def revisit_modes(posterior: Target, starts: Array) -> list[Mode]:
+    """Return the modes that climbs from starts (M, n) lead to, best first; without those that hold no mass.
+
+    Raises
+    ------
+    NumericalError
+        Where no start leads to a mode.
+    """
+    found: list[Mode] = []
+    for start in starts:
+        end = _climb_if_possible(posterior, start, -np.inf)
+        if end is None or any(np.allclose(end[0], mode.y, rtol=0.0, atol=SAME) for mode in found):
+            continue
+        found.append(_characterise(posterior, *end))
+    if not found:
+        raise NumericalError("mode search: no start leads to a mode")
+    found.sort(key=lambda mode: -mode.log_evidence)
+    return [
+        m for m in found if m is found[0] or (m.converged and m.log_evidence > found[0].log_evidence - WORTH_KEEPING)
+    ]
+
+
 def find_mode(posterior: Target, start: Array) -> Mode:
     """Climb to a mode from a start in sampling coordinates, shape (n,).
 

@@ -15,6 +15,7 @@ from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task
 from bayescal.experiments.study.held_out import compare_variants, describe_stacking, tabulate_left_out
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.prior_widths import list_width_tasks, tabulate_sensitivity, weigh_widths
 from bayescal.experiments.study.schema import StudyConfig
 from bayescal.experiments.study.structured_table import tabulate_structured
 from bayescal.experiments.study.summary import rank_variants, summarise_fit
@@ -29,7 +30,6 @@ from bayescal.experiments.study.tables import (
     tabulate_predictions,
     tabulate_ranking,
     tabulate_ring,
-    tabulate_sensitivity,
     tabulate_tau_scale,
 )
 from bayescal.experiments.study.trees import build_study_tree
@@ -45,8 +45,8 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
         Of a publication, to be tested on the study.
     run : Run
     """
-    fits = compute_posteriors(inputs, run)
-    posteriors = {task: arrays for task, arrays in fits.items() if task.is_fit}
+    posteriors = compute_posteriors(inputs, run)
+    widths = compute_widths(inputs, posteriors, run)
     identified = run.once("least squares", identify_variants, inputs, (LeastSquaresFit,))
     summary, files = _summarise(inputs, posteriors)
     tables = {
@@ -56,7 +56,7 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
         "left_out": tabulate_left_out(inputs, posteriors),
         "power_scaling": tabulate_power_scaling(inputs, posteriors),
         "blunders": tabulate_blunders(inputs, posteriors),
-        "sensitivity": tabulate_sensitivity(inputs, fits),
+        "sensitivity": tabulate_sensitivity(inputs, posteriors, widths),
         "tau_scale": tabulate_tau_scale(inputs, posteriors),
         "least_squares": tabulate_least_squares(inputs, identified),
         "flexure": tabulate_flexure(inputs.mechanism),
@@ -72,10 +72,17 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
 
 
 def compute_posteriors(inputs: StudyInputs, run: Run) -> dict[Task, Arrays]:
-    """Return the arrays of all tasks."""
+    """Return the arrays of all posteriors."""
     tasks = {task.key: task for task in list_tasks(inputs)}
     found = run.map("sampling", run_task, inputs, tasks)
     return {tasks[key]: arrays for key, arrays in found.items()}
+
+
+def compute_widths(inputs: StudyInputs, posteriors: dict[Task, Arrays], run: Run) -> dict[tuple[float, str], Arrays]:
+    """Return the evidence of every variant, with model error, for every factor on the priors that is not one."""
+    tasks = {task.key: task for task in list_width_tasks(inputs, posteriors)}
+    found = run.map("prior widths", weigh_widths, inputs, tasks)
+    return {(tasks[key].factor, tasks[key].variant): arrays for key, arrays in found.items()}
 
 
 def _judge(task: tuple[Claims, StudyInputs, dict[str, Any], dict[str, LeastSquaresFit]]) -> Any:

@@ -17,7 +17,6 @@ from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.experiments.shared.trees import SAVED_DRAWS, choose_draws, spread
 from bayescal.experiments.study.correct import (
     correct_draws,
-    correct_evidence,
     list_corrected,
     move_sample,
     sample_exactly,
@@ -46,48 +45,33 @@ type Arrays = dict[str, Array]
 
 @dataclass(frozen=True)
 class Task:
-    """A unit of work: a posterior of a variant, or only its evidence with priors wider or narrower by a factor."""
+    """A unit of work: a posterior of a variant."""
 
     variant: str
     with_model_error: bool
-    factor: float = 1.0
 
     @property
     def key(self) -> str:
         """A name that is also a file name."""
-        setting = "free" if self.with_model_error else "zero"
-        end = "" if self.is_fit else f"-factor-{self.factor!r}"
-        return f"{stem_of(self.variant)}-tau-{setting}{end}"
+        return f"{stem_of(self.variant)}-tau-{'free' if self.with_model_error else 'zero'}"
 
     @property
     def stem(self) -> str:
         """Name of the posterior's file without its ending."""
         return stem_of(self.variant) + ("" if self.with_model_error else "-tau-zero")
 
-    @property
-    def is_fit(self) -> bool:
-        """Whether the priors are the study's own, so that there is a posterior to be sampled."""
-        return self.factor == 1.0
-
 
 def list_tasks(inputs: StudyInputs) -> list[Task]:
     """Return all tasks of a study, the long ones first."""
     names = [variant.name for variant in inputs.config.variants]
-    fits = [Task(name, with_model_error) for with_model_error in (True, False) for name in names]
-    return fits + [task for task in list_sensitivity(inputs).values() if not task.is_fit]
-
-
-def list_sensitivity(inputs: StudyInputs) -> dict[tuple[float, str], Task]:
-    """Return the task that has the evidence of each factor on the priors and variant: at one the fit itself."""
-    factors, variants = inputs.config.sensitivity.factor, inputs.config.variants
-    return {(factor, v.name): Task(v.name, True, factor) for factor in factors for v in variants}
+    return [Task(name, with_model_error) for with_model_error in (True, False) for name in names]
 
 
 def run_task(inputs: StudyInputs, task: Task) -> Arrays:
     """Compute one task; all numbers depend on the inputs, the config's seed and the task's key alone."""
     began = time.perf_counter()
     variant = inputs.variant(task.variant)
-    posterior = inputs.posterior(variant, task.with_model_error, task.factor)
+    posterior = inputs.posterior(variant, task.with_model_error)
     seed = np.random.SeedSequence([inputs.config.seed, zlib.crc32(task.key.encode())])
     explore_seed, importance_seed, ensemble_seed, bridge_seed, predict_seed, correct_seed = seed.spawn(6)
     exploration = explore(posterior, explore_seed, inputs.config.sampler.walkers)
@@ -98,21 +82,25 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
         if again.is_better_than(importance):
             exploration, importance = other, again
     arrays = {
-        "importance": np.array([importance.log_evidence, importance.standard_error]),
-        "importance_quality": np.array([importance.efficiency, importance.pareto_k, importance.n_draws]),
+        **list_importance(importance),
+        "modes": np.stack([mode.y for mode in exploration.modes]),
         "modes_converged": np.array(all(mode.converged for mode in exploration.modes), dtype=float),
     }
-    if task.is_fit:
-        seeds = (ensemble_seed, bridge_seed, predict_seed, correct_seed)
-        sampled, correction = _sample(inputs, task, posterior, exploration, *seeds)
-        arrays |= sampled
-        arrays |= _check(inputs, task, posterior, exploration, arrays, seed)
-    else:
-        exact = inputs.exact_density(variant, posterior)
-        correction = None if exact is None else correct_evidence(exact, exploration, correct_seed)
+    seeds = (ensemble_seed, bridge_seed, predict_seed, correct_seed)
+    sampled, correction = _sample(inputs, task, posterior, exploration, *seeds)
+    arrays |= sampled
+    arrays |= _check(inputs, task, posterior, exploration, arrays, seed)
     arrays |= list_corrected(arrays, correction)
     arrays["wall_seconds"] = np.array(time.perf_counter() - began)
     return arrays
+
+
+def list_importance(importance: ImportanceEvidence) -> Arrays:
+    """Return an evidence by importance sampling and its quality, to be kept."""
+    return {
+        "importance": np.array([importance.log_evidence, importance.standard_error]),
+        "importance_quality": np.array([importance.efficiency, importance.pareto_k, importance.n_draws]),
+    }
 
 
 def _importance(config: StudyConfig, exploration: Exploration, seed: np.random.SeedSequence) -> ImportanceEvidence:

@@ -10,7 +10,7 @@ from arviz_stats.base import array_stats
 from scipy.special import logsumexp
 
 from bayescal.density.least_squares import LeastSquaresFit, identify, list_identified
-from bayescal.experiments.study.fit import Arrays, Task, list_sensitivity, read_prediction
+from bayescal.experiments.study.fit import Arrays, Task, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.published import read_published
 from bayescal.files.csv_tables import format_table
@@ -159,24 +159,6 @@ def tabulate_blunders(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.DataF
         if "blunder_probability" in arrays
     ]
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()
-
-
-def tabulate_sensitivity(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.DataFrame:
-    """Return the log-evidence of every variant for every factor on the widths of the priors."""
-    rows = []
-    for (factor, name), task in list_sensitivity(inputs).items():
-        arrays = fits[task]
-        rows.append(
-            {
-                "variant": name,
-                "factor": factor,
-                "log_evidence": arrays["importance"][0],
-                "log_evidence_se": arrays["importance"][1],
-                "efficiency": arrays["importance_quality"][0],
-                "pareto_k": arrays["importance_quality"][1],
-            }
-        )
-    return pd.DataFrame(rows).sort_values(["factor", "log_evidence"], ascending=[True, False], ignore_index=True)
 
 
 def tabulate_power_scaling(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> pd.DataFrame:

@@ -11,9 +11,11 @@ import studies
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.study.fit import list_sensitivity, list_tasks, run_task
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.study.compute import compute_posteriors, compute_widths
+from bayescal.experiments.study.fit import list_tasks, run_task
 from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.tables import tabulate_sensitivity
+from bayescal.experiments.study.prior_widths import list_width_tasks, move_modes, tabulate_sensitivity
 
 UNIFORM = 'kappa = { prior = "uniform", half_width = 0.01 }'
 NORMAL = 'kappa = { prior = "normal", sd = 0.01 }'
@@ -50,26 +52,42 @@ def test_a_factor_multiplies_the_width_of_every_prior_whatever_its_unit(tmp_path
     assert [own[f"l[{leg}]"].sd for leg in range(1, 7)] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
 
 
-def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(tmp_path):
-    inputs = load(tmp_path / "own", ("factor = [1.0]", "factor = [1.0, 3.0]"), EFFORT)
-    wide = load(tmp_path / "wide", ("sd = 2.0", "sd = 6.0"), ("sd = 0.01", "sd = 0.03"), EFFORT)
-    fits = {task: run_task(inputs, task) for task in list_sensitivity(inputs).values()}
-    table = tabulate_sensitivity(inputs, fits).set_index(["factor", "variant"])
-    for task in list_tasks(wide)[:2]:
-        expected = run_task(wide, task)["importance"]
-        found = table.loc[(3.0, task.variant)]
+@pytest.mark.parametrize("factor", [0.5, 3.0])
+def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(tmp_path, factor):
+    inputs = load(tmp_path / "own", ("factor = [1.0]", f"factor = [1.0, {factor}]"), EFFORT)
+    scaled = (("sd = 2.0", f"sd = {2.0 * factor}"), ("sd = 0.01", f"sd = {0.01 * factor}"))
+    other = load(tmp_path / "other", *scaled, EFFORT)
+    posteriors = compute_posteriors(inputs, Run())
+    widths = compute_widths(inputs, posteriors, Run())
+    table = tabulate_sensitivity(inputs, posteriors, widths).set_index(["factor", "variant"])
+    for task in list_tasks(other)[:2]:
+        expected = run_task(other, task)["importance"]
+        found = table.loc[(factor, task.variant)]
         error = np.hypot(found["log_evidence_se"], expected[1])
         assert found["log_evidence"] == pytest.approx(expected[0], abs=4 * error)
-        narrow = table.loc[(1.0, task.variant), "log_evidence"]
-        assert abs(narrow - expected[0]) > 10 * error  # the width matters
+        own = table.loc[(1.0, task.variant), "log_evidence"]
+        assert abs(own - expected[0]) > 10 * error  # the width matters
 
 
 def test_a_factor_of_one_is_the_fit_itself(tmp_path):
     inputs = load(tmp_path, ("factor = [1.0]", "factor = [1.0, 0.5, 1.0000001]"))
-    tasks = list_tasks(inputs)
-    assert len(tasks) == len({task.key for task in tasks}) == 8
-    assert sum(task.is_fit for task in tasks) == 4
-    assert list_sensitivity(inputs)[1.0, "six_pus/none"] == tasks[0]
+    fits = list_tasks(inputs)
+    posteriors = {task: {"modes": np.zeros((1, 2))} for task in fits}
+    widths = list_width_tasks(inputs, posteriors)
+    assert len(fits) == len({task.key for task in fits}) == 4
+    assert len(widths) == len({task.key for task in widths}) == 4
+    assert {task.factor for task in widths} == {0.5, 1.0000001}
+
+
+def test_modes_are_the_same_machines_within_narrower_bounds(tmp_path):
+    inputs = load(tmp_path, (NORMAL, UNIFORM))
+    variant = inputs.variant("six_pus/matrix")
+    known, narrow = (inputs.posterior(variant, True, factor) for factor in (1.0, 0.25))
+    modes = 0.1 * np.random.default_rng(1).standard_normal((3, known.n_parameters))
+    modes[2] *= 30.0  # beyond the narrower bounds
+    moved = move_modes(modes, known, narrow)
+    np.testing.assert_allclose(narrow.natural(moved[:2]), known.natural(modes[:2]), atol=1e-12)
+    assert np.isfinite(narrow.log_density(moved)).all()
 
 
 def test_a_uniform_prior_made_too_wide_is_refused(tmp_path):
