@@ -269,6 +269,11 @@ class Posterior:
         rows = self._prior_slope(change)
         return data, rows.T @ rows
 
+    def pose_information(self, y: Array, pose: int) -> Array:
+        """Return one pose's part of the information of the data on the geometry at y, shape (m, m)."""
+        _, _, slope, precision, _ = self._linearise(y)
+        return np.asarray(slope[pose].T @ precision[pose] @ slope[pose])
+
     def prior_residual(self, y: Array, theta: Array) -> Array:
         """Return the geometry's prior as residuals of unit variance, shape (m,), at coordinates (m,) and θ (D,)."""
         normal, centre, scale = self._normal

@@ -37,10 +37,18 @@ def correct_draws(
 
 def correct_evidence(exact: ExactDensity, exploration: Exploration, seed: np.random.SeedSequence) -> Correction:
     """Return the correction from some draws of the proposal."""
-    rng, proposal = np.random.default_rng(seed), exploration.proposal
-    draws = resample(exploration.straight.log_density, proposal, rng, PROPOSED, USED // 2).draws
+    draws, modes, covariance = draw_to_correct(exploration, np.random.default_rng(seed), USED // 2)
+    return correct(build_costly(exact, exploration), draws, modes, covariance, WEIGHED_AT_ONCE)
+
+
+def draw_to_correct(
+    exploration: Exploration, rng: np.random.Generator, n_draws: int
+) -> tuple[Array, np.ndarray, Array]:
+    """Return draws of the posterior (S, n) in straight coordinates, their modes (S,), a mode's covariance (n, n)."""
+    proposal = exploration.proposal
+    draws = resample(exploration.straight.log_density, proposal, rng, PROPOSED, n_draws).draws
     main = proposal.factors[np.argmax(proposal.weights)]
-    return correct(build_costly(exact, exploration), draws, _sort(exploration, draws), main @ main.T, WEIGHED_AT_ONCE)
+    return draws, _sort(exploration, draws), main @ main.T
 
 
 def _sort(exploration: Exploration, draws: Array) -> np.ndarray:
@@ -112,12 +120,16 @@ def _inform(posterior: Posterior, exact: ExactDensity, straight: Straightening, 
 
     That on the model errors is taken as the same.
     """
-    n = posterior.n_geometry
     theta = posterior.theta(y[None])[0]
     tau = np.broadcast_to(posterior.tau(y[None]), (1, posterior.likelihood.n_legs))[0]
     change = posterior.coordinates.jacobian(theta)
     more = change.T @ exact.information(theta, tau) @ change - posterior.information(y)[0]
+    return pull_back(straight, y, more)
+
+
+def pull_back(straight: Straightening, y: Array, information: Array) -> Array:
+    """Return information on the geometry's coordinates (m, m), at y (n,), as that on all straight ones (n, n)."""
     x, unit = straight.x_from_y(y[None]), STEP * np.eye(len(y))
-    slope = (straight.y_from_x(x + unit) - straight.y_from_x(x - unit))[:, :n].T / (2 * STEP)
-    more = slope.T @ more @ slope
-    return np.asarray(0.5 * (more + more.T))
+    slope = (straight.y_from_x(x + unit) - straight.y_from_x(x - unit))[:, : len(information)].T / (2 * STEP)
+    found = slope.T @ information @ slope
+    return np.asarray(0.5 * (found + found.T))

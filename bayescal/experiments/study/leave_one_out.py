@@ -1,7 +1,9 @@
-"""Leave-one-out cross-validation over poses: importance weights where they suffice, a run of its own where they do not.
+"""Leave-one-out cross-validation over poses: importance weights where they suffice, moved draws where they do not.
 
 Leaving a pose out of a density takes its pointwise part away, whatever that part is: p(θ | all but i) ∝ p(θ | all) /
-p(y_i | θ). A pose whose weights 1 / p(y_i | θ) have too heavy a tail (Pareto k) is left out by a short run.
+p(y_i | θ). A pose whose weights 1 / p(y_i | θ) have too heavy a tail (Pareto k) is left out by moving the draws to
+where the posterior of the others is (`bayescal.inference.correction`): the ratio of both evidences is the pose's
+density given the others. Where moved draws are not enough either, a short run on the others' posterior is.
 """
 
 from __future__ import annotations
@@ -12,15 +14,21 @@ import numpy as np
 from arviz_stats.base import array_stats
 from scipy.special import logsumexp
 
+from bayescal.density.posterior import Posterior
+from bayescal.experiments.study.correct import draw_to_correct, pull_back
+from bayescal.inference.correction import Correction, CostlyDensity, correct
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import Exploration, count_walkers
+from bayescal.inference.proposal import MixtureProposal
 from bayescal.inference.target import Target
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
 MAX_REFITS = 10
 HOPELESS_K = 10.0  # stands for a tail too heavy for its shape to be found
-"""Poses of one posterior that are left out by runs of their own; where more are bad, the posterior is, and none is."""
+"""Poses of one posterior that are left out anew; where more are bad, the posterior is, and none is."""
+MOVED, WEIGHED = 1024, 256  # draws that are moved at most, and those that are weighed in a round
+ENOUGH = 0.1  # nats, standard error of a pose's density from moved draws; beyond it a run is worth its time
 REFIT_BURN_IN, REFIT_STEPS = 30, 30
 
 
@@ -36,7 +44,7 @@ class LeftOut:
     effective : ndarray, shape (P,)
         Each pose's part of the effective number of parameters.
     refitted : ndarray, shape (P,)
-        elpd by a run without the pose; NaN where there was none.
+        elpd by moved draws or by a run without the pose; NaN where there was none.
     """
 
     weighted: Array
@@ -76,21 +84,57 @@ def leave_out(draws: Array, log_likelihood: Array) -> LeftOut:
 
 
 def refit_doubtful(
-    found: LeftOut, posterior: Target, exploration: Exploration, n_walkers: int, seed: np.random.SeedSequence
+    found: LeftOut, posterior: Posterior, exploration: Exploration, n_walkers: int, seed: np.random.SeedSequence
 ) -> LeftOut:
-    """Return the same with doubtful poses left out by runs, at most `MAX_REFITS` of them."""
+    """Return the same with doubtful poses left out anew, at most `MAX_REFITS` of them."""
     doubtful = np.flatnonzero(found.is_doubtful)
+    if not 0 < len(doubtful) <= MAX_REFITS:
+        return found
+    draw_seed, *seeds = seed.spawn(1 + len(doubtful))
+    drawn = draw_to_correct(exploration, np.random.default_rng(draw_seed), MOVED)
     refitted = found.refitted.copy()
-    if len(doubtful) <= MAX_REFITS:
-        for pose, own in zip(doubtful, seed.spawn(len(doubtful)), strict=True):
-            refitted[pose] = refit_without(int(pose), posterior, exploration, n_walkers, own)
+    for pose, own in zip(doubtful.tolist(), seeds, strict=True):
+        moved = move_without(pose, posterior, exploration, *drawn)
+        refitted[pose] = -moved.log_ratio
+        if not (moved.pareto_k <= PARETO_K_LIMIT and moved.standard_error <= ENOUGH):
+            proposal = moved.move.move_proposal(exploration.proposal)
+            refitted[pose] = refit_without(pose, posterior, exploration, proposal, n_walkers, own)
     return LeftOut(found.weighted, found.pareto_k, found.effective, refitted)
 
 
+def move_without(
+    pose: int, posterior: Posterior, exploration: Exploration, draws: Array, modes: np.ndarray, covariance: Array
+) -> Correction:
+    """Return what leads from the posterior to that without a pose: minus its log-ratio is the pose's elpd.
+
+    Parameters
+    ----------
+    pose : int
+    posterior : Posterior
+    exploration : Exploration
+    draws, modes, covariance : ndarray
+        As of `draw_to_correct`.
+    """
+    straight = exploration.straight
+
+    def gain(x: Array) -> Array:
+        with np.errstate(all="ignore"):
+            return -np.asarray(posterior.pointwise(straight.y_from_x(x))[:, pose])
+
+    y = exploration.modes[0].y
+    information = -pull_back(straight, y, posterior.pose_information(y, pose))
+    return correct(CostlyDensity(straight.log_density, gain, information), draws, modes, covariance, WEIGHED)
+
+
 def refit_without(
-    pose: int, posterior: Target, exploration: Exploration, n_walkers: int, seed: np.random.SeedSequence
+    pose: int,
+    posterior: Target,
+    exploration: Exploration,
+    proposal: MixtureProposal,
+    n_walkers: int,
+    seed: np.random.SeedSequence,
 ) -> float:
-    """Return a pose's log predictive density from draws of the posterior of all the others."""
+    """Return a pose's log predictive density from draws of the posterior of all the others, near a proposal of it."""
     straight, n = exploration.straight, posterior.n_parameters
 
     def own(x: Array) -> Array:
@@ -102,6 +146,6 @@ def refit_without(
         return np.where(np.isfinite(left), left, -np.inf)
 
     walkers = count_walkers(n, n_walkers)
-    run = run_ensemble(without, exploration.proposal, seed, walkers, REFIT_BURN_IN, REFIT_STEPS)
+    run = run_ensemble(without, proposal, seed, walkers, REFIT_BURN_IN, REFIT_STEPS)
     density = own(run.draws.reshape(-1, n))
     return float(logsumexp(density) - np.log(len(density)))

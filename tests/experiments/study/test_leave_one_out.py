@@ -10,8 +10,16 @@ import studies
 
 from bayescal.density.likelihood import PoseLikelihood
 from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.study.correct import draw_to_correct
 from bayescal.experiments.study.inputs import load_inputs
-from bayescal.experiments.study.leave_one_out import MAX_REFITS, LeftOut, leave_out, refit_doubtful, refit_without
+from bayescal.experiments.study.leave_one_out import (
+    MAX_REFITS,
+    LeftOut,
+    leave_out,
+    move_without,
+    refit_doubtful,
+    refit_without,
+)
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
@@ -48,8 +56,19 @@ def test_a_run_without_a_pose_gives_the_difference_of_evidences(inputs, posterio
     noise = 1e-3 * inputs.config.data.actuator_noise_um
     rest = replace(posterior, likelihood=PoseLikelihood(posterior.likelihood.machine, poses, noise))
     expected = log_evidence(posterior, found) - log_evidence(rest, explore(rest, np.random.SeedSequence(5)))
-    refitted = refit_without(POSE, posterior, found, 64, np.random.SeedSequence(6))
+    moved = move_without(POSE, posterior, found, *draw_to_correct(found, np.random.default_rng(7), 1024))
+    assert -moved.log_ratio == pytest.approx(expected, abs=0.1)
+    proposal = moved.move.move_proposal(found.proposal)
+    refitted = refit_without(POSE, posterior, found, proposal, 64, np.random.SeedSequence(6))
     assert refitted == pytest.approx(expected, abs=0.15)
+
+
+def test_where_moved_draws_are_not_enough_a_run_is(posterior, found, monkeypatch):
+    enough = refit_doubtful(make_left_out(1), posterior, found, 64, np.random.SeedSequence(9)).refitted[0]
+    monkeypatch.setattr("bayescal.experiments.study.leave_one_out.ENOUGH", 0.0)
+    run = refit_doubtful(make_left_out(1), posterior, found, 64, np.random.SeedSequence(9)).refitted[0]
+    assert run != enough
+    assert run == pytest.approx(enough, abs=0.15)
 
 
 def test_weights_and_runs_agree_where_weights_are_good(posterior, found):
@@ -59,7 +78,7 @@ def test_weights_and_runs_agree_where_weights_are_good(posterior, found):
     weighted = leave_out(posterior.natural(flat), density)
     best = int(np.argmin(weighted.pareto_k))
     assert weighted.pareto_k[best] < 0.5
-    refitted = refit_without(best, posterior, found, 64, np.random.SeedSequence(8))
+    refitted = refit_without(best, posterior, found, found.proposal, 64, np.random.SeedSequence(8))
     assert refitted == pytest.approx(weighted.elpd[best], abs=0.15)
 
 
