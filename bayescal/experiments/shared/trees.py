@@ -143,7 +143,17 @@ def write_tree(build: Callable[[], xr.DataTree]) -> Writer:
 
 
 def _write(build: Callable[[], xr.DataTree], path: Path) -> None:
-    build().to_netcdf(path, engine="h5netcdf")
+    write_packed(pack_tree(build()), path)
+
+
+def pack_tree(tree: xr.DataTree) -> np.ndarray:
+    """Return the bytes of a netCDF file; the same for the same tree."""
+    return np.frombuffer(tree.to_netcdf(engine="h5netcdf"), dtype=np.uint8)
+
+
+def write_packed(packed: np.ndarray, path: Path) -> None:
+    """Write a packed tree: a disk that is full is an error of writing then, not one within HDF5."""
+    path.write_bytes(packed.tobytes())
 
 
 def _split(draws: Draws, values: Array, units: Sequence[str]) -> xr.Dataset:

@@ -9,7 +9,7 @@ from bayescal.config.classes import label_class
 from bayescal.density.least_squares import LeastSquaresFit
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
-from bayescal.experiments.shared.trees import write_tree
+from bayescal.experiments.shared.trees import pack_tree, write_packed
 from bayescal.experiments.study.calibrated import describe_nominal
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task
@@ -33,6 +33,9 @@ from bayescal.experiments.study.tables import (
     tabulate_tau_scale,
 )
 from bayescal.experiments.study.trees import build_study_tree
+
+ONLY_SAVED = ("prior", "prior_misfit", "start_error", "whitening")
+"""Arrays of a posterior that nothing but its tree has."""
 
 
 def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Results:
@@ -74,8 +77,15 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
 def compute_posteriors(inputs: StudyInputs, run: Run) -> dict[Task, Arrays]:
     """Return the arrays of all posteriors."""
     tasks = {task.key: task for task in list_tasks(inputs)}
-    found = run.map("sampling", run_task, inputs, tasks)
+    found = run.map("sampling", fit_and_pack, inputs, tasks)
     return {tasks[key]: arrays for key, arrays in found.items()}
+
+
+def fit_and_pack(inputs: StudyInputs, task: Task) -> Arrays:
+    """Return the arrays of a posterior, with its tree's file in place of what only that has."""
+    arrays = run_task(inputs, task)
+    tree = pack_tree(build_study_tree(inputs, task, arrays))
+    return {name: values for name, values in arrays.items() if name not in ONLY_SAVED} | {"tree": tree}
 
 
 def compute_widths(inputs: StudyInputs, posteriors: dict[Task, Arrays], run: Run) -> dict[tuple[float, str], Arrays]:
@@ -96,7 +106,7 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dic
     files: dict[str, Writer] = {}
     for task, arrays in posteriors.items():
         fit = summarise_fit(inputs, task.variant, task.with_model_error, arrays)
-        files[f"posterior/{task.stem}.nc"] = write_tree(partial(build_study_tree, inputs, task, arrays))
+        files[f"posterior/{task.stem}.nc"] = partial(write_packed, arrays["tree"])
         if task.with_model_error:
             variants[task.variant] = fit
         else:
