@@ -18,7 +18,6 @@ import sys
 import threading
 import time
 import uuid
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
@@ -29,6 +28,7 @@ import cloudpickle
 from threadpoolctl import threadpool_limits
 
 from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.frame.batches import Feed, unwarned
 from bayescal.experiments.frame.engine import Engine, Failure, run_guarded, run_quietly
 from bayescal.experiments.frame.interrupts import shield_children
 from bayescal.experiments.frame.records import Record
@@ -46,12 +46,17 @@ SPARING = {
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",
     "distributed.admin.system-monitor.interval": "5s",
+    "distributed.scheduler.active-memory-manager.start": False,
+    "distributed.scheduler.work-stealing-interval": "1s",
 }
 """What dask would otherwise spend on watching itself, a tenth of a core; nobody looks at workers of one run."""
 WANT = "--scheduler"
+ANSWER, KILLED = "answer", "killed"
 
 type Versions = dict[str, str]
 type Parcel = tuple[str, Versions, bytes]
+type Answer = tuple[str, float, list[Record | Failure]]
+"""Of a batch: a word, the seconds of processor time that it took, and what became of each task."""
 
 
 class Cluster(Engine):
@@ -80,54 +85,58 @@ class Cluster(Engine):
         """
         if not tasks:
             return
-        stage, parcel = uuid.uuid4().hex, self._send(function, shared)
-        keys = {f"bayescal-{stage}-{number}": name for number, name in enumerate(tasks)}
-        packed = [cloudpickle.dumps(task) for task in tasks.values()]
-        with _unwarned():
-            sent = self.client.map(_work, packed, key=list(keys), parcel=parcel, pure=False)
-        waiting = {future.key: future for future in sent}
+        feed = Feed(self.client, _work, f"bayescal-{uuid.uuid4().hex}", self._send(function, shared), tasks)
         try:
-            yield from self._collect(sent, waiting, keys)
+            yield from self._collect(feed)
         finally:
             with suppress(Exception):  # whatever came before matters more
-                self.client.cancel(list(waiting.values()))
+                self.client.cancel(feed.under_way)
 
-    def _collect(
-        self, sent: list[Any], waiting: dict[str, Any], keys: Mapping[str, str]
-    ) -> Iterator[tuple[str, Record | Failure]]:
+    def _collect(self, feed: Feed) -> Iterator[tuple[str, Record | Failure]]:
         from distributed import as_completed
 
-        ended = as_completed(sent, loop=self.client.loop)
-        sent.clear()  # a result that was fetched is dropped by the cluster when nothing here holds on to it
+        ended = as_completed(feed.fill(), loop=self.client.loop)
         seen = time.monotonic()
-        while not ended.is_empty():
+        while not feed.is_done:
             if not ended.has_ready():
                 time.sleep(POLL)
                 seen = self._look_for_workers(seen)
-                continue
-            batch = list(ended.next_batch(block=False))
-            for future, outcome in zip(batch, self._fetch(batch), strict=True):
-                yield keys[future.key], outcome
-                del waiting[future.key]
+            else:
+                batch = list(ended.next_batch(block=False))
+                for future, answer in zip(batch, self._fetch(batch), strict=True):
+                    yield from self._sort(feed, future.key, answer)
+            ended.update(feed.fill())
 
-    def _fetch(self, batch: list[Any]) -> list[Record | Failure]:
-        """Return the records or failures of tasks that have ended."""
+    def _sort(self, feed: Feed, key: str, answer: Answer | Failure) -> Iterator[tuple[str, Record | Failure]]:
+        """Yield what became of a batch's tasks; those of a batch that killed workers are tried one by one."""
+        if len(answer) == 3:
+            _, seconds, outcomes = answer
+            yield from zip(feed.end(key, seconds), outcomes, strict=True)
+            return
+        names = feed.end(key)
+        if len(names) > 1 and answer[1].startswith(KILLED):
+            feed.send_alone(names)
+        else:
+            yield from ((name, answer) for name in names)
+
+    def _fetch(self, batch: list[Any]) -> list[Answer | Failure]:
+        """Return the answers of batches that have ended."""
         try:
             return [pickle.loads(one) for one in self.client.gather(batch)]  # the usual case: one message for all
         except (Exception, CancelledError):  # one of them has none
             return [self._read(future) for future in batch]
 
-    def _read(self, future: Any) -> Record | Failure:
-        """Return the record or failure of a task that has ended."""
+    def _read(self, future: Any) -> Answer | Failure:
+        """Return the answer of a batch that has ended, or why there is none."""
         try:
-            outcome: Record | Failure = pickle.loads(future.result())
+            answer: Answer = pickle.loads(future.result())
         except (CancelledError, OSError) as error:
             raise NumericalError(
                 f"the scheduler at {self.address} went away or dropped its tasks; go on with --resume"
             ) from error
         except Exception as error:
             return self._explain(error)
-        return outcome
+        return answer
 
     def _look_for_workers(self, seen: float) -> float:
         """Return when workers were seen last; NumericalError where this run's own are gone for good.
@@ -151,7 +160,7 @@ class Cluster(Engine):
         if isinstance(error, KilledWorker):
             return (
                 NumericalError,
-                f"killed {error.allowed_failures + 1} workers one after another, perhaps for want of memory",
+                f"{KILLED} {error.allowed_failures + 1} workers one after another, perhaps for want of memory",
             )
         if isinstance(error, ImportError | pickle.UnpicklingError):
             return NumericalError, f"a worker lacks what it needs ({_one_line(error)})"
@@ -161,7 +170,7 @@ class Cluster(Engine):
         """Send what all tasks of a stage need to every worker that is there; return what stands for it."""
         content = cloudpickle.dumps((function, shared))
         token = hashlib.sha256(content).hexdigest()
-        with _unwarned():
+        with unwarned():
             sent = self.client.submit(_keep, (token, list_all_versions(), content), key=f"bayescal-shared-{token}")
         if self.client.nthreads():
             with suppress(Exception):  # it only saves time: workers fetch from each other what they miss
@@ -212,7 +221,7 @@ def _serve(distributed: Any, workers: int) -> Iterator[Any]:
     nowhere = f"{LOOPBACK}:0"
     import dask
 
-    with dask.config.set(SPARING), shield_children(), _unwarned():
+    with dask.config.set(SPARING), shield_children(), unwarned():
         cluster = distributed.LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
@@ -220,6 +229,7 @@ def _serve(distributed: Any, workers: int) -> Iterator[Any]:
             dashboard_address=nowhere,
             worker_dashboard_address=nowhere,
             silence_logs=logging.CRITICAL,
+            memory_limit=0,  # nobody looks ten times a second; what an experiment needs is estimated before
         )
     with cluster, distributed.Client(cluster, set_as_default=False) as client:
         yield client
@@ -238,7 +248,7 @@ def _answer(distributed: Any, address: str) -> Iterator[Any]:
             raise InputError(f"{WANT}: found no file {address}, expected the one that a scheduler writes")
         where = {"scheduler_file": address}
     try:
-        with _unwarned():
+        with unwarned():
             client = distributed.Client(**where, timeout=TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError, KeyError, ImportError, RuntimeError) as error:
         raise InputError(
@@ -275,14 +285,6 @@ def list_all_versions() -> Versions:
     return list_versions(PACKAGES)
 
 
-@contextmanager
-def _unwarned() -> Iterator[None]:
-    """Leave out what dask warns of and what is checked here, or meant: versions, ports, large inputs."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
-
-
 def _one_line(error: object) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())[:300]
 
@@ -300,17 +302,19 @@ def _keep(parcel: Parcel) -> Parcel:
     return parcel
 
 
-def _work(task: bytes, parcel: Parcel) -> bytes:
-    """Return a task's record or failure; bytes both ways, so that arrays lie in memory as in any other process."""
+def _work(batch: bytes, parcel: Parcel) -> bytes:
+    """Return a batch's answer; bytes both ways, so that arrays lie in memory as in any other process."""
     with _ONE_AT_A_TIME:
+        began = time.thread_time()  # of a busy machine, too: what a batch costs beside dask is meant
         if differ := _compare(list_all_versions(), parcel[1]):
             return pickle.dumps((NumericalError, f"a worker has {differ}"))
         try:
             function, shared = _unpack(parcel)
-            mine = pickle.loads(task)
+            mine = pickle.loads(batch)
         except (ImportError, AttributeError, pickle.UnpicklingError) as error:
             return pickle.dumps((NumericalError, f"a worker lacks what it needs ({_one_line(error)})"))
-        return pickle.dumps(_run_limited(function, shared, mine), protocol=pickle.HIGHEST_PROTOCOL)
+        outcomes = [_run_limited(function, shared, task) for task in mine]
+        return pickle.dumps((ANSWER, time.thread_time() - began, outcomes), protocol=pickle.HIGHEST_PROTOCOL)
 
 
 def _unpack(parcel: Parcel) -> tuple[Callable[[Any, Any], Any], Any]:

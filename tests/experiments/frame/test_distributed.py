@@ -222,7 +222,7 @@ def test_other_versions_are_refused(dask, monkeypatch):
 )
 def test_a_worker_that_comes_late_says_what_it_lacks(versions, content, message):
     parcel = (message, {**engine.list_all_versions(), **versions}, content)
-    kind, said = pickle.loads(engine._work(cloudpickle.dumps(1), parcel))
+    kind, said = pickle.loads(engine._work(cloudpickle.dumps([1]), parcel))
     assert kind is NumericalError
     assert said.startswith(message)
 
