@@ -31,8 +31,8 @@ from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.models.base import Linearisation, newton_step
 from bayescal.numerics.geometry import Array, compute_pose_error, matrix_from_rotation_vector
 
-BATCH = 16
-"""Machines at a time: their derivatives stay in the cache."""
+BATCH, FEW_POSES = 16, 128
+"""Machines at a time, at so many poses: their derivatives stay in the cache."""
 CLOSES = 1e-4
 """Newton step in mm and rad below which the derivatives are those at the predicted pose: to 0.001 nats of 40 poses."""
 STEPS = 5
@@ -156,8 +156,9 @@ class ExactDensity:
         result = np.empty(len(theta))
         model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
         with np.errstate(all="ignore"):  # far out numbers overflow: no density in the end
-            for start in range(0, len(theta), BATCH):
-                part = slice(start, start + BATCH)
+            size = max(1, BATCH * FEW_POSES // max(self._likelihood.n_poses, FEW_POSES))
+            for start in range(0, len(theta), size):
+                part = slice(start, start + size)
                 result[part] = self._evaluate(theta[part], model_error[part])
         return np.where(np.isfinite(result), result, -np.inf)
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from bayescal.data.instruments.base import Instrument
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches
+from bayescal.density.likelihood import Likelihood, PoseLikelihood
 from bayescal.errors import InputError
 from bayescal.machines.frames import frame_blocks, measured_pose_slopes, move_frames
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
@@ -88,7 +88,7 @@ class InstrumentLikelihood(Likelihood):
 
     def errors(self, theta: Array) -> Array:
         """Return the rows, read minus predicted, then the legs' conditions, for vectors (B, D), shape (B, P, K)."""
-        parts = [self._errors(theta[part]) for part in batches(len(theta))]
+        parts = [self._errors(theta[part]) for part in self._batches(len(theta))]
         return np.concatenate(parts) if parts else np.empty((0, self.n_poses, self._noise.shape[-1]))
 
     def _errors(self, theta: Array) -> Array:

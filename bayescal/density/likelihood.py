@@ -20,25 +20,33 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from copy import copy
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.low_rank import FEWEST_LEGS, find_low_rank
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.parameters import ParameterLayout
-from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 from bayescal.numerics.scratch import Scratch
 
 REFINEMENTS = 2
 ROUNDING = 1e-10
 BATCH = 256  # vectors at a time: what the hot loop touches stays in the cache
+POSES, FEWEST = 128, 8  # poses of six legs at a time, for the same reason; memory then hardly grows with the poses
 
 
-def batches(size: int) -> list[slice]:
-    """Return slices of at most `BATCH` out of ``size``."""
-    return [slice(k, min(k + BATCH, size)) for k in range(0, size, BATCH)]
+OF_POSES = ("_gain", "_known", "_constant", "_to_error", "_pose_jacobian", "actuator_weight")
+"""What a density of poses has of each pose."""
+
+
+def batches(size: int, n_poses: int = 1) -> list[slice]:
+    """Return slices of at most `BATCH` out of ``size``, fewer where each takes memory for very many poses at once."""
+    most = max(1, BATCH * POSES // max(n_poses, POSES))
+    return [slice(k, min(k + most, size)) for k in range(0, size, most)]
 
 
 class Likelihood(ABC):
@@ -99,6 +107,10 @@ class Likelihood(ABC):
     def pose_covariance(self, model_error: Array) -> Array:
         """Return the covariance of `pose_errors`, shape (..., P, 6, 6), for model errors (..., N) in mm."""
 
+    def parts(self) -> list[tuple[slice, Likelihood]]:
+        """Return which poses are best worked on together, each with their density; by default all."""
+        return [(slice(None), self)]
+
     def pointwise(self, theta: Array, model_error: Array) -> Array:
         """Return the log-density of each pose.
 
@@ -115,9 +127,13 @@ class Likelihood(ABC):
             In units of mm and rad; -inf where a parameter vector is no machine (NaN closure).
         """
         result = np.empty((len(theta), self.n_poses))
-        for part in batches(len(theta)):
+        for part in self._batches(len(theta)):
             result[part] = self._pointwise(theta[part], model_error if model_error.ndim == 1 else model_error[part])
         return result
+
+    def _batches(self, size: int) -> list[slice]:
+        """Return how many vectors to take at a time."""
+        return batches(size, self.n_poses)
 
     @abstractmethod
     def _pointwise(self, theta: Array, model_error: Array) -> Array:
@@ -167,7 +183,8 @@ class PoseLikelihood(Likelihood):
         self._known = 0.5 * (known + np.swapaxes(known, -1, -2))
         _, log_volume = np.linalg.slogdet(np.swapaxes(pose, -1, -2) @ pose)
         self._constant = 0.5 * log_volume - 0.5 * pose.shape[-2] * np.log(2 * np.pi)
-        self._to_error = self._find_projection()
+        self._to_error, self._seen = self._find_projection()
+        self._low_rank = find_low_rank(pose, poses.covariance, self._known)
         self._scratch = Scratch()
         self._refinements = REFINEMENTS
         self._whitening: tuple[Array, Array, Array] | None = None
@@ -177,16 +194,55 @@ class PoseLikelihood(Likelihood):
         """Number of poses P."""
         return self.poses.n_poses
 
+    def _batches(self, size: int) -> list[slice]:
+        return batches(size)  # it takes some poses at a time
+
     def refined(self) -> Self:
         """Return the same density with two more digits of the pose errors, for machines far from nominal."""
         other = copy(self)
+        other.__dict__.pop("_parts", None)
         other._scratch, other._refinements = Scratch(), self._refinements + 1
+        return other
+
+    def parts(self) -> list[tuple[slice, Likelihood]]:
+        """Return at most `POSES` poses at a time, each with their density; they share the memory that they work in."""
+        return list(self._parts)
+
+    @cached_property
+    def _parts(self) -> list[tuple[slice, Self]]:
+        size = max(FEWEST, POSES * DEGREES_OF_FREEDOM // self.n_legs)
+        if self.n_poses <= size:
+            return [(slice(None), self)]
+        scratch, of_closure = Scratch(), Scratch()
+        slices = [slice(k, k + size) for k in range(0, self.n_poses, size)]
+        return [(part, self._take(part, scratch, of_closure)) for part in slices]
+
+    def _take(self, part: slice, scratch: Scratch, of_closure: Scratch) -> Self:
+        """Return the density of some of the poses."""
+        other, poses, machine = copy(self), self.poses.select(np.arange(self.n_poses)[part]), self.machine
+        other.__dict__.pop("_parts", None)
+        other.poses, other._basis = poses, machine.basis(poses.actuators)
+        other._bound = machine.model.bind(self.layout, poses.position, poses.rotation, other._basis)
+        other._bound.share(of_closure)
+        other._scratch, other._whitening = scratch, None
+        other._low_rank = None if self._low_rank is None else self._low_rank.select(part)
+        other._seen = None if self._seen is None else self._seen[part]
+        for name in OF_POSES:
+            setattr(other, name, getattr(self, name)[part])
         return other
 
     # --- residuals -----------------------------------------------------------------------------------------------
 
     def leg_errors_by_leg(self, theta: Array) -> Array:
         """Return r for parameter vectors (B, D), as an array (N, P, B) that the next call overwrites."""
+        if len(self._parts) == 1:
+            return self._find_leg_errors(theta)
+        result = self._scratch.take("all leg errors", self.n_legs, self.n_poses, len(theta))
+        for poses, part in self._parts:
+            result[:, poses] = part._find_leg_errors(theta)
+        return result
+
+    def _find_leg_errors(self, theta: Array) -> Array:
         closure = self._bound.evaluate(np.asfortranarray(theta))  # the batch contiguous
         n_legs, n_poses, n_batch = closure.shape
         result = self._scratch.take("leg errors", n_legs, n_poses, n_batch)
@@ -195,6 +251,8 @@ class PoseLikelihood(Likelihood):
         for _ in range(self._refinements):
             np.matmul(self._to_error, seen.transpose(1, 0, 2), out=both.transpose(1, 0, 2))
             error, seen = both[:6], both[6:] if len(both) > 6 else seen
+            if self._seen is not None:
+                seen = np.matmul(self._seen, error.transpose(1, 0, 2)).transpose(1, 0, 2)
             seen = np.subtract(seen, self._bound.along(error), out=result)  # (A⁰ - A(θ)) e
             seen += closure
         return seen
@@ -209,8 +267,10 @@ class PoseLikelihood(Likelihood):
         position = np.where(found.converged[:, None], found.position, poses.position)
         return position, np.where(found.converged[:, None, None], found.rotation, poses.rotation)
 
-    def _find_projection(self) -> Array:
+    def _find_projection(self) -> tuple[Array, Array | None]:
         """Return G and, below, the A⁰ G that the bound closure sees, shape (P, 6 + N, N); G alone if that is one.
+
+        With many legs the A⁰ that it sees, shape (P, N, 6), comes by itself: A⁰ G has only six columns' worth.
 
         What the bound closure leaves out of A(θ) is added as it is for the nominal machine.
         """
@@ -219,10 +279,13 @@ class PoseLikelihood(Likelihood):
         bound = machine.model.bind(machine.layout, *self._closing, self._basis)
         bound.evaluate(np.broadcast_to(nominal, (6, len(nominal))))
         unit = np.ascontiguousarray(np.broadcast_to(np.eye(6)[:, None], (6, poses.n_poses, 6)))
-        seen = bound.along(unit).transpose(1, 0, 2) @ self._gain
+        by_pose = bound.along(unit).transpose(1, 0, 2)
+        if n_legs >= FEWEST_LEGS:
+            return self._gain, by_pose.copy()
+        seen = by_pose @ self._gain
         if np.abs(seen - np.eye(n_legs)).max() < ROUNDING:
-            return self._gain
-        return np.concatenate([self._gain, seen], axis=1)
+            return self._gain, None
+        return np.concatenate([self._gain, seen], axis=1), None
 
     def errors(self, theta: Array) -> Array:
         """Return the legs' errors; see `leg_errors`."""
@@ -244,7 +307,8 @@ class PoseLikelihood(Likelihood):
         """Return r = A⁰ e, the pose errors seen by the legs in mm, for (B, D) parameter vectors, shape (B, P, N)."""
         result = np.empty((len(theta), self.poses.n_poses, self.n_legs))
         for part in batches(len(theta)):
-            result[part] = self.leg_errors_by_leg(theta[part]).transpose(2, 1, 0)
+            for poses, some in self._parts:
+                result[part, poses] = some._find_leg_errors(theta[part]).transpose(2, 1, 0)
         return result
 
     def pose_errors(self, theta: Array) -> Array:
@@ -299,16 +363,22 @@ class PoseLikelihood(Likelihood):
         density, square = np.empty((2, len(theta), self.n_poses))
         for part in batches(len(theta)):
             some = model_error if model_error.ndim == 1 else model_error[part]
-            density[part], square[part] = self._evaluate(theta[part], some)
+            for poses, here in self._parts:
+                density[part, poses], square[part, poses] = here._evaluate(theta[part], some)
         square[~np.isfinite(square)] = np.inf
         return density, square
 
     def _pointwise(self, theta: Array, model_error: Array) -> Array:
-        return self._evaluate(theta, model_error)[0]
+        if len(self._parts) == 1:
+            return self._evaluate(theta, model_error)[0]
+        result = np.empty((len(theta), self.n_poses))
+        for poses, part in self._parts:
+            result[:, poses] = part._evaluate(theta, model_error)[0]
+        return result
 
     @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
     def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
-        errors = self.leg_errors_by_leg(theta)
+        errors = self._find_leg_errors(theta)
         if model_error.ndim == 1:
             density, square = self._density_fixed(errors, model_error)
         else:
@@ -339,6 +409,8 @@ class PoseLikelihood(Likelihood):
         def add(leg: int) -> Array:
             return np.asarray(self.actuator_weight[:, leg, None] * variance[leg])
 
+        if self._low_rank is not None:
+            return self._low_rank.evaluate(add, errors, self._scratch)
         return factor_by_columns(self._known, add, errors, self._scratch)
 
 

@@ -126,7 +126,7 @@ def _summarise(mean: Array, errors: Array, noise: Array) -> Prediction:
 def _draw_noise(likelihood: Likelihood, model_error: Array, normal: Array) -> Array:
     """Return standard normal numbers (S, P, 6) with the covariance of the measured poses given τ, (S, N) or (N,)."""
     noise = np.empty_like(normal)
-    for part in batches(len(normal)):
+    for part in batches(len(normal), normal.shape[1]):
         tau = model_error if model_error.ndim == 1 else model_error[part]
         factor = np.linalg.cholesky(likelihood.pose_covariance(tau))
         noise[part] = (factor @ normal[part][..., None])[..., 0]

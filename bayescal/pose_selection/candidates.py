@@ -7,7 +7,7 @@ outer nodes lie on the boundary; and the nodes of a coarse full factorial, toppe
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -23,6 +23,7 @@ from bayescal.pose_selection.domain import PlacedPoses, PoseDomain, describe_mov
 DIGITS = 9  # of shares of the box: poses that agree so far are the same
 ATTEMPTS = 100
 LEVELS = 11
+AT_ONCE = 10_000  # candidates whose derivatives are held at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +47,14 @@ class Candidates:
     def __len__(self) -> int:
         """Return the number of candidates C."""
         return len(self.shares)
+
+    def linearise_in_parts(self) -> Iterator[Sensitivity]:
+        """Yield the derivatives of some candidates after the others: those of all at once take memory."""
+        if len(self) <= AT_ONCE:
+            yield self.sensitivity
+            return
+        for k in range(0, len(self), AT_ONCE):
+            yield self.domain.linearise(self.placed.select(slice(k, k + AT_ONCE)), first=k + 1)
 
     @cached_property
     def sensitivity(self) -> Sensitivity:

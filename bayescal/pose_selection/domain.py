@@ -8,7 +8,7 @@ are the actuators' displacements in shares of their range, and the constraint is
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -47,6 +47,10 @@ class PlacedPoses:
     rotation: Array
     actuators: Array
     found: np.ndarray
+
+    def select(self, chosen: slice) -> PlacedPoses:
+        """Return some of the poses."""
+        return PlacedPoses(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,15 +110,18 @@ class PoseDomain(ABC):
         moves = np.concatenate([pose.position - self.home.position, rotation_vector_from_matrix(turned)], axis=-1)
         return PlacedPoses(moves, pose.position, pose.rotation, actuators, pose.converged)
 
-    def linearise(self, placed: PlacedPoses, name: str = "candidate") -> Sensitivity:
-        """Return the derivatives at poses; InputError names the first at which J_1, the pose Jacobian, is singular."""
+    def linearise(self, placed: PlacedPoses, name: str = "candidate", first: int = 1) -> Sensitivity:
+        """Return the derivatives at poses, whose numbers begin with ``first``.
+
+        InputError names the first at which J_1, the pose Jacobian, is singular.
+        """
         poses = ForwardKinematics(placed.position, placed.rotation, placed.found, 0)
         return linearise_at(
             self.knowledge,
             self.theta,
             poses,
             placed.actuators,
-            lambda index: f"{name} {index + 1} ({describe_move(placed.moves[index])})",
+            lambda index: f"{name} {index + first} ({describe_move(placed.moves[index])})",
         )
 
 

@@ -71,7 +71,9 @@ class SelectionProblem:
     @cached_property
     def blocks(self) -> Array:
         """Rows of each candidate, shape (C, k, L)."""
-        return self.criterion.rows(self.candidates.domain.knowledge, self.candidates.sensitivity)
+        knowledge = self.candidates.domain.knowledge
+        parts = [self.criterion.rows(knowledge, part) for part in self.candidates.linearise_in_parts()]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     @cached_property
     def base(self) -> Array:

@@ -14,9 +14,14 @@ from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.audit.terminal import show_audit
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
 from bayescal.report.blocks import Page
+
+DERIVATIVES = 60
+"""Arrays of all rows by all parameters that an audit holds at most, as measured with 10,000 poses."""
 
 
 class Audit(Experiment[AuditConfig, AuditDesign]):
@@ -46,6 +51,15 @@ class Audit(Experiment[AuditConfig, AuditDesign]):
     def read(self, config: AuditConfig, folder: Path) -> AuditDesign:
         """Return the design, read and checked."""
         return read_design(config, folder)
+
+    def estimate_memory(self, inputs: AuditDesign) -> Need:
+        """Return what the derivatives at all planned poses take, the what-ifs' among them."""
+        if inputs.planned is None:
+            return Need()
+        n_poses, n_parameters = inputs.planned.plan.n_poses, len(inputs.planned.knowledge.names)
+        n_rows = n_poses * max(DEGREES_OF_FREEDOM, inputs.planned.knowledge.machine.mechanism.n_legs)
+        sizes = f"{n_poses} planned poses and {n_parameters} parameters"
+        return Need(each=8.0 * DERIVATIVES * n_rows * n_parameters, sizes=sizes, remedy="fewer poses")
 
     def compute(self, inputs: AuditDesign, run: Run) -> Results:
         """Return everything the audit says."""

@@ -20,6 +20,7 @@ from bayescal.config.files import find_classes, find_files
 from bayescal.config.registry import hash_modules
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
+from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.report.blocks import Page
@@ -68,6 +69,11 @@ class Experiment[C: ExperimentConfig, I](ABC):
     @abstractmethod
     def read(self, config: C, folder: Path) -> I:
         """Return what the experiment computes with; InputError for every fault of the config or its files."""
+
+    def estimate_memory(self, inputs: I) -> Need:
+        """Return what computing with these inputs will hold at once; by default nothing is known."""
+        del inputs
+        return Need()
 
     @abstractmethod
     def compute(self, inputs: I, run: Run) -> Results:

@@ -18,6 +18,7 @@ from bayescal.experiments.frame.engine import Processes, open_engine
 from bayescal.experiments.frame.identity import describe_provenance, identify
 from bayescal.experiments.frame.load import AnyExperiment, find_kind
 from bayescal.experiments.frame.lock import hold_lock
+from bayescal.experiments.frame.memory import check_memory
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.progress import Progress
 from bayescal.experiments.frame.results import (
@@ -114,6 +115,7 @@ def run_experiment(
     experiment, store = find_kind(config.kind, folder, folder), Store(out)
     with threadpool_limits(1):
         inputs = experiment.read(config, folder)
+        check_memory(experiment.estimate_memory(inputs), workers if scheduler is None else 0)
         modules = hash_modules([type(experiment)]) | experiment.modules(config, folder)
         identity = identify(config, folder, _list_files(experiment, config, folder), modules)
         store.check(identity, resume)
@@ -156,7 +158,9 @@ def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1)
     """Return what an experiment finds, without writing anything."""
     experiment = find_kind(config.kind, folder, folder)
     with threadpool_limits(1), np.errstate(all="ignore"):
-        return experiment.compute(experiment.read(config, folder), Run(Processes(workers)))
+        inputs = experiment.read(config, folder)
+        check_memory(experiment.estimate_memory(inputs), workers)
+        return experiment.compute(inputs, Run(Processes(workers)))
 
 
 def _write(experiment: AnyExperiment, results: Results, folder: Path) -> Page:

@@ -5,13 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.pose_selection.compute import compute_selections
 from bayescal.experiments.pose_selection.inputs import SelectionInputs, read_selection
 from bayescal.experiments.pose_selection.page import build_page
 from bayescal.experiments.pose_selection.schema import SelectionConfig
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
+from bayescal.pose_selection.candidates import AT_ONCE
 from bayescal.report.blocks import Page
+
+COPIES, DERIVATIVES, PLACING = 3, 8, 12
+"""Arrays held of the rows of all candidates, of some candidates' derivatives, and where poses are placed."""
 
 
 class PoseSelection(Experiment[SelectionConfig, SelectionInputs]):
@@ -23,6 +29,15 @@ class PoseSelection(Experiment[SelectionConfig, SelectionInputs]):
     def read(self, config: SelectionConfig, folder: Path) -> SelectionInputs:
         """Return what the experiment computes with."""
         return read_selection(config, folder)
+
+    def estimate_memory(self, inputs: SelectionInputs) -> Need:
+        """Return what the rows of all candidates take."""
+        n, n_parameters = inputs.config.candidates.count, len(inputs.knowledge.names)
+        n_rows = max(DEGREES_OF_FREEDOM, inputs.knowledge.machine.mechanism.n_legs)
+        each = 8.0 * n_rows * (COPIES * n * n_parameters + DERIVATIVES * min(n, AT_ONCE) * (n_parameters + n_rows))
+        each += 8.0 * PLACING * n * n_rows**2
+        sizes = f"{n} candidates and {n_parameters} parameters"
+        return Need(each=each, sizes=sizes, remedy="fewer candidates")
 
     def compute(self, inputs: SelectionInputs, run: Run) -> Results:
         """Return the selections and what they are worth."""

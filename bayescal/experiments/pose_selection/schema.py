@@ -64,7 +64,7 @@ class CandidatesConfig(Section):
     """
 
     spread: Literal["even", "random", "factorial"] = "random"
-    count: Count = 2000
+    count: Annotated[int, Field(ge=1, le=1_000_000)] = 2000
     levels: Annotated[int, Field(ge=2, le=1000)] = 11
     redraw: bool = False
 

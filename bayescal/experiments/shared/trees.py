@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 SAVED_DRAWS = 2000
 PRIOR_DRAWS = 500
+KEPT_NUMBERS = 2**24
+"""Of all draws together that one array keeps: with thousands of poses fewer draws, never too few to say anything."""
+LEAST_DRAWS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +95,11 @@ def choose_draws(n_chains: int, n_draws: int, n_wanted: int = SAVED_DRAWS) -> Ar
     own = [chosen[chosen // n_draws == chain] for chain in range(n_chains)]
     shortest = min(len(one) for one in own)
     return np.stack([one[:shortest] for one in own])
+
+
+def limit_draws(n_wanted: int, n_numbers: int) -> int:
+    """Return how many draws to keep of which each has so many numbers: all that are wanted, where these are few."""
+    return min(n_wanted, max(LEAST_DRAWS, KEPT_NUMBERS // max(n_numbers, 1)))
 
 
 def spread(n: int, n_wanted: int) -> Array:

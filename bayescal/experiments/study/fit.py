@@ -5,16 +5,14 @@ from __future__ import annotations
 import time
 import zlib
 from dataclasses import dataclass, fields
-from typing import cast
 
 import numpy as np
 
-from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches
 from bayescal.density.posterior import Posterior
-from bayescal.density.prediction import Prediction, replicate
+from bayescal.density.prediction import Prediction
 from bayescal.density.robust import RobustPosterior
 from bayescal.density.structured_posterior import StructuredPosterior
-from bayescal.experiments.shared.trees import SAVED_DRAWS, choose_draws, spread
+from bayescal.experiments.shared.trees import SAVED_DRAWS, choose_draws, limit_draws, spread
 from bayescal.experiments.study.correct import (
     correct_draws,
     list_corrected,
@@ -23,6 +21,7 @@ from bayescal.experiments.study.correct import (
 )
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.leave_one_out import LeftOut, leave_out, refit_doubtful
+from bayescal.experiments.study.pointwise import SomeDraws, evaluate_poses
 from bayescal.experiments.study.power_scaling import measure_sensitivity
 from bayescal.experiments.study.replicates import replicate_prior
 from bayescal.experiments.study.schema import StudyConfig, stem_of
@@ -39,6 +38,7 @@ from bayescal.limits import BLUNDER
 from bayescal.numerics.geometry import Array
 
 KEPT_DRAWS = 1920  # of each ensemble, for everything after the diagnostics
+POSE_NUMBERS = 6
 
 type Arrays = dict[str, Array]
 
@@ -149,7 +149,8 @@ def _sample(
             sample = sample_exactly(exact, exploration, sample, correction.move, seeds)
     y, natural, density, diagnostics = sample.y, sample.natural, sample.log_density, sample.diagnostics
     # thin in time, the same steps of every walker, and keep the order walker by walker
-    keep = max(1, -(-sampler.steps * walkers // KEPT_DRAWS))
+    most = limit_draws(KEPT_DRAWS, sampler.ensembles * len(inputs.verification))
+    keep = max(1, -(-sampler.steps * walkers // most))
     kept = y[:, :, ::keep].reshape(sampler.ensembles, -1, posterior.n_parameters)
     arrays = {
         "bridge": np.array([bridge.log_evidence, bridge.standard_error]),
@@ -232,7 +233,8 @@ def _evaluate(
     """
     variant, flat = inputs.variant(task.variant), kept.reshape(-1, kept.shape[-1])
     theta, errors = posterior.theta(flat), posterior.model_errors(flat)
-    chosen = spread(len(flat), SAVED_DRAWS)
+    chosen = spread(len(flat), limit_draws(SAVED_DRAWS, POSE_NUMBERS * len(inputs.verification)))
+    some = SomeDraws(theta[chosen], errors if errors.ndim == 1 else errors[chosen])
     pieces: dict[str, list[Array]] = {}
     together: Arrays = {}
     held = inputs.verification
@@ -245,12 +247,7 @@ def _evaluate(
             found, more = evaluate_structured(posterior, likelihood, theta, errors, chosen, use, rng)
             together |= more
         else:
-            parts = [posterior.evaluate_poses(likelihood, flat[part]) for part in batches(len(flat))]
-            some = errors if errors.ndim == 1 else errors[chosen]
-            made = replicate(likelihood, theta[chosen], some, rng)
-            misfit = cast("Array", made.misfit.astype(np.float32).swapaxes(0, 1))
-            found = {"log_likelihood": np.concatenate(parts).T, **vars(made.summarise())}
-            found |= {"misfit": misfit} | _suspect(posterior, likelihood, flat)
+            found = evaluate_poses(posterior, likelihood, flat, some, rng)
         for name, value in found.items():
             pieces.setdefault(name, []).append(value)
     order = np.concatenate([np.flatnonzero(held == use) for use in (False, True)])
@@ -258,13 +255,6 @@ def _evaluate(
     arrays = {name: np.concatenate(parts)[back] for name, parts in pieces.items()}
     arrays["log_likelihood"] = arrays["log_likelihood"].T.reshape(*kept.shape[:2], -1)
     return arrays | together
-
-
-def _suspect(posterior: Posterior, likelihood: Likelihood, y: Array) -> Arrays:
-    """Return how probable it is that each pose is a blunder, shape (P,), where they may be."""
-    if not isinstance(posterior, RobustPosterior) or not isinstance(likelihood, PoseLikelihood):
-        return {}
-    return {"blunder_probability": posterior.blunder_probabilities(likelihood, y).mean(axis=0)}
 
 
 def read_prediction(arrays: Arrays) -> Prediction:

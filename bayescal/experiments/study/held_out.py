@@ -11,6 +11,7 @@ import pandas as pd
 from arviz_stats.base import array_stats
 from scipy.special import logsumexp
 
+from bayescal.density.likelihood import POSES
 from bayescal.density.prediction import measure_length, summarise_misfit
 from bayescal.experiments.shared.trees import SAVED_DRAWS, spread
 from bayescal.experiments.study.fit import Arrays, Task, read_left_out, read_prediction
@@ -69,8 +70,14 @@ def compute_pits(arrays: Arrays, held: np.ndarray) -> Array:
 
     By its six components, then by the distance and the angle from the mean prediction; NaN where not measured.
     """
-    misfit = arrays["misfit"].astype(np.float64)  # measured minus replicated, (P, T, 6)
     flat = arrays["log_likelihood"].reshape(-1, len(held)).T
+    parts = [slice(k, k + POSES) for k in range(0, len(held), POSES)]
+    return np.concatenate([_compute_pits(arrays["misfit"][part], flat[part], held[part]) for part in parts])
+
+
+def _compute_pits(misfit: Array, flat: Array, held: np.ndarray) -> Array:
+    """Return `compute_pits` from measured minus replicated poses (P, T, 6) and log-densities (P, S)."""
+    misfit = misfit.astype(np.float64)
     log_weights = np.zeros(misfit.shape[:2])
     if not held.all():
         log_weights[~held], _ = array_stats.psislw(flat[~held][:, spread(flat.shape[1], misfit.shape[1])])

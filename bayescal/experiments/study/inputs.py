@@ -20,7 +20,7 @@ from bayescal.data.photogrammetry.joint_deflection import (
     measure_joint_deflection,
 )
 from bayescal.density.exact import CommonErrors, ExactDensity
-from bayescal.density.likelihood import Likelihood, PoseLikelihood
+from bayescal.density.likelihood import BATCH, Likelihood, PoseLikelihood
 from bayescal.density.model_error import INDEPENDENT, KernelScale, build_kernel
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
@@ -29,6 +29,7 @@ from bayescal.density.schema import FixedConfig, NormalConfig
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.errors import InputError, PoseInputError, name_faults
+from bayescal.experiments.frame.memory import Need, check_memory
 from bayescal.experiments.shared.per_leg import spread_over_legs
 from bayescal.experiments.study.measurement import (
     Measurement,
@@ -281,6 +282,7 @@ class StudyInputs:
                 f"model_error.kernel: found {kernel!r} with poses measured in part, points, or frames to be found, "
                 f"expected whole poses in known frames, or kernel {INDEPENDENT!r}"
             )
+        check_memory(_estimate_kernel(likelihood.n_poses, likelihood.n_legs), 1)
         length = self.config.model_error.kernel_length
         return StructuredLikelihood(likelihood, build_kernel(kernel, length), self.mechanism.actuator_range)
 
@@ -314,6 +316,15 @@ class StudyInputs:
                 for name, value, width in zip(block.names, block.nominal, spread, strict=True):
                     priors[name] = NormalPrior(value, width) if normal else UniformPrior(value - width, value + width)
         return priors | self.measured.frame_priors(factor), fixed
+
+
+def _estimate_kernel(n_poses: int, n_legs: int) -> Need:
+    """Return what a kernel takes: matrices of all poses by all, and the hot loop over all poses at once."""
+    return Need(
+        each=8.0 * (6.0 * n_poses**2 + 6.0 * BATCH * n_poses * n_legs),
+        sizes=f"{n_poses} calibration poses with a kernel of the model error",
+        remedy=f"fewer poses or kernel {INDEPENDENT!r}",
+    )
 
 
 def _square_root(covariance: Array) -> Array:

@@ -16,6 +16,7 @@ from bayescal.config.classes import label_class
 from bayescal.config.registry import find_class
 from bayescal.errors import InputError
 from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.calibrating import Calibrating
@@ -24,6 +25,7 @@ from bayescal.experiments.study.calibrated import calibrate_study, load_same
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.compute import compute_study
 from bayescal.experiments.study.inputs import StudyInputs, load_inputs
+from bayescal.experiments.study.memory import estimate_study
 from bayescal.experiments.study.page.build import build_page
 from bayescal.experiments.study.schema import StudyConfig, VariantConfig, name_variant
 from bayescal.experiments.study.terminal import show_comparison, show_doubts, show_ranking
@@ -64,6 +66,10 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
         ]
         provenance = {**results.provenance, "config": {**results.config, "variants": variants}}
         return super().config_of(replace(results, provenance=provenance))
+
+    def estimate_memory(self, inputs: StudyTask) -> Need:
+        """Return what the posteriors of all poses take."""
+        return estimate_study(inputs.inputs)
 
     def compute(self, inputs: StudyTask, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""

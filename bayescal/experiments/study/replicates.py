@@ -10,7 +10,7 @@ import numpy as np
 
 from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import replicate
-from bayescal.experiments.shared.trees import PRIOR_DRAWS
+from bayescal.experiments.shared.trees import PRIOR_DRAWS, limit_draws
 from bayescal.numerics.geometry import Array
 
 TRIES = 4  # draws of the prior for each that is wanted: some are no machine
@@ -26,29 +26,31 @@ def replicate_prior(posterior: Posterior, seed: np.random.SeedSequence) -> dict[
         (P, 6) measured minus expected poses, NaN where not measured, ``whitening`` (P, 6, 6) of the stated noise.
     """
     rng, likelihood = np.random.default_rng(seed), posterior.likelihood
-    values, theta = _draw(posterior, rng)
     n_legs, first = likelihood.n_legs, posterior.n_geometry
+    values, theta = _draw(posterior, rng, limit_draws(PRIOR_DRAWS, 6 * likelihood.n_poses))
     tau = values[:, first : first + posterior.model_error.n_parameters(n_legs)]
     with np.errstate(all="ignore"):
-        made = replicate(likelihood, theta, _spread(posterior, tau), rng)
+        made = [replicate(part, theta, _spread(posterior, tau), rng) for _, part in likelihood.parts()]
     stated = likelihood.pose_covariance(np.zeros(likelihood.n_legs))
     return {
         "prior": values,
-        "prior_misfit": made.misfit.astype(np.float32),
+        "prior_misfit": np.concatenate([one.misfit.astype(np.float32) for one in made], axis=1),
         "start_error": likelihood.pose_errors(posterior.coordinates.start[None])[0],
         "whitening": np.linalg.inv(np.linalg.cholesky(stated)),
     }
 
 
-def _draw(posterior: Posterior, rng: np.random.Generator) -> tuple[Array, Array]:
+def _draw(posterior: Posterior, rng: np.random.Generator, n_wanted: int) -> tuple[Array, Array]:
     """Return draws of the prior that are machines, in own units (T, n) and as parameter vectors (T, D)."""
-    values = np.stack([one.draw(TRIES * PRIOR_DRAWS, rng) for one in posterior.all_priors().values()], axis=-1)
+    values = np.stack([one.draw(TRIES * n_wanted, rng) for one in posterior.all_priors().values()], axis=-1)
     theta = np.broadcast_to(posterior.coordinates.start, (len(values), len(posterior.coordinates.start))).copy()
     theta[:, posterior.coordinates.free] = values[:, : posterior.n_geometry]
     values, theta = (part[posterior.likelihood.layout.inside(theta)] for part in (values, theta))
+    closes = np.ones(len(theta[: 2 * n_wanted]), dtype=bool)
     with np.errstate(all="ignore"):
-        errors = posterior.likelihood.errors(theta[: 2 * PRIOR_DRAWS])
-    good = np.flatnonzero(np.isfinite(errors).all(axis=(1, 2)))[:PRIOR_DRAWS]
+        for _, part in posterior.likelihood.parts():
+            closes &= np.isfinite(part.errors(theta[: 2 * n_wanted])).all(axis=(1, 2))
+    good = np.flatnonzero(closes)[:n_wanted]
     return values[good], theta[good]
 
 

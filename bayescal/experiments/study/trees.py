@@ -26,7 +26,8 @@ NAT = "nat"
 def build_study_tree(inputs: StudyInputs, task: Task, arrays: Arrays) -> xr.DataTree:
     """Return one posterior with draws of its prior, what both predict, and the data."""
     posterior = inputs.posterior(inputs.variant(task.variant), task.with_model_error)
-    chosen = choose_draws(*arrays["draws"].shape[:2])
+    (n_chains, n_draws), n_kept = arrays["draws"].shape[:2], arrays["misfit"].shape[1]
+    chosen = choose_draws(n_chains, n_draws, n_kept)
     thin = {name: _take(arrays[name], chosen) for name in ("draws", "log_density", "log_likelihood")}
     misfit = _take_replicates(arrays["misfit"], arrays["draws"], chosen)
     held, names = inputs.verification, np.array(inputs.names)

@@ -23,6 +23,7 @@ from bayescal.config.load import check_section
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.load import AnyExperiment, find_kind
+from bayescal.experiments.frame.memory import check_memory
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.sweep.keys import Setting, change, write_toml
 
@@ -91,7 +92,9 @@ def compute_member(base: Base, settings: tuple[Setting, ...]) -> Outcome:
         try:
             experiment = _find_kind(base.kind, folder)
             config = base.vary(settings, experiment, folder)
-            results = experiment.compute(experiment.read(config, folder), Run())
+            inputs = experiment.read(config, folder)
+            check_memory(experiment.estimate_memory(inputs), 1)
+            results = experiment.compute(inputs, Run())
             summary = json.dumps(results.summary, ensure_ascii=False, allow_nan=False)
             failures = experiment.list_failures(results)
         except MemoryError as error:  # another time, or on another machine, it may do: such an outcome is not kept

@@ -19,6 +19,7 @@ from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.mechanism import Drive, Mechanism
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.scratch import Scratch
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,10 @@ class BoundClosure(ABC):
         Parts of the derivative that hardly depend on the parameters may be left out: the likelihood adds the
         difference from the exact derivative of the nominal machine.
         """
+
+    def share(self, scratch: Scratch) -> None:
+        """Work in memory that other closures work in at other times."""
+        self._scratch = scratch
 
 
 class KinematicModel(ABC):

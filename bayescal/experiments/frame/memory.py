@@ -1,0 +1,104 @@
+"""Whether there is memory for an experiment: an estimate from its sizes, refused before anything is computed.
+
+A process that asks for more than there is gets killed, often with others beside it, and says nothing. What a kind of
+experiment will hold at once it estimates itself (`Experiment.estimate_memory`); what there is, is asked here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from bayescal.errors import InputError
+
+GIB = 2.0**30
+PROCESS = 0.25 * GIB
+"""What Python and the libraries take in every process."""
+CGROUPS = (
+    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.stat", "/sys/fs/cgroup/memory.current"),
+    (
+        "/sys/fs/cgroup/memory/memory.limit_in_bytes",
+        "/sys/fs/cgroup/memory/memory.stat",
+        "/sys/fs/cgroup/memory/memory.usage_in_bytes",
+    ),
+)
+"""Limit, what could be given back, and use of a container's memory, versions 2 and 1."""
+
+
+@dataclass(frozen=True)
+class Need:
+    """What an experiment will hold at once, beside Python and the libraries.
+
+    Attributes
+    ----------
+    shared : float
+        Bytes in the process that collects the results.
+    each : float
+        Bytes in every process that computes.
+    sizes : str
+        What it comes from, such as "10000 poses, 42 parameters".
+    remedy : str
+        What would take less.
+    """
+
+    shared: float = 0.0
+    each: float = 0.0
+    sizes: str = ""
+    remedy: str = ""
+
+    def sum_up(self, workers: int) -> float:
+        """Return the bytes of all processes, the first of which computes itself where it is alone."""
+        collecting = PROCESS if workers > 1 else 0.0
+        return self.shared + collecting + workers * (self.each + PROCESS)
+
+
+def check_memory(need: Need, workers: int) -> None:
+    """Raise InputError where an experiment needs more memory than there is.
+
+    Parameters
+    ----------
+    need : Need
+    workers : int
+        Processes of this machine that compute; zero where others do.
+    """
+    available, wanted = measure_available(), need.sum_up(workers)
+    if need.sizes and available is not None and wanted > available:
+        by = f" with {workers} workers" if workers > 1 else ""
+        fewer = " or fewer workers" if workers > 1 else ""
+        raise InputError(
+            f"memory: found {need.sizes}, which take about {wanted / GIB:.1f} GiB{by}, with {available / GIB:.1f} GiB "
+            f"available, expected {need.remedy}{fewer}"
+        )
+
+
+def measure_available() -> float | None:
+    """Return the bytes that this process may still take; None where the system does not say."""
+    known = [*_read_system(), *_read_cgroups()]
+    return min(known) if known else None
+
+
+def _read_system() -> Iterator[float]:
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                yield 1024.0 * float(line.split()[1])
+                return
+    except OSError:
+        pass
+    with contextlib.suppress(ValueError, OSError, AttributeError):
+        yield float(os.sysconf("SC_AVPHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
+
+
+def _read_cgroups() -> Iterator[float]:
+    """Yield what a container's limit leaves; files that the kernel caches can be given back."""
+    for limit, stat, use in CGROUPS:
+        with contextlib.suppress(OSError, ValueError):  # no such limit, or "max"
+            cached = sum(
+                float(line.split()[1])
+                for line in Path(stat).read_text().splitlines()
+                if line.split()[0] in ("inactive_file", "total_inactive_file")
+            )
+            yield max(0.0, float(Path(limit).read_text()) - float(Path(use).read_text()) + cached)

@@ -1,0 +1,56 @@
+"""What draws say of each pose: its density and what they predict, some poses at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches
+from bayescal.density.posterior import Posterior
+from bayescal.density.prediction import replicate
+from bayescal.density.robust import RobustPosterior
+from bayescal.numerics.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class SomeDraws:
+    """Draws that predict: parameter vectors (T, D) and their model errors (T, N) or (N,), mm."""
+
+    theta: Array
+    model_error: Array
+
+
+def evaluate_poses(
+    posterior: Posterior, likelihood: Likelihood, y: Array, some: SomeDraws, rng: np.random.Generator
+) -> dict[str, Array]:
+    """Return densities of the poses, from draws (S, n), and what some of them predict.
+
+    Returns
+    -------
+    dict of str to ndarray
+        ``log_likelihood`` (P, S), the fields of a `Prediction`, ``misfit`` (P, T, 6) measured minus replicated poses
+        and, where poses may be blunders, ``blunder_probability`` (P,).
+    """
+    pieces: dict[str, list[Array]] = {}
+    for _, part in likelihood.parts():
+        for name, value in _evaluate(posterior, part, y, some, rng).items():
+            pieces.setdefault(name, []).append(value)
+    return {name: values[0] if len(values) == 1 else np.concatenate(values) for name, values in pieces.items()}
+
+
+def _evaluate(
+    posterior: Posterior, likelihood: Likelihood, y: Array, some: SomeDraws, rng: np.random.Generator
+) -> dict[str, Array]:
+    density = np.concatenate([posterior.evaluate_poses(likelihood, y[part]) for part in batches(len(y))])
+    made = replicate(likelihood, some.theta, some.model_error, rng)
+    misfit = made.misfit.astype(np.float32).swapaxes(0, 1)
+    found = {"log_likelihood": density.T, **vars(made.summarise()), "misfit": misfit}
+    return found | _suspect(posterior, likelihood, y)
+
+
+def _suspect(posterior: Posterior, likelihood: Likelihood, y: Array) -> dict[str, Array]:
+    """Return how probable it is that each pose is a blunder, shape (P,), where they may be."""
+    if not isinstance(posterior, RobustPosterior) or not isinstance(likelihood, PoseLikelihood):
+        return {}
+    return {"blunder_probability": posterior.blunder_probabilities(likelihood, y).mean(axis=0)}

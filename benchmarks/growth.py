@@ -1,0 +1,261 @@
+"""How time and memory grow with poses, legs, parameters and candidates: each point a process of its own.
+
+    python benchmarks/growth.py [--what poses audit legs parameters candidates] [--most 10000] [--write FILE]
+
+- ``poses``: a study of six struts (42 parameters, poses by a tracker, one model error), from reading to its page;
+- ``audit``: the audit of as many planned poses of that machine;
+- ``legs``: the same study with more struts, three parameters each, 40 poses;
+- ``parameters``: 50 struts with one to six parameters each, 80 poses;
+- ``candidates``: exchange and O1 out of as many candidates, 42 parameters.
+
+Seconds are CPU of the process, reading of Python's modules left out; memory is the largest resident size, with and
+without what an empty process takes. An exponent is the slope of log over log between the two largest sizes, and a
+least-squares one over all. Machines and readings are simulated with small effort (``EFFORT``): what is fixed by the
+effort and not by the size is small beside what grows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_variable] = "1"
+
+import numpy as np  # noqa: E402 - after the number of threads is set
+
+SIZES = {
+    "poses": (100, 316, 1000, 3162, 10_000),
+    "audit": (100, 316, 1000, 3162, 10_000),
+    "legs": (6, 12, 24, 60),
+    "parameters": (20, 50, 100, 200, 300),
+    "candidates": (2000, 20_000, 200_000),
+}
+SYMBOLS = ("l", "a_x", "a_y", "b_x", "b_y", "b_z", "a_z")
+EFFORT = """
+[sampler]
+ensembles = 4
+walkers = 32
+burn_in = 5
+steps = 10
+
+[evidence]
+draws = 1000
+max_draws = 1000
+
+[sensitivity]
+factor = [1.0]
+"""
+RUN = """
+import resource, sys, time
+from pathlib import Path
+from bayescal import load_experiment
+from bayescal.experiments.frame.run import run_experiment
+import bayescal.report.page, arviz, matplotlib.pyplot
+path, out = Path(sys.argv[1]), Path(sys.argv[2])
+begun, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+config = load_experiment(path)
+run_experiment(config, path.parent, out)
+after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+print(time.process_time() - begun, before / 1024, after / 1024)
+"""
+
+
+def describe_machine(n_legs: int) -> str:
+    """Return the file of a machine on so many struts, in pairs whose lower joints lie apart."""
+    k = np.arange(n_legs)
+    low = 2 * np.pi * (k // 2 * 2 + np.where(k % 2, 1.7, 0.3)) / n_legs
+    high = 2 * np.pi * (k // 2 * 2 + np.where(k % 2, 1.15, 0.85)) / n_legs
+    base = np.stack([1700.0 * np.cos(low), 1700.0 * np.sin(low), 30.0 * np.cos(3.0 * k)], axis=1)
+    platform = np.stack([1200.0 * np.cos(high), 1200.0 * np.sin(high), 20.0 * np.sin(2.0 * k)], axis=1)
+    return (
+        f'name = "struts"\n[base]\npoints_mm = {base.round(3).tolist()}\n[platform]\n'
+        f"points_mm = {platform.round(3).tolist()}\n[home]\nposition_mm = [0.0, 0.0, 1300.0]\n"
+        '[legs]\ndrive = "strut"\nactuator_range_mm = 100.0\n'
+    )
+
+
+def describe_parameters(symbols: tuple[str, ...], n_legs: int = 6, n_parameters: int | None = None) -> str:
+    """Return the tolerances."""
+    del n_legs, n_parameters
+    return "[parameters]\n" + "".join(f'{symbol} = {{ prior = "normal", sd = 0.5 }}\n' for symbol in symbols)
+
+
+def write_poses(folder: Path, n_legs: int, n_poses: int) -> None:
+    """Simulate actuators and poses of a machine that is off by its tolerances."""
+    from scipy.spatial.transform import Rotation
+
+    from bayescal.machines.deformations.none import NoDeformation
+    from bayescal.machines.kinematics import Machine, solve_forward_kinematics
+    from bayescal.machines.models.six_ups import SixUps
+    from bayescal.machines.read import load_mechanism
+    from bayescal.numerics.geometry import matrix_from_rotation_vector
+
+    rng = np.random.default_rng([n_legs, n_poses])
+    mechanism = load_mechanism(folder / "machine.toml")
+    machine = Machine(mechanism, SixUps(), NoDeformation())
+    move = rng.uniform(-1.0, 1.0, size=(n_poses, 6)) * [40.0, 40.0, 40.0, 0.03, 0.03, 0.03]
+    position = mechanism.home_position + move[:, :3]
+    rotation = matrix_from_rotation_vector(move[:, 3:])
+    platform = position[:, None] + np.einsum("pij,nj->pni", rotation, mechanism.platform_points)
+    length = np.linalg.norm(platform - mechanism.base_points, axis=-1)
+    home = np.linalg.norm(mechanism.home_position + mechanism.platform_points - mechanism.base_points, axis=-1)
+    actuators = mechanism.initial_actuator_positions + length - home
+    theta = machine.layout.nominal + 0.3 * rng.normal(size=machine.layout.size) * _is_free(machine.layout.names)
+    reached = solve_forward_kinematics(machine, theta, actuators)
+    seen = reached.position + rng.normal(size=(n_poses, 3)) * 0.01
+    turned = Rotation.from_matrix(reached.rotation).as_rotvec(degrees=True) + rng.normal(size=(n_poses, 3)) * 6e-4
+    names = [f"p{k}" for k in range(n_poses)]
+    legs = ",".join(f"rho_{k + 1}_mm" for k in range(n_legs))
+    use = ["calibration" if k >= n_poses // 10 else "verification" for k in range(n_poses)]
+    rows = [f"{n},{u}," + ",".join(f"{x:.6f}" for x in row) for n, u, row in zip(names, use, actuators, strict=True)]
+    (folder / "actuators.csv").write_text("\n".join([f"pose,use,{legs}", *rows]) + "\n")
+    both = np.concatenate([seen, turned], axis=1)
+    rows = [f"{n}," + ",".join(f"{x:.9f}" for x in row) for n, row in zip(names, both, strict=True)]
+    (folder / "poses.csv").write_text("\n".join(["pose,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg", *rows]) + "\n")
+
+
+def _is_free(names: tuple[str, ...]) -> np.ndarray:
+    return np.array([name.partition("[")[0] in SYMBOLS for name in names])
+
+
+def write_study(folder: Path, n_legs: int, n_poses: int, symbols: tuple[str, ...]) -> Path:
+    """Write a study of simulated poses; return its config."""
+    (folder / "machine.toml").write_text(describe_machine(n_legs))
+    write_poses(folder, n_legs, n_poses)
+    path = folder / "study.toml"
+    path.write_text(
+        f'kind = "study"\nname = "growth"\ntitle = "Growth"\nseed = 1\nmechanism = "machine.toml"\n'
+        '[data]\nmeasurement = "poses"\norigin = "Simulated; never measured"\nposes = "poses.csv"\n'
+        'actuators = "actuators.csv"\nactuator_noise_um = 1.0\nposition_um = 10.0\norientation_arcsec = 2.0\n'
+        f"{describe_parameters(symbols)}[model_error]\nscale_um = 10.0\nper_leg = false\n"
+        f'[[variants]]\nmodel = "six_ups"\ndeformation = "none"\nfree = {json.dumps(symbols)}\n{EFFORT}'
+    )
+    return path
+
+
+DESIGN = """
+mechanism = "machine.toml"
+measured_by = ["tracker"]
+
+[variant]
+model = "six_ups"
+{deformation}
+[noise]
+actuator_um = 1.0
+
+[sensors.tracker]
+kind = "pose"
+position_um = 10.0
+orientation_arcsec = 2.0
+
+[workspace]
+position_mm = [40.0, 40.0, 40.0]
+rotation_deg = [1.0, 1.0, 1.0]
+
+[requirements]
+x = 0.05
+y = 0.05
+z = 0.02
+"""
+
+
+def write_audit(folder: Path, n_poses: int) -> Path:
+    """Write the audit of a plan; return its config."""
+    (folder / "machine.toml").write_text(describe_machine(6))
+    path = folder / "audit.toml"
+    path.write_text(
+        'kind = "audit"\nname = "growth"\ntitle = "Growth"\nseed = 1\n'
+        + DESIGN.format(deformation='deformation = "none"\n')
+        + f'{describe_parameters(SYMBOLS)}[poses]\nplan = "uniform"\ncount = {n_poses}\nrange_mm = 10.0\n'
+    )
+    return path
+
+
+def write_selection(folder: Path, n_candidates: int) -> Path:
+    """Write a selection of poses; return its config."""
+    (folder / "machine.toml").write_text(describe_machine(6))
+    path = folder / "selection.toml"
+    path.write_text(
+        'kind = "pose_selection"\nname = "growth"\ntitle = "Growth"\norigin = "Simulated"\nseed = 1\n'
+        + DESIGN.format(deformation="").replace("[workspace]", "[workspace]\nposes = 50")
+        + f'{describe_parameters(SYMBOLS)}[domain]\nwithin = "workspace"\nposition_mm = [40.0, 40.0, 40.0]\n'
+        f"rotation_deg = [1.0, 1.0, 1.0]\n[candidates]\ncount = {n_candidates}\n[[selections]]\n"
+        'method = "exchange"\ncriteria = ["O1", "I"]\nn_poses = [12]\n'
+    )
+    return path
+
+
+def write_point(folder: Path, what: str, size: int) -> Path:
+    """Write the experiment of one point; return its config."""
+    if what == "poses":
+        return write_study(folder, 6, size, SYMBOLS)
+    if what == "audit":
+        return write_audit(folder, size)
+    if what == "legs":
+        return write_study(folder, size, 40, SYMBOLS[:3])
+    if what == "parameters":
+        n_legs = 50 if size >= 50 else size
+        return write_study(folder, n_legs, 80, SYMBOLS[: max(1, size // n_legs)])
+    return write_selection(folder, size)
+
+
+def measure(what: str, size: int, limit: float) -> dict[str, float | str]:
+    """Return CPU seconds and MiB of one point, in a process of its own; what it said where it failed."""
+    with tempfile.TemporaryDirectory() as name:
+        path = write_point(Path(name), what, size)
+        command = [sys.executable, "-c", RUN, str(path), str(Path(name) / "out")]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)
+        except subprocess.TimeoutExpired:
+            return {"size": size, "failed": f"more than {limit:.0f} s"}
+    if done.returncode:
+        return {"size": size, "failed": (done.stderr.strip().splitlines() or [f"exit {done.returncode}"])[-1]}
+    seconds, before, peak = map(float, done.stdout.split()[-3:])
+    return {"size": size, "cpu_s": seconds, "peak_mib": peak, "own_mib": peak - before}
+
+
+def fit_exponents(points: list[dict]) -> dict[str, float]:
+    """Return the slopes of log time and log memory over log size, over all points and between the last two."""
+    good = [point for point in points if "failed" not in point]
+    if len(good) < 2:
+        return {}
+    size = np.log([point["size"] for point in good])
+    found = {}
+    for key in ("cpu_s", "own_mib"):
+        value = np.log([max(point[key], 1e-3) for point in good])
+        found[f"{key}_all"] = float(np.polyfit(size, value, 1)[0])
+        found[f"{key}_last"] = float((value[-1] - value[-2]) / (size[-1] - size[-2]))
+    return found
+
+
+def main() -> None:
+    """Measure, print a table, and keep it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--what", nargs="+", choices=SIZES, default=list(SIZES))
+    parser.add_argument("--least", type=int, default=0)
+    parser.add_argument("--most", type=int, default=200_000, help="largest size")
+    parser.add_argument("--limit", type=float, default=600.0, help="seconds for one point")
+    parser.add_argument("--write", type=Path, help="JSON file for the figures; what stands there of others is kept")
+    options = parser.parse_args()
+    for what in options.what:
+        points = []
+        print(f"{what:>12}{'CPU s':>9}{'MiB':>8}{'own':>8}")
+        for size in (s for s in SIZES[what] if options.least <= s <= options.most):
+            points.append(point := measure(what, size, options.limit))
+            said = point.get("failed") or f"{point['cpu_s']:9.1f}{point['peak_mib']:8.0f}{point['own_mib']:8.0f}"
+            print(f"{size:12d}{said}", flush=True)
+        exponents = fit_exponents(points)
+        print("   exponents: " + ", ".join(f"{name} {value:.2f}" for name, value in exponents.items()))
+        if options.write is not None:
+            known = json.loads(options.write.read_text()) if options.write.exists() else {}
+            options.write.write_text(json.dumps(known | {what: {"points": points, **exponents}}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
