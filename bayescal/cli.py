@@ -14,6 +14,7 @@ from rich.padding import Padding
 
 from bayescal.errors import BayescalError, InputError, NumericalError, name_faults
 from bayescal.experiments.frame.interrupts import INTERRUPTED, end_on_interrupt
+from bayescal.limits import LARGEST_SEED
 
 if TYPE_CHECKING:
     from bayescal.calibrated.machine import CalibratedMachine
@@ -31,8 +32,8 @@ app = typer.Typer(
 
 Experiment = Annotated[Path, typer.Argument(metavar="EXPERIMENT.toml", help="Config of the experiment.")]
 Out = Annotated[Path | None, typer.Option(help="Results directory; default results/NAME.")]
-Seed = Annotated[int | None, typer.Option(min=0, help="Seed in place of the config's.")]
-Workers = Annotated[int | None, typer.Option(min=1, help="Processes side by side; default one per core.")]
+Seed = Annotated[int | None, typer.Option(min=0, max=LARGEST_SEED, help="Seed in place of the config's.")]
+Workers = Annotated[int | None, typer.Option(min=1, max=1024, help="Processes side by side; default one per core.")]
 Scheduler = Annotated[
     str | None,
     typer.Option(
@@ -110,7 +111,9 @@ def sweep(
 def check(
     study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="Config of the study.")],
     variant: Annotated[list[str] | None, typer.Option(help="Variant to check; default the best by evidence.")] = None,
-    data_sets: Annotated[int | None, typer.Option(min=4, help="Simulated of priors and posterior each.")] = None,
+    data_sets: Annotated[
+        int | None, typer.Option(min=4, max=10_000, help="Simulated of priors and posterior each.")
+    ] = None,
     out: Out = None,
     seed: Seed = None,
     workers: Workers = None,
@@ -278,8 +281,8 @@ def predict(
     variant: Variant = None,
     out: Table = None,
     draws: Annotated[Path | None, typer.Option(help="CSV file for poses by draws of the posterior.")] = None,
-    n_draws: Annotated[int, typer.Option(min=1, help="How many of them.")] = 100,
-    seed: Annotated[int, typer.Option(min=0, help="Of the draws' errors.")] = 0,
+    n_draws: Annotated[int, typer.Option(min=1, max=100_000, help="How many of them.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Of the draws' errors.")] = 0,
     experiment: Config = None,
     force: Force = False,
 ) -> None:
@@ -412,6 +415,10 @@ def main() -> None:
         code = _complain(
             f"{where}: {error.strerror}, expected {'room to write' if full else 'to read or write there'}",
             NumericalError.exit_code if full else InputError.exit_code,
+        )
+    except MemoryError:
+        code = _complain(
+            "found too little memory, expected a smaller task or a larger machine", NumericalError.exit_code
         )
     except (KeyboardInterrupt, typer.Abort):
         code = _complain("interrupted", INTERRUPTED)

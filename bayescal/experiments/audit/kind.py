@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from bayescal.experiments.audit.changes import check_changes
 from bayescal.experiments.audit.compute import compute_audit
 from bayescal.experiments.audit.inputs import AuditDesign, read_design
 from bayescal.experiments.audit.page.build import build_page
@@ -45,7 +46,10 @@ class Audit(Experiment[AuditConfig, AuditDesign]):
 
     def read(self, config: AuditConfig, folder: Path) -> AuditDesign:
         """Return the design, read and checked."""
-        return read_design(config, folder)
+        design = read_design(config, folder)
+        if design.planned is not None:
+            check_changes(design.planned)
+        return design
 
     def compute(self, inputs: AuditDesign, run: Run) -> Results:
         """Return everything the audit says."""

@@ -29,7 +29,7 @@ from bayescal.density.schema import FixedConfig, NormalConfig
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.errors import InputError, PoseInputError, name_faults
-from bayescal.experiments.shared.per_leg import spread_over_legs
+from bayescal.experiments.shared.per_leg import spread_over_legs, spread_widths
 from bayescal.experiments.study.measurement import (
     Measurement,
     TargetMeasurement,
@@ -309,7 +309,7 @@ class StudyInputs:
                 fixed |= {n: v + o for n, v, o in zip(block.names, block.nominal, offsets, strict=True)}
             elif symbol in variant.free:
                 widths = config.sd if isinstance(config, NormalConfig) else config.half_width
-                spread = [factor * width for width in spread_over_legs(widths, len(block.nominal), symbol)]
+                spread = [factor * width for width in spread_widths(widths, len(block.nominal), symbol, block.unit)]
                 normal = isinstance(config, NormalConfig)
                 for name, value, width in zip(block.names, block.nominal, spread, strict=True):
                     priors[name] = NormalPrior(value, width) if normal else UniformPrior(value - width, value + width)
