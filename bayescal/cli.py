@@ -358,8 +358,10 @@ def validate(experiment: Experiment) -> None:
 
     kind, config = load(experiment)
     with name_faults(experiment):
-        files = check_experiment(config, experiment.parent)
+        files, doubts = check_experiment(config, experiment.parent)
     typer.echo(f"{experiment}: fit to run, a {config.kind} {config.name!r} ({config.title})")
+    for doubt in doubts:
+        typer.echo(f"but {doubt}")
     typer.echo(f"{len(files)} files belong to it: {', '.join(files)}" if files else "no other file belongs to it")
     command = "simulate" if isinstance(kind, SimulatedData) else "run"
     typer.echo(f"next: bayescal {command} {experiment}, into results/{config.name}")

@@ -69,6 +69,11 @@ class Experiment[C: ExperimentConfig, I](ABC):
     def read(self, config: C, folder: Path) -> I:
         """Return what the experiment computes with; InputError for every fault of the config or its files."""
 
+    def doubt(self, inputs: I) -> list[str]:
+        """Return what is probably wrong with inputs that nothing forbids to compute with, in words; it takes little."""
+        del inputs
+        return []
+
     @abstractmethod
     def compute(self, inputs: I, run: Run) -> Results:
         """Return the results; long work is handed to ``run`` in tasks, which keeps each as it ends.

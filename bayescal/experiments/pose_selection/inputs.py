@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.config.classes import Choice, choose, name_failures
+from bayescal.data.actuators import read_moves
 from bayescal.errors import InputError
 from bayescal.experiments.pose_selection.published import read_published
 from bayescal.experiments.pose_selection.schema import (
@@ -33,7 +34,6 @@ from bayescal.experiments.shared.design import (
     read_tolerances,
     read_workspace,
 )
-from bayescal.files.csv_tables import read_matrix
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.requirements import find_limits
 from bayescal.identifiability.sensitivity import Sensitivity, compute_sensitivity
@@ -228,6 +228,6 @@ def _domain(config: SelectionConfig, knowledge: Knowledge) -> PoseDomain:
 
 def _read_table(table: TableConfig, folder: Path, design: Design) -> Array:
     mechanism = design.knowledge.machine.mechanism
-    moves = table.unit_mm * read_matrix(folder / table.configurations, mechanism.n_legs)
+    moves = read_moves(folder / table.configurations, table.unit_mm, mechanism.n_legs)
     result: Array = mechanism.initial_actuator_positions + moves
     return result

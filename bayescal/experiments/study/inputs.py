@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.config.load import look_up
-from bayescal.data.actuators import check_range
+from bayescal.data.actuators import check_moves, check_range
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import (
     JointDeflection,
@@ -349,6 +349,7 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
     measured = read_measurement(config, folder, mechanism)
     with name_faults(name_actuator_table(config.data, folder)):
         check_range(measured.actuators, mechanism.initial_actuator_positions, mechanism.actuator_range, measured.names)
+        check_moves(measured.actuators[~measured.verification])
     inputs = StudyInputs(config, folder, mechanism, measured)
     with name_faults(name_data(config.data, folder)):
         _measure_deflection(inputs)

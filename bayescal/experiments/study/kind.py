@@ -26,6 +26,7 @@ from bayescal.experiments.study.compute import compute_study
 from bayescal.experiments.study.inputs import StudyInputs, load_inputs
 from bayescal.experiments.study.page.build import build_page
 from bayescal.experiments.study.schema import StudyConfig, VariantConfig, name_variant
+from bayescal.experiments.study.slips import find_study_slip
 from bayescal.experiments.study.terminal import show_comparison, show_doubts, show_ranking
 from bayescal.numerics.units import MICROMETRE
 from bayescal.report.blocks import Page
@@ -64,6 +65,11 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
         ]
         provenance = {**results.provenance, "config": {**results.config, "variants": variants}}
         return super().config_of(replace(results, provenance=provenance))
+
+    def doubt(self, inputs: StudyTask) -> list[str]:
+        """Return what may have happened to data that no machine within the tolerances explains."""
+        slip = find_study_slip(inputs.inputs)
+        return [] if slip is None else [f"the data fit {slip.factor:.2g} times better if one mends: {slip.text}"]
 
     def compute(self, inputs: StudyTask, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""
