@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 from rich.padding import Padding
 
+from bayescal.config.trust import allow_own_classes
 from bayescal.errors import BayescalError, InputError, NumericalError, name_faults
 from bayescal.experiments.frame.interrupts import INTERRUPTED, end_on_interrupt
 from bayescal.limits import LARGEST_SEED
@@ -41,6 +42,23 @@ Scheduler = Annotated[
     ),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Take up an interrupted run of the same config.")]
+
+
+def _forbid_plugins(forbidden: bool) -> None:
+    if forbidden:
+        allow_own_classes(False)
+
+
+NoPlugins = Annotated[
+    bool,
+    typer.Option(
+        "--no-plugins",
+        envvar="BAYESCAL_NO_PLUGINS",
+        callback=_forbid_plugins,
+        is_eager=True,
+        help="Refuse classes that are not built in; import no code that a file names.",
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 
 
@@ -58,9 +76,10 @@ def begin(
     version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and end.")
     ] = False,
+    no_plugins: NoPlugins = False,
 ) -> None:
     """Bayesian identification of parallel-kinematic machines."""
-    del version
+    del version, no_plugins
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
@@ -74,8 +93,10 @@ def run(
     scheduler: Scheduler = None,
     resume: Resume = False,
     quiet: Quiet = False,
+    no_plugins: NoPlugins = False,
 ) -> None:
     """Run an experiment of any kind and write its results and its report."""
+    del no_plugins
     _run(experiment, None, out, seed, (workers, scheduler), resume, quiet)
 
 
@@ -88,8 +109,10 @@ def audit(
     scheduler: Scheduler = None,
     resume: Resume = False,
     quiet: Quiet = False,
+    no_plugins: NoPlugins = False,
 ) -> None:
     """Tell what a machine's measurements can and cannot determine: `bayescal run` of an audit."""
+    del no_plugins
     _run(design, "audit", out, seed, (workers, scheduler), resume, quiet)
 
 
@@ -102,8 +125,10 @@ def sweep(
     scheduler: Scheduler = None,
     resume: Resume = False,
     quiet: Quiet = False,
+    no_plugins: NoPlugins = False,
 ) -> None:
     """Vary keys of an experiment and tell what becomes of its figures: `bayescal run` of a sweep."""
+    del no_plugins
     _run(config, "sweep", out, seed, (workers, scheduler), resume, quiet)
 
 
@@ -120,8 +145,10 @@ def check(
     scheduler: Scheduler = None,
     resume: Resume = False,
     quiet: Quiet = False,
+    no_plugins: NoPlugins = False,
 ) -> None:
     """Check a study's config: simulation-based calibration, and the usual faults looked for one by one."""
+    del no_plugins
     from bayescal.experiments.check.kind import configure_check
 
     _run_config(configure_check(study, variant or [], data_sets, seed), study, out, (workers, scheduler), resume, quiet)
@@ -176,16 +203,19 @@ def simulate(
     config: Annotated[Path, typer.Argument(metavar="SIMULATION.toml", help="Config of the simulation.")],
     out: Annotated[Path, typer.Option(help="Directory for the CSV files.")],
     seed: Seed = None,
+    no_plugins: NoPlugins = False,
 ) -> None:
     """Simulate photogrammetry, an instrument's or a machine's own readings; the config states the truth."""
+    del no_plugins
     from bayescal.experiments.frame.load import load
     from bayescal.experiments.frame.run import compute_experiment
     from bayescal.experiments.shared.simulated_data import SimulatedData
-    from bayescal.files.atomic import make_directory, write_atomically
+    from bayescal.files.atomic import check_writable, make_directory, write_atomically
 
     experiment, loaded = load(config)
     if not isinstance(experiment, SimulatedData):
         raise InputError(f"{config}: kind: found {loaded.kind!r}, expected a kind that simulates data")
+    check_writable(out)
     if seed is not None:
         loaded = loaded.model_copy(update={"seed": seed})
     with name_faults(config):
@@ -212,6 +242,7 @@ def poses_from_targets(
     from bayescal.experiments.study.tables import format_poses
 
     config = load_kind(experiment, "study")
+    _check_out(out)
     if config.data.measurement != "targets":
         raise InputError(f"{experiment}: data.measurement: found {config.data.measurement!r}, expected 'targets'")
     if method is not None:
@@ -244,9 +275,12 @@ def export(
 ) -> None:
     """Write the machine as calibrated, with covariance and draws, as files for the next tool."""
     from bayescal.api import export_machine, load_calibrated
+    from bayescal.files.atomic import check_writable
 
     calibrated = load_calibrated(results, variant, experiment, force)
-    for path in export_machine(calibrated, out or Path("machines") / calibrated.source.stem, name):
+    where = out or Path("machines") / calibrated.source.stem
+    check_writable(where)
+    for path in export_machine(calibrated, where, name):
         typer.echo(f"wrote {path}")
     _tell_missing(results, calibrated)
 
@@ -266,6 +300,7 @@ def command(
     from bayescal.calibrated.tables import check_reached, format_command, read_commanded
 
     calibrated = load_calibrated(results, variant, experiment, force)
+    _check_out(out)
     commanded = read_commanded(poses, calibrated.n_legs)
     found = command_poses(calibrated, commanded.position, commanded.rotation)
     if not mark:
@@ -293,6 +328,8 @@ def predict(
     from bayescal.calibrated.tables import check_found, format_draws, format_prediction, read_positions
 
     calibrated = load_calibrated(results, variant, experiment, force)
+    _check_out(out)
+    _check_out(draws)
     names, positions = read_positions(actuators, calibrated)
     found = predict_poses(calibrated, positions)
     check_found(actuators, names, found)
@@ -301,6 +338,16 @@ def predict(
         _put(format_draws(calibrated, names, *drawn), draws)
     _put(format_prediction(calibrated, names, found), out)
     _tell_missing(results, calibrated)
+
+
+def _check_out(out: Path | None) -> None:
+    """Find out before anything is computed whether a file of results can be written."""
+    from bayescal.files.atomic import check_writable
+
+    if out is not None:
+        if out.is_dir():
+            raise InputError(f"{out}: is a directory, expected a file name")
+        check_writable(out.parent)
 
 
 def _put(text: str, out: Path | None) -> None:
@@ -350,8 +397,9 @@ def compare(
 
 
 @app.command(epilog="Example: bayescal validate experiments/telescope/study.toml")
-def validate(experiment: Experiment) -> None:
+def validate(experiment: Experiment, no_plugins: NoPlugins = False) -> None:
     """Find everything at fault in a config and its files without computing, and say what a run would do."""
+    del no_plugins
     from bayescal.experiments.frame.load import load
     from bayescal.experiments.frame.run import check_experiment
     from bayescal.experiments.shared.simulated_data import SimulatedData
@@ -405,6 +453,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without Greek letters
+    allow_own_classes(True)
     try:
         code = app(standalone_mode=False)
     except typer.TyperException as error:
