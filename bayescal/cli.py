@@ -12,8 +12,10 @@ import typer
 from rich.console import Console
 from rich.padding import Padding
 
+from bayescal.config.trust import allow_own_classes
 from bayescal.errors import BayescalError, InputError, NumericalError, name_faults
 from bayescal.experiments.frame.interrupts import INTERRUPTED, end_on_interrupt
+from bayescal.limits import LARGEST_SEED
 
 if TYPE_CHECKING:
     from bayescal.calibrated.machine import CalibratedMachine
@@ -31,8 +33,8 @@ app = typer.Typer(
 
 Experiment = Annotated[Path, typer.Argument(metavar="EXPERIMENT.toml", help="Config of the experiment.")]
 Out = Annotated[Path | None, typer.Option(help="Results directory; default results/NAME.")]
-Seed = Annotated[int | None, typer.Option(min=0, help="Seed in place of the config's.")]
-Workers = Annotated[int | None, typer.Option(min=1, help="Processes side by side; default one per core.")]
+Seed = Annotated[int | None, typer.Option(min=0, max=LARGEST_SEED, help="Seed in place of the config's.")]
+Workers = Annotated[int | None, typer.Option(min=1, max=1024, help="Processes side by side; default one per core.")]
 Scheduler = Annotated[
     str | None,
     typer.Option(
@@ -40,6 +42,23 @@ Scheduler = Annotated[
     ),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Take up an interrupted run of the same config.")]
+
+
+def _forbid_plugins(forbidden: bool) -> None:
+    if forbidden:
+        allow_own_classes(False)
+
+
+NoPlugins = Annotated[
+    bool,
+    typer.Option(
+        "--no-plugins",
+        envvar="BAYESCAL_NO_PLUGINS",
+        callback=_forbid_plugins,
+        is_eager=True,
+        help="Refuse classes that are not built in; import no code that a file names.",
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 
 
@@ -57,9 +76,10 @@ def begin(
     version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and end.")
     ] = False,
+    no_plugins: NoPlugins = False,
 ) -> None:
     """Bayesian identification of parallel-kinematic machines."""
-    del version
+    del version, no_plugins
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
@@ -73,8 +93,10 @@ def run(
     scheduler: Scheduler = None,
     resume: Resume = False,
     quiet: Quiet = False,
+    no_plugins: NoPlugins = False,
 ) -> None:
     """Run an experiment of any kind and write its results and its report."""
+    del no_plugins
     _run(experiment, None, out, seed, (workers, scheduler), resume, quiet)
 
 
@@ -87,8 +109,10 @@ def audit(
     scheduler: Scheduler = None,
     resume: Resume = False,
     quiet: Quiet = False,
+    no_plugins: NoPlugins = False,
 ) -> None:
     """Tell what a machine's measurements can and cannot determine: `bayescal run` of an audit."""
+    del no_plugins
     _run(design, "audit", out, seed, (workers, scheduler), resume, quiet)
 
 
@@ -101,8 +125,10 @@ def sweep(
     scheduler: Scheduler = None,
     resume: Resume = False,
     quiet: Quiet = False,
+    no_plugins: NoPlugins = False,
 ) -> None:
     """Vary keys of an experiment and tell what becomes of its figures: `bayescal run` of a sweep."""
+    del no_plugins
     _run(config, "sweep", out, seed, (workers, scheduler), resume, quiet)
 
 
@@ -110,15 +136,19 @@ def sweep(
 def check(
     study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="Config of the study.")],
     variant: Annotated[list[str] | None, typer.Option(help="Variant to check; default the best by evidence.")] = None,
-    data_sets: Annotated[int | None, typer.Option(min=4, help="Simulated of priors and posterior each.")] = None,
+    data_sets: Annotated[
+        int | None, typer.Option(min=4, max=10_000, help="Simulated of priors and posterior each.")
+    ] = None,
     out: Out = None,
     seed: Seed = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     resume: Resume = False,
     quiet: Quiet = False,
+    no_plugins: NoPlugins = False,
 ) -> None:
     """Check a study's config: simulation-based calibration, and the usual faults looked for one by one."""
+    del no_plugins
     from bayescal.experiments.check.kind import configure_check
 
     _run_config(configure_check(study, variant or [], data_sets, seed), study, out, (workers, scheduler), resume, quiet)
@@ -173,16 +203,19 @@ def simulate(
     config: Annotated[Path, typer.Argument(metavar="SIMULATION.toml", help="Config of the simulation.")],
     out: Annotated[Path, typer.Option(help="Directory for the CSV files.")],
     seed: Seed = None,
+    no_plugins: NoPlugins = False,
 ) -> None:
     """Simulate photogrammetry, an instrument's or a machine's own readings; the config states the truth."""
+    del no_plugins
     from bayescal.experiments.frame.load import load
     from bayescal.experiments.frame.run import compute_experiment
     from bayescal.experiments.shared.simulated_data import SimulatedData
-    from bayescal.files.atomic import make_directory, write_atomically
+    from bayescal.files.atomic import check_writable, make_directory, write_atomically
 
     experiment, loaded = load(config)
     if not isinstance(experiment, SimulatedData):
         raise InputError(f"{config}: kind: found {loaded.kind!r}, expected a kind that simulates data")
+    check_writable(out)
     if seed is not None:
         loaded = loaded.model_copy(update={"seed": seed})
     with name_faults(config):
@@ -209,6 +242,7 @@ def poses_from_targets(
     from bayescal.experiments.study.tables import format_poses
 
     config = load_kind(experiment, "study")
+    _check_out(out)
     if config.data.measurement != "targets":
         raise InputError(f"{experiment}: data.measurement: found {config.data.measurement!r}, expected 'targets'")
     if method is not None:
@@ -241,9 +275,12 @@ def export(
 ) -> None:
     """Write the machine as calibrated, with covariance and draws, as files for the next tool."""
     from bayescal.api import export_machine, load_calibrated
+    from bayescal.files.atomic import check_writable
 
     calibrated = load_calibrated(results, variant, experiment, force)
-    for path in export_machine(calibrated, out or Path("machines") / calibrated.source.stem, name):
+    where = out or Path("machines") / calibrated.source.stem
+    check_writable(where)
+    for path in export_machine(calibrated, where, name):
         typer.echo(f"wrote {path}")
     _tell_missing(results, calibrated)
 
@@ -263,6 +300,7 @@ def command(
     from bayescal.calibrated.tables import check_reached, format_command, read_commanded
 
     calibrated = load_calibrated(results, variant, experiment, force)
+    _check_out(out)
     commanded = read_commanded(poses, calibrated.n_legs)
     found = command_poses(calibrated, commanded.position, commanded.rotation)
     if not mark:
@@ -278,8 +316,8 @@ def predict(
     variant: Variant = None,
     out: Table = None,
     draws: Annotated[Path | None, typer.Option(help="CSV file for poses by draws of the posterior.")] = None,
-    n_draws: Annotated[int, typer.Option(min=1, help="How many of them.")] = 100,
-    seed: Annotated[int, typer.Option(min=0, help="Of the draws' errors.")] = 0,
+    n_draws: Annotated[int, typer.Option(min=1, max=100_000, help="How many of them.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Of the draws' errors.")] = 0,
     experiment: Config = None,
     force: Force = False,
 ) -> None:
@@ -290,6 +328,8 @@ def predict(
     from bayescal.calibrated.tables import check_found, format_draws, format_prediction, read_positions
 
     calibrated = load_calibrated(results, variant, experiment, force)
+    _check_out(out)
+    _check_out(draws)
     names, positions = read_positions(actuators, calibrated)
     found = predict_poses(calibrated, positions)
     check_found(actuators, names, found)
@@ -298,6 +338,16 @@ def predict(
         _put(format_draws(calibrated, names, *drawn), draws)
     _put(format_prediction(calibrated, names, found), out)
     _tell_missing(results, calibrated)
+
+
+def _check_out(out: Path | None) -> None:
+    """Find out before anything is computed whether a file of results can be written."""
+    from bayescal.files.atomic import check_writable
+
+    if out is not None:
+        if out.is_dir():
+            raise InputError(f"{out}: is a directory, expected a file name")
+        check_writable(out.parent)
 
 
 def _put(text: str, out: Path | None) -> None:
@@ -347,16 +397,19 @@ def compare(
 
 
 @app.command(epilog="Example: bayescal validate experiments/telescope/study.toml")
-def validate(experiment: Experiment) -> None:
+def validate(experiment: Experiment, no_plugins: NoPlugins = False) -> None:
     """Find everything at fault in a config and its files without computing, and say what a run would do."""
+    del no_plugins
     from bayescal.experiments.frame.load import load
     from bayescal.experiments.frame.run import check_experiment
     from bayescal.experiments.shared.simulated_data import SimulatedData
 
     kind, config = load(experiment)
     with name_faults(experiment):
-        files = check_experiment(config, experiment.parent)
+        files, doubts = check_experiment(config, experiment.parent)
     typer.echo(f"{experiment}: fit to run, a {config.kind} {config.name!r} ({config.title})")
+    for doubt in doubts:
+        typer.echo(f"but {doubt}")
     typer.echo(f"{len(files)} files belong to it: {', '.join(files)}" if files else "no other file belongs to it")
     command = "simulate" if isinstance(kind, SimulatedData) else "run"
     typer.echo(f"next: bayescal {command} {experiment}, into results/{config.name}")
@@ -400,6 +453,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without Greek letters
+    allow_own_classes(True)
     try:
         code = app(standalone_mode=False)
     except typer.TyperException as error:
@@ -412,6 +466,10 @@ def main() -> None:
         code = _complain(
             f"{where}: {error.strerror}, expected {'room to write' if full else 'to read or write there'}",
             NumericalError.exit_code if full else InputError.exit_code,
+        )
+    except MemoryError:
+        code = _complain(
+            "found too little memory, expected a smaller task or a larger machine", NumericalError.exit_code
         )
     except (KeyboardInterrupt, typer.Abort):
         code = _complain("interrupted", INTERRUPTED)

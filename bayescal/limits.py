@@ -34,3 +34,29 @@ FAR_AWAY = 1e6
 """Residual where a vector is no machine: finite, since optimisers subtract."""
 BLUNDER = 0.5
 """Probability from which on a pose is called a blunder: more likely than not."""
+
+# what configs may say
+LARGEST = 1e9
+"""Beyond it, or as close to zero, a number is a slip, and overflows when squared often enough."""
+LARGEST_FACTOR = 1000.0
+"""By which something is varied; the inverse is the smallest."""
+LARGEST_KAPPA = 1.0
+"""A joint that is deflected by as much as its actuator moves."""
+LARGEST_SEED = 2**63 - 1
+"""Of integers in TOML."""
+BOUNDS: dict[str, tuple[float, float]] = {
+    "um": (1e-4, 1e5),
+    "arcsec": (1e-6, 1.296e6),
+    "ppm": (1e-6, 1e5),
+    "mm": (0.0, 1e6),
+    "deg": (0.0, 360.0),
+    "rad": (0.0, 6.3),
+    "gpa": (1e-9, 1e5),
+    "kg": (1e-6, 1e9),
+    "s2": (0.0, 1e4),
+}
+"""By the unit that a key ends with: the smallest size of what is not zero, and the largest, a kilometre, full turns."""
+NOISE_BOUNDS = BOUNDS | {"mm": (1e-7, 1e2), "deg": (1e-9, 360.0), "rad": (1e-11, 6.3)}
+"""Of keys with noise in their names: a tenth of a nanometre to a decimetre."""
+WIDTH_BOUNDS: dict[str, tuple[float, float]] = {"mm": (1e-7, 1e5), "rad": (1e-9, 7.0), "1": (1e-9, 10.0)}
+"""Of what is not known of a parameter, by its unit: a tenth of a nanometre to a hundred metres, a full turn, ten."""

@@ -25,6 +25,7 @@ import cloudpickle
 
 from bayescal.config.load import describe_unknown
 from bayescal.config.local_imports import find_local_imports, import_from
+from bayescal.config.trust import are_own_classes_allowed
 from bayescal.errors import InputError
 
 
@@ -78,6 +79,10 @@ def list_references(what: str) -> Mapping[str, str]:
     """Return ``module:Class`` by name, built-in ones and those of installed packages."""
     built_in = {name: one if isinstance(one, str) else _refer(one) for name, one in _list_built_in(what).items()}
     return _list_entry_points(REGISTRIES[what].group) | built_in
+
+
+def _one_of(names: Iterable[str]) -> str:
+    return "one of " + ", ".join(sorted(names))
 
 
 def _list_built_in(what: str) -> dict[str, Any]:
@@ -136,6 +141,8 @@ def load_class(what: str, name: str, folder: Path | None) -> type:
     if name not in references and (":" not in name or folder is None):
         raise InputError(describe_unknown(references, name))
     location, _, attribute = references.get(name, name).partition(":")
+    if name not in built_in and not are_own_classes_allowed():
+        raise InputError(f"found {name!r}, which is no built-in one, and --no-plugins; expected {_one_of(built_in)}")
     try:
         module = _import(location, folder)
     except InputError as error:

@@ -5,18 +5,31 @@ Keys carry their units; lengths are in mm, noise in µm, angles in degrees.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator
 
-LARGEST = 1e9  # beyond it, or as close to zero, a number is a slip and overflows when squared often enough
+from bayescal.limits import BOUNDS, LARGEST, LARGEST_FACTOR, LARGEST_SEED, NOISE_BOUNDS
+
+
+def check_once[T: list[Any]](values: T) -> T:
+    """Return a list; ValueError where something stands in it twice."""
+    for value in values:
+        if values.count(value) > 1:
+            raise ValueError(f"found {value!r} twice, expected it once")
+    return values
+
+
 type Number = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST)]
 type Positive = Annotated[FiniteFloat, Field(gt=0, ge=1 / LARGEST, le=LARGEST)]
+type Factor = Annotated[FiniteFloat, Field(ge=1 / LARGEST_FACTOR, le=LARGEST_FACTOR)]
 type NotNegative = Annotated[FiniteFloat, Field(ge=0, le=LARGEST)]
 type PerLeg = Number | list[Number]
 type PositivePerLeg = Positive | list[Positive]
 type Vector = Annotated[list[Number], Field(min_length=3, max_length=3)]
+type Names = Annotated[list[str], AfterValidator(check_once)]
 type Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
 
 
@@ -41,6 +54,28 @@ class Section(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
+    @field_validator("*")
+    @classmethod
+    def _check_size(cls, value: Any, info: ValidationInfo) -> Any:
+        """Refuse numbers that nobody means in the unit that their key ends with."""
+        key = info.field_name or ""
+        unit = key.rpartition("_")[2]
+        smallest, largest = (NOISE_BOUNDS if "noise" in key else BOUNDS).get(unit, (0.0, LARGEST))
+        for number in _list_numbers(value):
+            if abs(number) > largest or 0.0 < abs(number) < smallest:
+                size = f"between {smallest:g} and {largest:g}" if smallest else f"at most {largest:g}"
+                raise ValueError(f"found {number:g}, expected {size} in size")
+        return value
+
+
+def _list_numbers(value: Any) -> Iterator[float]:
+    """Yield the numbers of a field, those of its lists and tables too; sections look at their own."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        yield float(value)
+    elif isinstance(value, list | Mapping):
+        for one in value.values() if isinstance(value, Mapping) else value:
+            yield from _list_numbers(one)
+
 
 class ExperimentConfig(Section):
     """What the config of every experiment has."""
@@ -48,4 +83,4 @@ class ExperimentConfig(Section):
     kind: str
     name: Name
     title: str
-    seed: Annotated[int, Field(ge=0)]
+    seed: Annotated[int, Field(ge=0, le=LARGEST_SEED)]

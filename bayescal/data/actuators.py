@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.errors import InputError
-from bayescal.files.csv_tables import Table, read_table
+from bayescal.errors import InputError, name_faults
+from bayescal.files.csv_tables import Table, read_matrix, read_table
 from bayescal.numerics.geometry import Array
 
 OVERTRAVEL = 0.05
@@ -78,6 +78,20 @@ def _explain(actuators: Array, home: Array, limit: float) -> str:
     fits = [word for word, other in tried.items() if np.all(np.abs(other - home) <= limit)]
     best = max(fits, key=travel.__getitem__, default="")
     return best if best and travel[best] > STIRRING * limit else ""
+
+
+def read_moves(path: Path, unit: float, n_legs: int) -> Array:
+    """Return the displacements of a plan (P, N), mm, from a table in some unit; InputError where all poses are one."""
+    moves: Array = unit * read_matrix(path, n_legs)
+    with name_faults(path):
+        check_moves(moves)
+    return moves
+
+
+def check_moves(actuators: Array) -> None:
+    """Raise InputError where no actuator moves from any of several poses (P, N) to another."""
+    if len(actuators) > 1 and not np.ptp(actuators, axis=0).any():
+        raise InputError(f"found the same actuator positions at all {len(actuators)} poses, expected poses that differ")
 
 
 def check_calibration(path: Path, verification: np.ndarray) -> None:

@@ -2,11 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
+
+FEW = 3
+
+
+def check_repeated(names: Sequence[str], readings: Array, verification: np.ndarray) -> None:
+    """Raise InputError where two poses have the same readings to the last digit: one measurement, copied.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the P poses.
+    readings : ndarray, shape (P, ...)
+        As measured, noise included; NaN where nothing was. Fewer than `FEW` numbers may agree by chance.
+    verification : ndarray of bool, shape (P,)
+        A copy of a calibration pose verifies nothing.
+    """
+    flat = readings.reshape(len(names), -1)
+    first: dict[bytes, int] = {}
+    for k, row in enumerate(flat):
+        if np.isfinite(row).sum() < FEW or not np.any(row[np.isfinite(row)]):
+            continue
+        earlier = first.setdefault(row.tobytes(), k)
+        if earlier != k:
+            use = "a verification pose" if verification[k] != verification[earlier] else "another pose"
+            raise InputError(
+                f"pose {names[k]!r}: found the readings of pose {names[earlier]!r} to the last digit, "
+                f"expected {use} to be measured by itself"
+            )
 
 
 @dataclass(frozen=True, eq=False)

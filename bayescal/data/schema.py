@@ -54,7 +54,7 @@ class NoiseConfig(Section):
 class TargetRingConfig(Section):
     """Targets evenly on a circle of a body."""
 
-    count: Annotated[int, Field(ge=1)]
+    count: Annotated[int, Field(ge=1, le=1000)]
     radius_mm: Positive
     height_mm: Number
     azimuth_deg: Number = 0.0
@@ -65,7 +65,7 @@ class TargetsConfig(Section):
 
     base: Annotated[list[TargetRingConfig], Field(min_length=1)]
     platform: Annotated[list[TargetRingConfig], Field(min_length=1)]
-    per_pad: Annotated[int, Field(ge=0)] = 0
+    per_pad: Annotated[int, Field(ge=0, le=100)] = 0
     pad_radius_mm: Positive | None = None
 
     @model_validator(mode="after")

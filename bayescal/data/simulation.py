@@ -16,7 +16,7 @@ import numpy as np
 
 from bayescal.config.classes import name_failures
 from bayescal.config.load import look_up
-from bayescal.data.actuators import name_actuators
+from bayescal.data.actuators import name_actuators, read_moves
 from bayescal.data.photogrammetry.survey import BODIES, REFERENCE_COLUMNS, TARGET_COLUMNS, BodyTargets, Survey
 from bayescal.data.schema import SimulationConfig, TargetRingConfig, TruthConfig
 from bayescal.data.truth import (
@@ -84,7 +84,7 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
         machine = build_chosen_machine(chosen, mechanism, MatrixDeformation(matrix))
     check_home_pose(machine)
     calibration, verification = (
-        config.poses.unit_mm * read_matrix(folder / name, n_legs)
+        read_moves(folder / name, config.poses.unit_mm, n_legs)
         for name in (config.poses.calibration, config.poses.verification)
     )
     return Twin(machine, _read_truth(machine, config.truth, folder), config, calibration, verification)

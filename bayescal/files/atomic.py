@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from bayescal.errors import InputError
+
+PROBE = b" " * 65536
+"""Less room than this is none: no results would fit."""
 
 
 def read_text(path: Path, expected: str) -> str:
@@ -49,6 +53,29 @@ def write_atomically(path: Path, content: bytes) -> None:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
         error.filename = str(path)  # a full disk does not say where
+        raise
+
+
+def resolve(path: Path) -> Path:
+    """Return where a path leads; InputError where links lead round in a circle."""
+    try:
+        return path.resolve()
+    except (RuntimeError, OSError) as error:  # Python before 3.13 has the former of a loop
+        raise InputError(f"{path}: found links that lead round in a circle, expected a directory or none") from error
+
+
+def check_writable(folder: Path) -> None:
+    """Raise InputError or OSError where a directory could not be made or written to; nothing is left there."""
+    there = resolve(folder)
+    while not there.exists():
+        there = there.parent
+    if not there.is_dir():
+        raise InputError(f"{there}: is no directory, expected one to write {folder} to")
+    try:
+        with tempfile.TemporaryFile(dir=there) as probe:
+            probe.write(PROBE)
+    except OSError as error:
+        error.filename = str(there)
         raise
 
 

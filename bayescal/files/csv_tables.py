@@ -57,6 +57,14 @@ class Table:
                 result[number, k] = np.nan if empty else self._number(row[column], number, columns[k])
         return result
 
+    def positive(self, columns: Sequence[str]) -> Array:
+        """Return columns as `numbers` does; zero or less is an error, too."""
+        result = self.numbers(columns)
+        if (result <= 0.0).any():
+            row, k = (int(one) for one in np.argwhere(result <= 0.0)[0])
+            raise InputError(f"{self.where(row)}: {columns[k]}: found {result[row, k]:g}, expected above 0")
+        return result
+
     def has(self, columns: Sequence[str]) -> bool:
         """Whether the table has any of these columns; InputError where it has some of them, but not all."""
         there = [column for column in columns if column in self.columns]

@@ -14,8 +14,8 @@ class SamplerConfig(Section):
 
     ensembles: Annotated[int, Field(ge=4, le=64)] = 4
     walkers: Annotated[int, Field(ge=8, le=4096)] = 128
-    burn_in: Annotated[int, Field(ge=0)] = 40
-    steps: Annotated[int, Field(ge=2)] = 80
+    burn_in: Annotated[int, Field(ge=0, le=100_000)] = 40
+    steps: Annotated[int, Field(ge=2, le=100_000)] = 80
 
 
 class EvidenceConfig(Section):
@@ -24,8 +24,8 @@ class EvidenceConfig(Section):
     On demand each evidence is checked by tempering, which owes nothing to the search for modes.
     """
 
-    draws: Annotated[int, Field(ge=1000)] = 20_000
-    max_draws: Annotated[int, Field(ge=1000)] = 100_000
+    draws: Annotated[int, Field(ge=1000, le=10_000_000)] = 20_000
+    max_draws: Annotated[int, Field(ge=1000, le=10_000_000)] = 100_000
     target_error: Positive = 0.01
     check: Literal["tempered"] | None = Field(default=None, exclude_if=lambda value: value is None)
 
@@ -42,4 +42,4 @@ class DrawsConfig(Section):
     draws: Annotated[int, Field(ge=0, le=10_000_000)] | None = None
     ensembles: Annotated[int, Field(ge=4, le=64)] = 4
     walkers: Annotated[int, Field(ge=8, le=4096)] = 128
-    burn_in: Annotated[int, Field(ge=0)] = 20
+    burn_in: Annotated[int, Field(ge=0, le=100_000)] = 20

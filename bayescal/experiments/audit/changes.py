@@ -19,6 +19,8 @@ from bayescal.identifiability.requirements import Forecast, Requirement
 from bayescal.identifiability.sensitivity import compute_sensitivity
 from bayescal.numerics.geometry import Array
 
+MOST_POSES = 10_000
+
 
 @dataclass(frozen=True, eq=False)
 class ChangeEffect:
@@ -72,10 +74,17 @@ def list_changes(inputs: AuditInputs) -> list[WhatIfConfig]:
 
 
 def check_changes(inputs: AuditInputs) -> None:
-    """Raise InputError where a what-if names a sensor that is not there."""
+    """Raise InputError where a what-if names a sensor or poses that are not there, or more poses than anybody takes."""
     for change in inputs.config.what_if:
+        count = round(change.poses_factor * inputs.plan.n_poses)
+        if count > MOST_POSES:
+            raise InputError(
+                f"what_if {change.name!r}: poses_factor: found {count} poses, expected at most {MOST_POSES}"
+            )
         if change.sensors is not None:
             choose_sensors(inputs.sensors, change.sensors, f"what_if {change.name!r}: sensors")
+        if change.poses is not None:
+            apply_change(inputs, change)
 
 
 def apply_change(inputs: AuditInputs, change: WhatIfConfig) -> Plan:

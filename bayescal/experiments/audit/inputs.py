@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.data.actuators import read_moves
 from bayescal.errors import InputError
 from bayescal.experiments.audit.from_study import Measured, draw_measured, read_measured
 from bayescal.experiments.audit.schema import (
@@ -28,7 +29,6 @@ from bayescal.experiments.shared.design import (
 )
 from bayescal.experiments.shared.measured import MeasuredVariant
 from bayescal.experiments.shared.schema import FramesConfig
-from bayescal.files.csv_tables import read_matrix
 from bayescal.identifiability.design import Knowledge, Plan, predict_poses
 from bayescal.identifiability.pose_volume import PoseVolume, draw_displacements, find_workspace_actuators
 from bayescal.identifiability.profile import check_profiles
@@ -204,7 +204,7 @@ def plan_actuators(
     start = mechanism.initial_actuator_positions
     rng = np.random.default_rng([config.seed, 1])
     if isinstance(plan, FilePlanConfig):
-        moves = plan.unit_mm * read_matrix(folder / plan.configurations, mechanism.n_legs)
+        moves = read_moves(folder / plan.configurations, plan.unit_mm, mechanism.n_legs)
         moves = moves if count is None else moves[np.arange(count) % len(moves)]
         return start + factor * moves
     n = plan.count if count is None else count

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from bayescal.experiments.audit.changes import check_changes
 from bayescal.experiments.audit.compute import compute_audit
 from bayescal.experiments.audit.inputs import AuditDesign, read_design
 from bayescal.experiments.audit.page.build import build_page
@@ -50,7 +51,10 @@ class Audit(Experiment[AuditConfig, AuditDesign]):
 
     def read(self, config: AuditConfig, folder: Path) -> AuditDesign:
         """Return the design, read and checked."""
-        return read_design(config, folder)
+        design = read_design(config, folder)
+        if design.planned is not None:
+            check_changes(design.planned)
+        return design
 
     def estimate_memory(self, inputs: AuditDesign) -> Need:
         """Return what the derivatives at all planned poses take, the what-ifs' among them."""

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from bayescal.config.sections import ExperimentConfig, InputFile, Positive, Section
+from bayescal.config.sections import ExperimentConfig, Factor, InputFile, Names, Positive, Section, check_once
 from bayescal.density.schema import FixedConfig, PriorConfig
 from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
@@ -62,20 +62,22 @@ class WhatIfConfig(Section):
     """A change of the plan; what is not named stays."""
 
     name: str
-    poses_factor: Positive = 1.0
-    workspace_factor: Positive = 1.0
-    noise_factor: Positive = 1.0
-    actuator_noise_factor: Positive = 1.0
-    sensors: Annotated[list[str], Field(min_length=1)] | None = None
+    poses_factor: Annotated[Positive, Field(ge=1e-4, le=1e4)] = 1.0
+    workspace_factor: Factor = 1.0
+    noise_factor: Factor = 1.0
+    actuator_noise_factor: Factor = 1.0
+    sensors: Annotated[Names, Field(min_length=1)] | None = None
     poses: PlanConfig | None = None
 
 
 class SweepConfig(Section):
     """Factors on the sensors' noise and on the actuators' range, and numbers of poses, one swept at a time."""
 
-    noise: list[Positive] = Field(default=[0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0])
-    poses: list[Annotated[int, Field(ge=1, le=10_000)]] = Field(default=[6, 8, 10, 15, 20, 30, 40, 60, 100, 200])
-    workspace: list[Positive] = Field(default=[0.25, 0.5, 1.0, 2.0, 4.0])
+    noise: Annotated[list[Factor], AfterValidator(check_once)] = Field(default=[0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0])
+    poses: Annotated[list[Annotated[int, Field(ge=1, le=10_000)]], AfterValidator(check_once)] = Field(
+        default=[6, 8, 10, 15, 20, 30, 40, 60, 100, 200]
+    )
+    workspace: Annotated[list[Factor], AfterValidator(check_once)] = Field(default=[0.25, 0.5, 1.0, 2.0, 4.0])
 
 
 class AuditDataConfig(Section):
@@ -101,7 +103,7 @@ class AuditConfig(ExperimentConfig):
     frames: FramesConfig = FramesConfig()
     noise: ActuatorNoiseConfig | None = None
     sensors: dict[str, SensorConfig] = Field(default={})
-    measured_by: list[str] = Field(default=[])
+    measured_by: Names = Field(default=[])
     poses: PlanConfig | None = None
     data: AuditDataConfig | None = None
     posterior: DrawsConfig = DrawsConfig()
@@ -109,12 +111,13 @@ class AuditConfig(ExperimentConfig):
     requirements: RequirementsConfig = RequirementsConfig()
     what_if: list[WhatIfConfig] = Field(default=[])
     sweep: SweepConfig = SweepConfig()
-    profiles: list[str] = Field(default=[])
+    profiles: Names = Field(default=[])
     simulated_calibrations: Annotated[int, Field(ge=0, le=10_000)] = 0
     expected_over_draws: Annotated[int, Field(ge=0, le=10_000)] = 0
 
     @model_validator(mode="after")
     def _check_plan(self) -> Self:
+        check_once([one.name for one in self.what_if])
         if self.data is not None:
             for field in ("noise", "poses", "measured_by", "parameters", "deformation", "frames"):
                 if field in self.model_fields_set:

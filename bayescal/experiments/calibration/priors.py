@@ -12,7 +12,7 @@ from bayescal.experiments.calibration.schema import (
     CalibrationConfig,
     CalibrationSimulationConfig,
 )
-from bayescal.experiments.shared.per_leg import spread_over_legs
+from bayescal.experiments.shared.per_leg import spread_over_legs, spread_widths
 from bayescal.identifiability.units import Units
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings import ReadingModel
@@ -96,7 +96,8 @@ def expand(entry: str, layout: ParameterLayout, field: str) -> tuple[str, ...]:
 def _priors_of(block: ParameterBlock, prior: PriorConfig, factor: float) -> dict[str, Prior]:
     assert not isinstance(prior, FixedConfig)
     given = prior.sd if isinstance(prior, NormalConfig) else prior.half_width
-    widths = [factor * width for width in spread_over_legs(given, len(block.nominal), block.symbol)]
+    spread = spread_widths(given, len(block.nominal), block.symbol, block.unit, factor)
+    widths = [factor * width for width in spread]
     pairs = zip(block.names, block.nominal, widths, strict=True)
     if isinstance(prior, NormalConfig):
         return {name: NormalPrior(value, width) for name, value, width in pairs}

@@ -4,9 +4,19 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from bayescal.config.sections import ExperimentConfig, InputFile, Name, NotNegative, Number, Positive, Section
+from bayescal.config.sections import (
+    ExperimentConfig,
+    InputFile,
+    Name,
+    Names,
+    NotNegative,
+    Number,
+    Positive,
+    Section,
+    check_once,
+)
 from bayescal.density.schema import PriorConfig
 from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
@@ -37,9 +47,9 @@ class DataTableConfig(Section):
     """
 
     file: InputFile
-    channels: list[str] = Field(default=[])
-    ignore: list[str] = Field(default=[])
-    hold_back: list[str] = Field(default=[])
+    channels: Names = Field(default=[])
+    ignore: Names = Field(default=[])
+    hold_back: Names = Field(default=[])
 
 
 class ChannelConfig(Section):
@@ -84,12 +94,12 @@ class CalibrationVariantConfig(Section):
     name: Name
     title: str
     machine: InputFile | None = None
-    sensors: Annotated[list[str], Field(min_length=1)] | None = None
-    free: Annotated[list[str], Field(min_length=1)] | None = None
-    common: list[str | list[str]] = Field(default=[])
+    sensors: Annotated[Names, Field(min_length=1)] | None = None
+    free: Annotated[Names, Field(min_length=1)] | None = None
+    common: list[str | Names] = Field(default=[])
     noise: Literal["unknown", "stated"] = "unknown"
     robust: Annotated[float, Field(ge=1.0, le=100.0)] | None = None
-    poses_with: list[str] = Field(default=[])
+    poses_with: Names = Field(default=[])
 
 
 class ValidationConfig(Section):
@@ -175,7 +185,7 @@ class CalibrationSimulationConfig(ExperimentConfig):
     sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
     units: UnitsConfig = UnitsConfig()
     parameters: dict[str, PriorConfig] = Field(default={})
-    common: list[str | list[str]] = Field(default=[])
+    common: list[str | Names] = Field(default=[])
     truth: TrueParametersConfig | None = None
     workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
     given: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
@@ -204,9 +214,9 @@ class AuditVariantConfig(Section):
 
     name: Name
     title: str
-    sensors: Annotated[list[str], Field(min_length=1)] | None = None
-    free: Annotated[list[str], Field(min_length=1)] | None = None
-    common: list[str | list[str]] = Field(default=[])
+    sensors: Annotated[Names, Field(min_length=1)] | None = None
+    free: Annotated[Names, Field(min_length=1)] | None = None
+    common: list[str | Names] = Field(default=[])
 
 
 class SelectionConfig(Section):
@@ -234,12 +244,14 @@ class SensorChoiceConfig(Section):
     sets are judged where these are no more than ``exhaustive``; else sensors are added one by one and exchanged.
     """
 
-    candidates: Annotated[list[str | Annotated[list[str], Field(min_length=1)]], Field(min_length=1)]
-    always: list[str] = Field(default=[])
-    largest: Annotated[int, Field(ge=1)] | None = None
+    candidates: Annotated[
+        list[str | Annotated[Names, Field(min_length=1)]], Field(min_length=1), AfterValidator(check_once)
+    ]
+    always: Names = Field(default=[])
+    largest: Annotated[int, Field(ge=1, le=1000)] | None = None
     exhaustive: Annotated[int, Field(ge=0, le=100_000)] = 4096
-    free: Annotated[list[str], Field(min_length=1)] | None = None
-    common: list[str | list[str]] = Field(default=[])
+    free: Annotated[Names, Field(min_length=1)] | None = None
+    common: list[str | Names] = Field(default=[])
 
 
 class CalibrationAuditConfig(ExperimentConfig):

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from bayescal.config.sections import ExperimentConfig, InputFile
+from bayescal.config.sections import ExperimentConfig, InputFile, Names
 
 
 class CheckConfig(ExperimentConfig):
@@ -26,6 +26,6 @@ class CheckConfig(ExperimentConfig):
 
     kind: Literal["check"]
     study: InputFile
-    variants: list[str] = Field(default=[])
+    variants: Names = Field(default=[])
     data_sets: Annotated[int, Field(ge=4, le=10_000)] = 60
     draws: Annotated[int, Field(ge=200, le=1_000_000)] = 4000

@@ -75,6 +75,11 @@ class Experiment[C: ExperimentConfig, I](ABC):
         del inputs
         return Need()
 
+    def doubt(self, inputs: I) -> list[str]:
+        """Return what is probably wrong with inputs that nothing forbids to compute with, in words; it takes little."""
+        del inputs
+        return []
+
     @abstractmethod
     def compute(self, inputs: I, run: Run) -> Results:
         """Return the results; long work is handed to ``run`` in tasks, which keeps each as it ends.

@@ -32,6 +32,7 @@ def hold_lock(path: Path, out: Path) -> Iterator[None]:
     if fcntl is None:
         yield
         return
+    made = [folder for folder in path.parents if not folder.exists()]
     path.parent.mkdir(parents=True, exist_ok=True)
     descriptor = _acquire(path, out)
     HELD.add(path)
@@ -43,6 +44,16 @@ def hold_lock(path: Path, out: Path) -> Iterator[None]:
         HELD.discard(path)  # first: once the file is gone, another run's may stand there
         path.unlink(missing_ok=True)
         os.close(descriptor)
+        _remove_empty(made)
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    """Remove directories, the innermost first, that were made and in which nothing was put: input was at fault."""
+    for folder in folders:
+        try:
+            folder.rmdir()
+        except OSError:
+            return
 
 
 def remove_locks() -> None:

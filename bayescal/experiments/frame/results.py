@@ -18,6 +18,8 @@ SUMMARY_FILE = "summary.json"
 PROVENANCE_FILE = "provenance.json"
 WRITTEN = "written"
 """Key of the provenance that lists what a run has written: everything else in its directory is somebody's own."""
+LENGTHS = "table_rows"
+"""Key of the provenance for the number of rows of every table."""
 TABLE_NAME = re.compile(r"([A-Za-z0-9_-]+/)?[A-Za-z0-9_-]+\.csv")
 KINDS: dict[str, Callable[[str], Any]] = {
     "number": lambda cell: float(cell) if cell else float("nan"),
@@ -78,13 +80,14 @@ def write_results(results: Results, folder: Path, tables_in: str = "", digits: i
     digits : int
         Significant ones of the tables' numbers; zero for all.
     """
-    kinds, empty = {}, {}
+    kinds, empty, lengths = {}, {}, {}
     (folder / tables_in).mkdir(exist_ok=True)
     for name, table in results.tables.items():
         if not table.empty:
             path = f"{tables_in}/{name}.csv" if tables_in else f"{name}.csv"
             text = f"%.{digits}g" if digits else None
             table.to_csv(folder / path, index=False, float_format=text, lineterminator="\n")
+            lengths[path] = len(table)
             kinds[path] = {str(column): find_kind(table[column]) for column in table.columns}
         else:
             empty[name] = [str(column) for column in table.columns]
@@ -95,13 +98,26 @@ def write_results(results: Results, folder: Path, tables_in: str = "", digits: i
             (folder / name).write_text(content, encoding="utf-8")
         else:
             content(folder / name)
-    write_json(folder / PROVENANCE_FILE, {**results.provenance, "tables": kinds, "empty_tables": empty})
+    write_json(
+        folder / PROVENANCE_FILE, {**results.provenance, "tables": kinds, "empty_tables": empty, LENGTHS: lengths}
+    )
 
 
 def list_written(folder: Path) -> None:
     """Add to a new results directory's provenance which files it has."""
     names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     write_json(folder / PROVENANCE_FILE, {**read_json(folder / PROVENANCE_FILE), WRITTEN: names})
+
+
+def _check_lengths(folder: Path, tables: Mapping[str, pd.DataFrame], lengths: object) -> None:
+    """Raise InputError for a table that was cut between two rows, which says nothing of what it lacks.
+
+    Results of earlier versions do not know how long their tables are.
+    """
+    for name, table in tables.items():
+        known = lengths.get(name, len(table)) if isinstance(lengths, dict) else len(table)
+        if known != len(table):
+            raise InputError(f"{folder / name}: found {len(table)} rows, expected {known} as were written")
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
@@ -141,7 +157,9 @@ def read_results(folder: Path) -> Results:
         if not TABLE_NAME.fullmatch(name):
             raise InputError(f"{folder / PROVENANCE_FILE}: tables: found {name!r}, expected names of CSV files")
     summary = read_json(folder / SUMMARY_FILE)
-    tables = {Path(name).stem: _read_table(folder / name, columns) for name, columns in kinds.items()}
+    found = {name: _read_table(folder / name, columns) for name, columns in kinds.items()}
+    _check_lengths(folder, found, provenance.get(LENGTHS))
+    tables = {Path(name).stem: table for name, table in found.items()}
     for name, columns in empty.items():
         tables[name] = pd.DataFrame(columns=columns)
     return Results(summary, tables, {}, provenance, folder)

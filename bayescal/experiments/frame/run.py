@@ -132,8 +132,8 @@ def run_experiment(
     return Finished(out, experiment, read_results(out), page)
 
 
-def check_experiment(config: ExperimentConfig, folder: Path) -> list[str]:
-    """Read all that an experiment computes with, and return its files.
+def check_experiment(config: ExperimentConfig, folder: Path) -> tuple[list[str], list[str]]:
+    """Read all that an experiment computes with; return its files, and what is probably wrong with it.
 
     Raises
     ------
@@ -142,10 +142,10 @@ def check_experiment(config: ExperimentConfig, folder: Path) -> list[str]:
     """
     experiment = find_kind(config.kind, folder, folder)
     with threadpool_limits(1):
-        experiment.read(config, folder)
+        doubts = experiment.doubt(experiment.read(config, folder))
     files = sorted(set(_list_files(experiment, config, folder)))
     identify(config, folder, files)
-    return files
+    return files, doubts
 
 
 def _list_files(experiment: AnyExperiment, config: ExperimentConfig, folder: Path) -> Iterable[str]:

@@ -23,7 +23,7 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.experiments.frame.identity import hash_identity
 from bayescal.experiments.frame.results import PROVENANCE_FILE, WRITTEN
-from bayescal.files.atomic import read_json, write_atomically
+from bayescal.files.atomic import check_writable, read_json, resolve, write_atomically
 from bayescal.numerics.geometry import Array
 
 IDENTITY_FILE = "identity.json"
@@ -61,15 +61,21 @@ class Store:
         return self._beside(".lock")
 
     def _beside(self, ending: str) -> Path:
-        where = self.out.resolve()  # a link or "." has its neighbours where it points to
+        where = resolve(self.out)  # a link or "." has its neighbours where it points to
         return where.with_name(where.name + ending)
 
     # --- before the run ------------------------------------------------------------------------------------------
 
     def check_results(self, identity: dict[str, Any]) -> None:
         """Refuse to replace results of another config, or a directory that holds no results."""
+        resolve(self.out)
         if not self.out.exists():
             return
+        if os.path.ismount(self.out):
+            raise InputError(
+                f"{self.out}: is where a file system is mounted, expected a directory that can be replaced, such as "
+                f"{self.out / 'results'}"
+            )
         provenance = self.out / PROVENANCE_FILE
         if not self.out.is_dir() or (not provenance.is_file() and any(self.out.iterdir())):
             raise InputError(f"{self.out}: exists and holds no results, expected a new or a results directory")
@@ -87,6 +93,7 @@ class Store:
         if resume:
             self._check_resumed(identity)
         self._check_partial()
+        check_writable(self.partial)
 
     def begin(self, identity: dict[str, Any], resume: bool) -> Store:
         """Make the partial directory ready: empty, or with the finished tasks of the run to resume.
@@ -190,10 +197,10 @@ class Store:
         Files that the old run did not write stay in the results directory.
         """
         if self.out.exists():
-            _exchange(self.staged, self.out.resolve())
-            _move_foreign(self.staged, self.out.resolve())
+            _exchange(self.staged, resolve(self.out))
+            _move_foreign(self.staged, resolve(self.out))
         else:
-            self.staged.rename(self.out.resolve())
+            self.staged.rename(resolve(self.out))
         self.discard()
 
 

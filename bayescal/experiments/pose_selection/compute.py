@@ -48,7 +48,7 @@ def tabulate(inputs: SelectionInputs, chosen: list[JudgedPoses]) -> dict[str, pd
         errors.insert(0, "name", name_ways(errors))
         error_summary = summarise_errors(errors)
         error_summary.insert(0, "name", name_ways(error_summary))
-    published, classes = compare_published(inputs, inputs.folder, summary), tabulate_classes(inputs)
+    published, classes = compare_published(inputs, summary), tabulate_classes(inputs)
     return {
         **({} if classes.empty else {"classes": classes}),
         "selections": selections,

@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from bayescal.config.classes import Choice, choose, name_failures
+from bayescal.data.actuators import read_moves
 from bayescal.errors import InputError
+from bayescal.experiments.pose_selection.published import read_published
 from bayescal.experiments.pose_selection.schema import (
     ActuatorDomainConfig,
     ContinuousChoiceConfig,
@@ -31,7 +34,6 @@ from bayescal.experiments.shared.design import (
     read_tolerances,
     read_workspace,
 )
-from bayescal.files.csv_tables import read_matrix
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.requirements import find_limits
 from bayescal.identifiability.sensitivity import Sensitivity, compute_sensitivity
@@ -76,6 +78,8 @@ class SelectionInputs:
         Actuator positions of poses that have been measured already, mm.
     designs : dict of name to ndarray, shape (n, N)
         Actuator positions of sets of poses that somebody else has chosen, mm.
+    published : DataFrame or None
+        Values of criteria that the source printed.
     """
 
     config: SelectionConfig
@@ -84,6 +88,7 @@ class SelectionInputs:
     domain: PoseDomain
     measured: Array | None
     designs: dict[str, Array]
+    published: pd.DataFrame | None = None
 
     def candidates(self, repeat: int) -> Candidates:
         """Return the candidates of a repeat; without ``redraw`` all have those of the first.
@@ -161,7 +166,7 @@ def read_selection(config: SelectionConfig, folder: Path) -> SelectionInputs:
                 f"designs: {name}: pose {int(np.argmin(placed.found)) + 1}: found none at these displacements, "
                 "expected poses the machine can take"
             )
-    return SelectionInputs(config, folder, design, domain, measured, designs)
+    return SelectionInputs(config, folder, design, domain, measured, designs, read_published(config, folder))
 
 
 def choose_criterion(config: SelectionConfig, label: str, folder: Path) -> Choice[Criterion]:
@@ -223,6 +228,6 @@ def _domain(config: SelectionConfig, knowledge: Knowledge) -> PoseDomain:
 
 def _read_table(table: TableConfig, folder: Path, design: Design) -> Array:
     mechanism = design.knowledge.machine.mechanism
-    moves = table.unit_mm * read_matrix(folder / table.configurations, mechanism.n_legs)
+    moves = read_moves(folder / table.configurations, table.unit_mm, mechanism.n_legs)
     result: Array = mechanism.initial_actuator_positions + moves
     return result

@@ -11,6 +11,7 @@ from bayescal.experiments.frame.results import Results
 from bayescal.experiments.pose_selection.compute import compute_selections
 from bayescal.experiments.pose_selection.inputs import SelectionInputs, read_selection
 from bayescal.experiments.pose_selection.page import build_page
+from bayescal.experiments.pose_selection.published import check_published
 from bayescal.experiments.pose_selection.schema import SelectionConfig
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
 from bayescal.pose_selection.candidates import AT_ONCE
@@ -28,7 +29,9 @@ class PoseSelection(Experiment[SelectionConfig, SelectionInputs]):
 
     def read(self, config: SelectionConfig, folder: Path) -> SelectionInputs:
         """Return what the experiment computes with."""
-        return read_selection(config, folder)
+        inputs = read_selection(config, folder)
+        check_published(config, inputs.published)
+        return inputs
 
     def estimate_memory(self, inputs: SelectionInputs) -> Need:
         """Return what the rows of all candidates take."""

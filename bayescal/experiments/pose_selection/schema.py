@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from bayescal.config.classes import ClassMark, OwnSection, label_class
 from bayescal.config.load import OWN
-from bayescal.config.sections import ExperimentConfig, InputFile, Name, Positive, Section
+from bayescal.config.sections import ExperimentConfig, InputFile, Name, Names, Positive, Section, check_once
 from bayescal.density.schema import FixedConfig, PriorConfig
 from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
@@ -21,6 +21,7 @@ from bayescal.experiments.shared.schema import (
     ModelConfig,
     RequirementsConfig,
     SensorConfig,
+    Turns,
     UnitsConfig,
     WorkspaceConfig,
 )
@@ -37,7 +38,7 @@ class WorkspaceDomainConfig(Section):
 
     within: Literal["workspace"]
     position_mm: Extent
-    rotation_deg: Extent
+    rotation_deg: Turns
 
 
 class ActuatorDomainConfig(Section):
@@ -45,7 +46,7 @@ class ActuatorDomainConfig(Section):
 
     within: Literal["actuators"]
     position_mm: Extent | None = None
-    rotation_deg: Extent | None = None
+    rotation_deg: Turns | None = None
 
     @model_validator(mode="after")
     def _check_both(self) -> Self:
@@ -89,8 +90,8 @@ class ChoiceConfig(Section):
     """A method with its options: every criterion with every number of poses, ``repeats`` times."""
 
     label: Name | None = None
-    criteria: Annotated[list[CriterionName], Field(min_length=1)]
-    n_poses: Annotated[list[Count], Field(min_length=1)]
+    criteria: Annotated[list[CriterionName], Field(min_length=1), AfterValidator(check_once)]
+    n_poses: Annotated[list[Count], Field(min_length=1), AfterValidator(check_once)]
     repeats: Annotated[int, Field(ge=1, le=10_000)] = 1
 
 
@@ -200,7 +201,7 @@ class SelectionConfig(ExperimentConfig):
     parameters: dict[str, PriorConfig]
     noise: ActuatorNoiseConfig
     sensors: dict[str, SensorConfig]
-    measured_by: Annotated[list[str], Field(min_length=1)]
+    measured_by: Annotated[Names, Field(min_length=1)]
     workspace: WorkspaceConfig | None = None
     requirements: RequirementsConfig = RequirementsConfig()
     domain: DomainConfig
@@ -238,6 +239,10 @@ class SelectionConfig(ExperimentConfig):
                     )
                 seen.add(key)
         list(self._named_criteria())
+        labels = {label_of(choice) for choice in self.selections}
+        for label in self.published.iterations if self.published is not None else ():
+            if label not in labels:
+                raise ValueError(f"published.iterations: found {label!r}, expected some of {', '.join(sorted(labels))}")
         return self
 
     @property

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 
 from bayescal.config.registry import is_own
-from bayescal.errors import InputError
 from bayescal.experiments.pose_selection.inputs import SelectionInputs
+from bayescal.experiments.pose_selection.published import KEY
 from bayescal.experiments.pose_selection.tasks import DESIGN, JudgedPoses, Task
-from bayescal.files.csv_tables import format_table, read_table
+from bayescal.files.csv_tables import format_table
 from bayescal.identifiability.pose_volume import AXES
 from bayescal.pose_selection import Criterion, SelectionMethod
 
-KEY = ["label", "criterion", "n_poses"]
 MICROMETRES = 1e3
 ARCSECONDS = 3600.0 * 180.0 / np.pi
 SCALES = np.array([MICROMETRES, ARCSECONDS, 1.0])
@@ -143,31 +140,14 @@ def summarise_errors(errors: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def compare_published(inputs: SelectionInputs, folder: Path, summary: pd.DataFrame) -> pd.DataFrame | None:
-    """Return published values of criteria beside those found; None where none are given.
-
-    Raises
-    ------
-    InputError
-        Where the table has other columns than label, criterion, n_poses and value.
-    """
-    section = inputs.config.published
-    if section is None or section.table is None:
+def compare_published(inputs: SelectionInputs, summary: pd.DataFrame) -> pd.DataFrame | None:
+    """Return published values of criteria beside those found; None where none are given."""
+    published = inputs.published
+    if published is None:
         return None
-    path = folder / section.table
-    table = read_table(path, [*KEY, "value"])
-    numbers = table.numbers(["n_poses", "value"])
-    published = pd.DataFrame(
-        {
-            "label": table.text("label"),
-            "criterion": table.text("criterion"),
-            "n_poses": numbers[:, 0].astype(int),
-            "published": numbers[:, 1],
-        }
-    )
     merged = summary.merge(published, on=KEY, how="inner")
     if merged.empty:
-        raise InputError(f"{path}: found nothing that [[selections]] has, expected its labels, criteria and n_poses")
+        return None
     merged["ratio"] = merged["best"] / merged["published"]
     merged["ratio_of_mean"] = merged["mean"] / merged["published"]
     return merged

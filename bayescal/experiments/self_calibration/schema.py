@@ -6,11 +6,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from bayescal.config.sections import ExperimentConfig, InputFile, Name, Section
+from bayescal.config.sections import ExperimentConfig, InputFile, Name, Names, Section
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.machines.readings.schema import Count, PlanarPosesConfig, ReadingSensorConfig, ReadingTolerancesConfig
 
-type Names = list[str]
 type Sensors = Annotated[dict[str, ReadingSensorConfig], Field(min_length=1)]
 
 

@@ -7,8 +7,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from bayescal.config.classes import ClassMark
-from bayescal.config.sections import ExperimentConfig, InputFile, Positive, Section, Vector
-from bayescal.experiments.shared.schema import Extent
+from bayescal.config.sections import ExperimentConfig, InputFile, Names, Positive, Section, Vector
+from bayescal.experiments.shared.schema import Extent, Turns
 from bayescal.machines.readings.schema import ReadingSensorConfig, ReadingTolerancesConfig
 
 type Sensors = Annotated[dict[str, PlacementSensorConfig], Field(min_length=1)]
@@ -21,7 +21,7 @@ class PlacementSensorConfig(ReadingSensorConfig):
     every set.
     """
 
-    reads: Annotated[list[str], Field(min_length=1)] | None = None
+    reads: Annotated[Names, Field(min_length=1)] | None = None
     always: bool = False
 
 
@@ -34,7 +34,7 @@ class PlacementPosesConfig(Section):
     n_poses: Annotated[int, Field(ge=1, le=10_000)] = 100
     position_mm: Positive | Extent
     angle_deg: Annotated[float, Field(gt=0.0, le=180.0)] | None = None
-    rotation_deg: Extent | None = None
+    rotation_deg: Turns | None = None
 
     @model_validator(mode="after")
     def _check_dimension(self) -> Self:
@@ -77,6 +77,6 @@ class PlacementConfig(ExperimentConfig):
     prices: str = "assumed, in units of the dearest linear encoder"
     frames: Literal["aligned", "given", "instrument"] = "aligned"
     within: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
-    named: dict[str, Annotated[list[str], Field(min_length=1)]] = Field(default={})
+    named: dict[str, Annotated[Names, Field(min_length=1)]] = Field(default={})
     simulated_sets: Annotated[int, Field(ge=0, le=100)] = 12
     machines: Annotated[int, Field(ge=2, le=10_000)] = 100

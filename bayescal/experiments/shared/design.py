@@ -13,7 +13,7 @@ from bayescal.data.schema import TargetRingConfig
 from bayescal.data.simulation import make_rings
 from bayescal.density.schema import FixedConfig, NormalConfig, PriorConfig
 from bayescal.errors import InputError
-from bayescal.experiments.shared.per_leg import spread_over_legs
+from bayescal.experiments.shared.per_leg import spread_over_legs, spread_widths
 from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
     DeformationConfig,
@@ -125,7 +125,7 @@ def read_tolerances(
         elif free is None or symbol in free:
             normal = isinstance(prior, NormalConfig)
             given = prior.sd if isinstance(prior, NormalConfig) else prior.half_width
-            widths = spread_over_legs(given, len(block.nominal), symbol)
+            widths = spread_widths(given, len(block.nominal), symbol, block.unit, factor)
             scale = factor if normal else factor / np.sqrt(3.0)
             priors |= {name: scale * width for name, width in zip(block.names, widths, strict=True)}
     return priors, fixed

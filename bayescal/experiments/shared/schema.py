@@ -8,11 +8,13 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from bayescal.config.classes import ClassMark, OwnSection
 from bayescal.config.load import OWN
-from bayescal.config.sections import FileMark, NotNegative, Number, Positive, Section
+from bayescal.config.sections import FileMark, Names, NotNegative, Number, Positive, Section
 from bayescal.data.schema import TargetRingConfig
+from bayescal.limits import LARGEST_KAPPA
 from bayescal.machines.schema import PointsConfig
 
 type Axes = Literal["x", "y", "z", "xy", "xz", "yz", "xyz"]
+type Turns = Annotated[list[Annotated[NotNegative, Field(le=180.0)]], Field(min_length=3, max_length=3)]
 type Extent = Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
 
 
@@ -22,7 +24,7 @@ class DeformationConfig(Section):
     ``matrix`` is the name of a CSV file, or ``targets`` to take K from the targets on the platform.
     """
 
-    kappa: Number = 0.0
+    kappa: Annotated[Number, Field(ge=-LARGEST_KAPPA, le=LARGEST_KAPPA)] = 0.0
     matrix: Annotated[str, FileMark(but=("targets",))] = "targets"
 
 
@@ -38,7 +40,7 @@ class ModelConfig(Section):
 
     model: Annotated[str, ClassMark("MODELS")]
     deformation: Annotated[str, ClassMark("DEFORMATIONS")] = "none"
-    free: Annotated[list[str], Field(min_length=1)] | None = None
+    free: Annotated[Names, Field(min_length=1)] | None = None
 
 
 class PoseSensorConfig(Section):
@@ -112,7 +114,7 @@ class WorkspaceConfig(Section):
     """
 
     position_mm: Extent
-    rotation_deg: Extent
+    rotation_deg: Turns
     shape: Literal["ellipsoid", "box", "axes"] = "ellipsoid"
     poses: Annotated[int, Field(ge=12, le=5000)] = 200
 

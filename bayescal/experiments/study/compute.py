@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from functools import partial
 from typing import Any
 
@@ -17,6 +18,7 @@ from bayescal.experiments.study.held_out import compare_variants, describe_stack
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.prior_widths import list_width_tasks, tabulate_sensitivity, weigh_widths
 from bayescal.experiments.study.schema import StudyConfig
+from bayescal.experiments.study.slips import find_study_slip
 from bayescal.experiments.study.structured_table import tabulate_structured
 from bayescal.experiments.study.summary import rank_variants, summarise_fit
 from bayescal.experiments.study.tables import (
@@ -52,6 +54,9 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
     widths = compute_widths(inputs, posteriors, run)
     identified = run.once("least squares", identify_variants, inputs, (LeastSquaresFit,))
     summary, files = _summarise(inputs, posteriors)
+    slip = find_study_slip(inputs)
+    if slip is not None:
+        summary["slip"] = asdict(slip)
     tables = {
         "ranking": tabulate_ranking(summary, compare_variants(_choose_free(posteriors))),
         "parameters": tabulate_parameters(summary),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.config.load import look_up
-from bayescal.data.actuators import check_range
+from bayescal.data.actuators import check_moves, check_range
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import (
     JointDeflection,
@@ -30,7 +30,7 @@ from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.errors import InputError, PoseInputError, name_faults
 from bayescal.experiments.frame.memory import Need, check_memory
-from bayescal.experiments.shared.per_leg import spread_over_legs
+from bayescal.experiments.shared.per_leg import spread_over_legs, spread_widths
 from bayescal.experiments.study.measurement import (
     Measurement,
     TargetMeasurement,
@@ -100,9 +100,37 @@ class StudyInputs:
         """Return the poses of one use."""
         return self.measured.poses.select(self.verification == verification)
 
-    @cached_property
+    @property
     def deflection(self) -> JointDeflection | None:
         """Deflection of every leg's joint at every pose from the targets on the pads; None without such targets."""
+        return self._pads[0]
+
+    @property
+    def measured_matrix(self) -> MatrixEstimate | None:
+        """K from the calibration poses' ring targets (RR-8096 eqs. 2 to 4)."""
+        return self._pads[1]
+
+    @property
+    def measured_kappa(self) -> KappaEstimate | None:
+        """κ from the calibration poses' ring targets (RR-8096 eq. 1)."""
+        return self._pads[2]
+
+    @cached_property
+    def _pads(self) -> tuple[JointDeflection | None, MatrixEstimate | None, KappaEstimate | None]:
+        """What the targets on the pads tell; where no variant takes K from them, faults of theirs do not count."""
+        needed = self.matrix_from_targets and any(one.deformation == "matrix" for one in self.config.variants)
+        try:
+            deflection = self._measure_deflection()
+            if deflection is None:
+                return None, None, None
+            chosen, travel = deflection.select(~self.verification), self._calibration_travel
+            return deflection, fit_matrix_deformation(chosen, travel), fit_linear_deformation(chosen, travel)
+        except InputError:
+            if needed:
+                raise
+            return None, None, None
+
+    def _measure_deflection(self) -> JointDeflection | None:
         if self.targets is None:
             return None
         platform = self.targets.survey.platform
@@ -117,29 +145,6 @@ class StudyInputs:
             self.target_noise,
             self.mechanism.n_legs,
         )
-
-    @cached_property
-    def measured_matrix(self) -> MatrixEstimate | None:
-        """K from the calibration poses' ring targets (RR-8096 eqs. 2 to 4)."""
-        return (
-            None
-            if self.deflection is None
-            else fit_matrix_deformation(self._calibration_deflection, self._calibration_travel)
-        )
-
-    @cached_property
-    def measured_kappa(self) -> KappaEstimate | None:
-        """κ from the calibration poses' ring targets (RR-8096 eq. 1)."""
-        return (
-            None
-            if self.deflection is None
-            else fit_linear_deformation(self._calibration_deflection, self._calibration_travel)
-        )
-
-    @property
-    def _calibration_deflection(self) -> JointDeflection:
-        assert self.deflection is not None
-        return self.deflection.select(~self.verification)
 
     @property
     def _calibration_travel(self) -> Array:
@@ -311,7 +316,7 @@ class StudyInputs:
                 fixed |= {n: v + o for n, v, o in zip(block.names, block.nominal, offsets, strict=True)}
             elif symbol in variant.free:
                 widths = config.sd if isinstance(config, NormalConfig) else config.half_width
-                spread = [factor * width for width in spread_over_legs(widths, len(block.nominal), symbol)]
+                spread = [factor * width for width in spread_widths(widths, len(block.nominal), symbol, block.unit)]
                 normal = isinstance(config, NormalConfig)
                 for name, value, width in zip(block.names, block.nominal, spread, strict=True):
                     priors[name] = NormalPrior(value, width) if normal else UniformPrior(value - width, value + width)
@@ -336,7 +341,7 @@ def _square_root(covariance: Array) -> Array:
 def _measure_deflection(inputs: StudyInputs) -> None:
     """Compute what the ring targets say now, so that a fault shows before any long computation."""
     try:
-        _ = inputs.deflection, inputs.measured_matrix, inputs.measured_kappa
+        _ = inputs.deflection
     except PoseInputError as error:
         raise InputError(f"pose {inputs.names[error.index]!r}: {error.fault}") from error
 
@@ -360,6 +365,7 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
     measured = read_measurement(config, folder, mechanism)
     with name_faults(name_actuator_table(config.data, folder)):
         check_range(measured.actuators, mechanism.initial_actuator_positions, mechanism.actuator_range, measured.names)
+        check_moves(measured.actuators[~measured.verification])
     inputs = StudyInputs(config, folder, mechanism, measured)
     with name_faults(name_data(config.data, folder)):
         _measure_deflection(inputs)

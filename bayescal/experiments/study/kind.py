@@ -28,6 +28,7 @@ from bayescal.experiments.study.inputs import StudyInputs, load_inputs
 from bayescal.experiments.study.memory import estimate_study
 from bayescal.experiments.study.page.build import build_page
 from bayescal.experiments.study.schema import StudyConfig, VariantConfig, name_variant
+from bayescal.experiments.study.slips import find_study_slip
 from bayescal.experiments.study.terminal import show_comparison, show_doubts, show_ranking
 from bayescal.numerics.units import MICROMETRE
 from bayescal.report.blocks import Page
@@ -70,6 +71,11 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
     def estimate_memory(self, inputs: StudyTask) -> Need:
         """Return what the posteriors of all poses take."""
         return estimate_study(inputs.inputs)
+
+    def doubt(self, inputs: StudyTask) -> list[str]:
+        """Return what may have happened to data that no machine within the tolerances explains."""
+        slip = find_study_slip(inputs.inputs)
+        return [] if slip is None else [f"the data fit {slip.factor:.2g} times better if one mends: {slip.text}"]
 
     def compute(self, inputs: StudyTask, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from bayescal.data.instruments.base import Instrument
 from bayescal.data.instruments.plausible import check_places, check_units
 from bayescal.data.instruments.points import PointReadings
 from bayescal.data.instruments.poses import PoseReadings
 from bayescal.data.instruments.read_points import PointNoise, read_points, read_stations
 from bayescal.data.instruments.read_poses import PoseNoise, read_poses
 from bayescal.data.instruments.tables import Taken
-from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.data.measured_poses import MeasuredPoses, check_repeated
+from bayescal.data.photogrammetry.exchanged import check_exchanged, check_pad_places
 from bayescal.data.photogrammetry.poses import PoseExtraction, extract_poses
 from bayescal.data.photogrammetry.survey import Survey, read_survey
 from bayescal.density.instruments import InstrumentLikelihood
@@ -124,7 +124,7 @@ class InstrumentMeasurement(Measurement):
     """What an instrument read, its frames known or to be found."""
 
     kind: str
-    instrument: Instrument
+    instrument: PoseReadings | PointReadings
     verification: np.ndarray
     frames: FramesConfig
 
@@ -187,16 +187,22 @@ def read_measurement(config: StudyConfig, folder: Path, mechanism: Mechanism) ->
     data = config.data
     if isinstance(data, TargetDataConfig):
         survey = read_survey(folder / data.targets, folder / data.actuators, folder / data.reference, mechanism.n_legs)
+        with name_faults(folder / data.reference):
+            check_pad_places(survey.platform, mechanism.platform_points)
         with name_faults(folder / data.targets):
+            check_exchanged(survey, data.target_noise_um * MICROMETRE)
+            check_repeated(survey.poses, survey.platform.measured, survey.verification)
             extraction = extract_poses(survey, data.target_noise_um * MICROMETRE, data.pose_method)
         return TargetMeasurement(survey, extraction, data.pose_method)
     actuators = None if data.actuators is None else folder / data.actuators
-    instrument: Instrument
+    instrument: PoseReadings | PointReadings
     if isinstance(data, PoseDataConfig):
         noise = PoseNoise(data.position_um, data.orientation_arcsec)
         instrument, taken = read_poses(folder / data.poses, actuators, noise, mechanism.n_legs)
     else:
         instrument, taken = _read_points(data, folder, mechanism.n_legs)
+    with name_faults(name_data(data, folder)):
+        check_repeated(instrument.names, instrument.values, taken.verification)
     return InstrumentMeasurement(data.measurement, instrument, taken.verification, config.frames)
 
 

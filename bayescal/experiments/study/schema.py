@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from bayescal.config.classes import ClassMark, label_class
 from bayescal.config.load import MEASURED
-from bayescal.config.sections import ExperimentConfig, InputFile, NotNegative, Positive, Section
+from bayescal.config.sections import ExperimentConfig, Factor, InputFile, NotNegative, Positive, Section, check_once
 from bayescal.density.model_error import KernelName
 from bayescal.density.schema import BlundersConfig, FixedConfig, ModelErrorConfig, PriorConfig
 from bayescal.experiments.shared.schema import DeformationConfig, FramesConfig
@@ -143,8 +143,10 @@ class SensitivityConfig(Section):
     The scale of the model error's prior is varied by itself, without computing anew.
     """
 
-    factor: Annotated[list[Positive], Field(min_length=1)] = Field(default=[0.5, 1.0, 2.0, 5.0])
-    tau_scale_um: Annotated[list[Positive], Field(min_length=1)] = Field(
+    factor: Annotated[list[Factor], Field(min_length=1), AfterValidator(check_once)] = Field(
+        default=[0.5, 1.0, 2.0, 5.0]
+    )
+    tau_scale_um: Annotated[list[Positive], Field(min_length=1), AfterValidator(check_once)] = Field(
         default=TAU_SCALES, exclude_if=lambda value: value == TAU_SCALES
     )
 

@@ -12,7 +12,7 @@ from rich.table import Table
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import MICROMETRES, format_estimate, format_fixed
 
-DOUBTS = ("Noise", "Tolerances", "Bounds")
+DOUBTS = ("Data", "Noise", "Tolerances", "Bounds")
 
 
 def show_ranking(summary: Mapping[str, Any], console: Console) -> None:

@@ -10,6 +10,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from bayescal.config.sections import Number, Positive, Section
+from bayescal.limits import LARGEST
 
 type Count = Annotated[int, Field(ge=1, le=100_000)]
 type Turn = Annotated[float, Field(ge=-360.0, le=360.0, allow_inf_nan=False)]
@@ -68,7 +69,7 @@ class ReadingSensorConfig(Section):
 
     noise_um: Positive | None = None
     noise_arcsec: Positive | None = None
-    price: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 1.0
+    price: Annotated[float, Field(ge=0.0, le=LARGEST, allow_inf_nan=False)] = 1.0
 
     @model_validator(mode="after")
     def _check_one(self) -> Self:

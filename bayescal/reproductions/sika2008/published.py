@@ -44,7 +44,7 @@ def read_published(config: SelfCalibrationsConfig, folder: Path) -> Published:
     names = [one.name for one in config.sets]
     table = read_table(folder / section.calibrability, SET_COLUMNS)
     _check_names(table, "set", names)
-    values = table.numbers(SET_COLUMNS[1:])
+    values = table.positive(SET_COLUMNS[1:])
     sets = {name: (int(n), float(c)) for name, (n, c) in zip(table.text("set"), values, strict=True)}
     table = read_table(folder / section.improvements, STEP_COLUMNS)
     _check_names(table, "from", names)
@@ -53,7 +53,7 @@ def read_published(config: SelfCalibrationsConfig, folder: Path) -> Published:
     for row, pair in enumerate(pairs):
         if pair not in possible:
             raise InputError(f"{table.where(row)}: found {pair[0]!r} to {pair[1]!r}, expected neighbours in [[sets]]")
-    factors = table.numbers(STEP_COLUMNS[2:])
+    factors = table.positive(STEP_COLUMNS[2:])
     steps = {
         pair: dict(zip(STEP_COLUMNS[2:], row.tolist(), strict=True)) for pair, row in zip(pairs, factors, strict=True)
     }

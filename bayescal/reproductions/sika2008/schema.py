@@ -5,11 +5,12 @@ Keys carry their units.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from bayescal.config.sections import ExperimentConfig, InputFile, Number, Positive, Section
+from bayescal.config.sections import ExperimentConfig, InputFile, Names, Number, Positive, Section, check_once
 from bayescal.machines.readings.schema import (
     Count,
     PlanarPosesConfig,
@@ -27,6 +28,12 @@ def _ordered(values: list[float]) -> list[float]:
     return values
 
 
+def _within(largest: float, values: list[float]) -> list[float]:
+    if max(map(abs, values)) > largest:
+        raise ValueError(f"found {values}, expected at most {largest:g} in size")
+    return values
+
+
 type Span = Annotated[list[Number], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
 type PositiveSpan = Annotated[list[Positive], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
 
@@ -35,7 +42,7 @@ class SensorSetConfig(Section):
     """Sensors that are used together, single ones such as ``s[2]`` or a kind such as ``s`` on all legs."""
 
     name: SetName
-    sensors: Annotated[list[str], Field(min_length=1)]
+    sensors: Annotated[Names, Field(min_length=1)]
 
 
 class PathConfig(Section):
@@ -57,18 +64,18 @@ class PlausibleMachinesConfig(Section):
     count: Repeats = 200
     calibrations: Repeats = 8
     guide_radius_mm: PositiveSpan
-    guide_turn_deg: Span
+    guide_turn_deg: Annotated[Span, AfterValidator(partial(_within, 90.0))]
     leg_length_mm: PositiveSpan
     platform_radius_mm: PositiveSpan
-    platform_turn_deg: Span
+    platform_turn_deg: Annotated[Span, AfterValidator(partial(_within, 180.0))]
     position_mm: PositiveSpan
-    angle_deg: PositiveSpan
+    angle_deg: Annotated[PositiveSpan, AfterValidator(partial(_within, 180.0))]
 
 
 class NoiseSweepConfig(Section):
     """Other noise of all angle sensors, and how many calibrations with each."""
 
-    angle_noise_arcsec: Annotated[list[Positive], Field(min_length=2)]
+    angle_noise_arcsec: Annotated[list[Positive], Field(min_length=2), AfterValidator(check_once)]
     calibrations: Repeats = 50
 
 

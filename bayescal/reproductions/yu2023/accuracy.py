@@ -61,7 +61,7 @@ def run_accuracy(setup: Setup, study: AccuracyStudyConfig, run: Run) -> Results:
     found = {tasks[name]: one for name, (one, _) in calibrated.items()}
     errors = {tasks[name]: one for name, (_, one) in calibrated.items()}
     repeats = _list_repeats(truth, found, errors)
-    published = _read_figures(setup, study.published)
+    published = read_figures(setup, study.published)
     table = _describe_figures(repeats, published)
     parameters = _list_parameters(setup, study, truth[0], found["optimal", "unweighted"])
     tables = {
@@ -112,13 +112,13 @@ def _list_repeats(
     return pd.concat(parts, ignore_index=True)
 
 
-def _read_figures(setup: Setup, name: str | None) -> dict[tuple[str, str], float]:
+def read_figures(setup: Setup, name: str | None) -> dict[tuple[str, str], float]:
     """Return the published figures by method and figure."""
     if name is None:
         return {}
     path = setup.folder / name
     table = read_table(path, ("method", *FIGURES))
-    values = table.numbers(FIGURES)
+    values = table.positive(FIGURES)
     methods = table.text("method")
     if sorted(methods) != sorted(METHODS):
         raise InputError(f"{path}: method: found {', '.join(methods)}, expected {' and '.join(METHODS)}")
@@ -204,15 +204,20 @@ def _list_parameters(setup: Setup, study: AccuracyStudyConfig, truth: Array, fou
             "sd_over_repeats_mm": errors.std(axis=0, ddof=1),
         }
     )
-    if study.published_parameters is None:
-        return table
-    path = setup.folder / study.published_parameters
-    columns = tuple(ERROR_SYMBOLS)[:-1]  # the printed table has no dh
-    values = read_by_leg(path, columns, setup.machine.mechanism.n_legs)
+    published = read_parameters(setup, study.published_parameters)
+    return table if published is None else table.assign(published_mm=published)
+
+
+def read_parameters(setup: Setup, name: str | None) -> Array | None:
+    """Return the parameter errors that were published (D,), mm, NaN of those that were not; None without a table."""
+    if name is None:
+        return None
+    layout, columns = setup.machine.layout, tuple(ERROR_SYMBOLS)[:-1]  # the printed table has no dh
+    values = read_by_leg(setup.folder / name, columns, setup.machine.mechanism.n_legs)
     published = np.full(layout.size, np.nan)
-    for k, name in enumerate(columns):
-        published[layout.index[ERROR_SYMBOLS[name]]] = values[:, k]
-    return table.assign(published_mm=published)
+    for k, column in enumerate(columns):
+        published[layout.index[ERROR_SYMBOLS[column]]] = values[:, k]
+    return published
 
 
 def _list_convergence(setup: Setup, truth: Array, found: Calibrations) -> pd.DataFrame:

@@ -39,7 +39,7 @@ def run_indices(setup: Setup, study: IndexStudyConfig, run: Run) -> Results:
     counts = [study.selections, *[1] * len(study.workspace_scales)]
     seeds = np.random.SeedSequence(setup.config.seed).spawn(n_draws + pairs * sum(counts))
     starts = n_draws + pairs * np.cumsum([0, *counts])
-    published = _read_published(setup, study)
+    published = read_published(setup, study)
     scales, parts = [1.0, *study.workspace_scales], []
     for k, scale in enumerate(scales):
         scaled = setup if scale == 1.0 else setup.scale_workspace(scale)
@@ -108,12 +108,14 @@ def _calibrate(
     return pd.DataFrame(label | columns | {"iterations": found.n_iterations})
 
 
-def _read_published(setup: Setup, study: IndexStudyConfig) -> Published:
+def read_published(setup: Setup, study: IndexStudyConfig) -> Published:
+    """Return the published figures by condition and index."""
     if study.published is None:
         return {}
     table = read_table(setup.folder / study.published, ("condition", *study.indices))
-    values = table.numbers(study.indices)
+    values = table.positive(study.indices)
     names = table.text("condition")
+    table.check_unique([(name,) for name in names], "condition")
     return {(c, i): float(values[r, k]) for r, c in enumerate(names) for k, i in enumerate(study.indices)}
 
 

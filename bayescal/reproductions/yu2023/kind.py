@@ -8,8 +8,8 @@ from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.report.blocks import Page
-from bayescal.reproductions.yu2023.accuracy import run_accuracy
-from bayescal.reproductions.yu2023.indices import run_indices
+from bayescal.reproductions.yu2023.accuracy import read_figures, read_parameters, run_accuracy
+from bayescal.reproductions.yu2023.indices import read_published, run_indices
 from bayescal.reproductions.yu2023.numbers import run_numbers
 from bayescal.reproductions.yu2023.page.pages import build_page
 from bayescal.reproductions.yu2023.schema import AccuracyStudyConfig, HexapodCalibrationsConfig, IndexStudyConfig
@@ -22,8 +22,16 @@ class HexapodCalibrations(Experiment[HexapodCalibrationsConfig, Setup]):
     schema = HexapodCalibrationsConfig
 
     def read(self, config: HexapodCalibrationsConfig, folder: Path) -> Setup:
-        """Return machine, workspace and candidates."""
-        return read_setup(config, folder)
+        """Return machine, workspace and candidates; tables that are needed later are read once, to find faults."""
+        setup, study = read_setup(config, folder), config.study
+        if isinstance(study, IndexStudyConfig):
+            read_published(setup, study)
+        else:
+            setup.read_machine(study.parameter_errors)
+        if isinstance(study, AccuracyStudyConfig):
+            read_figures(setup, study.published)
+            read_parameters(setup, study.published_parameters)
+        return setup
 
     def compute(self, inputs: Setup, run: Run) -> Results:
         """Return the tables and the summary of one of the three studies."""

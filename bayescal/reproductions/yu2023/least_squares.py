@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.errors import InputError
+from bayescal.errors import InputError, NumericalError
 from bayescal.machines.kinematics import Machine
 from bayescal.machines.models.base import newton_step
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
@@ -114,6 +114,8 @@ def calibrate(machine: Machine, actuators: Array, measured: Array, weighting: We
     ------
     InputError
         Where there are fewer equations than parameters and no prior, or the poses do not determine the parameters.
+    NumericalError
+        Where not a single machine is found.
     """
     n_parameters, n_poses = machine.layout.size, actuators.shape[-2]
     actuators = np.broadcast_to(actuators, (len(measured), *actuators.shape[-2:]))
@@ -125,6 +127,10 @@ def calibrate(machine: Machine, actuators: Array, measured: Array, weighting: We
         _calibrate(machine, actuators[k : k + size], measured[k : k + size], weighting)
         for k in range(0, len(measured), size)
     ]
+    if not any(part.converged.any() for part in parts):
+        raise NumericalError(
+            f"none of {len(measured)} calibrations converged, expected less noise or smaller errors of the parameters"
+        )
     longest = max(len(part.trace) for part in parts)
     traces = [np.concatenate([p.trace, np.repeat(p.trace[-1:], longest - len(p.trace), axis=0)]) for p in parts]
     return Calibrations(
@@ -147,8 +153,9 @@ def _calibrate(machine: Machine, actuators: Array, measured: Array, weighting: W
         position[active], rotation[active] = p, r
         correction = np.full_like(here, np.nan)
         kept = active[found]
-        rows, error = linearise(machine, here[found], actuators[kept], p[found], r[found], measured[kept])
-        correction[found] = _solve(rows, error, weighting, here[found] - nominal)
+        if len(kept):
+            rows, error = linearise(machine, here[found], actuators[kept], p[found], r[found], measured[kept])
+            correction[found] = _solve(rows, error, weighting, here[found] - nominal)
         theta[active] += correction
         n_iterations[active] += 1
         largest = np.abs(correction).max(axis=1)

@@ -26,6 +26,9 @@ from bayescal.report.numbers import format_fixed, format_percent, format_plain, 
 INTERVAL = 0.90
 FEW = 3  # variants to name one by one
 
+NOTHING_GAINED = 0.1
+"""Difference of log-evidences, nat, that is no reason for anything."""
+
 
 def list_failures(results: StudyResults) -> list[Statement]:
     """Return everything that speaks against relying on the numbers, posterior by posterior."""
@@ -172,7 +175,12 @@ def state_model_error(results: StudyResults) -> list[Statement]:
     one = len(leaders) == 1
     worth = format_span([abs(gain[name]) for name in leaders])
     need, their = ("needs", "its") if one else ("need", "their")
-    if all(gain[name] < 0 for name in leaders):
+    if all(abs(gain[name]) < NOTHING_GAINED for name in leaders):
+        text = (
+            f"To {name_variants(results, leaders)} the model error τ makes no difference: without it "
+            f"log-evidence changes by less than {format_fixed(NOTHING_GAINED, 1)} nat"
+        )
+    elif all(gain[name] < 0 for name in leaders):
         text = (
             f"{name_variants(results, leaders)} {need} no model error τ: setting it to zero raises {their} "
             f"log-evidence by {worth} nat"
@@ -189,7 +197,7 @@ def state_model_error(results: StudyResults) -> list[Statement]:
 
 def _describe_needing(results: StudyResults, gain: Mapping[str, float]) -> str:
     """Say how far the other variants fall without model error."""
-    needing = [name for name in gain if gain[name] > 0]
+    needing = [name for name in gain if gain[name] >= NOTHING_GAINED]
     if not needing:
         return ""
     least = format_fixed(min(gain[name] for name in needing), 1)

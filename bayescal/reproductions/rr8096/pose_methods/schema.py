@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from bayescal.config.sections import ExperimentConfig, Positive
+from bayescal.config.sections import ExperimentConfig, Positive, check_once
 
 
 class PoseMethodsConfig(ExperimentConfig):
     """The simulation of RR-8096 figure 5: two ways to find a body's pose from its targets."""
 
     kind: Literal["pose_methods"]
-    n_targets: Annotated[list[Annotated[int, Field(ge=3)]], Field(min_length=1)]
-    repeats: Annotated[int, Field(ge=2)]
+    n_targets: Annotated[list[Annotated[int, Field(ge=3, le=1000)]], Field(min_length=1), AfterValidator(check_once)]
+    repeats: Annotated[int, Field(ge=2, le=1_000_000)]
     length_mm: Positive
     radius_mm: Positive
     target_noise_um: Positive

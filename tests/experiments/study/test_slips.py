@@ -1,0 +1,184 @@
+"""Slips planted in the data of a study: refused where they contradict, else the cause is found; clean ones are not."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import studies
+
+from bayescal.data.simulation import build_twin, format_survey, simulate_survey
+from bayescal.errors import InputError
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.study.inputs import load_inputs
+from bayescal.experiments.study.slips import find_study_slip
+
+type Rows = list[list[str]]
+
+ACTUATORS, TARGETS, REFERENCE = "actuators.csv", "targets.csv", "target_reference.csv"
+HOME = 10.0  # mm, of the initial actuator positions
+NAMED = {
+    "legs exchanged": (lambda rho: rho[:, [0, 2, 1, 3, 4, 5]], "legs 2 and 3 seem to be exchanged"),
+    "legs counted otherwise": (lambda rho: np.roll(rho, 1, axis=1), "legs seem to be counted from leg 2"),
+    "rows shifted": (lambda rho: np.roll(rho, 1, axis=0), "rows seem to be shifted by one"),
+    "rows shifted back": (lambda rho: np.roll(rho, -1, axis=0), "rows seem to be shifted by one"),
+    "displacements in metres": (lambda rho: HOME + 1e-3 * (rho - HOME), "displacements seem to be in metres"),
+    "the other sign": (lambda rho: 2 * HOME - rho, "displacements seem to be of the other sign"),
+}
+"""What happens to the actuators' positions, and what is said of it."""
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("slips")
+    studies.write_tiny_study(folder)
+    return folder
+
+
+def read_rows(path: Path) -> tuple[list[str], Rows]:
+    lines = path.read_text().splitlines()
+    rows = csv.reader(line for line in lines if not line.startswith("#"))
+    return [line for line in lines if line.startswith("#")], list(rows)
+
+
+def change(folder: Path, name: str, mend: Callable[[Rows], Rows]) -> Callable[[], None]:
+    """Change the rows of a table below its header; return what puts them right again."""
+    path = folder / "data" / name
+    original = path.read_text()
+    comments, (header, *rows) = read_rows(path)
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows([header, *mend(rows)])
+    path.write_text("\n".join(comments) + "\n" + out.getvalue())
+    return lambda: path.write_text(original) and None
+
+
+def change_actuators(folder: Path, mend: Callable[[np.ndarray], np.ndarray]) -> Callable[[], None]:
+    def apply(rows: Rows) -> Rows:
+        rho = mend(np.array([row[2:] for row in rows], dtype=float))
+        return [[*row[:2], *(f"{x:.6f}" for x in one)] for row, one in zip(rows, rho, strict=True)]
+
+    return change(folder, ACTUATORS, apply)
+
+
+def load(folder: Path):
+    return load_inputs(load_experiment(folder / "study.toml"), folder)
+
+
+def test_home_is_where_the_tests_have_it(drawn):
+    assert np.all(load(drawn).mechanism.initial_actuator_positions == HOME)
+
+
+@pytest.mark.parametrize(
+    "what", ["legs exchanged", *(pytest.param(one, marks=pytest.mark.slow) for one in NAMED if one != "legs exchanged")]
+)
+def test_likely_cause_is_found_by_trying_it(drawn, what, call):
+    mend, said = NAMED[what]
+    restore = change_actuators(drawn, mend)
+    try:
+        code, out, _ = call("validate", drawn / "study.toml")
+    finally:
+        restore()
+    assert code == 0
+    assert "times better if one mends: " in out
+    assert said in out
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_clean_twin_is_suspected(drawn, seed, tmp_path):
+    studies.write_texts(tmp_path, studies.tiny_texts())
+    config = load_simulation(tmp_path / "simulate.toml")
+    rng = np.random.default_rng(500 + seed)
+    twin = build_twin(config, tmp_path)
+    theta = twin.theta.copy()
+    lengths = twin.machine.layout.index["l"]
+    theta[lengths] = twin.machine.layout.nominal[lengths] + rng.normal(0.0, 2.0, len(lengths))
+    survey = simulate_survey(twin, rng, theta)
+    studies.write_texts(tmp_path, {f"data/{n}": text for n, text in format_survey(survey, config.origin).items()})
+    assert find_study_slip(load(tmp_path)) is None
+
+
+# --- contradictions --------------------------------------------------------------------------------------------------
+
+
+def exchange(one: str, other: str, column: int) -> Callable[[Rows], Rows]:
+    names = {one: other, other: one}
+    return lambda rows: [[*row[:column], names.get(row[column], row[column]), *row[column + 1 :]] for row in rows]
+
+
+def exchange_pads(rows: Rows) -> Rows:
+    names = {"L21": "L31", "L31": "L21", "L22": "L32", "L32": "L22"}
+    return [[*row[:2], names.get(row[2], row[2]), *row[3:]] for row in rows]
+
+
+def copy_pose(source: str, target: str) -> Callable[[Rows], Rows]:
+    def apply(rows: Rows) -> Rows:
+        return [*(row for row in rows if row[0] != target), *([target, *row[1:]] for row in rows if row[0] == source)]
+
+    return apply
+
+
+CONTRADICTIONS: dict[str, tuple[str, Callable[[Rows], Rows], str]] = {
+    "two targets exchanged": (TARGETS, exchange("P01", "P03", 2), "targets 'P01' and 'P03' of the platform exchanged"),
+    "two targets of the base": (TARGETS, exchange("B02", "B04", 2), "targets 'B02' and 'B04' of the base exchanged"),
+    "pads exchanged": (TARGETS, exchange_pads, "pad of leg 2 where those of leg 3 should be"),
+    "pads numbered otherwise": (REFERENCE, exchange("2", "3", 2), "perhaps pads are exchanged"),
+    "a pose twice": (TARGETS, copy_pose("C02", "C05"), "found the readings of pose 'C02' to the last digit"),
+    "verification is calibration": (TARGETS, copy_pose("C02", "V01"), "expected a verification pose to be measured by"),
+    "positions in metres": (
+        ACTUATORS,
+        lambda rows: [[*row[:2], *(str(1e-3 * float(x)) for x in row[2:])] for row in rows],
+        "they look like metres",
+    ),
+    "displacements": (
+        ACTUATORS,
+        lambda rows: [[*row[:2], *(f"{float(x) - HOME:.6f}" for x in row[2:])] for row in rows],
+        "they look like displacements",
+    ),
+    "no motion": (ACTUATORS, lambda rows: [[*row[:2], *["10.0"] * 6] for row in rows], "the same actuator positions"),
+    "out of range": (
+        ACTUATORS,
+        lambda rows: [[*row[:-1], "12.0"] for row in rows],
+        "expected at most the actuator range",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", CONTRADICTIONS)
+def test_contradiction_is_refused(drawn, what):
+    name, mend, said = CONTRADICTIONS[what]
+    restore = change(drawn, name, mend)
+    try:
+        with pytest.raises(InputError, match="found") as error:
+            load(drawn)
+    finally:
+        restore()
+    assert said in str(error.value)
+
+
+def test_order_of_columns_does_not_matter(drawn):
+    before = load(drawn).measured.actuators
+    path = drawn / "data" / ACTUATORS
+    original = path.read_text()
+    comments, rows = read_rows(path)
+    path.write_text("\n".join([*comments, *(",".join(row[::-1]) for row in rows)]) + "\n")
+    try:
+        after = load(drawn).measured.actuators
+    finally:
+        path.write_text(original)
+    np.testing.assert_array_equal(before, after)
+
+
+@pytest.mark.parametrize("values", ["0,0,0,0,0,0", "1,2,3,4,5,6"])
+def test_plan_without_motion_is_refused(drawn, values, tmp_path):
+    studies.write_texts(tmp_path, studies.tiny_texts())
+    path = tmp_path / "calibration_configurations.csv"
+    header = next(line for line in path.read_text().splitlines() if not line.startswith("#"))
+    path.write_text(f"{header}\n{values}\n{values}\n")
+    config = load_simulation(tmp_path / "simulate.toml")
+    with pytest.raises(InputError, match="found the same actuator positions at all 2 poses"):
+        build_twin(config, tmp_path)

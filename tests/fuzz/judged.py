@@ -1,0 +1,107 @@
+"""Calls of the command line in this process, held against what every call has to keep."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import signal
+import sys
+import traceback
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from bayescal import cli
+
+SECONDS = 60
+CODES = (0, 2, 3, 130)
+UNSHOWN = (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning)
+
+
+class TooLongError(BaseException):
+    """A call that does not end."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a call of the command line left: code, what it said, faults in words."""
+
+    code: int
+    out: str
+    err: str
+    faults: tuple[str, ...]
+
+
+def _stop(*_: object) -> None:
+    raise TooLongError
+
+
+@contextlib.contextmanager
+def _in_time() -> Iterator[None]:
+    before = signal.signal(signal.SIGALRM, _stop)
+    signal.alarm(SECONDS)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def judge_call(arguments: list[object], *watched: Path) -> Outcome:
+    """Call the command line and look for faults; after exit code 2 nothing may have changed in the watched folders."""
+    before = [_list(folder) for folder in watched]
+    out, err, code, raised = io.StringIO(), io.StringIO(), 1, ""
+    argv = sys.argv
+    with contextlib.ExitStack() as stack:
+        said = stack.enter_context(warnings.catch_warnings(record=True))
+        warnings.simplefilter("always")
+        stack.enter_context(contextlib.redirect_stdout(out))
+        stack.enter_context(contextlib.redirect_stderr(err))
+        sys.argv = ["bayescal", *map(str, arguments)]
+        try:
+            with _in_time():
+                cli.main()
+        except SystemExit as error:
+            code = error.code if isinstance(error.code, int) else 1
+        except TooLongError:
+            raised = f"no end within {SECONDS} s: " + traceback.format_exc(limit=-3)
+        except BaseException:  # whatever it is, a user would see a traceback
+            raised = traceback.format_exc(limit=-4)
+        finally:
+            sys.argv = argv
+    shown = [f"{one.category.__name__}: {one.message}" for one in said if not issubclass(one.category, UNSHOWN)]
+    changed = code == 2 and before != [_list(folder) for folder in watched]
+    found = _find_faults(code, out.getvalue(), err.getvalue(), raised, shown, changed)
+    return Outcome(code, out.getvalue(), err.getvalue(), tuple(found))
+
+
+def _find_faults(code: int, out: str, err: str, raised: str, shown: list[str], changed: bool) -> Iterator[str]:
+    if raised:
+        yield raised
+        return
+    if code not in CODES:
+        yield f"exit code {code}"
+    if shown:
+        yield f"warnings: {shown[:3]}"
+    if code and (not err.startswith("bayescal: ") or err.count("\n") != 1 or len(err.splitlines()) != 1):
+        yield f"more or less than a line on standard error: {err!r}"
+    if code == 2 and out:
+        yield f"something on standard output: {out!r}"
+    if not code and err:
+        yield f"something on standard error: {err!r}"
+    if any(not one.isprintable() for one in err.rstrip("\n")):
+        yield f"control characters: {err!r}"
+    if changed:
+        yield f"exit code 2, but something was written ({err!r})"
+
+
+def _list(folder: Path) -> list[tuple[str, int, int]]:
+    found = []
+    for where, _, names in os.walk(folder):
+        found.append((where, 0, 0))
+        for name in names:
+            status = os.lstat(f"{where}/{name}")
+            found.append((f"{where}/{name}", status.st_size, status.st_mtime_ns))
+    return sorted(found)

@@ -1,0 +1,96 @@
+"""What is mutated: a config of every kind, short, with the files that belong to it."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import calibrations
+from fuzz.hostile import dump_toml
+from tiny_experiments import copy_tiny
+
+from bayescal.experiments.frame.load import load
+
+QUICK = (
+    "audit/m2_hexapod.toml",
+    "audit/m2_hexapod_tracker.toml",
+    "audit/telescope_six_pus_matrix.toml",
+    "audit/telescope_stiffness_linear.toml",
+    "camera_hexapod/simulate.toml",
+    "camera_hexapod/study.toml",
+    "hexapod/figure10.toml",
+    "hexapod/table4.toml",
+    "hexapod/table8.toml",
+    "m2_hexapod/short.toml",
+    "own_machine/audit.toml",
+    "own_machine/simulate.toml",
+    "own_machine/study.toml",
+    "pose_extraction/figure5.toml",
+    "pose_selection/rr8096_figure14.toml",
+    "pose_selection/yu2023_table1.toml",
+    "sliding_star/calibrations.toml",
+    "sliding_star/m2_hexapod_sensors.toml",
+    "sliding_star/sensors.toml",
+    "sliding_star/short.toml",
+    "sliding_star/simulate.toml",
+    "telescope/check.toml",
+    "telescope/short.toml",
+    "telescope/simulate.toml",
+)
+"""Those that are read within a tenth of a second or so; all kinds among them."""
+POSES = ("C01", "C02", "C03", "C04", "C05", "C06", "C07", "C08", "C09", "C10", "C11", "C12", "V01", "V02")
+SHORT: dict[str, dict[str, Any]] = {
+    "telescope": {"sensitivity": {"factor": [1.0]}},
+    "m2_hexapod": {"sensitivity": {"factor": [1.0]}},
+    "sliding_star": {"workspace": {"n_poses": 12, "position_mm": 200.0, "angle_deg": 30.0}},
+}
+CHECK = (
+    'kind = "check"\nname = "check"\ntitle = "A check"\nseed = 1\nstudy = "short.toml"\nvariants = ["six_pus/none"]\n'
+)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A config, its kind, and all files that make it up, itself first."""
+
+    config: Path
+    kind: str
+    files: tuple[Path, ...]
+
+
+def write_subjects(folder: Path) -> list[Path]:
+    """Write all experiments to a folder, each with little to do and few data; return their configs."""
+    root = copy_tiny(folder)
+    calibrations.write_delta(root)
+    for name in ("audit.toml", "simulate.toml"):
+        shutil.copy(calibrations.OWN_MACHINE / name, root / "own_machine" / name)
+    for name, sections in SHORT.items():
+        study = tomllib.loads((root / name / "study.toml").read_text(encoding="utf-8"))
+        study |= sections | {"variants": study["variants"][:1]}
+        (root / name / "short.toml").write_text(dump_toml(study), encoding="utf-8")
+    (root / "telescope" / "check.toml").write_text(CHECK, encoding="utf-8")
+    for name in ("targets.csv", "actuators.csv"):
+        _keep_poses(root / "telescope" / "data" / name)
+    return [path for path in sorted(root.glob("*/*.toml")) if "kind" in path.read_text(encoding="utf-8")]
+
+
+def _keep_poses(path: Path) -> None:
+    rows = path.read_text(encoding="utf-8").splitlines()
+    kept = [row for row in rows if row.startswith(("#", "pose", *POSES))]
+    path.write_text("\n".join(kept) + "\n", encoding="utf-8")
+
+
+def read_subject(config: Path) -> Subject:
+    """Return a config with its files."""
+    experiment, loaded = load(config)
+    folder = config.parent
+    names = sorted({*experiment.files(loaded, folder), *_list_extended(config)})
+    return Subject(config, loaded.kind, (config, *(folder / name for name in names if not name.endswith(".py"))))
+
+
+def _list_extended(config: Path) -> list[str]:
+    base = tomllib.loads(config.read_text(encoding="utf-8")).get("extends")
+    return [] if base is None else [base, *_list_extended(config.parent / base)]
