@@ -147,7 +147,7 @@ class StructuredPosterior(Posterior):
 
     @cached_property
     def _levels(self) -> tuple[Array, np.ndarray]:
-        """Eigenvalues of the kernel, those within a factor `ALIKE_LEVELS` as one, (L,), and which pose's has which (P,)."""
+        """Eigenvalues of the kernel, those that are alike as one, (L,), and which combination of poses has which (P,)."""
         likelihood = self.likelihood
         assert isinstance(likelihood, StructuredLikelihood)
         values = likelihood.eigenvalues
