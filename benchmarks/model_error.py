@@ -7,11 +7,11 @@
 Twins of the telescope are drawn from the priors of the telescope's study, deformed by eq. 4's matrix, or with --drawn
 by a matrix that is itself drawn from the kernel's prior (a scale from the log-normal, then normal entries), and
 surveyed; the variants `none`, which leaves the deformation out, and `matrix`, which is right, are fitted with τ alone
-and with a kernel beside it. Draws are those of the proposal of the mode search, weighted. Printed for every twin and at the end:
-share of a, b and l inside their 90 % intervals, rms of their z-scores, mean sd, mean position error of the verification
-poses, Laplace's log-evidence, the efficiency of the weights, and of the kernel's scale: its median, the posterior sd of
-its logarithm over the prior's, and with --drawn its z-score. With --speed: time of the posterior density with a
-kernel over that with τ per leg alone, 60 parameters and 40 poses, the two taking turns.
+and with a kernel beside it. Draws are those of the proposal of the mode search, weighted. Printed for every twin and at
+the end: share of a, b and l inside their 90 % intervals, rms of their z-scores, mean sd, mean position error of the
+verification poses, Laplace's log-evidence, the efficiency of the weights, and of the kernel's scale: its median, the
+posterior sd of its logarithm over the prior's, and with --drawn its z-score. With --speed: time of the posterior
+density with a kernel over that with τ per leg alone, 60 parameters and 40 poses, the two taking turns.
 """
 
 # ruff: noqa: I001 - telescope_problem comes before NumPy: it sets the number of threads

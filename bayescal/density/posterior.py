@@ -230,7 +230,7 @@ class Posterior:
         """Return what the likelihood takes as model errors, shape (B, N) or (N,), mm."""
         return self.tau(y)
 
-    def _model_errors_at(self, y: Array) -> Array:
+    def model_errors_at(self, y: Array) -> Array:
         """Return `model_errors` at one vector y, shape (n,)."""
         return np.broadcast_to(self.model_errors(y[None]), (1, self.likelihood.n_model_errors))[0]
 
@@ -341,10 +341,10 @@ class Posterior:
     def _linearise(self, y: Array) -> Local:
         """Return the likelihood around y, shape (n,)."""
         theta = self.theta(y[None])[0]
-        tau = self._model_errors_at(y)
+        precision = np.linalg.inv(self.likelihood.error_covariance(self.model_errors_at(y)))
         errors, slope = self.likelihood.error_jacobian(theta)
         change = self.coordinates.jacobian(theta)
-        return Local(theta, errors, slope @ change, np.linalg.inv(self.likelihood.error_covariance(tau)), change)
+        return Local(theta, errors, slope @ change, precision, change)
 
     def gradient(self, y: Array) -> tuple[Array, Array]:
         """Return the exact gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
@@ -374,7 +374,7 @@ class Posterior:
         """Add the model errors' part."""
         inside, zeta = self._taus, y[self._taus]
         speed = self.model_error.slope(zeta, self.model_error.tau_from_zeta(zeta))
-        per_leg, curvature = self._differentiate_by_errors(self._model_errors_at(y), local, weighted)
+        per_leg, curvature = self._differentiate_by_errors(self.model_errors_at(y), local, weighted)
         if self.model_error.shared:
             per_leg, curvature = per_leg.sum(keepdims=True), curvature.sum(keepdims=True)
         gradient[inside] = per_leg * speed - zeta
@@ -411,7 +411,7 @@ class Posterior:
 
     def polish(self, y: Array) -> Array:
         """Return y, shape (n,), with the geometry of least squares at its model errors."""
-        return self._fit_geometry(y, self._model_errors_at(y))
+        return self._fit_geometry(y, self.model_errors_at(y))
 
     def _fit_geometry(self, start: Array, tau: Array, weight: Array | None = None) -> Array:
         """Return y with the geometry of least squares, whitened errors and priors together, at model errors (N,).

@@ -114,7 +114,7 @@ class StructuredPosterior(Posterior):
 
     def _add_model_error(self, y: Array, local: Local, weighted: Array, gradient: Array, hessian: Array) -> None:
         """Add the part of τ and s."""
-        by_errors, curvature = self._differentiate_by_errors(self._model_errors_at(y), local, weighted)
+        by_errors, curvature = self._differentiate_by_errors(self.model_errors_at(y), local, weighted)
         moves = self._moves(y)
         place = np.concatenate([y[self._taus], self.kernel_scale.deviation(y[self._switches])])
         inside = slice(self.n_geometry, None)
@@ -147,7 +147,7 @@ class StructuredPosterior(Posterior):
 
     @cached_property
     def _levels(self) -> tuple[Array, np.ndarray]:
-        """Eigenvalues of the kernel, those that are alike as one, (L,), and which combination of poses has which (P,)."""
+        """Eigenvalues of the kernel, those that are alike as one, (L,), and the level of each combination of poses."""
         likelihood = self.likelihood
         assert isinstance(likelihood, StructuredLikelihood)
         values = likelihood.eigenvalues

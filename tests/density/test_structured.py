@@ -276,7 +276,7 @@ def wrong():
 
 @pytest.mark.slow
 def test_proposal_holds_a_scale_that_is_hardly_known(wrong):
-    """The joint mode with the geometry that makes up for it is not where the scale's mass is: 1 % without the funnel."""
+    """The joint mode with the geometry that makes up for it is not where the scale's mass is: 1 % otherwise."""
     found = explore(wrong[0], np.random.SeedSequence(0), max_pilots=0)
     assert found.efficiency > 0.3
     scale = wrong[0].scales(found.straight.y_from_x(found.proposal.draw(400, np.random.default_rng(1))))[:, 0]

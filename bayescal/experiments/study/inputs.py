@@ -186,10 +186,12 @@ class StudyInputs:
         None where these are not measured, and where they may be blunders: to these it hardly matters.
         """
         likelihood = posterior.likelihood
-        if not isinstance(likelihood, PoseLikelihood) or isinstance(posterior, RobustPosterior):
+        structured = likelihood if isinstance(likelihood, StructuredLikelihood) else None
+        poses = likelihood if structured is None else structured.base
+        if not isinstance(poses, PoseLikelihood) or isinstance(posterior, RobustPosterior):
             return None
         noise = self.config.data.actuator_noise_um * MICROMETRE
-        return ExactDensity(likelihood, noise, self.matrix_errors(variant, verification=False))
+        return ExactDensity(poses, noise, self.matrix_errors(variant, verification=False), structured=structured)
 
     def matrix_variance(self, variant: VariantConfig, verification: bool) -> Array | None:
         """Return v_ni of the poses of one use (P, N) in mm² where a variant's K was measured, otherwise None.
