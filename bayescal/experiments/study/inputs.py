@@ -261,7 +261,7 @@ class StudyInputs:
                     f"blunders: found them beside kernel {self.kernel_name(variant)!r}, by which poses depend on each "
                     f"other, expected kernel {INDEPENDENT!r}"
                 )
-            structured = self._structure(likelihood, self.kernel_name(variant))
+            structured = self._structure(likelihood, variant)
             return StructuredPosterior(structured, priors, error, fixed, kernel_scale=self._kernel_scale)
         plain = Posterior(likelihood, priors, error, fixed)
         blunders = self.config.blunders
@@ -276,14 +276,15 @@ class StudyInputs:
         """Whether any variant has a structured model error."""
         return any(self.kernel_name(variant) != INDEPENDENT for variant in self.config.variants)
 
-    def _structure(self, likelihood: Likelihood, kernel: str) -> StructuredLikelihood:
-        """Return the density of the calibration poses with a structured model error."""
+    def _structure(self, likelihood: Likelihood, variant: VariantConfig) -> StructuredLikelihood:
+        """Return the density of the calibration poses with a variant's structured model error."""
+        kernel = self.kernel_name(variant)
         if not isinstance(likelihood, PoseLikelihood):
             raise InputError(
                 f"model_error.kernel: found {kernel!r} with poses measured in part, points, or frames to be found, "
                 f"expected whole poses in known frames, or kernel {INDEPENDENT!r}"
             )
-        length = self.config.model_error.kernel_length
+        length = variant.kernel_length or self.config.model_error.kernel_length
         return StructuredLikelihood(likelihood, build_kernel(kernel, length), self.mechanism.actuator_range)
 
     @property
