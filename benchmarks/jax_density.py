@@ -1,7 +1,8 @@
 """The benchmark posterior written in JAX, as one would for a gradient-based sampler: same data, same priors.
 
 Standardised parameters z = (θ - mean) / sd have standard normal priors. The likelihood has the same fixed covariances
-as bayescal's; the pose error is found either by solving A(θ) e = f pose by pose or by bayescal's own iteration.
+as bayescal's; the pose error is found either by solving A(θ) e = f pose by pose or by bayescal's own iteration. With a
+structured model error τ and the kernel's scale have standard normal coordinates, too.
 """
 
 # ruff: noqa: I001 - telescope_problem comes before NumPy and JAX: it sets the number of threads
@@ -9,39 +10,76 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from telescope_problem import ACTUATOR_NOISE, Problem  # before JAX: sets one thread
+from telescope_problem import Problem  # before JAX: sets one thread
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import ndtr, ndtri
 
 from bayescal.density.likelihood import REFINEMENTS
 from bayescal.density.posterior import Posterior
+from bayescal.density.structured_posterior import StructuredPosterior
 
 jax.config.update("jax_enable_x64", True)
 
 
 def build_log_likelihood(problem: Problem, posterior: Posterior, exact_solve: bool) -> Callable[[jax.Array], jax.Array]:
     """Return the log-likelihood as a function of z, shape (60,), up to an additive constant."""
+    whitening = jnp.asarray(np.linalg.inv(np.linalg.cholesky(posterior.likelihood.legs_known)))
+    errors = build_errors(problem, posterior, None if exact_solve else REFINEMENTS)
+
+    def log_likelihood(z: jax.Array) -> jax.Array:
+        white = jnp.einsum("pij,pj->pi", whitening, errors(z))
+        return -0.5 * jnp.sum(white**2)
+
+    return log_likelihood
+
+
+def build_structured_log_density(problem: Problem, posterior: StructuredPosterior) -> Callable[[jax.Array], jax.Array]:
+    """Return the log-density of geometry, τ of each leg and one scale, all standardised, up to an additive constant.
+
+    There is a structured error: whether there is one is a switch, which gradients do not see.
+    """
+    likelihood, m = posterior.likelihood, posterior.n_geometry
+    errors = build_errors(problem, posterior, likelihood.base._refinements)
+    combination, unmap = jnp.asarray(likelihood.combination), jnp.asarray(likelihood._unmap)
+    n_legs = likelihood.n_legs
+    weight = jnp.asarray(likelihood.actuator_weight)
+    known, scale, spread = jnp.asarray(likelihood._mean_known), posterior.model_error.scale, posterior.kernel_scale
+
+    def log_density(z: jax.Array) -> jax.Array:
+        tau = -scale * ndtri(0.5 * ndtr(-z[m : m + n_legs]))
+        size = spread.scale * jnp.exp(spread.spread * z[-1])
+        rows = jnp.einsum("pk,pij,pj->ki", combination, unmap, errors(z[:m]))
+        added = weight[:, :n_legs] * tau**2 + weight[:, n_legs:] * size**2
+        factor = jnp.linalg.cholesky(known + jax.vmap(jnp.diag)(added))
+        white = jax.scipy.linalg.solve_triangular(factor, rows[..., None], lower=True)
+        half_log_det = jnp.sum(jnp.log(jnp.diagonal(factor, axis1=-2, axis2=-1)))
+        return -0.5 * jnp.sum(white**2) - half_log_det - 0.5 * jnp.sum(z**2)
+
+    return log_density
+
+
+def build_errors(problem: Problem, posterior: Posterior, refinements: int | None) -> Callable[[jax.Array], jax.Array]:
+    """Return the legs' errors, shape (P, 6), as a function of z, by so many iterations, or None by solving."""
     machine, poses = problem.machine, problem.poses
     layout, coordinates = machine.layout, posterior.coordinates
-    nominal = machine.linearise(layout.nominal, poses.position, poses.rotation, poses.actuators)
-    noise = nominal.actuators @ np.swapaxes(nominal.actuators, 1, 2) * ACTUATOR_NOISE**2
-    covariance = nominal.pose @ poses.covariance @ np.swapaxes(nominal.pose, 1, 2) + noise
-    whitening = jnp.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
-    nominal_pose, gain = jnp.asarray(nominal.pose), jnp.asarray(np.linalg.inv(nominal.pose))
+    likelihood = posterior.likelihood
+    frozen = getattr(likelihood, "base", likelihood)  # the iteration leads to errors seen by this machine's poses
+    nominal_pose, gain = jnp.asarray(frozen._pose_jacobian), jnp.asarray(frozen._gain)
     basis = machine.basis(poses.actuators)
     displacement, constant = jnp.asarray(basis.displacement), jnp.asarray(basis.constant)
     position, rotation = jnp.asarray(poses.position)[:, None], jnp.asarray(poses.rotation)
     start, scale, free = jnp.asarray(coordinates.start), jnp.asarray(coordinates.scale), coordinates.free
     index = {symbol: np.asarray(positions) for symbol, positions in layout.index.items()}
 
-    def log_likelihood(z: jax.Array) -> jax.Array:
+    def errors(z: jax.Array) -> jax.Array:
         theta = start.at[free].set(start[free] + scale * z)
         p = {symbol: theta[positions] for symbol, positions in index.items()}
         base = jnp.stack([p["a_x"], p["a_y"], p["a_z"]], axis=-1)
         direction = jnp.stack([p["u_x"], p["u_y"], jnp.sqrt(1.0 - p["u_x"] ** 2 - p["u_y"] ** 2)], axis=-1)
-        joint_z = p["b_z"] + constant + p["kappa"] * displacement
+        joint_z = p["b_z"] + constant + p.get("kappa", 0.0) * displacement
         joint = jnp.stack([jnp.broadcast_to(p[s], joint_z.shape) for s in ("b_x", "b_y")] + [joint_z], axis=-1)
         arm = jnp.einsum("pjk,pik->pij", rotation, joint)
         vector = position + arm - base - (p["rho0"] + displacement)[..., None] * direction
@@ -49,14 +87,13 @@ def build_log_likelihood(problem: Problem, posterior: Posterior, exact_solve: bo
         axis = vector / length[..., None]
         slope = -jnp.concatenate([axis, jnp.cross(arm, axis)], axis=-1)
         closure = p["l"] - length
-        if exact_solve:
+        if refinements is None:
             error = jnp.linalg.solve(slope, closure[..., None])
             seen = (nominal_pose @ error)[..., 0]
         else:
             seen = closure
-            for _ in range(REFINEMENTS):
+            for _ in range(refinements):
                 seen = closure + seen - jnp.einsum("pij,pj->pi", slope, jnp.einsum("pij,pj->pi", gain, seen))
-        white = jnp.einsum("pij,pj->pi", whitening, seen)
-        return -0.5 * jnp.sum(white**2)
+        return seen
 
-    return log_likelihood
+    return errors

@@ -1,14 +1,17 @@
 """Intervals and predictions of a wrong model, with and without a structured model error, over many twins.
 
     python benchmarks/model_error.py --speed
-    python benchmarks/model_error.py [--first 0] [--twins 40] [--kernel linear] [--scale 20] [--spread 0.05]
+    python benchmarks/model_error.py [--first 0] [--twins 40] [--kernels independent linear] [--variants six_pus/none]
+                                     [--scale 20] [--spread 0.05] [--drawn]
 
-Twins of the telescope are drawn from the priors of the telescope's study, deformed by eq. 4's matrix and surveyed; the
-variants `none`, which leaves the deformation out, and `matrix`, which is right, are fitted with τ alone and with a
-kernel beside it. Draws are those of the proposal of the mode search, weighted. Printed for every twin and at the end:
-share of a, b and l inside their 90 % intervals, rms of their z-scores, mean sd, mean position error of the verification
-poses, Laplace's log-evidence and the efficiency of the weights. With --speed: time of the posterior density with a
-kernel over that with τ per leg alone, 60 parameters and 40 poses, the two taking turns.
+Twins of the telescope are drawn from the priors of the telescope's study, deformed by eq. 4's matrix, or with --drawn
+by a matrix that is itself drawn from the kernel's prior (a scale from the log-normal, then normal entries), and
+surveyed; the variants `none`, which leaves the deformation out, and `matrix`, which is right, are fitted with τ alone
+and with a kernel beside it. Draws are those of the proposal of the mode search, weighted. Printed for every twin and at
+the end: share of a, b and l inside their 90 % intervals, rms of their z-scores, mean sd, mean position error of the
+verification poses, Laplace's log-evidence, the efficiency of the weights, and of the kernel's scale: its median, the
+posterior sd of its logarithm over the prior's, and with --drawn its z-score. With --speed: time of the posterior
+density with a kernel over that with τ per leg alone, 60 parameters and 40 poses, the two taking turns.
 """
 
 # ruff: noqa: I001 - telescope_problem comes before NumPy: it sets the number of threads
@@ -17,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
 from telescope_problem import MODEL_ERROR_SCALE, simulate, time_interleaved  # first: threads
@@ -28,7 +32,7 @@ from bayescal.data.simulation import Twin, build_twin, simulate_survey
 from bayescal.density.likelihood import BATCH, PoseLikelihood
 from bayescal.density.model_error import KernelScale, LinearKernel, SmoothKernel
 from bayescal.density.posterior import ModelError, Posterior
-from bayescal.density.prediction import predict
+from bayescal.density.prediction import replicate
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.density.structured_prediction import predict_structured
@@ -39,6 +43,7 @@ from bayescal.experiments.study.measurement import TargetMeasurement
 from bayescal.experiments.study.schema import StudyConfig
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import resample
+from bayescal.machines.deformations import MatrixDeformation
 from bayescal.numerics.geometry import Array
 
 TELESCOPE = Path(__file__).parents[1] / "experiments" / "telescope"
@@ -47,12 +52,20 @@ DRAWS, KEPT, PREDICTIVE = 6000, 2000, 300
 VARIANTS = ("six_pus/none", "six_pus/matrix")
 
 
-def draw_truth(twin: Twin, config: StudyConfig, seed: int) -> Array:
-    """Return a machine drawn from the study's priors, shape (D,)."""
+def draw_truth(twin: Twin, config: StudyConfig, seed: int, symbols: tuple[str, ...] = (*JUDGED, "kappa")) -> Array:
+    """Return a machine whose parameters of some symbols are drawn from the study's priors, shape (D,)."""
     rng, layout, theta = np.random.default_rng([seed, 2]), twin.machine.layout, twin.machine.layout.nominal.copy()
-    for symbol in (*JUDGED, "kappa"):
+    for symbol in symbols:
         theta[layout.index[symbol]] += rng.normal(0.0, config.parameters[symbol].sd, twin.mechanism.n_legs)
     return theta
+
+
+def draw_deformation(twin: Twin, scale: float, spread: float, seed: int) -> tuple[Twin, float]:
+    """Return the twin with a matrix drawn from the linear kernel's prior, and the scale drawn for it, mm."""
+    rng, n = np.random.default_rng([seed, 3]), twin.mechanism.n_legs
+    drawn = scale * np.exp(spread * rng.standard_normal())
+    matrix = drawn / twin.mechanism.actuator_range * rng.standard_normal((n, n))
+    return replace(twin, machine=replace(twin.machine, deformation=MatrixDeformation(matrix))), float(drawn)
 
 
 def survey(twin: Twin, config: StudyConfig, theta: Array, seed: int) -> StudyInputs:
@@ -62,8 +75,10 @@ def survey(twin: Twin, config: StudyConfig, theta: Array, seed: int) -> StudyInp
     return StudyInputs(config, TELESCOPE, twin.mechanism, TargetMeasurement(measured, poses, "robust"))
 
 
-def judge(inputs: StudyInputs, twin: Twin, theta: Array, name: str, kernel: str, seed: int) -> dict[str, float]:
-    """Return the figures of one variant."""
+def judge(
+    inputs: StudyInputs, twin: Twin, theta: Array, name: str, kernel: str, seed: int, scale: float | None
+) -> dict[str, float]:
+    """Return the figures of one variant; the true scale, if there is one, in mm."""
     variant = inputs.variant(name).model_copy(update={"model_error": kernel})
     posterior = inputs.posterior(variant, with_model_error=True)
     found = explore(posterior, np.random.SeedSequence(seed), max_pilots=0)
@@ -80,7 +95,24 @@ def judge(inputs: StudyInputs, twin: Twin, theta: Array, name: str, kernel: str,
         "pose_error_um": 1e3 * measure_poses(inputs, posterior, variant, y[:PREDICTIVE]),
         "log_evidence": found.modes[0].log_evidence,
         "efficiency": drawn.efficiency,
+        **judge_scale(inputs, posterior, y, scale),
     }
+
+
+def judge_scale(inputs: StudyInputs, posterior: Posterior, y: Array, truth: float | None) -> dict[str, float]:
+    """Return what draws tell of the kernel's scale where there is an error, and how far that is from the truth."""
+    if not isinstance(posterior, StructuredPosterior):
+        return {}
+    scale = posterior.scales(y)[:, 0]
+    there = scale > 0.0
+    if there.mean() < 0.5:
+        return {"present": float(there.mean())}
+    size = np.log(scale[there])
+    found = {"scale_um": 1e3 * float(np.exp(np.median(size))), "present": float(there.mean())}
+    found["scale_narrowed"] = float(size.std() / inputs.config.model_error.kernel_spread)
+    if truth is not None:
+        found["scale_z"] = float((size.mean() - np.log(truth)) / size.std())
+    return found
 
 
 def measure_poses(inputs: StudyInputs, posterior: Posterior, variant: object, y: Array) -> float:
@@ -89,8 +121,8 @@ def measure_poses(inputs: StudyInputs, posterior: Posterior, variant: object, y:
     likelihood, theta, errors = posterior.likelihood, posterior.theta(y), posterior.model_errors(y)
     if isinstance(likelihood, StructuredLikelihood):
         assert isinstance(held, PoseLikelihood)
-        return float(predict_structured(likelihood, held, theta, errors, rng)[0].position_error.mean())
-    return float(predict(held, theta, errors, rng).position_error.mean())
+        return float(predict_structured(likelihood, held, theta, errors, rng)[0].summarise().position_error.mean())
+    return float(replicate(held, theta, errors, rng).summarise().position_error.mean())
 
 
 def time_density(repeats: int) -> None:
@@ -115,9 +147,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--twins", type=int, default=40)
-    parser.add_argument("--kernel", default="linear")
+    parser.add_argument("--kernels", nargs="+", default=("independent", "linear"))
     parser.add_argument("--scale", type=float, default=20.0)
     parser.add_argument("--spread", type=float, default=0.05)
+    parser.add_argument("--drawn", action="store_true")
+    parser.add_argument("--variants", nargs="+", default=VARIANTS)
     parser.add_argument("--speed", action="store_true")
     arguments = parser.parse_args()
     if arguments.speed:
@@ -131,15 +165,21 @@ def main() -> None:
     config = config.model_copy(update={"model_error": config.model_error.model_copy(update=prior)})
     figures: dict[tuple[str, str], list[dict[str, float]]] = {}
     for seed in range(arguments.first, arguments.first + arguments.twins):
-        theta = draw_truth(twin, config, seed)
-        inputs = survey(twin, config, theta, seed)
-        for name in VARIANTS:
-            for kernel in ("independent", arguments.kernel):
-                one = judge(inputs, twin, theta, name, kernel, seed)
+        one_twin, scale = twin, None
+        if arguments.drawn:
+            one_twin, scale = draw_deformation(twin, 1e-3 * arguments.scale, arguments.spread, seed)
+        theta = draw_truth(one_twin, config, seed, JUDGED if arguments.drawn else (*JUDGED, "kappa"))
+        inputs = survey(one_twin, config, theta, seed)
+        for name in arguments.variants:
+            for kernel in arguments.kernels:
+                one = judge(inputs, one_twin, theta, name, kernel, seed, scale)
                 figures.setdefault((name, kernel), []).append(one)
                 print(json.dumps({"twin": seed, "variant": name, "kernel": kernel, **one}), flush=True)
     for (name, kernel), several in figures.items():
-        means = {key: float(np.mean([one[key] for one in several])) for key in several[0]}
+        means = {key: float(np.mean([one[key] for one in several if key in one])) for key in several[0]}
+        for key in ("rms_z", "scale_z"):
+            if key in several[0]:
+                means[key] = float(np.sqrt(np.mean([one[key] ** 2 for one in several if key in one])))
         print(name, kernel, {key: round(value, 3) for key, value in means.items()})
 
 

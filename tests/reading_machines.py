@@ -167,7 +167,7 @@ class JointTarget:
     def jumps(self, y: np.ndarray) -> list:
         return []
 
-    def tau(self, y: np.ndarray) -> np.ndarray:
+    def funnel_errors(self, y: np.ndarray) -> np.ndarray:
         return np.empty((*y.shape[:-1], 0))
 
     def groups(self) -> list:

@@ -14,8 +14,10 @@ the log-determinant of AᵀA stands for the latter, and r_n holds the closure of
 k ~ N(0, S) are errors that all poses have in common: T_n k is what an uncertain deformation matrix K leaves of the
 deflections, whose variance alone, pose by pose, is v. Where K was measured in the same photographs as the poses, its
 error depends on theirs, cov(k, e_n) = Γ_n: a platform that seems to stand too high has joints that seem to hang too
-low. All this makes a covariance of low rank beside that of s; of Q common errors only a matrix of Q or 2 Q rows is
-factorised (Woodbury). On the telescope common errors are worth 3.9 nats of the evidence of its best variants.
+low. A model error that is a function of the pose (`bayescal.density.model_error`) is L_n g_n, with g = F c over the
+poses, F Fᵀ the kernel's matrix and c_ri ~ N(0, s_i²). All this makes a covariance of low rank beside that of s; of Q
+common errors only a matrix of Q or 2 Q rows is factorised (Woodbury). On the telescope common errors are worth 3.9 nats
+of the evidence of its best variants.
 
 The derivatives cost five to thirty times the hot path: this density corrects what was found with that one.
 """
@@ -27,6 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.structured import StructuredLikelihood
 from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.models.base import Linearisation, newton_step
 from bayescal.numerics.geometry import Array, compute_pose_error, matrix_from_rotation_vector
@@ -36,6 +39,7 @@ BATCH, FEW_POSES = 16, 128
 CLOSES = 1e-4
 """Newton step in mm and rad below which the derivatives are those at the predicted pose: to 0.001 nats of 40 poses."""
 STEPS = 5
+NOTHING = 1e-8  # share of the kernel's largest eigenvalue below which a direction is left out
 FAR = 1e4  # pose errors beyond it, mm or rad, are no machine's
 
 
@@ -90,20 +94,31 @@ class _Shared:
             return own
         return np.concatenate([own, white @ here.closure.pose @ self.on_pose], axis=-1)
 
-    def factorise(self, columns: Array) -> tuple[Array, Array]:
-        """Return M = H⁻¹ + VᵀV, shape (B, R, R), and V as (B, P N, R); |det H| is one."""
-        columns = columns.reshape(len(columns), -1, columns.shape[-1])
-        inverse = np.eye(self.on_deflection.shape[-1])
-        if self.on_pose is not None:
-            inverse = np.block([[np.zeros_like(inverse), inverse], [inverse, -inverse]])
-        return inverse + np.swapaxes(columns, -1, -2) @ columns, columns
+    @property
+    def inverse(self) -> Array:
+        """H⁻¹, whose determinant is one or minus one."""
+        one = np.eye(self.on_deflection.shape[-1])
+        return one if self.on_pose is None else np.block([[np.zeros_like(one), one], [one, -one]])
 
-    def add(self, white: Array, columns: Array) -> Array:
-        """Return what they add to the log-density, shape (B,), for whitened residuals (B, P, N) and columns."""
-        inner, columns = self.factorise(columns)
-        seen = np.swapaxes(columns, -1, -2) @ white.reshape(len(white), -1, 1)
-        square = (seen * np.linalg.solve(inner, seen)).sum(axis=(-1, -2))
-        return np.asarray(0.5 * square - 0.5 * np.linalg.slogdet(inner)[1])
+
+@dataclass(frozen=True, eq=False)
+class _Function:
+    """A model error that is a function of the pose, of unit scale: columns W L_n F_nr e_i s_i add V Vᵀ."""
+
+    factor: Array  # (P, R)
+
+    @classmethod
+    def from_likelihood(cls, likelihood: StructuredLikelihood) -> _Function:
+        """Return it without the directions that hold nothing."""
+        values = likelihood.eigenvalues
+        kept = values > NOTHING * values.max()
+        return cls(likelihood.combination[:, kept] * np.sqrt(values[kept]))
+
+    def columns(self, white: Array, here: _Here, scale: Array) -> Array:
+        """Return V, shape (B, P, N, R N), for whitening matrices (B, P, N, N) and scales (B, N)."""
+        legs = white @ here.legs * scale[:, None, None, :]
+        spread = self.factor[None, :, None, :, None] * legs[..., None, :]
+        return np.asarray(spread.reshape(*legs.shape[:3], -1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +143,8 @@ class ExactDensity:
     common : CommonErrors, optional
     actuator_variance : ndarray, shape (P, N), optional
         v_ni, mm²: extra variance of each leg at each pose by itself.
+    structured : StructuredLikelihood, optional
+        Of the same poses: model errors have 2 N entries then, τ of each leg and the scales s.
     """
 
     def __init__(
@@ -136,8 +153,10 @@ class ExactDensity:
         actuator_noise: float,
         common: CommonErrors | None = None,
         actuator_variance: Array | None = None,
+        structured: StructuredLikelihood | None = None,
     ) -> None:
         self._likelihood, self._noise = likelihood, actuator_noise
+        self._function = None if structured is None else _Function.from_likelihood(structured)
         self._variance = 0.0 if actuator_variance is None else actuator_variance
         self._shared = None if common is None else _Shared.from_errors(common)
         gain = likelihood.machine.basis(likelihood.poses.actuators).actuator_gain
@@ -151,7 +170,7 @@ class ExactDensity:
         theta : ndarray, shape (B, D)
             Parameter vectors.
         model_error : ndarray, shape (B, N) or (N,)
-            τ of each leg, mm.
+            τ of each leg, mm; and s of each where there is a structured error.
         """
         result = np.empty(len(theta))
         model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
@@ -212,8 +231,9 @@ class ExactDensity:
         white = np.linalg.inv(factor)
         seen = (white @ seen[..., None])[..., 0]
         total = -0.5 * np.einsum("bpi,bpi->b", seen, seen) - half_log_det + self._log_volume(pose)
-        if self._shared is not None:
-            total += self._shared.add(seen, self._shared.columns(white, here))
+        columns = self._columns(white, here, model_error)
+        if columns is not None:
+            total += _add_columns(seen, *self._factorise(columns))
         return np.where(good, total - 0.5 * seen[0].size * np.log(2.0 * np.pi), -np.inf)
 
     def _cover(self, here: _Here, model_error: Array) -> Array:
@@ -221,11 +241,28 @@ class ExactDensity:
         pose, actuators = here.closure.pose, here.closure.actuators
         covariance = pose @ self._likelihood.poses.covariance @ np.swapaxes(pose, -1, -2)
         covariance += self._noise**2 * actuators @ np.swapaxes(actuators, -1, -2)
-        own = here.legs * np.sqrt(model_error[:, None] ** 2 + self._variance)[..., None, :]
+        tau = model_error[:, None, : self._likelihood.n_legs]
+        own = here.legs * np.sqrt(tau**2 + self._variance)[..., None, :]
         return np.asarray(covariance + own @ np.swapaxes(own, -1, -2))
 
+    def _columns(self, white: Array, here: _Here, model_error: Array) -> Array | None:
+        """Return V of all that poses have in common, shape (B, P, N, R), whitened; None where there is nothing."""
+        parts = [] if self._shared is None else [self._shared.columns(white, here)]
+        if self._function is not None:
+            parts.append(self._function.columns(white, here, model_error[:, self._likelihood.n_legs :]))
+        return np.concatenate(parts, axis=-1) if parts else None
+
+    def _factorise(self, columns: Array) -> tuple[Array, Array]:
+        """Return M = H⁻¹ + VᵀV, shape (B, R, R), and V as (B, P N, R); |det H| is one."""
+        columns = columns.reshape(len(columns), -1, columns.shape[-1])
+        inverse = np.eye(columns.shape[-1])
+        if self._shared is not None:
+            own = self._shared.inverse
+            inverse[: len(own), : len(own)] = own
+        return inverse + np.swapaxes(columns, -1, -2) @ columns, columns
+
     def information(self, theta: Array, model_error: Array) -> Array:
-        """Return what the poses tell of the parameters of one machine (D,) at τ (N,), shape (D, D)."""
+        """Return what the poses tell of the parameters of one machine (D,) at model errors (N,), shape (D, D)."""
         machine, poses = self._likelihood.machine, self._likelihood.poses
         here = self._predict(theta[None])
         position = poses.position - here.error[0, :, :3]
@@ -234,8 +271,9 @@ class ExactDensity:
         white = np.linalg.inv(np.linalg.cholesky(self._cover(here, model_error[None])[0]))
         rows = (white @ slope).reshape(-1, slope.shape[-1])
         total = rows.T @ rows
-        if self._shared is not None:
-            inner, columns = self._shared.factorise(self._shared.columns(white, here))
+        columns = self._columns(white, here, model_error[None])
+        if columns is not None:
+            inner, columns = self._factorise(columns)
             seen = columns[0].T @ rows
             total -= seen.T @ np.linalg.solve(inner[0], seen)
         return np.asarray(total)
@@ -246,6 +284,13 @@ class ExactDensity:
         if pose.shape[-2] == pose.shape[-1]:
             return np.asarray(np.linalg.slogdet(pose)[1].sum(axis=-1))
         return np.asarray(0.5 * np.linalg.slogdet(np.swapaxes(pose, -1, -2) @ pose)[1].sum(axis=-1))
+
+
+def _add_columns(white: Array, inner: Array, columns: Array) -> Array:
+    """Return what common errors add to the log-density, shape (B,), for whitened residuals (B, P, N), M and V."""
+    seen = np.swapaxes(columns, -1, -2) @ white.reshape(len(white), -1, 1)
+    square = (seen * np.linalg.solve(inner, seen)).sum(axis=(-1, -2))
+    return np.asarray(0.5 * square - 0.5 * np.linalg.slogdet(inner)[1])
 
 
 def _leave_diagonal(matrix: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -56,6 +57,31 @@ class ModelError:
         return 0.5 * self.scale * np.exp(0.5 * ((tau / self.scale) ** 2 - zeta**2))
 
 
+class Local(NamedTuple):
+    """A posterior's likelihood around a point.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (D,)
+    errors, slope : ndarray, shapes (P, K), (P, K, m)
+        r and dr/dy.
+    precision : ndarray, shape (P, K, K)
+        Of r, as far as each pose counts.
+    change : ndarray, shape (D, m)
+        dθ/dy.
+    counts, blunder : ndarray, shape (P,), optional
+        How much each pose counts, and how probably it is a blunder; None where all count in full.
+    """
+
+    theta: Array
+    errors: Array
+    slope: Array
+    precision: Array
+    change: Array
+    counts: Array | None = None
+    blunder: Array | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Funnel:
     """How the geometry depends on the model errors around a point; see `bayescal.inference.target.Funnel`."""
@@ -65,6 +91,7 @@ class Funnel:
     rest: Array
     tau: Array
     parts: Array | None = None
+    scores: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,11 +222,15 @@ class Posterior:
         tau = self.model_error.tau_from_zeta(y[..., self.n_geometry :])
         return np.broadcast_to(tau, (*tau.shape[:-1], n_legs))
 
+    def funnel_errors(self, y: Array) -> Array:
+        """Return the errors that the geometry's uncertainty depends on, shape (B, N); see `funnel`."""
+        return self.tau(y)
+
     def model_errors(self, y: Array) -> Array:
         """Return what the likelihood takes as model errors, shape (B, N) or (N,), mm."""
         return self.tau(y)
 
-    def _model_errors_at(self, y: Array) -> Array:
+    def model_errors_at(self, y: Array) -> Array:
         """Return `model_errors` at one vector y, shape (n,)."""
         return np.broadcast_to(self.model_errors(y[None]), (1, self.likelihood.n_model_errors))[0]
 
@@ -264,9 +295,9 @@ class Posterior:
 
     def information(self, y: Array) -> tuple[Array, Array]:
         """Return the information of the data and the precision of the prior on the geometry at y, shapes (m, m)."""
-        _, _, slope, precision, change = self._linearise(y)
-        data = np.einsum("pik,pij,pjm->km", slope, precision, slope, optimize=True)
-        rows = self._prior_slope(change)
+        local = self._linearise(y)
+        data = np.einsum("pik,pij,pjm->km", local.slope, local.precision, local.slope, optimize=True)
+        rows = self._prior_slope(local.change)
         return data, rows.T @ rows
 
     def pose_information(self, y: Array, pose: int) -> Array:
@@ -312,17 +343,21 @@ class Posterior:
         legs = [[layout.index[s][leg] for s in per_leg] for leg in range(self.likelihood.n_legs)]
         return [np.flatnonzero(np.isin(free, leg)) for leg in legs]
 
-    def _linearise(self, y: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Return θ, r, dr/dy, the precision of r and dθ/dy at y, shape (n,)."""
+    def _linearise(self, y: Array) -> Local:
+        """Return the likelihood around y, shape (n,)."""
         theta = self.theta(y[None])[0]
-        tau = self._model_errors_at(y)
+        precision = np.linalg.inv(self.likelihood.error_covariance(self.model_errors_at(y)))
         errors, slope = self.likelihood.error_jacobian(theta)
         change = self.coordinates.jacobian(theta)
-        return theta, errors, slope @ change, np.linalg.inv(self.likelihood.error_covariance(tau)), change
+        return Local(theta, errors, slope @ change, precision, change)
 
     def gradient(self, y: Array) -> tuple[Array, Array]:
         """Return the exact gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
-        theta, errors, slope, precision, change = self._linearise(y)
+        return self._differentiate(y, self._linearise(y))
+
+    def _differentiate(self, y: Array, local: Local) -> tuple[Array, Array]:
+        """Return `gradient` at y, shape (n,), from the likelihood around it."""
+        theta, errors, slope, precision, change, *_ = local
         weighted = np.einsum("pij,pj->pi", precision, errors)
         gradient = np.zeros(self.n_parameters)
         hessian = np.zeros((self.n_parameters, self.n_parameters))
@@ -332,24 +367,35 @@ class Posterior:
         gradient[:n] += self.coordinates.log_volume_slope(theta) @ change + self.coordinates.log_ring_ratio_slope(y[:n])
         hessian[:n, :n] = -np.einsum("pik,pij,pjm->km", slope, precision, slope, optimize=True) - rows.T @ rows
         if self.model_error.scale is not None:
-            self._add_model_error(y, weighted, precision, gradient, hessian)
+            self._add_model_error(y, local, weighted, gradient, hessian)
         return gradient, hessian
 
-    def _add_model_error(self, y: Array, weighted: Array, precision: Array, gradient: Array, hessian: Array) -> None:
-        """Add the model errors' part; their expected curvature stands in for the exact one."""
-        n, weight = self.n_geometry, self.likelihood.actuator_weight
-        zeta = y[n:]
-        tau = np.broadcast_to(self.tau(y[None]), (1, self.likelihood.n_legs))[0]
+    @cached_property
+    def _taus(self) -> slice:
+        """Coordinates of the model errors τ."""
+        return slice(self.n_geometry, self.n_geometry + self.model_error.n_parameters(self.likelihood.n_legs))
+
+    def _add_model_error(self, y: Array, local: Local, weighted: Array, gradient: Array, hessian: Array) -> None:
+        """Add the model errors' part."""
+        inside, zeta = self._taus, y[self._taus]
         speed = self.model_error.slope(zeta, self.model_error.tau_from_zeta(zeta))
-        weighted, precision = self.likelihood.on_legs(weighted), self._see_by_legs(precision)
-        diagonal = np.diagonal(precision, axis1=1, axis2=2)
-        per_leg = np.sum(weight * tau * (weighted**2 - diagonal), axis=0)
-        scaled = weight * tau
-        curvature = 2.0 * np.einsum("pi,pij,pj->ij", scaled, precision**2, scaled)
+        per_leg, curvature = self._differentiate_by_errors(self.model_errors_at(y), local, weighted)
         if self.model_error.shared:
             per_leg, curvature = per_leg.sum(keepdims=True), curvature.sum(keepdims=True)
-        gradient[n:] = per_leg * speed - zeta
-        hessian[n:, n:] = -curvature * np.outer(speed, speed) - np.eye(len(zeta))
+        gradient[inside] = per_leg * speed - zeta
+        hessian[inside, inside] = -curvature * np.outer(speed, speed) - np.eye(len(zeta))
+
+    def _differentiate_by_errors(self, model_errors: Array, local: Local, weighted: Array) -> tuple[Array, Array]:
+        """Return the log-likelihood's gradient by the model errors (K,), and its expected curvature, shape (K, K).
+
+        The log-determinant of a pose counts in full, however little the pose does.
+        """
+        square, precision = self.likelihood.on_legs(weighted) ** 2, self._see_by_legs(local.precision)
+        if local.counts is not None:
+            square, precision = square / local.counts[:, None], precision / local.counts[:, None, None]
+        scaled = self.likelihood.actuator_weight * model_errors
+        by_errors = np.sum(scaled * (square - np.diagonal(precision, axis1=1, axis2=2)), axis=0)
+        return by_errors, 2.0 * np.einsum("pi,pij,pj->ij", scaled, precision**2, scaled)
 
     def _see_by_legs(self, precision: Array) -> Array:
         """Return Wᵀ C⁻¹ W, what the rows tell of each leg's error, shape (P, K, K) to (P, N, N)."""
@@ -370,7 +416,7 @@ class Posterior:
 
     def polish(self, y: Array) -> Array:
         """Return y, shape (n,), with the geometry of least squares at its model errors."""
-        return self._fit_geometry(y, self._model_errors_at(y))
+        return self._fit_geometry(y, self.model_errors_at(y))
 
     def _fit_geometry(self, start: Array, tau: Array, weight: Array | None = None) -> Array:
         """Return y with the geometry of least squares, whitened errors and priors together, at model errors (N,).

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import gammaln, log_ndtr, ndtri_exp
 
 from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches
-from bayescal.density.posterior import APPROACH, HALF_LOG_TWO_PI, Posterior
+from bayescal.density.posterior import APPROACH, HALF_LOG_TWO_PI, Local, Posterior
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
@@ -169,45 +169,25 @@ class RobustPosterior(Posterior):
 
     # --- derivatives ---------------------------------------------------------------------------------------------
 
-    def _weigh(self, y: Array) -> tuple[Array, Array]:
-        """Return how much each pose counts, shape (P,), and its probability of being a blunder, at y, shape (n,)."""
-        errors = self.likelihood.leg_errors(self.theta(y[None]))[0]
-        precision = np.linalg.inv(self.likelihood.error_covariance(self._tau_at(y)))
-        return self._weigh_errors(errors, precision, self.shares(y))
-
     def _weigh_errors(self, errors: Array, precision: Array, share: Array) -> tuple[Array, Array]:
+        """Return how much each pose counts, shape (P,), and its probability of being a blunder."""
         square = np.einsum("pi,pij,pj->p", errors, precision, errors)
         blunder = self._suspect(square, share)
         tail = (FREEDOM + self.likelihood.n_legs) / (FREEDOM * WIDER**2 + square)
         return (1.0 - blunder) + blunder * tail, blunder
 
-    def _linearise(self, y: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Return θ, r, dr/dy, the precision of r as far as each pose counts, and dθ/dy at y, shape (n,)."""
-        theta, errors, slope, precision, change = super()._linearise(y)
-        weight, _ = self._weigh_errors(errors, precision, self.shares(y))
-        return theta, errors, slope, weight[:, None, None] * precision, change
+    def _linearise(self, y: Array) -> Local:
+        """Return the likelihood around y, shape (n,), with the precision of r as far as each pose counts."""
+        local = super()._linearise(y)
+        counts, blunder = self._weigh_errors(local.errors, local.precision, self.shares(y))
+        return local._replace(precision=counts[:, None, None] * local.precision, counts=counts, blunder=blunder)
 
-    def _add_model_error(self, y: Array, weighted: Array, precision: Array, gradient: Array, hessian: Array) -> None:
-        """Add the part of τ; the log-determinant of a pose counts in full, however little the pose does."""
-        counts, _ = self._weigh(y)
-        tau, zeta = self._tau_at(y), y[self.n_geometry : -1]
-        precision = precision / counts[:, None, None]
-        scaled = self.likelihood.actuator_weight * tau
-        by_tau = np.sum(scaled * (weighted**2 / counts[:, None] - np.diagonal(precision, axis1=1, axis2=2)), axis=0)
-        curvature = 2.0 * np.einsum("pi,pij,pj->ij", scaled, precision**2, scaled)
-        if self.model_error.shared:
-            by_tau, curvature = by_tau.sum(keepdims=True), curvature.sum(keepdims=True)
-        speed = self.model_error.slope(zeta, self.model_error.tau_from_zeta(zeta))
-        inside = slice(self.n_geometry, -1)
-        gradient[inside] = by_tau * speed - zeta
-        hessian[inside, inside] = -curvature * np.outer(speed, speed) - np.eye(len(zeta))
-
-    def gradient(self, y: Array) -> tuple[Array, Array]:
-        """Return the exact gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
-        gradient, hessian = super().gradient(y)
-        _, blunder = self._weigh(y)
+    def _differentiate(self, y: Array, local: Local) -> tuple[Array, Array]:
+        """Add the part of ε."""
+        gradient, hessian = super()._differentiate(y, local)
+        assert local.blunder is not None
         share = self.shares(y)
-        by_share = blunder / share - (1.0 - blunder) / (1.0 - share)
+        by_share = local.blunder / share - (1.0 - local.blunder) / (1.0 - share)
         slope = self.share.slope(y[-1])
         gradient[-1] = by_share.sum() * slope - y[-1]
         hessian[-1, :] = hessian[:, -1] = 0.0

@@ -48,7 +48,7 @@ class Conditional(NamedTuple):
     covariance: Array
 
 
-def _root(matrix: Array) -> tuple[Array, Array]:
+def root_of(matrix: Array) -> tuple[Array, Array]:
     """Return the symmetric square roots of positive definite matrices (..., N, N), and their inverses."""
     values, vectors = np.linalg.eigh(matrix)
     root = np.sqrt(values)[..., None, :]
@@ -57,8 +57,8 @@ def _root(matrix: Array) -> tuple[Array, Array]:
 
 def map_covariance(first: Array, second: Array) -> Array:
     """Return the symmetric T with T A Tᵀ = B for covariances A (N, N) and B (P, N, N), shape (P, N, N)."""
-    root, inverse = _root(first)
-    middle, _ = _root(root @ second @ root)
+    root, inverse = root_of(first)
+    middle, _ = root_of(root @ second @ root)
     return np.asarray(inverse @ middle @ inverse)
 
 

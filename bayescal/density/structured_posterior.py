@@ -9,12 +9,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bayescal.density.model_error import BORDER, OFF, KernelScale, KernelScalePrior
-from bayescal.density.posterior import Funnel, Posterior
+from bayescal.density.posterior import Funnel, Local, Posterior
 from bayescal.density.priors import Prior
-from bayescal.density.structured import StructuredLikelihood
+from bayescal.density.structured import StructuredLikelihood, root_of
 from bayescal.machines.closing_coordinates import ClosingCoordinates
 from bayescal.machines.coordinates import Coordinates
 from bayescal.numerics.geometry import Array
+
+ALIKE_LEVELS = 1.5
+NO_LEVEL = 1e-9
 
 
 def average_rotation(rotations: Array) -> Array:
@@ -47,18 +50,14 @@ class StructuredPosterior(Posterior):
         return ClosingCoordinates.around(known, likelihood.machine, *(one[None] for one in where))
 
     @property
-    def _n_tau(self) -> int:
-        return self.model_error.n_parameters(self.likelihood.n_legs)
-
-    @property
     def _switches(self) -> slice:
         """Coordinates of the scales."""
-        return slice(self.n_geometry + self._n_tau, None)
+        return slice(self._taus.stop, None)
 
     @cached_property
     def n_parameters(self) -> int:
         """Number n of sampling coordinates: free parameters, model errors and scales."""
-        return self.n_geometry + self._n_tau + self.kernel_scale.n_parameters(self.likelihood.n_legs)
+        return self._taus.stop + self.kernel_scale.n_parameters(self.likelihood.n_legs)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -76,7 +75,7 @@ class StructuredPosterior(Posterior):
 
     def tau(self, y: Array) -> Array:
         """Return the model error τ of each leg in mm, shape (B, N)."""
-        tau = self.model_error.tau_from_zeta(y[..., self.n_geometry : self.n_geometry + self._n_tau])
+        tau = self.model_error.tau_from_zeta(y[..., self._taus])
         return np.broadcast_to(tau, (*tau.shape[:-1], self.likelihood.n_legs))
 
     def scales(self, y: Array) -> Array:
@@ -90,7 +89,7 @@ class StructuredPosterior(Posterior):
 
     def natural(self, y: Array) -> Array:
         """Return everything free in its own unit, shape (B, n)."""
-        tau = self.model_error.tau_from_zeta(y[..., self.n_geometry : self.n_geometry + self._n_tau])
+        tau = self.model_error.tau_from_zeta(y[..., self._taus])
         scale = self.kernel_scale.scale_from_switch(y[..., self._switches])
         return np.concatenate([self.theta(y)[..., self.coordinates.free], tau, scale], axis=-1)
 
@@ -113,25 +112,18 @@ class StructuredPosterior(Posterior):
 
     # --- derivatives ---------------------------------------------------------------------------------------------
 
-    def _add_model_error(self, y: Array, weighted: Array, precision: Array, gradient: Array, hessian: Array) -> None:
-        """Add the part of τ and s; their expected curvature stands in for the exact one."""
-        weight, errors = self.likelihood.actuator_weight, self._model_errors_at(y)
-        weighted, precision = self.likelihood.on_legs(weighted), self._see_by_legs(precision)
-        diagonal = np.diagonal(precision, axis1=1, axis2=2)
-        per_entry = np.sum(weight * errors * (weighted**2 - diagonal), axis=0)
-        scaled = weight * errors
-        curvature = 2.0 * np.einsum("pi,pij,pj->ij", scaled, precision**2, scaled)
+    def _add_model_error(self, y: Array, local: Local, weighted: Array, gradient: Array, hessian: Array) -> None:
+        """Add the part of τ and s."""
+        by_errors, curvature = self._differentiate_by_errors(self.model_errors_at(y), local, weighted)
         moves = self._moves(y)
-        first = self.n_geometry
-        place = y[first:].copy()
-        place[self._n_tau :] = self.kernel_scale.deviation(y[self._switches])
-        gradient[first:] = moves @ per_entry - place
-        hessian[first:, first:] = -moves @ curvature @ moves.T - np.eye(len(place))
+        place = np.concatenate([y[self._taus], self.kernel_scale.deviation(y[self._switches])])
+        inside = slice(self.n_geometry, None)
+        gradient[inside] = moves @ by_errors - place
+        hessian[inside, inside] = -moves @ curvature @ moves.T - np.eye(len(place))
 
     def _moves(self, y: Array) -> Array:
         """Return the derivative of `model_errors` by their coordinates at y, shape (k, 2 N)."""
-        n_legs, first = self.likelihood.n_legs, self.n_geometry
-        zeta, c = y[first : first + self._n_tau], y[self._switches]
+        n_legs, zeta, c = self.likelihood.n_legs, y[self._taus], y[self._switches]
         tau = self.model_error.slope(zeta, self.model_error.tau_from_zeta(zeta))
         blocks = [(tau, 0), (self.kernel_scale.slope(c), n_legs)]
         moves, row = np.zeros((len(zeta) + len(c), 2 * n_legs)), 0
@@ -153,25 +145,56 @@ class StructuredPosterior(Posterior):
             found.append((first + k, image))
         return found
 
-    def funnel(self, y: Array) -> Funnel | None:
-        """Return how the geometry depends on τ at y, shape (n,); see `Posterior.funnel`.
+    @cached_property
+    def _levels(self) -> tuple[Array, np.ndarray]:
+        """Eigenvalues of the kernel, those that are alike as one, (L,), and the level of each combination of poses."""
+        likelihood = self.likelihood
+        assert isinstance(likelihood, StructuredLikelihood)
+        values = likelihood.eigenvalues
+        there = values > NO_LEVEL * values.max()
+        rounded = np.full(len(values), -np.inf)
+        rounded[there] = np.round(np.log(values[there]) / np.log(ALIKE_LEVELS))
+        _, level = np.unique(rounded, return_inverse=True)
+        return np.bincount(level, values) / np.bincount(level), level
 
-        Combinations of the poses in which the kernel's error is larger than the noise tell the same whatever τ: what
-        these know of the geometry counts as prior knowledge.
+    def funnel_errors(self, y: Array) -> Array:
+        """Return the error of each leg in the combinations of poses of each level of the kernel, shape (B, L N), mm."""
+        levels, _ = self._levels
+        square = self.tau(y)[..., None, :] ** 2 + levels[:, None] * self.scales(y)[..., None, :] ** 2
+        return np.asarray(np.sqrt(square).reshape(len(y), -1))
+
+    def groups(self) -> list[np.ndarray]:
+        """Return all of the geometry as one group: the scales make all legs uncertain."""
+        return [np.arange(self.n_geometry)]
+
+    def funnel(self, y: Array) -> Funnel:
+        """Return how the geometry depends on τ and s at y, shape (n,); see `Posterior.funnel`.
+
+        What the geometry is worth hangs on s: the larger the scale, the less do combinations of poses tell in which the
+        kernel's error is. The joint mode of scale and geometry is therefore none of the scale's density; that is seen
+        in straight coordinates only (as restricted likelihood has it: Patterson and Thompson 1971).
         """
-        if self._ties_legs and not self.model_error.shared:
-            return None
-        n_legs, tau = self.likelihood.n_legs, self.tau(y[None])[0]
-        _, _, slope, precision, change = self._linearise(y)
-        weight = self.likelihood.actuator_weight
-        noise = 1.0 / np.diagonal(precision, axis1=-2, axis2=-1)
-        added = weight[:, n_legs:] * self.scales(y[None])[0] ** 2
-        free_of_kernel = 1.0 - np.minimum(added / noise, 1.0).mean(axis=1)
-        rest = np.average(noise, axis=0, weights=free_of_kernel + 1e-12) / weight[:, :n_legs].mean(axis=0) - tau**2
-        information = np.einsum("pik,pij,pjm->pkm", slope, precision, slope, optimize=True)
-        rows = self._prior_slope(change)
-        telling = np.einsum("p,pkm->km", free_of_kernel, information)
-        return Funnel(telling, rows.T @ rows + information.sum(axis=0) - telling, np.maximum(rest, 1e-12), tau)
+        n_legs, (levels, level) = self.likelihood.n_legs, self._levels
+        _, errors, slope, precision, change, *_ = self._linearise(y)
+        whitening, _ = root_of(precision)
+        rows, white = whitening @ slope, (whitening @ errors[..., None])[..., 0]
+        chosen = np.eye(len(levels))[level]
+        parts = np.einsum("kl,kia,kib->liab", chosen, rows, rows, optimize=True)
+        scores = -np.einsum("kl,kia,ki->lia", chosen, rows, white, optimize=True)
+        weight = self.likelihood.actuator_weight[:, :n_legs]
+        variance = 1.0 / np.diagonal(precision, axis1=-2, axis2=-1) / weight
+        own = self.funnel_errors(y[None])[0]
+        rest = (chosen.T @ variance / chosen.sum(axis=0)[:, None]).ravel() - own**2
+        size, m = n_legs * len(levels), self.n_geometry
+        prior = self._prior_slope(change)
+        return Funnel(
+            parts.sum(axis=(0, 1)),
+            prior.T @ prior,
+            np.maximum(rest, 1e-12),
+            own,
+            parts.reshape(size, m, m),
+            scores.reshape(size, m),
+        )
 
     def probability_of_error(self, y: Array) -> Array:
         """Return the share of draws (B, n) with a structured error, of each scale."""

@@ -4,7 +4,9 @@ Three things keep it from being one. The posterior of a group of coordinates is 
 error: a funnel. Around a mode the information of group i is close to P + q B, with P the prior precision, B the
 information of the data at the mode and q = (m + τ̂²) / (m + τ²), m the rest of the group's variance. In the basis that
 makes both diagonal each axis is stretched by sqrt((1 + λ) / (1 + q λ)): in the stretched coordinates the funnel is a
-cylinder. Where several model errors govern the same coordinates, q λ is the sum of their parts. The
+cylinder. Where several model errors govern the same coordinates, q λ is the sum of their parts. Where they govern data
+that contradict each other the centre moves, too: by H⁻¹ Σ (q - 1) b, with b what each part of the data has of the
+gradient at the mode and H the information P + Σ q B, as diagonal as the rest. The
 coordinate ζ of a model error is skewed, the more the smaller the model error:
 ζ = c + A η + B sqrt(1 + η²) takes three quantiles of its draws to those of a standard normal η. Last, where the data
 see a quadratic of one coordinate u that others make up for, these have to follow it: a shear by β (u - u_0)² of unit
@@ -94,13 +96,22 @@ def fit_curve(y: Array, base: int, others: np.ndarray) -> Curve:
 class Block:
     """One group's coordinates and the generalised eigenbasis of its information against its prior.
 
-    ``shares`` (N, k) say what of the k eigenvalues each model error governs.
+    ``shares`` (N, k) say what of the k eigenvalues each model error governs, ``scores`` (N, k) what of the gradient.
     """
 
     index: np.ndarray
     basis: Array
     inverse: Array
     shares: Array
+    scores: Array | None = None
+
+    def stretch(self, q: Array) -> Array:
+        """Return by how much each axis is stretched, (B, N) to (B, k)."""
+        return np.asarray(np.sqrt((1.0 + self.shares.sum(axis=0)) / (1.0 + q @ self.shares)))
+
+    def shift(self, q: Array) -> Array | float:
+        """Return by how much the centre moves along each axis, (B, N) to (B, k)."""
+        return 0.0 if self.scores is None else ((q - 1.0) @ self.scores) / (1.0 + q @ self.shares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,19 +141,18 @@ class Straightening:
     bend: Bend | None = None
     curves: tuple[Curve, ...] = ()
 
-    def _stretches(self, y: Array) -> list[Array]:
-        """Return the stretch of every block; needs only the model errors of y."""
+    def _stretches(self, y: Array) -> list[tuple[Array, Array | float]]:
+        """Return stretch and shift of every block; needs only the model errors of y."""
         if not self.blocks:
             return []
-        tau = self.posterior.tau(y)
-        q = (self.rest + self.tau**2) / (self.rest + tau**2)
-        return [np.sqrt((1.0 + b.shares.sum(axis=0)) / (1.0 + q @ b.shares)) for b in self.blocks]
+        q = (self.rest + self.tau**2) / (self.rest + self.posterior.funnel_errors(y) ** 2)
+        return [(block.stretch(q), block.shift(q)) for block in self.blocks]
 
-    def _stretch(self, result: Array, stretches: list[Array]) -> Array:
-        for block, stretch in zip(self.blocks, stretches, strict=True):
+    def _stretch(self, result: Array, stretches: list[tuple[Array, Array | float]]) -> Array:
+        for block, (stretch, shift) in zip(self.blocks, stretches, strict=True):
             centre = self.centre[block.index]
             local = (result[:, block.index] - centre) @ block.inverse.T
-            result[:, block.index] = centre + (local * stretch) @ block.basis.T
+            result[:, block.index] = centre + (local * stretch + shift) @ block.basis.T
         return result
 
     def _unbend(self, x: Array) -> Array:
@@ -164,7 +174,7 @@ class Straightening:
     def x_from_y(self, y: Array) -> Array:
         """Return straight coordinates."""
         x, n = self._curve(y.copy(), -1.0), self.posterior.n_geometry
-        x = self._stretch(x, [1.0 / s for s in self._stretches(y)])
+        x = self._stretch(x, [(1.0 / stretch, -shift / stretch) for stretch, shift in self._stretches(y)])
         if self.bend is not None:
             x[:, n:] = self.bend.inverse(y[:, n:])
         return x
@@ -174,7 +184,7 @@ class Straightening:
         y = self._unbend(x)
         stretches = self._stretches(y)
         total = np.zeros(len(x))
-        for stretch in stretches:
+        for stretch, _ in stretches:
             total += np.log(stretch).sum(axis=-1)
         if self.bend is not None:
             total += self.bend.log_slope(x[:, self.posterior.n_geometry :])
@@ -201,5 +211,6 @@ def straighten(posterior: Target, mode: Mode) -> Straightening:
             shares[group] = eigenvalues
         else:
             shares = np.array([np.diag(basis.T @ part[local] @ basis) for part in funnel.parts])
-        blocks.append(Block(index, basis, np.linalg.inv(basis), np.maximum(shares, 0.0)))
+        scores = None if funnel.scores is None else funnel.scores[:, index] @ basis
+        blocks.append(Block(index, basis, np.linalg.inv(basis), np.maximum(shares, 0.0), scores))
     return Straightening(posterior, mode.y, tuple(blocks), funnel.rest, funnel.tau)

@@ -69,8 +69,8 @@ class Target(Prospect, Protocol):
 
     # --- straightening -------------------------------------------------------------------------------------------
 
-    def tau(self, y: Array) -> Array:
-        """Return the model error of each group, (B, n) to (B, N)."""
+    def funnel_errors(self, y: Array) -> Array:
+        """Return the errors that make the geometry uncertain, (B, n) to (B, N); of no matter without a funnel."""
 
     def groups(self) -> list[np.ndarray]:
         """Return which coordinates of the geometry belong to each group."""
@@ -102,8 +102,12 @@ class Funnel(Protocol):
 
     @property
     def tau(self) -> Array:
-        """Each group's model error, shape (N,)."""
+        """Each of `Target.funnel_errors` there, shape (N,)."""
 
     @property
     def parts(self) -> Array | None:
         """What of the information each model error governs, shape (N, m, m); None where group i's governs group i."""
+
+    @property
+    def scores(self) -> Array | None:
+        """What of the data's gradient each model error governs, shape (N, m); None where the centre stays."""

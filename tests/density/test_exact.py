@@ -9,6 +9,8 @@ from scipy.stats import multivariate_normal
 
 from bayescal.density.exact import CommonErrors, ExactDensity
 from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.model_error import LinearKernel, SmoothKernel
+from bayescal.density.structured import StructuredLikelihood
 from bayescal.machines.deformations.matrix import MatrixDeformation
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.numerics.geometry import compute_pose_error
@@ -18,6 +20,7 @@ NOISE = 1.5e-3
 TAU = np.array([0.5, 1.0, 2.0, 3.0, 5.0, 8.0]) * 1e-3
 UNIT = np.array([1.0] * 3 + [1e3] * 3)  # mm and mrad keep covariances well scaled
 PARAMETER_SPREAD = 0.5
+SLOW_CASE = pytest.param("stiffness", "matrix", marks=pytest.mark.slow)
 
 
 def draw_setup(model, deformation, seed, n_poses=4):
@@ -142,6 +145,33 @@ def differentiate_by_matrix(machine, theta, actuators):
         moved = compute_pose_error(upper.position, upper.rotation, lower.position, lower.rotation)
         columns.append(moved.ravel() / 2e-4)
     return np.stack(columns, axis=1)
+
+
+@pytest.mark.parametrize("kernel", [LinearKernel(), SmoothKernel(2.0)], ids=lambda one: one.name)
+@pytest.mark.parametrize(("model", "deformation"), [("six_pus", "none"), SLOW_CASE])
+def test_structured_errors_are_functions_of_the_legs_travel(model, deformation, kernel):
+    """The covariance of all poses at once, each leg's error a function of the travel; common errors beside it."""
+    machine, theta, poses, rng = draw_setup(model, deformation, 3)
+    scale, travel = rng.uniform(2e-3, 9e-3, 6), 1.3
+    inputs = (poses.actuators - machine.mechanism.initial_actuator_positions) / travel
+    common = CommonErrors(rng.normal(0, 1, (4, 6, 2)), 1e-6 * np.array([[2.0, 0.5], [0.5, 1.0]]))
+    likelihood = PoseLikelihood(machine, poses, NOISE)
+    structured = StructuredLikelihood(likelihood, kernel, travel)
+    errors = np.concatenate([TAU, scale])
+    legs = differentiate_legs(machine, theta, poses.actuators)
+    function = np.einsum("pij,pq,j,qkj->piqk", legs, kernel(inputs, inputs), scale**2, legs).reshape(24, 24)
+    alone = spread_out(reference_covariance(machine, theta, poses))
+    error = find_error(machine, theta, poses).ravel()
+    expected = log_normal(error, alone + function)
+    found = ExactDensity(likelihood, NOISE, structured=structured)(theta[None], errors)[0]
+    assert found == pytest.approx(expected, abs=1e-4)
+    assert abs(log_normal(error, alone) - expected) > 1.0
+    # what is common adds to the covariance, whatever else does
+    both = ExactDensity(likelihood, NOISE, common, structured=structured)(theta[None], errors)[0]
+    one = ExactDensity(likelihood, NOISE, common)(theta[None], TAU)[0]
+    none = ExactDensity(likelihood, NOISE, common, structured=structured)(theta[None], np.append(TAU, 0 * TAU))[0]
+    assert none == pytest.approx(one, abs=1e-9)
+    assert abs(both - found) > 1e-3
 
 
 def test_redundant_legs_keep_the_density_of_the_hot_path():

@@ -21,6 +21,9 @@ from bayescal.density.structured import StructuredLikelihood, map_covariance
 from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.density.structured_prediction import pointwise_given, predict_structured
 from bayescal.errors import InputError
+from bayescal.inference.exploration import explore
+from bayescal.inference.mode import Mode
+from bayescal.inference.straightening import straighten
 
 N_POSES, N_HELD = 12, 3
 KERNELS = [LinearKernel(), QuadraticKernel(2.0), SmoothKernel(1.5)]
@@ -251,3 +254,44 @@ def test_too_few_poses_and_poses_not_measured_alike_are_refused(poses):
     uneven = type(found)(found.names, found.position, found.rotation, covariance, found.actuators)
     with pytest.raises(InputError, match=r"pose '5': found a covariance .* measured alike"):
         StructuredLikelihood(PoseLikelihood(machine, uneven, machines.ACTUATOR_NOISE), LinearKernel(), 1.3)
+
+
+# --- straightening ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def wrong():
+    """A posterior of poses that an unknown linear error moves, its scale hardly known, at a start near its mode."""
+    machine, actuators = machines.build_machine("none"), machines.table_3_actuators()[:24]
+    slopes = 0.01 * np.random.default_rng(2).standard_normal((6, 6)) / machines.ACTUATOR_RANGE
+    false = (actuators - machines.INITIAL_POSITION) @ slopes.T
+    moved = machines.place_poses(machine, machines.telescope_truth(machine), actuators + false, np.zeros((24, 6)))
+    told = type(moved)(moved.names, moved.position, moved.rotation, moved.covariance, actuators)
+    likelihood = PoseLikelihood(machine, told, machines.ACTUATOR_NOISE)
+    posterior = build_posterior((likelihood,), LinearKernel(), True)
+    y = posterior.approach()
+    y[posterior.n_geometry : -1] = -1.5
+    return posterior, posterior.polish(y)
+
+
+@pytest.mark.slow
+def test_proposal_holds_a_scale_that_is_hardly_known(wrong):
+    """The joint mode with the geometry that makes up for it is not where the scale's mass is: 1 % otherwise."""
+    found = explore(wrong[0], np.random.SeedSequence(0), max_pilots=0)
+    assert found.efficiency > 0.3
+    scale = wrong[0].scales(found.straight.y_from_x(found.proposal.draw(400, np.random.default_rng(1))))[:, 0]
+    assert np.median(scale) > 1.2 * wrong[0].scales(found.modes[0].y[None])[0, 0]
+
+
+def test_straight_coordinates_lead_back_and_keep_volumes(wrong):
+    posterior, y = wrong
+    straight = straighten(posterior, Mode(y, 0.0, np.eye(len(y)), True))
+    x = straight.x_from_y(y[None])[0]
+    x[-1] += 1.5
+    x[: posterior.n_geometry] += 0.01
+    there = straight.y_from_x(x[None])
+    np.testing.assert_allclose(straight.x_from_y(there)[0], x, atol=1e-9)
+    slope = machines.stencil_derivative(straight.y_from_x, x, np.full(len(x), 1e-3))
+    volume = straight.log_density(x[None]) - posterior.log_density(there)
+    assert volume[0] == pytest.approx(np.linalg.slogdet(slope)[1], abs=1e-5)
+    assert abs(volume[0]) > 1.0

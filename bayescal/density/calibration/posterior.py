@@ -320,7 +320,7 @@ class CalibrationPosterior:
         del y
         return []
 
-    def tau(self, y: Array) -> Array:
+    def funnel_errors(self, y: Array) -> Array:
         """Return the noise of each group of channels over the stated one, (B, n) to (B, N), rms of its readings."""
         own, tau = self.deviations(y)
         there, square = self.likelihood.data.present, (own**2 + tau**2) / self.likelihood.sd**2
@@ -345,5 +345,5 @@ class CalibrationPosterior:
         rows = np.sqrt(self.likelihood.trust(at.square)[0])[:, None, None] * (project_out(slope) @ by_parameters)
         # information is a sum over white readings, homogeneous in their precisions: each group's share is its readings'
         parts = np.einsum("gk,pki,pkj->gij", self.noise.groups, rows, rows, optimize=True)
-        tau = self.tau(y[None])[0]
+        tau = self.funnel_errors(y[None])[0]
         return Funnel(parts.sum(axis=0), np.eye(self.n_geometry), np.full(len(tau), 1e-12), tau, parts)

@@ -172,7 +172,7 @@ class SelfCalibrationPosterior:
         del y
         return []
 
-    def tau(self, y: Array) -> Array:
+    def funnel_errors(self, y: Array) -> Array:
         """Return no model errors, shape (B, 0)."""
         return np.empty((*y.shape[:-1], 0))
 

@@ -106,9 +106,9 @@ def build_costly(exact: ExactDensity, exploration: Exploration) -> CostlyDensity
 
     def excess(x: Array) -> Array:
         y = straight.y_from_x(x)
-        theta, tau = posterior.theta(y), posterior.tau(y)
+        theta, errors = posterior.theta(y), posterior.model_errors(y)
         with np.errstate(invalid="ignore"):
-            found = exact(theta, tau) - posterior.likelihood(theta, tau)
+            found = exact(theta, errors) - posterior.likelihood(theta, errors)
         return np.where(np.isfinite(found), found, -np.inf)
 
     information = _inform(posterior, exact, straight, exploration.modes[0].y)
@@ -121,9 +121,8 @@ def _inform(posterior: Posterior, exact: ExactDensity, straight: Straightening, 
     That on the model errors is taken as the same.
     """
     theta = posterior.theta(y[None])[0]
-    tau = np.broadcast_to(posterior.tau(y[None]), (1, posterior.likelihood.n_legs))[0]
     change = posterior.coordinates.jacobian(theta)
-    more = change.T @ exact.information(theta, tau) @ change - posterior.information(y)[0]
+    more = change.T @ exact.information(theta, posterior.model_errors_at(y)) @ change - posterior.information(y)[0]
     return pull_back(straight, y, more)
 
 

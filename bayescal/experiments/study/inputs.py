@@ -192,10 +192,12 @@ class StudyInputs:
         None where these are not measured, and where they may be blunders: to these it hardly matters.
         """
         likelihood = posterior.likelihood
-        if not isinstance(likelihood, PoseLikelihood) or isinstance(posterior, RobustPosterior):
+        structured = likelihood if isinstance(likelihood, StructuredLikelihood) else None
+        poses = likelihood if structured is None else structured.base
+        if not isinstance(poses, PoseLikelihood) or isinstance(posterior, RobustPosterior):
             return None
         noise = self.config.data.actuator_noise_um * MICROMETRE
-        return ExactDensity(likelihood, noise, self.matrix_errors(variant, verification=False))
+        return ExactDensity(poses, noise, self.matrix_errors(variant, verification=False), structured=structured)
 
     def matrix_variance(self, variant: VariantConfig, verification: bool) -> Array | None:
         """Return v_ni of the poses of one use (P, N) in mm² where a variant's K was measured, otherwise None.
@@ -265,7 +267,7 @@ class StudyInputs:
                     f"blunders: found them beside kernel {self.kernel_name(variant)!r}, by which poses depend on each "
                     f"other, expected kernel {INDEPENDENT!r}"
                 )
-            structured = self._structure(likelihood, self.kernel_name(variant))
+            structured = self._structure(likelihood, variant)
             return StructuredPosterior(structured, priors, error, fixed, kernel_scale=self._kernel_scale)
         plain = Posterior(likelihood, priors, error, fixed)
         blunders = self.config.blunders
@@ -280,15 +282,16 @@ class StudyInputs:
         """Whether any variant has a structured model error."""
         return any(self.kernel_name(variant) != INDEPENDENT for variant in self.config.variants)
 
-    def _structure(self, likelihood: Likelihood, kernel: str) -> StructuredLikelihood:
-        """Return the density of the calibration poses with a structured model error."""
+    def _structure(self, likelihood: Likelihood, variant: VariantConfig) -> StructuredLikelihood:
+        """Return the density of the calibration poses with a variant's structured model error."""
+        kernel = self.kernel_name(variant)
         if not isinstance(likelihood, PoseLikelihood):
             raise InputError(
                 f"model_error.kernel: found {kernel!r} with poses measured in part, points, or frames to be found, "
                 f"expected whole poses in known frames, or kernel {INDEPENDENT!r}"
             )
         check_memory(_estimate_kernel(likelihood.n_poses, likelihood.n_legs), 1)
-        length = self.config.model_error.kernel_length
+        length = variant.kernel_length or self.config.model_error.kernel_length
         return StructuredLikelihood(likelihood, build_kernel(kernel, length), self.mechanism.actuator_range)
 
     @property

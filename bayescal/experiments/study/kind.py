@@ -14,6 +14,10 @@ from rich.console import Console
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.config.classes import label_class
 from bayescal.config.registry import find_class
+from bayescal.density.model_error import INDEPENDENT
+from bayescal.density.posterior import Posterior
+from bayescal.density.robust import RobustPosterior
+from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.memory import Need
@@ -99,13 +103,15 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
     def measure(
         self, config: StudyConfig, path: Path, choice: VariantChoice, with_model_error: bool
     ) -> MeasuredVariant:
-        """Return a variant of the study in a file; InputError where no whole poses were measured."""
+        """Return a variant of the study in a file; InputError where no whole poses were measured by one noise each."""
         chosen, inputs = choose_variant(config, path, choice), load_inputs(config, path.parent)
         if not inputs.measured.has_poses:
             raise InputError(
                 f"{path}: data: found poses measured in part, points, or frames to be found, expected whole poses in "
                 "known frames, since audits and checks of data start from these"
             )
+        posterior = inputs.posterior(chosen, with_model_error)
+        _check_noise(posterior, inputs, chosen, path)
         left = inputs.matrix_variance(chosen, verification=False)
         priors, fixed = inputs.priors(chosen)
         return MeasuredVariant(
@@ -116,7 +122,7 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
             machine=inputs.machine(chosen),
             priors=priors,
             fixed=fixed,
-            posterior=inputs.posterior(chosen, with_model_error),
+            posterior=posterior,
             poses=inputs.poses(verification=False),
             actuator_noise=config.data.actuator_noise_um * MICROMETRE,
             left_variance=0.0 if left is None else float(left.mean()),
@@ -196,3 +202,14 @@ def _describe_variant(results: str, name: str, fit: Mapping[str, Any]) -> dict[s
         "elpd_verification": float(held.get("elpd", np.nan)),
         "converged": "yes" if fit["converged"] else "NO",
     }
+
+
+def _check_noise(posterior: Posterior, inputs: StudyInputs, variant: VariantConfig, path: Path) -> None:
+    """Raise InputError for errors of poses that audits and checks do not have: functions of the pose, and blunders."""
+    if isinstance(posterior, StructuredPosterior):
+        raise InputError(
+            f"{path}: variant {variant.name!r}: found kernel {inputs.kernel_name(variant)!r} of its model error, "
+            f"expected {INDEPENDENT!r}: audits and checks have no errors that are functions of the pose"
+        )
+    if isinstance(posterior, RobustPosterior):
+        raise InputError(f"{path}: found blunders, expected none: audits and checks have no poses that may be spoilt")

@@ -106,7 +106,7 @@ class VariantConfig(Section):
 
     Without a name of its own a variant is called after model and deformation, ``six_pus/none``; several free sets of
     one model and deformation, or several kernels of the model error, need names. A name has no slash, so that nobody
-    takes it for the other kind.
+    takes it for the other kind. Kernels of several lengths are variants, too: their evidences weigh the lengths.
     """
 
     model: Annotated[str, ClassMark("MODELS")]
@@ -115,6 +115,7 @@ class VariantConfig(Section):
     free: Annotated[list[str], Field(min_length=1)]
     published: InputFile | None = None
     model_error: KernelName | None = Field(default=None, exclude_if=lambda value: value is None)
+    kernel_length: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
 
     @property
     def has_own_name(self) -> bool:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches
+from bayescal.density.model_error import SCALE, LinearKernel, is_model_error
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.density.structured_prediction import pointwise_given, predict_structured
@@ -15,7 +17,7 @@ from bayescal.numerics.geometry import Array
 if TYPE_CHECKING:
     from bayescal.experiments.study.inputs import StudyInputs
 
-KEPT_FOR_G = 500  # draws for the error g: its mean and interval need no more
+FEWEST_DRAWS = 20  # with an error, that its scale is told
 
 
 def evaluate_structured(
@@ -50,26 +52,66 @@ def evaluate_structured(
     return {"log_likelihood": pointwise.T, "misfit": misfit, **vars(made.summarise()), **by_pose}, more
 
 
-def describe_structured(inputs: StudyInputs, name: str, arrays: dict[str, Array]) -> dict[str, Any]:
-    """Return how large the structured error of a variant is, along which motion, and what explains it; µm."""
+def describe_structured(
+    inputs: StudyInputs, names: Sequence[str], variant: str, arrays: dict[str, Array]
+) -> dict[str, Any]:
+    """Return how large the structured error of a variant is, along which motion, and what explains it; µm.
+
+    ``names`` are those of its draws.
+    """
     used = ~inputs.verification
     size = 1e3 * arrays["structured_size"]
     mean = arrays["structured_mean"][used]
     travel, slopes = inputs.displacement[used] / inputs.mechanism.actuator_range, fit_slopes(inputs, arrays)
-    legs, actuators = np.unravel_index(np.argmax(np.abs(slopes)), slopes.shape)
+    sd = arrays["structured_slopes"].std(axis=0)
     return {
-        "kernel": inputs.kernel_name(inputs.variant(name)),
+        "kernel": _name_kernel(inputs, variant),
         "present": arrays["structured_present"].tolist(),
         "rms_um": {
             "mean": size.mean(axis=0).tolist(),
             "q05": np.quantile(size, 0.05, axis=0).tolist(),
             "q95": np.quantile(size, 0.95, axis=0).tolist(),
         },
+        "scale": _describe_scales(inputs, names, arrays["draws"]),
         "slope_um": (1e3 * slopes).tolist(),
+        "slope_sd_um": (1e3 * sd).tolist(),
         "linear_share": _share(mean, travel @ slopes.T),
-        "largest": {"leg": int(legs) + 1, "actuator": int(actuators) + 1, "um": float(1e3 * slopes[legs, actuators])},
+        "surest": _find_surest(slopes, arrays["structured_slopes"]),
         "explained": explain(inputs, arrays),
     }
+
+
+def _name_kernel(inputs: StudyInputs, variant: str) -> str:
+    """Return a variant's kernel with its length, if it has one."""
+    config = inputs.variant(variant)
+    name, length = inputs.kernel_name(config), config.kernel_length or inputs.config.model_error.kernel_length
+    return name if name == LinearKernel.name else f"{name}, length {length:g}"
+
+
+def _describe_scales(inputs: StudyInputs, names: Sequence[str], draws: Array) -> list[dict[str, float]]:
+    """Return each scale where there is an error, µm, and the sd of its logarithm over that of the prior.
+
+    Where hardly less is left of the prior's sd the scale is what was stated, not what was measured.
+    """
+    found = []
+    for k in (k for k, name in enumerate(names) if is_model_error(name) and name.startswith(SCALE)):
+        there = draws[..., k][draws[..., k] > 0.0]
+        if len(there) < FEWEST_DRAWS:
+            continue
+        low, middle, high = (1e3 * float(x) for x in np.quantile(there, [0.05, 0.5, 0.95]))
+        left = float(np.log(there).std() / inputs.config.model_error.kernel_spread)
+        found.append({"median_um": middle, "q05_um": low, "q95_um": high, "prior_sd_left": left})
+    return found
+
+
+def _find_surest(slopes: Array, draws: Array) -> dict[str, float]:
+    """Return the leg and actuator whose slope is most of its posterior sd, with its 90 % interval, µm."""
+    sd = draws.std(axis=0)
+    sure = np.abs(slopes) / np.where(sd > 0.0, sd, np.inf)
+    leg, actuator = np.unravel_index(np.argmax(sure), slopes.shape)
+    low, high = (1e3 * float(x) for x in np.quantile(draws[:, leg, actuator], [0.05, 0.95]))
+    mean = 1e3 * float(slopes[leg, actuator])
+    return {"leg": int(leg) + 1, "actuator": int(actuator) + 1, "um": mean, "q05_um": low, "q95_um": high}
 
 
 def fit_slopes(inputs: StudyInputs, arrays: dict[str, Array]) -> Array:

@@ -71,7 +71,7 @@ def summarise_fit(inputs: StudyInputs, variant: str, with_model_error: bool, arr
             "elpd_pose_by_pose": compute_elpd(pointwise),
         }
     if "structured_mean" in arrays:
-        summary["structured_error"] = describe_structured(inputs, variant, arrays)
+        summary["structured_error"] = describe_structured(inputs, posterior.names, variant, arrays)
     summary["distance_from_nominal"] = _measure_distance(summary["parameters"])
     for key in ("misfit", "pulls"):
         chi2, dof = (float(x) for x in arrays[f"{key}_chi2"])

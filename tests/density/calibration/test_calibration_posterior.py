@@ -171,7 +171,7 @@ def test_each_noise_governs_its_share_of_the_information(correlation, rng):
 
 def test_the_noise_of_each_group_is_counted_by_itself(rng):
     posterior, y, _ = lines_posterior(rng, noise=unknown_noise(4, True, True, 0.1))
-    tau, own = posterior.tau(y[None])[0], posterior.noise.natural(y[posterior.n_geometry :])
+    tau, own = posterior.funnel_errors(y[None])[0], posterior.noise.natural(y[posterior.n_geometry :])
     sd = posterior.likelihood.sd[0, 0]
     expected = {
         (1, 0, 0, 0): own[0],

@@ -157,6 +157,21 @@ def test_designs_at_fault_are_told_in_one_line(old, new, said, design):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[model_error]", '[model_error]\nkernel = "linear"', "found kernel 'linear' of its model error, expected"),
+        ("[model_error]", "[blunders]\n[model_error]", "found blunders, expected none"),
+    ],
+)
+def test_errors_that_an_audit_does_not_have_are_refused(old, new, said, design):
+    studies.edit(design.parent / "tiny" / "study.toml", old, new)
+    with pytest.raises(InputError) as caught:
+        _read(design)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
 def test_the_studys_own_mechanism_may_be_named(design):
     studies.edit(design, "seed = 5", 'seed = 5\nmechanism = "tiny/../tiny/mechanism.toml"')
     assert _read(design).plan.n_poses == studies.N_CALIBRATION

@@ -59,8 +59,14 @@ def _state_group(results: StudyResults, rows: pd.DataFrame, names: list[str]) ->
     worth = format_span([abs(x) for x in gains])
     return Statement(
         f"{name_variants(results, names)}: τ is {span} µm; the measurements {call} (log-evidence {worth} nat {level} "
-        "than with τ = 0)."
+        f"than with {_name_nothing(results, names)})."
     )
+
+
+def _name_nothing(results: StudyResults, names: list[str]) -> str:
+    """Return what variants without any model error have none of."""
+    structured = any("structured_error" in results.fit(name, "free") for name in names)
+    return "neither τ nor a structured error" if structured else "τ = 0"
 
 
 def read_prior_scale(results: StudyResults) -> float | None:

@@ -301,6 +301,7 @@ def write_results(
     publication=None,
     drive="base",
     name="results",
+    structured=None,
 ) -> Path:
     """Write a results directory below a parent and return its path; ``change`` edits the summary in place."""
     folder = parent / name
@@ -326,6 +327,8 @@ def write_results(
         tables["claims"] = tabulate_claims()
     if flexure:
         tables["flexure"] = tabulate_flexure()
+    if structured is not None:
+        tables["structured"] = structured
     posteriors = {f"posterior/{variant.replace('/', '-')}.nc": write_draws for variant in variants if draws}
     frame.write_results(frame.Results(summary, tables, posteriors, provenance), folder, tables_in="tables")
     return folder

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,7 +21,10 @@ from bayescal.report.style import GREY, INK, RED
 
 SHADES = {"calibration": 0.85, "verification": 0.35}
 WIDTH = 0.38
+CROWDED = 4  # variants beyond which labels and numbers stand aslant
 MARGINS = {"left": 0.065, "right": 0.995, "bottom": 0.11, "top": 0.89, "wspace": 0.16}
+CROWDED_MARGINS = MARGINS | {"bottom": 0.34, "top": 0.93}
+SLANTED: dict[str, Any] = {"rotation": 25, "ha": "right", "rotation_mode": "anchor", "fontsize": 7}
 BOUND = "position_bound_95_mm"
 
 
@@ -36,12 +40,13 @@ def draw_error_bars(predictions: pd.DataFrame, variants: Sequence[str], styles: 
     styles : mapping
     title : str
     """
-    figure = Figure(figsize=(9.4, 2.2))
+    crowded = len(variants) > CROWDED
+    figure = Figure(figsize=(9.4, 3.6 if crowded else 2.2))
     figure.set_layout_engine("none")  # fixed margins take half the time
     frame = predictions[predictions["model_error"] == "free"]
     uses = [use for use in SHADES if (frame["use"] == use).any()]
     quantities = list_quantities(predictions)
-    panels = figure.subplots(1, len(quantities), gridspec_kw=MARGINS, squeeze=False)[0]
+    panels = figure.subplots(1, len(quantities), gridspec_kw=CROWDED_MARGINS if crowded else MARGINS, squeeze=False)[0]
     models, deformations = ({getattr(styles[name], what) for name in variants} for what in ("model", "deformation"))
     by_model = len(models) > 1 and len(deformations) == 1
     labels = [styles[name].model if by_model else styles[name].label for name in variants]
@@ -50,10 +55,10 @@ def draw_error_bars(predictions: pd.DataFrame, variants: Sequence[str], styles: 
         for k, name in enumerate(variants):
             for use, side in zip(uses, (-1, 1) if len(uses) > 1 else (0,), strict=True):
                 mean, largest = (float(errors[what][name, use]) for what in ("mean", "max"))
-                _draw_bar(axes, k, side, mean, largest, styles[name].colour, SHADES[use])
-        axes.set_ylim(0, 1.14 * float(errors["max"].max()) or 1.0)
+                _draw_bar(axes, k, side, mean, largest, styles[name].colour, SHADES[use], crowded)
+        axes.set_ylim(0, (1.35 if crowded else 1.14) * float(errors["max"].max()) or 1.0)
         axes.set_xlim(-0.6, max(len(variants), 3) - 0.4)
-        axes.set_xticks(range(len(variants)), labels)
+        axes.set_xticks(range(len(variants)), labels, **(SLANTED if crowded else {}))
         axes.tick_params(axis="x", length=0)
         axes.set_ylabel(label)
         axes.grid(axis="y")
@@ -70,12 +75,17 @@ def draw_error_bars(predictions: pd.DataFrame, variants: Sequence[str], styles: 
     return figure
 
 
-def _draw_bar(axes: Axes, place: float, side: int, mean: float, largest: float, colour: str, shade: float) -> None:
-    """Draw a bar left (-1) or right (1) of a place or on it (0); its numbers reach away from its neighbour."""
+def _draw_bar(
+    axes: Axes, place: float, side: int, mean: float, largest: float, colour: str, shade: float, upright: bool
+) -> None:
+    """Draw a bar left (-1) or right (1) of a place or on it (0); its numbers reach away from its neighbour, or up."""
     centre = place + 0.5 * side * WIDTH
     axes.bar(centre, largest, width=0.94 * WIDTH, color=colour, alpha=shade, linewidth=0)
     axes.hlines(mean, centre - 0.47 * WIDTH, centre + 0.47 * WIDTH, color=INK, linewidth=1.6)
     text = f"{format_significant(mean, 2)}/{format_significant(largest, 2)}"
+    if upright:
+        axes.annotate(text, (centre, largest), (0, 2), textcoords="offset points", ha="center", fontsize=6, rotation=90)
+        return
     align = {-1: "right", 0: "center", 1: "left"}[side]
     axes.annotate(text, (place, largest), (3 * side, 2), textcoords="offset points", ha=align, fontsize=7)
 

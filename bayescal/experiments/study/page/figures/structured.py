@@ -1,15 +1,52 @@
-"""The structured model error of every leg along the actuator that tells most of it."""
+"""The structured model error: its slopes, its size, and its course along the actuator that tells most of it."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from bayescal.report.numbers import format_fixed
 from bayescal.report.style import GREY, INK
 
 COLUMNS = 3
+PALE = 0.55  # share of the colours' range up to which dark numbers are read
+
+
+def draw_slopes(one: dict[str, Any]) -> Figure:
+    """Return the matrix of slopes, leg by actuator, and the size of each leg's error.
+
+    Parameters
+    ----------
+    one : mapping
+        ``slope_um`` and ``slope_sd_um``, N rows of N numbers, and ``rms_um`` with ``mean``, ``q05`` and ``q95``.
+    """
+    slopes, sd = np.array(one["slope_um"]), np.array(one["slope_sd_um"])
+    n_legs = len(slopes)
+    figure = Figure(figsize=(9.4, 0.9 + 0.36 * n_legs))
+    left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": (2.2, 1.0)})
+    top = float(np.abs(slopes).max()) or 1.0
+    left.imshow(slopes, cmap="RdBu_r", vmin=-top, vmax=top, aspect="auto")
+    for i, j in np.ndindex(*slopes.shape):
+        text = f"{format_fixed(float(slopes[i, j]), 0, sign=True)} ± {format_fixed(float(sd[i, j]), 0)}"
+        colour = INK if abs(slopes[i, j]) < PALE * top else "white"
+        left.text(j, i, text, ha="center", va="center", fontsize=8, color=colour)
+    left.set_xticks(range(n_legs), [f"actuator {k + 1}" for k in range(n_legs)])
+    left.set_yticks(range(n_legs), [f"leg {k + 1}" for k in range(n_legs)])
+    left.tick_params(length=0)
+    left.spines[:].set_visible(False)
+    left.set_title("Error with the actuator at the end of its range (µm)")
+    mean, low, high = (np.array(one["rms_um"][key]) for key in ("mean", "q05", "q95"))
+    right.errorbar(mean, range(n_legs), xerr=[mean - low, high - mean], fmt="o", color=INK, markersize=4)
+    right.set_ylim(n_legs - 0.5, -0.5)
+    right.set_yticks(range(n_legs), [f"leg {k + 1}" for k in range(n_legs)])
+    right.set_xlim(left=0.0)
+    right.grid(axis="x")
+    right.set_title("Size over the poses (µm, rms)")
+    return figure
 
 
 def draw_structured(rows: pd.DataFrame) -> Figure:
