@@ -29,6 +29,7 @@ MAX_ROUNDS = 2
 PLAUSIBLE = 3.0  # nats that a lesser mode's mass may lose when it is sharpened; beyond, the steps went astray
 TELLING = 0.02  # below it a trial's efficiency is mostly chance, and the later proposal is the better guess
 TRIAL_DRAWS = 2000
+FINE_DRAWS, FINE_ENOUGH = 64, 0.9  # draws, and what share of them has to count by the density that leaves nothing out
 OWN_SHARE, CLUSTER_DOF = 0.2, 6.0  # of the proposal so far beside clusters of a pilot's draws, and their tails
 PILOT_STEPS = 100
 PILOT_BURN_IN = 40
@@ -68,7 +69,8 @@ def explore(
     """Find the modes, straighten the coordinates and fit a proposal.
 
     Laplace's approximation first; where a trial shows that it is not good enough, peaks refined over a posterior sd in
-    coordinates bent and curved to fit, twice; where these are not, pilot runs.
+    coordinates bent and curved to fit, twice; where these are not, pilot runs. Where what the density leaves out
+    matters at draws of Laplace's approximation, all of it begins anew with the posterior's finer density.
 
     Raises
     ------
@@ -81,6 +83,9 @@ def explore(
     straight = straighten(posterior, modes[0])
     peaks = [_peak_in(straight, mode) for mode in modes]
     best = _try_peaks(straight, peaks, modes, trial_rng)
+    finer = posterior.finer()
+    if finer is not None and not _is_fine(best, finer, np.random.default_rng(seed.generate_state(4))):
+        return explore(finer, seed, n_walkers, max_pilots)
     for round_ in range(MAX_ROUNDS):
         if best.efficiency >= GOOD_ENOUGH:
             return best
@@ -100,6 +105,18 @@ def explore(
         if efficiency > best.efficiency or best.efficiency < TELLING:
             best = Exploration(straight, proposal, modes, efficiency)
     return best
+
+
+def _is_fine(found: Exploration, finer: Target, rng: np.random.Generator) -> bool:
+    """Return whether a finer density would count nearly all draws of the proposal alike."""
+    y = found.straight.y_from_x(found.proposal.draw(FINE_DRAWS, rng))
+    coarse = found.straight.posterior.log_density(y)
+    known = np.isfinite(coarse)
+    log_weights = finer.log_density(y[known]) - coarse[known]
+    if not np.isfinite(log_weights).any():
+        return not known.any()
+    weights = np.exp(log_weights - log_weights.max())
+    return bool(weights.sum() ** 2 >= FINE_ENOUGH * known.sum() * (weights**2).sum())
 
 
 def add_clusters(found: Exploration, seed: np.random.SeedSequence, n_walkers: int = 128) -> Exploration:

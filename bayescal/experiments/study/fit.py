@@ -91,6 +91,7 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
     seed = np.random.SeedSequence([inputs.config.seed, zlib.crc32(task.key.encode())])
     explore_seed, importance_seed, ensemble_seed, bridge_seed, predict_seed, correct_seed = seed.spawn(6)
     exploration = explore(posterior, explore_seed, inputs.config.sampler.walkers)
+    posterior = _explored(exploration)
     importance = _importance(inputs.config, exploration, importance_seed)
     if importance.is_doubtful:
         other = add_clusters(exploration, explore_seed, inputs.config.sampler.walkers)
@@ -113,6 +114,13 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
     arrays |= list_corrected(arrays, correction)
     arrays["wall_seconds"] = np.array(time.perf_counter() - began)
     return arrays
+
+
+def _explored(exploration: Exploration) -> Posterior:
+    """Return the posterior that was explored: one with a finer density where that makes a difference."""
+    posterior = exploration.straight.posterior
+    assert isinstance(posterior, Posterior)
+    return posterior
 
 
 def _importance(config: StudyConfig, exploration: Exploration, seed: np.random.SeedSequence) -> ImportanceEvidence:
@@ -251,7 +259,7 @@ def _evaluate(
     for use, rng_seed in zip((False, True), seed.spawn(2), strict=True):
         if not np.any(held == use):
             continue
-        likelihood, rng = inputs.likelihood(variant, verification=use), np.random.default_rng(rng_seed)
+        likelihood, rng = posterior.as_fine(inputs.likelihood(variant, use)), np.random.default_rng(rng_seed)
         found: Arrays
         if isinstance(posterior, StructuredPosterior):
             found, more = evaluate_structured(posterior, likelihood, theta, errors, chosen, use, rng)
