@@ -64,28 +64,34 @@ def count_walkers(n_parameters: int, n_walkers: int) -> int:
 
 
 def explore(
-    posterior: Target, seed: np.random.SeedSequence, n_walkers: int = 128, max_pilots: int = MAX_PILOTS
+    posterior: Target,
+    seed: np.random.SeedSequence,
+    n_walkers: int = 128,
+    max_pilots: int = MAX_PILOTS,
+    *,
+    anew: bool = False,
 ) -> Exploration:
     """Find the modes, straighten the coordinates and fit a proposal.
 
     Laplace's approximation first; where a trial shows that it is not good enough, peaks refined over a posterior sd in
     coordinates bent and curved to fit, twice; where these are not, pilot runs. Where what the density leaves out
-    matters at draws of Laplace's approximation, all of it begins anew with the posterior's finer density.
+    matters at draws of Laplace's approximation, all of it is done again with the posterior's finer density. With
+    ``anew`` the search for modes begins from draws of the prior, too.
 
     Raises
     ------
     NumericalError
         Where no mode is found or no proposal draw has a finite density.
     """
-    modes = find_modes(posterior)
+    modes = find_modes(posterior, np.random.default_rng(seed.generate_state(4)) if anew else None)
     trial_seed, *pilot_seeds = seed.spawn(1 + MAX_PILOTS)
     trial_rng = np.random.default_rng(trial_seed)
     straight = straighten(posterior, modes[0])
     peaks = [_peak_in(straight, mode) for mode in modes]
     best = _try_peaks(straight, peaks, modes, trial_rng)
     finer = posterior.finer()
-    if finer is not None and not _is_fine(best, finer, np.random.default_rng(seed.generate_state(4))):
-        return explore(finer, seed, n_walkers, max_pilots)
+    if finer is not None and not _is_fine(best, finer, np.random.default_rng(seed.generate_state(5))):
+        return explore(finer, seed, n_walkers, max_pilots, anew=anew)
     for round_ in range(MAX_ROUNDS):
         if best.efficiency >= GOOD_ENOUGH:
             return best
