@@ -125,13 +125,17 @@ def _climb_if_possible(posterior: Target, start: Array, floor: float) -> Climb |
 
 
 def _climb_scattered(posterior: Target, known: list[Climb], first: Mode, rng: np.random.Generator) -> list[Climb]:
-    """Return where climbs from draws of the prior end that least squares do not lead to known modes."""
+    """Return where climbs from draws of the prior end that least squares do not lead to known modes.
+
+    The draw's own model errors come first, large as they may be: a mode may need them to be in reach.
+    """
     found: list[Climb] = []
     n, sd = posterior.n_geometry, np.sqrt(np.diag(first.covariance))
     for start in posterior.draw_prior(N_SCATTERED, rng):
         if not (np.isfinite(start).all() and np.isfinite(posterior.log_density(start[None])[0])):
             continue
         y = posterior.polish(start)
+        y = posterior.polish(np.concatenate([y[:n], first.y[n:]]))
         if any(np.max(((y - mode[0]) / sd)[:n] ** 2, initial=0.0) < KNOWN for mode in (*known, *found)):
             continue
         if posterior.log_density(y[None])[0] < first.log_density - LOST:

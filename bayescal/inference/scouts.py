@@ -1,11 +1,11 @@
-"""Walkers that start where an overdispersed proposal finds mass: do they end where the others are?
+"""Walkers that start where an overdispersed proposal finds mass, and whether they end where the others are.
 
 Ensembles that all start from one proposal agree about what that proposal misses, and neither R-hat nor effective sizes
-see it. Scouts start elsewhere, as Gelman and Rubin (1992) advise: draws of the proposal are stretched fourfold along one
-principal axis each, the looser an axis the more of them, and those are kept that their weights give mass. Where nothing
-is missed a few steps turn them into draws like all others. Where mass was missed, in a tail, beyond a bend or in a mode
-of its own, some stay: jumps that seldom lead there seldom are accepted from there. How many may stand where hardly any
-other draw is has a binomial bound.
+see it. Scouts start elsewhere, as Gelman and Rubin (1992) advise: draws of the proposal are stretched fourfold along
+one principal axis each, the looser an axis the more of them, and those are kept that their weights give mass. Where
+nothing is missed a few steps turn them into draws like all others. Where mass was missed, in a tail, beyond a bend or
+in a mode of its own, some stay: jumps that seldom lead there seldom are accepted from there. How many may stand where
+hardly any other draw is has a binomial bound.
 """
 
 from __future__ import annotations
@@ -41,11 +41,8 @@ class Scouts:
 
 def send_scouts(exploration: Exploration, sample: Sample, seed: np.random.SeedSequence) -> Scouts:
     """Return where walkers that start far out end, against draws of ensembles that did not."""
-    density, wide, n_walkers = (
-        exploration.straight.log_density,
-        Stretched(exploration.proposal),
-        len(sample.straight[0]),
-    )
+    density, wide = exploration.straight.log_density, Stretched(exploration.proposal)
+    n_walkers, n = sample.straight.shape[1], sample.straight.shape[-1]
 
     def draw(n: int, rng: np.random.Generator) -> Array:
         x = wide.draw(N_DRAWS, rng)
@@ -57,7 +54,6 @@ def send_scouts(exploration: Exploration, sample: Sample, seed: np.random.SeedSe
 
     run = run_ensemble(density, exploration.proposal, seed, n_walkers, N_STEPS, 1, draw)
     last = np.column_stack([run.draws[:, -1], run.log_density[:, -1]])
-    n = sample.straight.shape[-1]
     others = np.column_stack([sample.straight.reshape(-1, n), sample.log_density.ravel()])
     rare = min(1.0, max(RARE, FEWEST / len(others)))
     low, high = np.quantile(others, [0.5 * rare, 1.0 - 0.5 * rare], axis=0)

@@ -20,8 +20,8 @@ from bayescal.inference.diagnostics import (
 from bayescal.inference.exploration import Exploration, add_clusters, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
-from bayescal.inference.scouts import Scouts, send_scouts
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
+from bayescal.inference.scouts import Scouts, send_scouts
 from bayescal.inference.target import Target
 from bayescal.inference.tempered import TemperedEvidence, estimate_by_tempering
 from bayescal.limits import AGREEMENT, PARETO_K_LIMIT
