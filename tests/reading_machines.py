@@ -176,6 +176,9 @@ class JointTarget:
     def curved_ridges(self) -> list:
         return []
 
+    def finer(self) -> None:
+        return None
+
     def funnel(self, y: np.ndarray) -> None:
         return None
 

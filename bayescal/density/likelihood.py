@@ -111,6 +111,15 @@ class Likelihood(ABC):
         """Return which poses are best worked on together, each with their density; by default all."""
         return [(slice(None), self)]
 
+    @property
+    def is_solved(self) -> bool:
+        """Whether nothing is left out of the rows for speed that could be had."""
+        return False
+
+    def solved(self) -> Likelihood | None:
+        """Return the same density without what its hot path leaves out of the rows; None where that is nothing."""
+        return None
+
     def pointwise(self, theta: Array, model_error: Array) -> Array:
         """Return the log-density of each pose.
 
@@ -187,6 +196,7 @@ class PoseLikelihood(Likelihood):
         self._low_rank = find_low_rank(pose, poses.covariance, self._known)
         self._scratch = Scratch()
         self._refinements = REFINEMENTS
+        self._solves = False
         self._whitening: tuple[Array, Array, Array] | None = None
 
     @property
@@ -231,6 +241,23 @@ class PoseLikelihood(Likelihood):
             setattr(other, name, getattr(self, name)[part])
         return other
 
+    @property
+    def is_solved(self) -> bool:
+        """Whether the pose errors are solved for, not refined step by step."""
+        return self._solves
+
+    def solved(self) -> Self | None:
+        """Return the same density with A(θ) e = f solved: slower, and right however much A(θ) differs from A⁰.
+
+        Steps of refinement gain little, or lead away, where the stiffness of legs is hardly known, for instance.
+        """
+        if self._solves:
+            return None
+        other = copy(self)
+        other.__dict__.pop("_parts", None)
+        other._scratch, other._solves = Scratch(), True
+        return other
+
     # --- residuals -----------------------------------------------------------------------------------------------
 
     def leg_errors_by_leg(self, theta: Array) -> Array:
@@ -246,6 +273,9 @@ class PoseLikelihood(Likelihood):
         closure = self._bound.evaluate(np.asfortranarray(theta))  # the batch contiguous
         n_legs, n_poses, n_batch = closure.shape
         result = self._scratch.take("leg errors", n_legs, n_poses, n_batch)
+        if self._solves:
+            result[:] = self._solve(closure)
+            return result
         both = self._scratch.take("error", self._to_error.shape[1], n_poses, n_batch)
         seen = closure
         for _ in range(self._refinements):
@@ -256,6 +286,26 @@ class PoseLikelihood(Likelihood):
             seen = np.subtract(seen, self._bound.along(error), out=result)  # (A⁰ - A(θ)) e
             seen += closure
         return seen
+
+    def _solve(self, closure: Array) -> Array:
+        """Return r (N, P, B) of closures f (N, P, B): the fixed point of the refinements, (1 + (A(θ) - A⁰) G) r = f."""
+        n_legs, n_poses, n_batch = closure.shape
+        unit = np.zeros((DEGREES_OF_FREEDOM, *closure.shape[1:]))
+        seen = np.empty((n_poses, n_batch, n_legs, DEGREES_OF_FREEDOM))
+        right = closure.transpose(1, 2, 0)[..., None].copy()
+        for k in range(DEGREES_OF_FREEDOM):
+            unit[:] = 0.0
+            unit[k] = 1.0
+            seen[..., k] = self._bound.along(unit).transpose(1, 2, 0)
+        left = seen @ self._gain[:, None]
+        nominal = self._to_error[:, DEGREES_OF_FREEDOM:]  # A⁰ G; left out where it is 1
+        nominal = nominal if self._seen is None else self._seen @ self._gain
+        left += (np.eye(n_legs) - nominal)[:, None] if nominal.size else 0.0
+        left[~np.isfinite(left).all(axis=(-1, -2))] = np.nan
+        try:
+            return np.linalg.solve(left, right)[..., 0].transpose(2, 0, 1)
+        except np.linalg.LinAlgError:  # of so many machines one has no pose derivative at all
+            return np.full(closure.shape, np.nan)
 
     def _find_closing_poses(self) -> tuple[Array, Array]:
         """Return the poses (P, 3), (P, 3, 3) that the nominal machine predicts; the measured ones where there is none.

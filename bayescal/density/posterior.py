@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -282,6 +282,15 @@ class Posterior:
     def _log_likelihood(self, y: Array, theta: Array) -> Array:
         """Return the log-likelihood, shape (B,), of coordinates (B, n) and their parameters (B, D)."""
         return self.likelihood(theta, self.model_errors(y))
+
+    def finer(self) -> Self | None:
+        """Return the same posterior without what the likelihood's hot path leaves out; None where that is nothing."""
+        likelihood = self.likelihood.solved()
+        return None if likelihood is None else replace(self, likelihood=likelihood)
+
+    def as_fine(self, likelihood: Likelihood) -> Likelihood:
+        """Return a likelihood of other poses that leaves out as much as this posterior's own does."""
+        return (likelihood.solved() or likelihood) if self.likelihood.is_solved else likelihood
 
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each pose, shape (B, P)."""

@@ -87,6 +87,13 @@ def list_stand_problems(longest_stand: int, n_steps: int) -> list[str]:
     return [f"a walker stood still for {longest_stand} of {n_steps} steps, limit {limit}"]
 
 
+def list_scout_problems(n_apart: int, n_walkers: int, limit: int) -> list[str]:
+    """Return in words whether walkers that started far out stayed there; empty where hardly any did."""
+    if n_apart < limit:
+        return []
+    return [f"{n_apart} of {n_walkers} walkers that started far out stayed where hardly any draw is, limit {limit}"]
+
+
 def list_importance_problems(pareto_k: float, n_effective: float) -> list[str]:
     """Return in words what speaks against the weights of importance sampling; empty where nothing does.
 

@@ -8,6 +8,7 @@ along the chain is that of the walkers.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import emcee
@@ -17,6 +18,8 @@ from bayescal.errors import NumericalError
 from bayescal.inference.importance import LogDensity, evaluate_in_batches
 from bayescal.inference.proposal import MixtureProposal
 from bayescal.numerics.geometry import Array
+
+type Draw = Callable[[int, np.random.Generator], Array]
 
 JUMP_SHARE = 0.7
 
@@ -46,8 +49,9 @@ def run_ensemble(
     n_walkers: int,
     n_burn_in: int,
     n_steps: int,
+    starts: Draw | None = None,
 ) -> Ensemble:
-    """Run one ensemble that starts at draws of the proposal.
+    """Run one ensemble that starts at draws of the proposal, or at those of ``starts``.
 
     Raises
     ------
@@ -55,7 +59,7 @@ def run_ensemble(
         Where walkers cannot be placed or the density is NaN.
     """
     seed_start, seed_moves = seed.spawn(2)
-    start = _draw_start(log_density, proposal, np.random.default_rng(seed_start), n_walkers)
+    start = _draw_start(log_density, starts or proposal.draw, np.random.default_rng(seed_start), n_walkers)
     state = emcee.State(start, random_state=np.random.RandomState(seed_moves.generate_state(8)).get_state())
 
     def jump(coordinates: Array, random: np.random.RandomState) -> tuple[Array, Array]:
@@ -76,11 +80,11 @@ def run_ensemble(
     return Ensemble(np.swapaxes(chain, 0, 1), density.T, acceptance)
 
 
-def _draw_start(log_density: LogDensity, proposal: MixtureProposal, rng: np.random.Generator, n: int) -> Array:
-    """Return n draws of the proposal with finite density."""
+def _draw_start(log_density: LogDensity, draw: Draw, rng: np.random.Generator, n: int) -> Array:
+    """Return n draws with finite density."""
     found: list[Array] = []
     for _ in range(50):
-        draws = proposal.draw(n, rng)
+        draws = draw(n, rng)
         found.extend(draws[np.isfinite(evaluate_in_batches(log_density, draws))])
         if len(found) >= n:
             return np.stack(found[:n])

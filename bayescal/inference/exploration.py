@@ -29,6 +29,7 @@ MAX_ROUNDS = 2
 PLAUSIBLE = 3.0  # nats that a lesser mode's mass may lose when it is sharpened; beyond, the steps went astray
 TELLING = 0.02  # below it a trial's efficiency is mostly chance, and the later proposal is the better guess
 TRIAL_DRAWS = 2000
+FINE_DRAWS, FINE_ENOUGH = 64, 0.9  # draws, and what share of them has to count by the density that leaves nothing out
 OWN_SHARE, CLUSTER_DOF = 0.2, 6.0  # of the proposal so far beside clusters of a pilot's draws, and their tails
 PILOT_STEPS = 100
 PILOT_BURN_IN = 40
@@ -63,41 +64,65 @@ def count_walkers(n_parameters: int, n_walkers: int) -> int:
 
 
 def explore(
-    posterior: Target, seed: np.random.SeedSequence, n_walkers: int = 128, max_pilots: int = MAX_PILOTS
+    posterior: Target,
+    seed: np.random.SeedSequence,
+    n_walkers: int = 128,
+    max_pilots: int = MAX_PILOTS,
+    *,
+    anew: bool = False,
 ) -> Exploration:
     """Find the modes, straighten the coordinates and fit a proposal.
 
     Laplace's approximation first; where a trial shows that it is not good enough, peaks refined over a posterior sd in
-    coordinates bent and curved to fit, twice; where these are not, pilot runs.
+    coordinates bent and curved to fit, twice; where these are not, pilot runs. Where what the density leaves out
+    matters at draws of Laplace's approximation, all of it is done again with the posterior's finer density. With
+    ``anew`` the search for modes begins from draws of the prior, too.
 
     Raises
     ------
     NumericalError
         Where no mode is found or no proposal draw has a finite density.
     """
-    return _explore_from(find_modes(posterior), posterior, seed, n_walkers, max_pilots, GOOD_ENOUGH)
+    modes = find_modes(posterior, np.random.default_rng(seed.generate_state(4)) if anew else None)
+    found = _explore_from(modes, posterior, seed, n_walkers, max_pilots, GOOD_ENOUGH)
+    if found is None:
+        return explore(_refine(posterior), seed, n_walkers, max_pilots, anew=anew)
+    return found
 
 
 def explore_near(
-    posterior: Target, starts: Array | None, seed: np.random.SeedSequence, n_walkers: int = 128
+    posterior: Target, starts: Array, seed: np.random.SeedSequence, n_walkers: int = 128, *, search: bool = False
 ) -> Exploration:
     """Find a proposal that is good enough for an evidence alone, of a posterior close to one that was explored.
 
     Parameters
     ----------
     posterior : Target
-    starts : ndarray, shape (M, n), or None
-        Where its modes are about; None where there may be others, which are searched for.
+    starts : ndarray, shape (M, n)
+        Where its modes are about.
     seed : SeedSequence
     n_walkers : int
+    search : bool
+        Whether there may be others, which are searched for.
 
     Raises
     ------
     NumericalError
         As `explore`.
     """
-    modes = find_modes(posterior) if starts is None else revisit_modes(posterior, starts)
-    return _explore_from(modes, posterior, seed, n_walkers, MAX_PILOTS, ACCEPTABLE)
+    others = [mode.y for mode in find_modes(posterior)] if search else []
+    modes = revisit_modes(posterior, [*starts, *others])
+    found = _explore_from(modes, posterior, seed, n_walkers, MAX_PILOTS, ACCEPTABLE)
+    if found is None:
+        return explore_near(_refine(posterior), starts, seed, n_walkers, search=search)
+    return found
+
+
+def _refine(posterior: Target) -> Target:
+    """Return a posterior's finer density, which it has."""
+    finer = posterior.finer()
+    assert finer is not None
+    return finer
 
 
 def _explore_from(
@@ -107,13 +132,19 @@ def _explore_from(
     n_walkers: int,
     max_pilots: int,
     enough: float,
-) -> Exploration:
-    """Straighten the coordinates around known modes and fit a proposal; it is sharpened until it is good enough."""
+) -> Exploration | None:
+    """Straighten the coordinates around known modes and fit a proposal; it is sharpened until it is good enough.
+
+    None where the density leaves out what matters there.
+    """
     trial_seed, *pilot_seeds = seed.spawn(1 + MAX_PILOTS)
     trial_rng = np.random.default_rng(trial_seed)
     straight = straighten(posterior, modes[0])
     peaks = [_peak_in(straight, mode) for mode in modes]
     best = _try_peaks(straight, peaks, modes, trial_rng)
+    finer = posterior.finer()
+    if finer is not None and not _is_fine(best, finer, np.random.default_rng(seed.generate_state(5))):
+        return None
     for round_ in range(MAX_ROUNDS):
         if best.efficiency >= enough:
             return best
@@ -133,6 +164,18 @@ def _explore_from(
         if efficiency > best.efficiency or best.efficiency < TELLING:
             best = Exploration(straight, proposal, modes, efficiency)
     return best
+
+
+def _is_fine(found: Exploration, finer: Target, rng: np.random.Generator) -> bool:
+    """Return whether a finer density would count nearly all draws of the proposal alike."""
+    y = found.straight.y_from_x(found.proposal.draw(FINE_DRAWS, rng))
+    coarse = found.straight.posterior.log_density(y)
+    known = np.isfinite(coarse)
+    log_weights = finer.log_density(y[known]) - coarse[known]
+    if not np.isfinite(log_weights).any():
+        return not known.any()
+    weights = np.exp(log_weights - log_weights.max())
+    return bool(weights.sum() ** 2 >= FINE_ENOUGH * known.sum() * (weights**2).sum())
 
 
 def add_clusters(found: Exploration, seed: np.random.SeedSequence, n_walkers: int = 128) -> Exploration:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -22,6 +23,9 @@ PATIENCE, HOPELESS = 20, 40.0  # steps after which a climb this many nats below 
 WORTH_KEEPING = 12.0  # a mode this many nats below the best holds no mass that matters
 WORTH_COMBINING = 7.0  # a combination of jumps expected to hold less than e^-7 of the best is not climbed
 MOST_COMBINATIONS = 63  # all of six jumps
+N_SCATTERED = 3  # draws of the prior from which the search begins anew
+KNOWN = 1.0  # square of the distance in posterior sds within which least squares have led back to a known mode
+LOST = 1e3  # nats below the best where least squares found no machine that fits
 
 type Climb = tuple[Array, float]
 
@@ -54,14 +58,20 @@ class Mode:
         return self.log_density + 0.5 * log_det + 0.5 * len(self.y) * np.log(2 * np.pi)
 
 
-def find_modes(posterior: Target) -> list[Mode]:
+def find_modes(posterior: Target, rng: np.random.Generator | None = None) -> list[Mode]:
     """Return the posterior's modes, best first: the one found from its own start, and those its jumps lead to.
 
     Each jump is tried, again from every better mode found, and then those combinations of jumps which the masses of
-    their modes give a mass that matters. A mode that holds none is dropped.
+    their modes give a mass that matters. A mode that holds none is dropped. With random numbers the search begins anew
+    from draws of the prior, too: where least squares lead all of them to known modes, it costs no climb.
     """
-    best, others = _follow_jumps(posterior)
+    best, others = _follow_jumps(posterior, _climb(posterior, posterior.approach()))
     first = _characterise(posterior, *best)
+    if rng is not None and (found := _climb_scattered(posterior, [best, *others], first, rng)):
+        best, others = _follow_jumps(
+            posterior, max([best, *found], key=lambda climb: climb[1]), [best, *others, *found]
+        )
+        first = _characterise(posterior, *best)
     worth = [other for other in others if other[1] > best[1] - 2 * WORTH_KEEPING]
     modes = [_characterise(posterior, *other) for other in worth]
     modes = [m for m in modes if m.converged and m.log_evidence > first.log_evidence - WORTH_KEEPING]
@@ -114,10 +124,32 @@ def _climb_if_possible(posterior: Target, start: Array, floor: float) -> Climb |
         return None
 
 
-def _follow_jumps(posterior: Target) -> tuple[Climb, list[Climb]]:
-    """Return the best mode that jumps reach, and the others seen on the way."""
-    best = _climb(posterior, posterior.approach())
-    others: list[Climb] = []
+def _climb_scattered(posterior: Target, known: list[Climb], first: Mode, rng: np.random.Generator) -> list[Climb]:
+    """Return where climbs from draws of the prior end that least squares do not lead to known modes.
+
+    The draw's own model errors come first, large as they may be: a mode may need them to be in reach.
+    """
+    found: list[Climb] = []
+    n, sd = posterior.n_geometry, np.sqrt(np.diag(first.covariance))
+    for start in posterior.draw_prior(N_SCATTERED, rng):
+        if not (np.isfinite(start).all() and np.isfinite(posterior.log_density(start[None])[0])):
+            continue
+        y = posterior.polish(start)
+        y = posterior.polish(np.concatenate([y[:n], first.y[n:]]))
+        if any(np.max(((y - mode[0]) / sd)[:n] ** 2, initial=0.0) < KNOWN for mode in (*known, *found)):
+            continue
+        if posterior.log_density(y[None])[0] < first.log_density - LOST:
+            continue
+        end = _climb_if_possible(posterior, y, first.log_density - HOPELESS)
+        if end is None or any(np.allclose(end[0], mode[0], rtol=0.0, atol=SAME) for mode in (*known, *found)):
+            continue
+        found.append(end)
+    return found
+
+
+def _follow_jumps(posterior: Target, best: Climb, known: Sequence[Climb] = ()) -> tuple[Climb, list[Climb]]:
+    """Return the best mode that jumps reach from one that was found, and the others known or seen on the way."""
+    others = [climb for climb in known if climb is not best]
     came_from = -1
     while True:
         improved = False
@@ -134,8 +166,8 @@ def _follow_jumps(posterior: Target) -> tuple[Climb, list[Climb]]:
             return best, others
 
 
-def revisit_modes(posterior: Target, starts: Array) -> list[Mode]:
-    """Return the modes that climbs from starts (M, n) lead to, best first; without those that hold no mass.
+def revisit_modes(posterior: Target, starts: Sequence[Array]) -> list[Mode]:
+    """Return the modes that climbs from starts, each (n,), lead to, best first; without those that hold no mass.
 
     Raises
     ------

@@ -47,6 +47,9 @@ class Target(Prospect, Protocol):
     def log_density(self, y: Array) -> Array:
         """Return the log-density, (B, n) to (B,), -inf where there is no machine."""
 
+    def finer(self) -> Target | None:
+        """Return the same posterior by a density that is slower and leaves nothing out; None where there is none."""
+
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each of P poses given all others, (B, n) to (B, P)."""
 

@@ -264,6 +264,42 @@ def test_refinements_left_out_are_the_third_power_of_the_change(n_legs, rng, mon
     assert np.abs(likelihood.leg_errors(theta) - six).max() > 5 * np.abs(two - six).max()
 
 
+@pytest.mark.parametrize("n_legs", [6, 8])
+def test_solved_errors_are_those_of_many_refinements(n_legs, rng, monkeypatch):
+    likelihood, theta = build("matrix", 50e-3, rng) if n_legs == 6 else build_redundant(rng)[:2]
+    solved = likelihood.solved()
+    assert solved.is_solved
+    assert not likelihood.is_solved
+    assert solved.solved() is None
+    found = solved.leg_errors(theta)
+    assert np.abs(found - likelihood.leg_errors(theta)).max() > 1e-9
+    monkeypatch.setattr(likelihood, "_refinements", 30)
+    np.testing.assert_allclose(found, likelihood.leg_errors(theta), rtol=1e-9, atol=1e-13)
+
+
+def test_errors_of_legs_far_from_nominal_have_to_be_solved_for(rng):
+    """Flexures 1.8 times as long are as much softer, so that every refinement leaves half of what the last one left."""
+    machine = machines.build_machine("none", model="stiffness")
+    layout, actuators = machine.layout, machines.table_3_actuators()[:8]
+    theta = layout.nominal.copy()
+    theta[layout.index["l_b"]] *= 1.8
+    error = rng.uniform(-0.5, 0.5, (len(actuators), 6)) * 1e-2 * np.array([1.0] * 3 + [1 / 130.0] * 3)
+    poses = machines.place_poses(machine, theta, actuators, error)
+    likelihood = PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE)
+    exact = newton_leg_errors(likelihood, theta)
+    refined, solved = (one.leg_errors(theta[None])[0] for one in (likelihood, likelihood.solved()))
+    assert np.abs(refined - exact).max() > 0.05 * np.abs(exact).max()
+    assert np.abs(solved - exact).max() < 1e-3 * np.abs(exact).max()
+
+
+def test_a_machine_without_numbers_has_no_solved_density(rng):
+    likelihood, theta = build("matrix", 5e-3, rng)
+    theta[1] = np.nan
+    found = likelihood.solved().pointwise(theta, TAU)
+    assert np.isfinite(found[[0, 2]]).all()
+    assert (found[1] == -np.inf).all()
+
+
 def newton_leg_errors(likelihood, theta):
     """Return A⁰ e with e by forward kinematics, shape (P, N)."""
     return np.einsum("pij,pj->pi", likelihood._pose_jacobian, newton_errors(likelihood, theta[None])[0])

@@ -9,10 +9,12 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.density.posterior import ModelError
+from bayescal.density.priors import NormalPrior
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import add_clusters, count_walkers, explore
 from bayescal.inference.importance import estimate_by_importance
+from bayescal.inference.mode import find_mode
 
 SEED, NAMES = 1, ("none", "linear", "matrix")
 
@@ -94,3 +96,24 @@ def test_clusters_mend_weights_with_a_heavy_tail(twin):
     assert not mended.is_doubtful
     assert mended.is_better_than(bad)
     assert mended.log_evidence == pytest.approx(good.log_evidence, abs=0.1)
+
+
+@pytest.mark.usefixtures("search_little")
+def test_what_the_density_leaves_out_is_noticed(twin):
+    """Flexures of hardly known length under poses that err: refined errors would draw them to twice their length."""
+    machine = machines.build_machine("none", model="stiffness")
+    tight = machines.build_posterior("none", twin.select(np.arange(5)), ModelError(None), ("l",), machine)
+    soft = {f"l_b[{leg}]": NormalPrior(10.0, 1.0) for leg in (1, 2)}
+    loose = replace(tight, priors={**tight.priors, **soft})
+    found = explore(loose, np.random.SeedSequence(SEED))
+    finer = found.straight.posterior
+    assert finer.likelihood.is_solved
+    assert finer.finer() is None
+    assert found.modes[0].converged
+    assert not explore(tight, np.random.SeedSequence(SEED)).straight.posterior.likelihood.is_solved
+    far = found.modes[0].y.copy()
+    far[[name.startswith("l_b") for name in loose.names]] += 8.0
+    astray = np.stack([found.modes[0].y, loose.polish(far)])
+    assert np.diff(loose.log_density(astray)) > 100.0  # the length that nobody has seen would be the likelier one
+    assert np.diff(finer.log_density(astray)) < -100.0
+    assert find_mode(finer, astray[1]).log_density == pytest.approx(found.modes[0].log_density, abs=1e-2)

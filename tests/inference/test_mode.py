@@ -166,3 +166,26 @@ def test_a_mirror_beyond_the_bounds_is_no_start(twin):
     priors = {"u_y[1]": UniformPrior(-0.05, 0.05), "l[1]": NormalPrior(500.0, 2.0)}
     posterior = Posterior(PoseLikelihood(machine, twin, machines.ACTUATOR_NOISE), priors, ModelError(0.01, shared=True))
     assert find_modes(posterior)[0].converged
+
+
+def test_draws_of_the_prior_lead_to_modes_that_no_jump_knows(monkeypatch):
+    """Two solutions of a direction, its jump forgotten and the start beside the lesser one."""
+    machine = machines.build_machine("none")
+    layout, rng = machine.layout, np.random.default_rng(2)
+    poses = machines.simulate_poses(machine, layout.nominal, machines.table_3_actuators()[:12], np.zeros(6), rng)
+    priors = {f"{s}[1]": NormalPrior(layout.nominal[layout.index[s][0]], 2.0) for s in SIX}
+    priors |= {"u_y[1]": UniformPrior(-0.3, 0.3)}
+    posterior = Posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(None))
+    both = find_modes(posterior)
+    assert len(both) == 2
+    monkeypatch.setattr(Posterior, "jumps", lambda self, y: [])
+    monkeypatch.setattr(Posterior, "approach", lambda self: both[1].y)
+    assert len(find_modes(posterior)) == 1
+    found = find_modes(posterior, np.random.default_rng(1))
+    assert [mode.log_density for mode in found] == pytest.approx([mode.log_density for mode in both], abs=1e-3)
+
+
+def test_draws_of_the_prior_that_lead_back_change_nothing(twin):
+    posterior = machines.build_posterior("linear", twin, ModelError(None))
+    plain, anew = find_modes(posterior), find_modes(posterior, np.random.default_rng(1))
+    assert [mode.y.tolist() for mode in anew] == [mode.y.tolist() for mode in plain]

@@ -158,6 +158,9 @@ class CalibrationPosterior:
         """Return s σ (B, P, K) and τ (B, 1, K) at coordinates (B, n)."""
         return self.noise.deviations(y[:, self.n_geometry :], self.likelihood.sd)
 
+    def finer(self) -> None:
+        """Return None: the density leaves nothing out."""
+
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each pose's readings, (B, n) to (B, P)."""
         return self.likelihood.pointwise(self.theta(y), *self.deviations(y))

@@ -13,6 +13,7 @@ from bayescal.inference.diagnostics import (
     Diagnostics,
     list_check_problems,
     list_importance_problems,
+    list_scout_problems,
     list_stand_problems,
     measure_longest_stand,
 )
@@ -20,6 +21,7 @@ from bayescal.inference.exploration import Exploration, add_clusters, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
+from bayescal.inference.scouts import Scouts, send_scouts
 from bayescal.inference.target import Target
 from bayescal.inference.tempered import TemperedEvidence, estimate_by_tempering
 from bayescal.limits import AGREEMENT, PARETO_K_LIMIT
@@ -46,6 +48,8 @@ class Estimate:
     modes_converged : bool
     longest_stand, n_steps : int
         For how many of its steps the most patient walker stood still.
+    scouts : Scouts
+        Where walkers that started far out ended.
     check : TemperedEvidence or None
         Where the config asks for it.
     """
@@ -59,6 +63,7 @@ class Estimate:
     modes_converged: bool
     longest_stand: int
     n_steps: int
+    scouts: Scouts
     check: TemperedEvidence | None
 
     @property
@@ -90,6 +95,7 @@ class Estimate:
             self.importance.pareto_k, self.importance.efficiency * self.importance.n_draws
         )
         problems += list_stand_problems(self.longest_stand, self.n_steps)
+        problems += list_scout_problems(**vars(self.scouts))
         if self.check is not None:
             own, check = (self.log_evidence, self.log_evidence_se), self.check
             problems += list_check_problems(own, (check.log_evidence, check.standard_error), check.mixed)
@@ -126,7 +132,7 @@ def estimate_posterior(
     explore_seed, importance_seed, ensemble_seed, bridge_seed = np.random.SeedSequence(
         [seed, zlib.crc32(name.encode())]
     ).spawn(4)
-    found = explore(posterior, explore_seed, sampler.walkers)
+    found = explore(posterior, explore_seed, sampler.walkers, anew=True)
     density = found.straight.log_density
     importance = _integrate(found, importance_seed, effort)
     if importance.is_doubtful:
@@ -155,6 +161,7 @@ def estimate_posterior(
         all(mode.converged for mode in found.modes),
         measure_longest_stand(sample.log_density),
         sampler.steps,
+        send_scouts(found, sample, np.random.SeedSequence([seed, zlib.crc32(f"{name}-scouts".encode())])),
         _check(posterior, seed, name, effort),
     )
 

@@ -33,6 +33,7 @@ from bayescal.inference.diagnostics import measure_longest_stand
 from bayescal.inference.exploration import Exploration, add_clusters, count_walkers, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
+from bayescal.inference.scouts import send_scouts
 from bayescal.inference.tempered import estimate_by_tempering
 from bayescal.limits import BLUNDER
 from bayescal.numerics.geometry import Array
@@ -74,7 +75,8 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
     posterior = inputs.posterior(variant, task.with_model_error)
     seed = np.random.SeedSequence([inputs.config.seed, zlib.crc32(task.key.encode())])
     explore_seed, importance_seed, ensemble_seed, bridge_seed, predict_seed, correct_seed = seed.spawn(6)
-    exploration = explore(posterior, explore_seed, inputs.config.sampler.walkers)
+    exploration = explore(posterior, explore_seed, inputs.config.sampler.walkers, anew=True)
+    posterior = get_explored(exploration)
     importance = _importance(inputs.config, exploration, importance_seed)
     if importance.is_doubtful:
         other = add_clusters(exploration, explore_seed, inputs.config.sampler.walkers)
@@ -101,6 +103,13 @@ def list_importance(importance: ImportanceEvidence) -> Arrays:
         "importance": np.array([importance.log_evidence, importance.standard_error]),
         "importance_quality": np.array([importance.efficiency, importance.pareto_k, importance.n_draws]),
     }
+
+
+def get_explored(exploration: Exploration) -> Posterior:
+    """Return the posterior that was explored: one with a finer density where that makes a difference."""
+    posterior = exploration.straight.posterior
+    assert isinstance(posterior, Posterior)
+    return posterior
 
 
 def _importance(config: StudyConfig, exploration: Exploration, seed: np.random.SeedSequence) -> ImportanceEvidence:
@@ -139,6 +148,7 @@ def _sample(
         inputs.config.evidence.draws,
         exploration.proposal,
     )
+    scouts = send_scouts(exploration, sample, _seed_for(inputs, task, "scouts"))
     exact, correction = inputs.exact_density(inputs.variant(task.variant), posterior), None
     if exact is not None:
         correction = correct_draws(exact, exploration, sample, correct_seed)
@@ -157,6 +167,7 @@ def _sample(
         "bridge_converged": np.array(bridge.converged, dtype=float),
         "acceptance": sample.acceptance,
         "longest_stand": np.array([measure_longest_stand(density), sampler.steps]),
+        "scouts": np.array([scouts.n_apart, scouts.n_walkers, scouts.limit]),
         "mean": natural.mean(axis=(0, 1, 2)),
         "sd": natural.std(axis=(0, 1, 2)),
         "q05": np.quantile(natural, 0.05, axis=(0, 1, 2)),
@@ -172,12 +183,16 @@ def _sample(
     return arrays, correction
 
 
+def _seed_for(inputs: StudyInputs, task: Task, purpose: str) -> np.random.SeedSequence:
+    """Return the seed of what looks at a posterior from outside; its random numbers are its own."""
+    return np.random.SeedSequence([inputs.config.seed, zlib.crc32(f"{task.key}-{purpose}".encode())])
+
+
 def _check_evidence(inputs: StudyInputs, task: Task, posterior: Posterior) -> Arrays:
-    """Return the evidence by tempering where the config asks for it; its random numbers are its own."""
+    """Return the evidence by tempering where the config asks for it."""
     if inputs.config.evidence.check is None:
         return {}
-    seed = np.random.SeedSequence([inputs.config.seed, zlib.crc32(f"{task.key}-tempered".encode())])
-    found = estimate_by_tempering(posterior, seed)
+    found = estimate_by_tempering(posterior, _seed_for(inputs, task, "tempered"))
     return {"tempered": np.array([found.log_evidence, found.standard_error, float(found.mixed)])}
 
 
@@ -241,7 +256,7 @@ def _evaluate(
     for use, rng_seed in zip((False, True), seed.spawn(2), strict=True):
         if not np.any(held == use):
             continue
-        likelihood, rng = inputs.likelihood(variant, verification=use), np.random.default_rng(rng_seed)
+        likelihood, rng = posterior.as_fine(inputs.likelihood(variant, use)), np.random.default_rng(rng_seed)
         found: Arrays
         if isinstance(posterior, StructuredPosterior):
             found, more = evaluate_structured(posterior, likelihood, theta, errors, chosen, use, rng)

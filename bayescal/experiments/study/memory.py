@@ -35,7 +35,7 @@ def estimate_study(inputs: StudyInputs) -> Need:
     made = min(kept, limit_draws(SAVED_DRAWS, numbers)) * numbers
     prior = limit_draws(PRIOR_DRAWS, numbers) * numbers
     one = DOUBLE * n_poses * kept + SINGLE * (made + prior)
-    n_fits = sum(task.is_fit for task in list_tasks(inputs))
+    n_fits = len(list_tasks(inputs))
     return Need(
         shared=float((n_fits + COPIES) * one),
         each=COPIES * one + estimate_search(largest),

@@ -16,7 +16,7 @@ import pandas as pd
 from bayescal.density.posterior import Posterior
 from bayescal.errors import NumericalError
 from bayescal.experiments.study.correct import correct_evidence, list_corrected
-from bayescal.experiments.study.fit import Arrays, Task, list_importance
+from bayescal.experiments.study.fit import Arrays, Task, get_explored, list_importance
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.schema import stem_of
 from bayescal.inference.exploration import Exploration, explore, explore_near
@@ -69,11 +69,9 @@ def weigh_widths(inputs: StudyInputs, task: WidthTask) -> Arrays:
     posterior = inputs.posterior(variant, True, task.factor)
     seed = np.random.SeedSequence([inputs.config.seed, zlib.crc32(task.key.encode())])
     explore_seed, importance_seed, correct_seed = seed.spawn(3)
-    starts = None
-    if task.factor < 1.0:
-        starts = move_modes(task.modes, inputs.posterior(variant, True), posterior)
-    exploration, importance = _weigh(inputs, posterior, starts, explore_seed, importance_seed)
-    exact = inputs.exact_density(variant, posterior)
+    starts = move_modes(task.modes, inputs.posterior(variant, True), posterior)
+    exploration, importance = _weigh(inputs, posterior, starts, task.factor > 1.0, explore_seed, importance_seed)
+    exact = inputs.exact_density(variant, get_explored(exploration))
     correction = None if exact is None else correct_evidence(exact, exploration, correct_seed)
     arrays = list_importance(importance)
     return arrays | list_corrected(arrays, correction)
@@ -82,20 +80,21 @@ def weigh_widths(inputs: StudyInputs, task: WidthTask) -> Arrays:
 def _weigh(
     inputs: StudyInputs,
     posterior: Posterior,
-    starts: Array | None,
+    starts: Array,
+    search: bool,
     explore_seed: np.random.SeedSequence,
     importance_seed: np.random.SeedSequence,
 ) -> tuple[Exploration, ImportanceEvidence]:
     """Return what a proposal that is good enough finds, or a better one if it is not."""
     walkers = inputs.config.sampler.walkers
     try:
-        exploration = explore_near(posterior, starts, explore_seed, walkers)
+        exploration = explore_near(posterior, starts, explore_seed, walkers, search=search)
         importance = _estimate(inputs, exploration, importance_seed)
         if not importance.is_doubtful:
             return exploration, importance
     except NumericalError:
         pass  # no start led to a mode: the search from the beginning finds one, or says why not
-    exploration = explore(posterior, explore_seed, walkers)
+    exploration = explore(posterior, explore_seed, walkers, anew=True)
     return exploration, _estimate(inputs, exploration, importance_seed)
 
 

@@ -15,6 +15,7 @@ from bayescal.inference.diagnostics import (
     Diagnostics,
     list_check_problems,
     list_importance_problems,
+    list_scout_problems,
     list_stand_problems,
 )
 from bayescal.limits import AGREEMENT, MOVED_LIMIT, PARETO_K_LIMIT
@@ -92,6 +93,7 @@ def list_problems(arrays: Arrays) -> list[str]:
     efficiency, pareto_k, n_draws = (float(x) for x in arrays["importance_quality"])
     problems += list_importance_problems(pareto_k, efficiency * n_draws)
     problems += list_stand_problems(*(int(x) for x in arrays["longest_stand"]))
+    problems += list_scout_problems(*(int(x) for x in arrays["scouts"]))
     if "tempered" in arrays:
         trusted = arrays["importance_quality"][1] <= PARETO_K_LIMIT
         value, se, settled = (float(x) for x in arrays["tempered"])

@@ -23,6 +23,7 @@ from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.page.ridges import state_ridges, tabulate_ridges
 from bayescal.experiments.study.page.soundness import has_doubts
 from bayescal.experiments.study.page.structured import show_structured
+from bayescal.experiments.study.page.tau_scale import show_tau_scale
 from bayescal.experiments.study.page.verdict import state_headline, state_verdict
 from bayescal.report.blocks import Block, Fold, Heading, Page, Section
 
@@ -159,7 +160,7 @@ def _show_model_error(study: StudyResults) -> Section:
 
 def _show_evidence(study: StudyResults) -> Section:
     both = Fold("Both estimators of every log-evidence", (tabulate_evidence(study),))
-    blocks = (show.illustrate_sensitivity(study), tabulate_sensitivity(study), both)
+    blocks = (show.illustrate_sensitivity(study), tabulate_sensitivity(study), *show_tau_scale(study), both)
     return Section("Evidence", blocks, anchor="evidence")
 
 

@@ -89,6 +89,7 @@ TABLE_COLUMNS = {
     "power_scaling": ("variant", "parameter", "prior", "likelihood"),
     "blunders": ("variant", "model_error", "pose", "use", "probability"),
     "sensitivity": ("variant", "factor", "log_evidence", "log_evidence_se", "efficiency", "pareto_k"),
+    "tau_scale": ("variant", "tau_scale_um", "log_evidence", "efficiency", "pareto_k"),
     "least_squares": (
         "variant",
         "parameter",
@@ -135,6 +136,8 @@ class StudyResults:
         How much each parameter depends on the prior and on the measurements; None where no posterior has any.
     blunders : DataFrame or None
         How probable it is that each pose is one; None where none may be.
+    tau_scale : DataFrame or None
+        Log-evidences for other scales of the model error's prior; None where no variant has one.
     ring, deformation : DataFrame or None
         Deflections of the joints and what follows from them; None without targets on the pads.
     claims : DataFrame or None
@@ -159,6 +162,7 @@ class StudyResults:
     least_squares: pd.DataFrame
     power_scaling: pd.DataFrame | None = None
     blunders: pd.DataFrame | None = None
+    tau_scale: pd.DataFrame | None = None
     ring: pd.DataFrame | None = None
     deformation: pd.DataFrame | None = None
     claims: pd.DataFrame | None = None
