@@ -8,6 +8,8 @@ A page's commands share an empty folder, ``_build/work/PAGE``; ``$ROOT`` is the 
     How many lines of output are shown at most.
 ``hidden``
     Run, and show nothing.
+
+``sphinx-build -D run_commands=0`` shows the commands alone, to look over the text.
 """
 
 from __future__ import annotations
@@ -50,6 +52,9 @@ class Run(SphinxDirective):
         commands = _join("\n".join(self.content))
         shown = []
         for number, command in enumerate(commands, start=1):
+            if not self.config.run_commands:
+                shown.append(f"$ {command}")
+                continue
             expected = self.options.get("exit", 0) if number == len(commands) else 0
             shown += [f"$ {command}", *_limit(self._call(command, folder, expected), self.options.get("lines"))]
         if "hidden" in self.options:
@@ -68,7 +73,12 @@ class Run(SphinxDirective):
 
     def _call(self, command: str, folder: Path, expected: int) -> list[str]:
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-        environment = os.environ | {"ROOT": str(ROOT), "PATH": path, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        environment = os.environ | {
+            "ROOT": str(ROOT),
+            "PATH": path,
+            "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+        }
         done = subprocess.run(
             ["bash", "-c", command],
             cwd=folder,
@@ -82,7 +92,9 @@ class Run(SphinxDirective):
         )
         if done.returncode != expected:
             where = f"{self.env.docname}, line {self.lineno}"
-            raise ExtensionError(f"{where}: {command!r} ended with {done.returncode}, expected {expected}:\n{done.stdout}")
+            raise ExtensionError(
+                f"{where}: {command!r} ended with {done.returncode}, expected {expected}:\n{done.stdout}"
+            )
         return done.stdout.splitlines()
 
 
@@ -106,6 +118,7 @@ def _limit(lines: list[str], most: int | None) -> list[str]:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Register the directive; pages are read anew on each build, since what they run may have changed."""
+    """Register the directive."""
+    app.add_config_value("run_commands", True, "env", types=[bool])
     app.add_directive("run", Run)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
