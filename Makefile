@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: study real audits test test-dask test-slow check data benchmark clean help
+.PHONY: study real audits test test-dask test-slow check docs dist data picture benchmark clean help
 
 help:
 	@echo "make study      the telescope study: environment, run, ranking, report (three to four minutes on two cores)"
@@ -15,6 +15,9 @@ help:
 	@echo "make test-dask  schedulers and workers of dask, killed and late (installs dask.distributed)"
 	@echo "make check      linter, types, import contracts"
 	@echo "make data       simulate the shipped twins again"
+	@echo "make docs       the documentation, its tutorials run, into docs/_build/html (installs Sphinx)"
+	@echo "make dist       the wheel, into dist"
+	@echo "make picture    README's picture of a report, from committed results (needs Chromium)"
 	@echo "make benchmark  speed against a compiled loop and against NUTS (installs numba and numpyro)"
 
 study: $(STAMP)
@@ -47,6 +50,16 @@ data: $(STAMP)
 	@for folder in telescope m2_hexapod hexaglide camera_hexapod sliding_star; do \
 	  $(BIN)/bayescal simulate experiments/$$folder/simulate.toml --out experiments/$$folder/data || exit $$?; \
 	done
+
+docs: $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[docs]"
+	$(THREADS) $(BIN)/python -m sphinx --fail-on-warning --keep-going --fresh-env -q docs docs/_build/html
+
+dist: $(STAMP)
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+
+picture: $(STAMP)
+	$(BIN)/python docs/make_picture.py
 
 benchmark: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[benchmark]"

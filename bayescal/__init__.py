@@ -6,11 +6,13 @@ The names below are the way in from Python; they are imported when first used, s
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.metadata import version
 
 _HOMES = {
     "BayescalError": "bayescal.errors",
     "InputError": "bayescal.errors",
     "NumericalError": "bayescal.errors",
+    "Audit": "bayescal.loaded",
     "CalibratedMachine": "bayescal.calibrated.machine",
     "Channel": "bayescal.machines.readings",
     "Coordinate": "bayescal.machines.readings",
@@ -23,6 +25,7 @@ _HOMES = {
     "ReadingMachine": "bayescal.machines.readings",
     "Section": "bayescal.config.sections",
     "StudyInputs": "bayescal.experiments.study.inputs",
+    "StudyResult": "bayescal.loaded",
     "build_twin": "bayescal.data.simulation",
     "command_poses": "bayescal.calibrated.predict",
     "compute_audit": "bayescal.api",
@@ -35,6 +38,7 @@ _HOMES = {
     "load_calibrated": "bayescal.experiments.shared.calibrating",
     "load_experiment": "bayescal.experiments.frame.load",
     "load_inputs": "bayescal.experiments.study.inputs",
+    "load_results": "bayescal.loaded",
     "load_mechanism": "bayescal.machines.read",
     "load_simulation": "bayescal.experiments.simulation.load",
     "predict_poses": "bayescal.calibrated.predict",
@@ -55,6 +59,8 @@ __all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> object:
+    if name == "__version__":  # stands in pyproject.toml alone
+        return version("bayescal")
     if name not in _HOMES:
         raise AttributeError(f"module 'bayescal' has no attribute {name!r}")
     return getattr(import_module(_HOMES[name]), name)

@@ -25,7 +25,6 @@ WIDTH, WIDE = 120, 160
 """Of what is printed where there is no terminal; comparisons are wide."""
 
 app = typer.Typer(
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     help="Bayesian identification of parallel-kinematic machines.",
@@ -413,6 +412,40 @@ def validate(experiment: Experiment, no_plugins: NoPlugins = False) -> None:
     typer.echo(f"{len(files)} files belong to it: {', '.join(files)}" if files else "no other file belongs to it")
     command = "simulate" if isinstance(kind, SimulatedData) else "run"
     typer.echo(f"next: bayescal {command} {experiment}, into results/{config.name}")
+
+
+@app.command(epilog="Example: bayescal init my_hexapod --machine hexapod --instrument poses")
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="New folder for the project.")],
+    machine: Annotated[
+        str | None, typer.Option(help="hexapod (struts), carriages (legs of fixed length) or own (one function).")
+    ] = None,
+    instrument: Annotated[
+        str | None, typer.Option(help="targets, poses or points; own machines bring their sensors.")
+    ] = None,
+) -> None:
+    """Begin a project: a commented machine with simulated data that runs as it is; asks what is not said."""
+    from bayescal.projects.start import INSTRUMENTS, MACHINES, OWN, start_project
+
+    machine = machine or _ask("--machine", list(MACHINES))
+    if instrument is None and machine != OWN:
+        instrument = _ask("--instrument", list(INSTRUMENTS))
+    for path in start_project(folder, machine, instrument):
+        typer.echo(f"wrote {path}")
+    typer.echo(f"the data are simulated; next: cd {folder}, bayescal run study.toml, and read README.md")
+
+
+def _ask(option: str, choices: list[str]) -> str:
+    """Return what is chosen at the terminal; InputError where nobody can be asked."""
+    if not _is_terminal():
+        raise InputError(f"init: {option}: missing, expected one of {', '.join(choices)}")
+    answer: str = typer.prompt(f"{option.removeprefix('--')} ({', '.join(choices)})", default=choices[0])
+    return answer.strip()
+
+
+def _is_terminal() -> bool:
+    """Whether somebody can be asked."""
+    return sys.stdin.isatty()
 
 
 @app.command("list", epilog="Example: bayescal list models")

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from importlib.metadata import version
 
 import pytest
 import studies
 
+import bayescal
 from bayescal.config.registry import REGISTRIES, list_references
 from bayescal.experiments.frame.catalogue import TITLES, list_entries
 
 
 def test_version(call):
     assert call("--version") == (0, f"bayescal {version('bayescal')}\n", "")
+
+
+def test_the_version_stands_in_one_place(pytestconfig):
+    with (pytestconfig.rootpath / "pyproject.toml").open("rb") as file:
+        stated = tomllib.load(file)["project"]["version"]
+    assert bayescal.__version__ == version("bayescal") == stated
+    assert f"\nversion: {stated}\n" in (pytestconfig.rootpath / "CITATION.cff").read_text()
 
 
 def test_without_a_command_there_is_help(call):

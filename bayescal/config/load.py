@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
+from bayescal.config.lines import find_line
 from bayescal.config.sections import Section
 from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
@@ -31,6 +31,8 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     try:
         return tomllib.loads(text), text
     except (ValueError, RecursionError) as error:  # also numbers of thousands of digits and brackets without end
+        if path.suffix.lower() == ".csv":
+            raise InputError(f"{path}: found a CSV table, expected a TOML config, which names its tables") from error
         raise InputError(f"{path}: not valid TOML: {error}") from error
 
 
@@ -151,18 +153,6 @@ def _models(kind: Any) -> list[type[BaseModel]]:
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return [kind]
     return [model for inner in get_args(kind) for model in _models(inner)]
-
-
-def find_line(text: str, location: list[Any]) -> int | None:
-    """Return the line of the last named key of a location, searched table by table; None where it is not certain."""
-    keys = [str(part) for part in location if isinstance(part, str)]
-    for depth in range(len(keys), 0, -1):
-        key = re.escape(keys[depth - 1])
-        pattern = re.compile(rf"^\s*\[*\s*(?:[\w.]+\.)?{key}\s*(?:=|\]|\.)|[{{,]\s*{key}\s*=")
-        hits = [number for number, row in enumerate(text.splitlines(), start=1) if pattern.search(row)]
-        if len(hits) == 1:
-            return hits[0]
-    return None
 
 
 def _suggest(name: str, known: Iterable[str]) -> str:

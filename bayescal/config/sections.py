@@ -50,9 +50,9 @@ InputFile = Annotated[str, FileMark()]
 
 
 class Section(BaseModel):
-    """A table of a config: unknown keys and wrong types are errors."""
+    """A table of a config: unknown keys and wrong types are errors; docstrings of its fields describe the keys."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
 
     @field_validator("*")
     @classmethod
@@ -81,6 +81,10 @@ class ExperimentConfig(Section):
     """What the config of every experiment has."""
 
     kind: str
+    """Kind of the experiment; `bayescal list kinds` shows all."""
     name: Name
+    """Name of the results directory, and of the experiment in tables; letters, digits, `_` and `-`."""
     title: str
+    """Headline of the page."""
     seed: Annotated[int, Field(ge=0, le=LARGEST_SEED)]
+    """Seed of all random numbers: the same seed gives the same results."""

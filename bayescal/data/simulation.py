@@ -27,7 +27,7 @@ from bayescal.data.truth import (
     read_true_parameters,
     round_as_written,
 )
-from bayescal.errors import InputError
+from bayescal.errors import InputError, NumericalError
 from bayescal.files.csv_tables import format_table, read_matrix
 from bayescal.machines.deformations import MatrixDeformation
 from bayescal.machines.kinematics import ForwardKinematics, Machine, check_home_pose, solve_forward_kinematics
@@ -160,7 +160,23 @@ def move(twin: Twin, rng: np.random.Generator, theta: Array) -> tuple[Array, Arr
     displacement = np.concatenate([twin.calibration, twin.verification])
     commanded = twin.mechanism.initial_actuator_positions + displacement
     actual = commanded + rng.normal(0.0, twin.config.noise.actuator_um * MICROMETRE, commanded.shape)
-    return commanded, actual, solve_forward_kinematics(twin.machine, theta, actual)
+    found = solve_forward_kinematics(twin.machine, theta, actual, check=False)
+    if not found.converged.all():
+        raise NumericalError(_name_unreached(twin, int(np.argmin(found.converged))))
+    return commanded, actual, found
+
+
+def _name_unreached(twin: Twin, index: int) -> str:
+    """Return which row of which table asks for a pose that the machine has not, and what to do about it."""
+    poses, n_calibration = twin.config.poses, len(twin.calibration)
+    later = index >= n_calibration
+    file, row = (poses.verification, index - n_calibration) if later else (poses.calibration, index)
+    moves = (twin.verification if later else twin.calibration)[row]
+    return (
+        f"{file}: row {row + 1} below the header, pose {name_poses(twin)[0][index]!r}: found displacements "
+        f"{', '.join(f'{move:g}' for move in moves)} mm, at which forward kinematics finds no pose, expected ones that "
+        "the machine can take: smaller ones, in the unit of unit_mm, columns in the order of the machine's legs"
+    )
 
 
 def stack_poses(found: ForwardKinematics) -> Array:

@@ -74,7 +74,10 @@ class InstrumentLikelihood(Likelihood):
         found = solve_forward_kinematics(machine, machine.layout.nominal, instrument.actuators, check=False)
         if not found.converged.all():
             name = instrument.names[int(np.argmin(found.converged))]
-            raise InputError(f"pose {name!r}: found actuator positions that the nominal machine cannot take")
+            raise InputError(
+                f"pose {name!r}: found actuator positions that the nominal machine cannot take, expected ones that it "
+                "can: look at its row, at the order of the legs and at what positions are counted from"
+            )
         exact = np.zeros((instrument.n_poses, DEGREES_OF_FREEDOM, DEGREES_OF_FREEDOM))
         poses = MeasuredPoses(instrument.names, found.position, found.rotation, exact, instrument.actuators)
         return PoseLikelihood(machine, poses, actuator_noise, actuator_variance)

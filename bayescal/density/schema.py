@@ -14,21 +14,27 @@ class NormalConfig(Section):
     """Normal tolerance about the nominal value; sd in the parameter's unit (mm for lengths)."""
 
     prior: Literal["normal"]
+    """`"normal"`: a bell curve about the nominal value."""
     sd: PositivePerLeg
+    """Standard deviation, one for all legs or one per leg [unit of the parameter]."""
 
 
 class UniformConfig(Section):
     """Uniform within a half width about the nominal value."""
 
     prior: Literal["uniform"]
+    """`"uniform"`: anything within bounds about the nominal value alike."""
     half_width: PositivePerLeg
+    """Distance of the bounds from the nominal value, one for all legs or one per leg [unit of the parameter]."""
 
 
 class FixedConfig(Section):
     """Not free: held at the nominal value plus an offset."""
 
     prior: Literal["fixed"]
+    """`"fixed"`: known, not to be found."""
     offset: PerLeg = 0.0
+    """What is added to the nominal value, one for all legs or one per leg [unit of the parameter]."""
 
 
 type PriorConfig = Annotated[NormalConfig | UniformConfig | FixedConfig, Field(discriminator="prior")]
@@ -43,15 +49,25 @@ class ModelErrorConfig(Section):
     """
 
     scale_um: Positive = 10.0
+    """Scale of the half-normal prior of the model error τ."""
     per_leg: bool = True
+    """Whether every leg has a model error of its own, or all share one."""
     kernel: KernelName = Field(default=INDEPENDENT, exclude_if=lambda value: value == INDEPENDENT)
+    """What is a function of the pose, for all variants that say nothing: `independent` (nothing is), `linear` or
+    `smooth`.
+    """
     kernel_scale_um: Positive = Field(default=20.0, exclude_if=lambda value: value == 20.0)
+    """What one actuator at the end of its range makes a leg err by, one standard deviation."""
     kernel_spread: Positive = Field(default=0.05, exclude_if=lambda value: value == 0.05)
+    """Standard deviation of the logarithm of that scale [1]."""
     kernel_length: Positive = Field(default=5.0, exclude_if=lambda value: value == 5.0)
+    """Over how far smooth errors change [ranges of the actuators]."""
     kernel_per_leg: bool = Field(default=False, exclude_if=lambda value: value is False)
+    """Whether every leg has a scale of its own."""
 
 
 class BlundersConfig(Section):
     """Poses may be blunders: the share of them that is expected, whose posterior is inferred."""
 
     expected_share: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.02
+    """Share of poses that are expected to be blunders; the posterior of it is inferred [1]."""

@@ -27,6 +27,8 @@ def read_text(path: Path, expected: str) -> str:
 
 def read_json(path: Path) -> dict[str, Any]:
     """Return a JSON object of a results directory; InputError where the file is none."""
+    if path.parent.is_file():
+        raise InputError(f"{path.parent}: found a file, expected a directory that a command has written")
     text = read_text(path, "a results directory's JSON")
     try:
         content = json.loads(text)

@@ -108,6 +108,8 @@ def read_table(path: Path, columns: Sequence[str] | None, optional: Sequence[str
         raise InputError(f"{path}: found no header, expected the columns {', '.join(columns or ['...'])}")
     parsed = [_parse_row(path, line, row) for line, row in numbered]
     header = tuple(cell.strip() for cell in parsed[0])
+    _check_separator(path, *numbered[0])
+    _check_separator(path, *numbered[0])
     _check_header(path, numbered[0][0], header, columns, optional)
     for (line, _), row in zip(numbered[1:], parsed[1:], strict=True):
         if len(row) != len(header):
@@ -123,6 +125,15 @@ def _parse_row(path: Path, line: int, row: str) -> list[str]:
         return next(csv.reader([row], strict=True))
     except csv.Error as error:
         raise InputError(f"{path}, line {line}: found no CSV row ({error}), expected cells with commas") from error
+
+
+def _check_separator(path: Path, line: int, header: str) -> None:
+    """Raise InputError for a header whose cells something else than commas separates."""
+    for sign, word in ((";", "semicolons"), ("\t", "tabs")):
+        if sign in header and "," not in header:
+            raise InputError(
+                f"{path}, line {line}: found cells separated by {word}, expected commas, and decimals with points"
+            )
 
 
 def _check_header(

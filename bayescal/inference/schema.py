@@ -13,9 +13,13 @@ class SamplerConfig(Section):
     """Ensembles of walkers."""
 
     ensembles: Annotated[int, Field(ge=4, le=64)] = 4
+    """Number of independent ensembles of walkers, each of which is a chain."""
     walkers: Annotated[int, Field(ge=8, le=4096)] = 128
+    """Walkers of an ensemble."""
     burn_in: Annotated[int, Field(ge=0, le=100_000)] = 40
+    """Steps that are dropped at the beginning."""
     steps: Annotated[int, Field(ge=2, le=100_000)] = 80
+    """Steps that are kept; more of them lower R-hat."""
 
 
 class EvidenceConfig(Section):
@@ -25,9 +29,13 @@ class EvidenceConfig(Section):
     """
 
     draws: Annotated[int, Field(ge=1000, le=10_000_000)] = 20_000
+    """Draws for importance sampling to begin with."""
     max_draws: Annotated[int, Field(ge=1000, le=10_000_000)] = 100_000
+    """Draws at which it ends, whatever its error is."""
     target_error: Positive = 0.01
+    """Standard error of the log-evidence at which it ends [nat]."""
     check: Literal["tempered"] | None = Field(default=None, exclude_if=lambda value: value is None)
+    """`"tempered"`: check each evidence by tempering from the prior, which takes longer."""
 
     @model_validator(mode="after")
     def _check_order(self) -> Self:
@@ -40,6 +48,10 @@ class DrawsConfig(Section):
     """Draws of the posterior, all ensembles together: by default many where there are data, otherwise none."""
 
     draws: Annotated[int, Field(ge=0, le=10_000_000)] | None = None
+    """Number of draws; many where there are data and none otherwise, where nothing is said."""
     ensembles: Annotated[int, Field(ge=4, le=64)] = 4
+    """Number of independent ensembles of walkers."""
     walkers: Annotated[int, Field(ge=8, le=4096)] = 128
+    """Walkers of an ensemble."""
     burn_in: Annotated[int, Field(ge=0, le=100_000)] = 20
+    """Steps that are dropped at the beginning."""

@@ -23,6 +23,7 @@ SINGULAR_CONDITION = 1e8
 LEVEL = 1e-3  # of a leg's direction along z, below which it is level
 ACROSS = 1e-3  # of a leg's direction along its actuator, below which the actuator does not move it
 TILTED = 1.0  # deg, of the platform at home, which legs of rounded lengths may leave
+METRE = 1e3
 NEAR = 200.0  # mm from the initial positions, within which actuator positions are searched from there
 FURTHEST = 2.0  # actuator ranges, within which they are searched from where perfect joints want them
 DRIVEN: dict[Drive, str] = {"base": "actuators at the base", "strut": "struts"}
@@ -185,7 +186,7 @@ def solve_forward_kinematics(
         kept = _keep_to_branch(machine, theta, position, rotation, actuators, kept)
     if check and not (converged & kept).all():
         index = int(np.argmin((converged & kept).ravel()))
-        fault = f"not found in {max_iterations} Newton steps"
+        fault = f"not found in {max_iterations} Newton steps, expected one nearer to home that the legs can reach"
         if converged.ravel()[index]:
             fault = "not reached from home without a jump, only on another assembly branch"
         raise NumericalError(f"forward kinematics: pose {index + 1} of {converged.size} {fault}")
@@ -316,6 +317,7 @@ def check_home_pose(machine: Machine) -> ForwardKinematics:
             f"expected below {SINGULAR_CONDITION:.0e}"
         )
     _check_level(mechanism, home)
+    _check_strokes(mechanism)
     _check_actuators(mechanism, home)
     return home
 
@@ -340,6 +342,18 @@ def _check_level(mechanism: Mechanism, home: ForwardKinematics) -> None:
             f"mechanism {mechanism.name!r}: found legs that close at home only with the platform tilted by "
             f"{tilt:.3g} deg, expected it level to {TILTED:g} deg: other lengths, or [home] with position_mm, which "
             "gives them"
+        )
+
+
+def _check_strokes(mechanism: Mechanism) -> None:
+    """Raise InputError for struts that could shrink to nothing: lengths were written in another unit than mm."""
+    leg = int(np.argmin(mechanism.leg_lengths))
+    length, stroke = float(mechanism.leg_lengths[leg]), mechanism.actuator_range
+    if mechanism.drive == "strut" and stroke >= length:
+        metres = "; the joints look like metres" if stroke < METRE * length else ""
+        raise InputError(
+            f"mechanism {mechanism.name!r}: found an actuator range of {stroke:g} mm and a strut of {length:.4g} mm "
+            f"(leg {leg + 1}), expected a range that leaves something of the strut{metres}"
         )
 
 

@@ -15,9 +15,13 @@ class PointsConfig(Section):
     """Points of a body: on a circle by azimuth, or one by one."""
 
     radius_mm: Positive | None = None
+    """Radius of the circle that the points lie on; with `azimuth_deg`."""
     azimuth_deg: list[Number] | None = None
+    """Where on the circle they lie, one angle per leg, from x towards y."""
     height_mm: Number = 0.0
+    """Height of the circle above the body's origin."""
     points_mm: list[Vector] | None = None
+    """The points one by one, x, y, z of each leg, in place of a circle."""
 
     @model_validator(mode="after")
     def _check_one_way(self) -> Self:
@@ -36,10 +40,15 @@ class LegsConfig(Section):
     """
 
     drive: Literal["base", "strut"] = "base"
+    """What the actuators move: the joints at the `base`, or the length of a `strut`."""
     length_mm: PositivePerLeg | None = None
+    """Lengths of the legs between their joints; where they are missing they follow from the home pose."""
     direction: Vector | list[Vector] | None = None
+    """Directions of the actuators at the base, one for all legs or one per leg, of any length [1]."""
     initial_actuator_position_mm: PerLeg = 0.0
+    """What the actuators read at home."""
     actuator_range_mm: Positive
+    """How far an actuator may move from its initial position, to either side."""
 
     @model_validator(mode="after")
     def _check_drive(self) -> Self:
@@ -56,8 +65,11 @@ class HomeConfig(Section):
     """
 
     position_mm: Vector | None = None
+    """Where the platform's origin stands at home, the platform level; the legs' lengths follow."""
     near_mm: Vector | None = None
+    """With lengths given: near which place the home pose is."""
     platform: Literal["above", "below"] | None = None
+    """With lengths given: on which side of the legs' lower joints the platform stands."""
 
     @model_validator(mode="after")
     def _check_one_way(self) -> Self:
@@ -70,18 +82,26 @@ class FlexuresConfig(Section):
     """Flexure joints at both ends of every leg: length l_b and β, one value for all legs or one per leg."""
 
     length_mm: PositivePerLeg
+    """Length of a flexure joint."""
     beta: Beta | list[Beta] = 0.25
+    """Where its centre of motion lies, as a share of its length from the leg's end [1]."""
 
 
 class BeamSectionConfig(Section):
     """A round solid section of an elastic material, or k1 = EI, k2 = ES and k3 = GJ themselves."""
 
     diameter_mm: Positive | None = None
+    """Diameter of the round section."""
     young_modulus_gpa: Positive | None = None
+    """Young's modulus."""
     shear_modulus_gpa: Positive | None = None
+    """Shear modulus."""
     k1_n_mm2: Positive | None = None
+    """Bending stiffness EI."""
     k2_n: Positive | None = None
+    """Stretching stiffness ES."""
     k3_n_mm2: Positive | None = None
+    """Twisting stiffness GJ."""
 
     @model_validator(mode="after")
     def _check_one_way(self) -> Self:
@@ -97,30 +117,45 @@ class StiffnessConfig(Section):
     """Sections of a flexure and of a leg between its flexures, the same for all legs."""
 
     flexure: BeamSectionConfig
+    """Section of a flexure joint."""
     leg: BeamSectionConfig
+    """Section of a leg between its flexures."""
 
 
 class LoadConfig(Section):
     """What pulls at the platform besides its legs, base frame; its weight acts at the centre of mass."""
 
     force_n: Vector = Field(default=[0.0, 0.0, 0.0])
+    """Force on the platform at its origin."""
     moment_n_mm: Vector = Field(default=[0.0, 0.0, 0.0])
+    """Moment on the platform about its origin."""
     mass_kg: NotNegative = 0.0
+    """Mass of the platform, whose weight acts at the centre of mass."""
     centre_of_mass_mm: Vector = Field(default=[0.0, 0.0, 0.0])
+    """Where the centre of mass lies, platform frame."""
     gravity_m_s2: Vector = Field(default=[0.0, 0.0, -9.80665])
+    """Acceleration of gravity, base frame."""
 
 
 class MechanismConfig(Section):
     """A platform on legs, driven at the base or as struts."""
 
     name: str
+    """What pages call the machine."""
     base: PointsConfig
+    """Where the legs' joints at the base are: of moving feet where the actuators are at zero."""
     platform: PointsConfig
+    """Where the legs' joints on the platform are, platform frame."""
     legs: LegsConfig
+    """Lengths and actuators."""
     home: HomeConfig | None = None
+    """The home pose, from which lengths follow or which tells the assembly."""
     flexures: FlexuresConfig | None = None
+    """Flexure joints, for the models `beam` and `stiffness`."""
     stiffness: StiffnessConfig | None = None
+    """Sections of flexures and legs, for the model `stiffness`."""
     load: LoadConfig = LoadConfig()
+    """What pulls at the platform besides its legs, for the model `stiffness`."""
 
     @model_validator(mode="after")
     def _check_flexures(self) -> Self:

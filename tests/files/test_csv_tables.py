@@ -39,7 +39,7 @@ def fail(path: Path, columns: tuple[str, ...] | None = COLUMNS) -> str:
         ("pose,x_mm\nA,1\n", "line 1: found no column 'y_mm', expected pose, x_mm, y_mm"),
         ("pose,x_mm,y_mm,y_mm\nA,1,2,3\n", "line 1: found a column twice"),
         ("pose,x_mm,y_mm,colour\nA,1,2,3\n", "line 1: found column 'colour'"),
-        ("pose;x_mm;y_mm\nA;1;2\n", "line 1: found column 'pose;x_mm;y_mm'"),
+        ("pose;x_mm;y_mm\nA;1;2\n", "line 1: found cells separated by semicolons, expected commas"),
         ("A,1,2\nB,1,2\n", "line 1: found column 'A', expected"),
         ("pose,x_mm,y_mm\nA,1,2\n\n# note\nB,1\n", "line 5: found 2 cells, expected 3"),
         ("pose,x_mm,y_mm\nA,1,2,3\n", "line 2: found 4 cells, expected 3"),

@@ -28,9 +28,13 @@ class OriginConfig(Section):
     """Where the data come from: measured ones name their source and its licence."""
 
     status: Literal["measured", "simulated", "reconstructed"]
+    """Whether the data are `measured`, `simulated` or `reconstructed`."""
     text: str
+    """What they are, in a sentence."""
     source: str = ""
+    """Where they can be found; needed of measured ones."""
     licence: str = ""
+    """Their licence; needed of measured ones."""
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
@@ -47,9 +51,13 @@ class DataTableConfig(Section):
     """
 
     file: InputFile
+    """CSV file of readings, a row a pose."""
     channels: Names = Field(default=[])
+    """Channels, or kinds of them, that must be in the table."""
     ignore: Names = Field(default=[])
+    """Columns that are not read."""
     hold_back: Names = Field(default=[])
+    """Poses that are kept for verification."""
 
 
 class ChannelConfig(Section):
@@ -59,12 +67,19 @@ class ChannelConfig(Section):
     """
 
     noise: NotNegative | list[NotNegative] | None = None
+    """Standard deviation of a reading; zero for a constraint [unit of the channel]."""
     noise_um: NotNegative | list[NotNegative] | None = None
+    """The same."""
     noise_mm: NotNegative | list[NotNegative] | None = None
+    """The same."""
     noise_arcsec: NotNegative | list[NotNegative] | None = None
+    """The same."""
     noise_deg: NotNegative | list[NotNegative] | None = None
+    """The same."""
     noise_rad: NotNegative | list[NotNegative] | None = None
+    """The same."""
     group: str = ""
+    """Under what name it shares unknown noise with others; its kind's where nothing is said."""
 
     @model_validator(mode="after")
     def _check_one(self) -> Self:
@@ -79,6 +94,7 @@ class ModelErrorScaleConfig(Section):
     """Scale of the half-normal prior of a model error τ, in the channels' unit: mm, rad or another."""
 
     scale: Positive
+    """Scale of the half-normal prior of the model error [unit of the channel]."""
 
 
 class CalibrationVariantConfig(Section):
@@ -92,21 +108,32 @@ class CalibrationVariantConfig(Section):
     """
 
     name: Name
+    """What tables call the variant."""
     title: str
+    """What the page calls it."""
     machine: InputFile | None = None
+    """Another machine's file for this variant."""
     sensors: Annotated[Names, Field(min_length=1)] | None = None
+    """Channels that it takes in; all where nothing is said."""
     free: Annotated[Names, Field(min_length=1)] | None = None
+    """Symbols or parameters that are free; all with a prior where nothing is said."""
     common: list[str | Names] = Field(default=[])
+    """Symbols, or lists of parameters, that deviate alike."""
     noise: Literal["unknown", "stated"] = "unknown"
+    """Noise as `stated`, or `unknown` as far as [unknown_noise] and [model_error] allow."""
     robust: Annotated[float, Field(ge=1.0, le=100.0)] | None = None
+    """Degrees of freedom of a density that lets single poses be wrong; fewer forgive more [1]."""
     poses_with: Names = Field(default=[])
+    """Keep to poses for which these columns are known."""
 
 
 class ValidationConfig(Section):
     """Prediction of held-back readings: the poses for verification, or each of several folds of poses in turn."""
 
     folds: Annotated[int, Field(ge=0, le=100)] = 0
+    """Folds of poses, each of which is predicted from the others; 0 for poses marked `verification` alone."""
     draws: Annotated[int, Field(ge=100, le=100_000)] = 400
+    """Posterior draws that predict."""
 
 
 class BesideConfig(Section):
@@ -116,36 +143,59 @@ class BesideConfig(Section):
     """
 
     title: str
+    """What the page calls the values."""
     file: InputFile
+    """CSV file: quantity, unit, value, and sd where it is known."""
     source: str = ""
+    """Where they come from."""
 
 
 class NextConfig(Section):
     """What to measure next: that many random poses of the workspace are tried."""
 
     candidates: Annotated[int, Field(ge=0, le=10_000)] = 300
+    """How many random poses are tried; 0 for none."""
     shown: Annotated[int, Field(ge=1, le=50)] = 5
+    """How many of them are shown."""
 
 
 class CalibrationConfig(ExperimentConfig):
     """Any machine calibrated from readings of its own sensors, of instruments beside it, or both."""
 
     kind: Literal["calibration"]
+    """`"calibration"`."""
     origin: OriginConfig
+    """Where the data come from."""
     machine: InputFile
+    """The machine's TOML file."""
     data: Annotated[list[DataTableConfig], Field(min_length=1)]
+    """Tables of readings."""
     sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
+    """Noise of each channel, or of all of a kind."""
     units: UnitsConfig = UnitsConfig()
+    """Units of tolerances, requirements and results."""
     parameters: Annotated[dict[str, PriorConfig], Field(min_length=1)]
+    """Tolerance of each symbol."""
     unknown_noise: dict[str, Positive] = Field(default={})
+    """By group: standard deviation of the logarithm of a factor on its noise [1]."""
     model_error: dict[str, ModelErrorScaleConfig] = Field(default={})
+    """By channel or kind: an error that the stated noise lacks."""
     workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    """By coordinate: smallest and largest value where accuracy counts; the machine's own where nothing is said [unit
+    of the coordinate].
+    """
     variants: Annotated[list[CalibrationVariantConfig], Field(min_length=1)]
+    """Models to compare."""
     validation: ValidationConfig = ValidationConfig()
+    """Prediction of held-back readings."""
     beside: list[BesideConfig] = Field(default=[])
+    """Values from elsewhere that stay out of the fit."""
     next: NextConfig = NextConfig()
+    """What to measure next."""
     sampler: SamplerConfig = SamplerConfig()
+    """Effort of sampling."""
     evidence: EvidenceConfig = EvidenceConfig()
+    """Effort of the evidence."""
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
@@ -170,6 +220,7 @@ class TrueParametersConfig(Section):
     """A CSV file of true parameters, as simulations write it."""
 
     parameters: InputFile
+    """CSV file of true parameters, as a simulation writes it."""
 
 
 class CalibrationSimulationConfig(ExperimentConfig):
@@ -180,17 +231,29 @@ class CalibrationSimulationConfig(ExperimentConfig):
     """
 
     kind: Literal["calibration_simulation"]
+    """`"calibration_simulation"`."""
     origin: str
+    """What is written into all files about where they come from."""
     machine: InputFile
+    """The machine's TOML file."""
     sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
+    """Noise of each channel, or of all of a kind."""
     units: UnitsConfig = UnitsConfig()
+    """Units of tolerances, requirements and results."""
     parameters: dict[str, PriorConfig] = Field(default={})
+    """Tolerance of each symbol, within which the true machine is drawn."""
     common: list[str | Names] = Field(default=[])
+    """Symbols, or lists of parameters, that deviate alike."""
     truth: TrueParametersConfig | None = None
+    """A given true machine in place of a drawn one."""
     workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    """By coordinate: smallest and largest value of the poses [unit of the coordinate]."""
     given: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""
     n_poses: Annotated[int, Field(ge=1, le=100_000)]
+    """Number of poses to calibrate with."""
     verification_poses: Annotated[int, Field(ge=0, le=100_000)] = 0
+    """Number of poses that are held back."""
 
 
 class PlannedPosesConfig(Section):
@@ -200,7 +263,9 @@ class PlannedPosesConfig(Section):
     """
 
     count: Annotated[int, Field(ge=1, le=10_000)] | None = None
+    """Number of random poses of the workspace."""
     file: InputFile | None = None
+    """CSV file of poses in place of random ones."""
 
     @model_validator(mode="after")
     def _check_one(self) -> Self:
@@ -213,10 +278,15 @@ class AuditVariantConfig(Section):
     """A set of sensors and what is free with it; as in variants of a calibration."""
 
     name: Name
+    """What tables call the variant."""
     title: str
+    """What the page calls it."""
     sensors: Annotated[Names, Field(min_length=1)] | None = None
+    """Channels that it takes in; all where nothing is said."""
     free: Annotated[Names, Field(min_length=1)] | None = None
+    """Symbols or parameters that are free; all with a prior where nothing is said."""
     common: list[str | Names] = Field(default=[])
+    """Symbols, or lists of parameters, that deviate alike."""
 
 
 class SelectionConfig(Section):
@@ -226,8 +296,11 @@ class SelectionConfig(Section):
     """
 
     count: Annotated[int, Field(ge=1, le=1000)]
+    """Number of poses to choose."""
     candidates: Annotated[int, Field(ge=1, le=10_000)] = 300
+    """Out of how many random ones of the workspace."""
     method: Literal["greedy", "exchange"] = "greedy"
+    """Poses added one by one (`greedy`), and then exchanged for as long as that helps (`exchange`)."""
 
     @model_validator(mode="after")
     def _check_enough(self) -> Self:
@@ -247,11 +320,17 @@ class SensorChoiceConfig(Section):
     candidates: Annotated[
         list[str | Annotated[Names, Field(min_length=1)]], Field(min_length=1), AfterValidator(check_once)
     ]
+    """Sensors to choose from; a list is one instrument of several readings."""
     always: Names = Field(default=[])
+    """Sensors that are in every set."""
     largest: Annotated[int, Field(ge=1, le=1000)] | None = None
+    """How many candidates a set has at most."""
     exhaustive: Annotated[int, Field(ge=0, le=100_000)] = 4096
+    """Up to how many sets all are judged."""
     free: Annotated[Names, Field(min_length=1)] | None = None
+    """Symbols or parameters that are free; all with a prior where nothing is said."""
     common: list[str | Names] = Field(default=[])
+    """Symbols, or lists of parameters, that deviate alike."""
 
 
 class CalibrationAuditConfig(ExperimentConfig):
@@ -262,18 +341,33 @@ class CalibrationAuditConfig(ExperimentConfig):
     """
 
     kind: Literal["calibration_audit"]
+    """`"calibration_audit"`."""
     machine: InputFile
+    """The machine's TOML file."""
     sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
+    """Noise of each channel, or of all of a kind."""
     units: UnitsConfig = UnitsConfig()
+    """Units of tolerances, requirements and results."""
     parameters: Annotated[dict[str, PriorConfig], Field(min_length=1)]
+    """Tolerance of each symbol."""
     workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    """By coordinate: smallest and largest value where accuracy counts; the machine's own where nothing is said [unit
+    of the coordinate].
+    """
     given: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""
     poses: PlannedPosesConfig = PlannedPosesConfig(count=40)
+    """Where it is planned to measure."""
     requirements: dict[str, Positive] = Field(default={})
+    """By coordinate: largest rms error over the workspace [units]."""
     variants: Annotated[list[AuditVariantConfig], Field(min_length=1)]
+    """Sets of sensors to judge."""
     next: NextConfig = NextConfig()
+    """What to measure besides."""
     selection: SelectionConfig | None = None
+    """Poses to choose."""
     sensor_choice: SensorChoiceConfig | None = None
+    """Sensors to choose."""
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:

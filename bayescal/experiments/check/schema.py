@@ -25,7 +25,12 @@ class CheckConfig(ExperimentConfig):
     """
 
     kind: Literal["check"]
+    """`"check"`."""
     study: InputFile
+    """The study's TOML file."""
     variants: Names = Field(default=[])
+    """Variants to check; the best by evidence where nothing is said."""
     data_sets: Annotated[int, Field(ge=4, le=10_000)] = 60
+    """Data sets simulated of the priors, and as many of the posterior."""
     draws: Annotated[int, Field(ge=200, le=1_000_000)] = 4000
+    """Draws of each data set's posterior."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +33,16 @@ def load(path: Path) -> tuple[AnyExperiment, ExperimentConfig]:
     kind = content.get("kind")
     if not isinstance(kind, str):
         names = ", ".join(sorted(list_references("KINDS")))
-        raise InputError(f"{path}: kind: found {kind!r}, expected one of {names}")
+        raise InputError(f"{path}: kind: found {_describe(content)}, expected one of {names}")
     experiment = find_kind(kind, path, path.parent)
     return experiment, check_section(experiment.schema, content, path, text)
+
+
+def _describe(content: Mapping[str, Any]) -> str:
+    """Return what a file without a kind of experiment has, or is."""
+    if "legs" in content and "platform" in content:
+        return "none in a machine's file, which an experiment names as its mechanism"
+    return repr(content.get("kind"))
 
 
 def load_experiment(path: Path) -> Any:
@@ -46,5 +54,5 @@ def load_kind(path: Path, kind: str) -> Any:
     """Return the checked config of an experiment that must be of a kind."""
     config = load(path)[1]
     if config.kind != kind:
-        raise InputError(f"{path}: kind: found {config.kind!r}, expected {kind!r}")
+        raise InputError(f"{path}: kind: found {config.kind!r}, expected {kind!r}; bayescal run takes any kind")
     return config

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import pandas as pd
 
 from bayescal.errors import InputError
+from bayescal.experiments.frame.notebook import show_in_notebook
 from bayescal.files.atomic import read_json
 
 SUMMARY_FILE = "summary.json"
@@ -28,6 +29,9 @@ KINDS: dict[str, Callable[[str], Any]] = {
     "text": str,
 }
 """What a column may hold, and how a cell of it is read; an empty cell is NaN, or an empty text."""
+
+FIRST = ("ranking", "variants", "requirements")
+"""Tables that show themselves in a notebook."""
 
 type ColumnKind = Literal["number", "integer", "flag", "text"]
 type Writer = Callable[[Path], None]
@@ -62,6 +66,9 @@ class Results:
         """The config without its titles, as JSON has it."""
         config: dict[str, Any] = self.provenance.get("config", {})
         return config
+
+    def _repr_html_(self) -> str:
+        return show_in_notebook(self.summary, self.tables, FIRST)
 
     def table(self, name: str) -> pd.DataFrame:
         """Return a table; one without rows where there is none."""

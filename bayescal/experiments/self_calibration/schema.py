@@ -17,8 +17,11 @@ class ReadingDataConfig(Section):
     """CSV files: readings; of simulated ones also the truth, parameters and poses, to compare with."""
 
     readings: InputFile
+    """CSV file of readings."""
     true_parameters: InputFile | None = None
+    """CSV file of the true parameters, of simulated readings."""
     true_poses: InputFile | None = None
+    """CSV file of the true poses, of simulated readings."""
 
     @model_validator(mode="after")
     def _check_truth(self) -> Self:
@@ -35,11 +38,17 @@ class ReadingVariantConfig(Section):
     """
 
     name: Name
+    """What tables call the variant."""
     title: str
+    """What the page calls it."""
     sensors: Annotated[Names, Field(min_length=1)]
+    """Sensors, or kinds of them, that are used."""
     fixed: Names = Field(default_factory=list)
+    """Parameters, or symbols, that stay nominal."""
     also_free: Names = Field(default_factory=list)
+    """Parameters that define frames and are free all the same."""
     common: Names = Field(default_factory=list)
+    """Symbols whose parameters deviate alike."""
 
     @property
     def is_plain(self) -> bool:
@@ -51,15 +60,25 @@ class SelfCalibrationConfig(ExperimentConfig):
     """One machine calibrated from the readings of its own sensors; the workspace holds what poses may be."""
 
     kind: Literal["self_calibration"]
+    """`"self_calibration"`."""
     origin: str
+    """What the page says of where the data come from."""
     machine: InputFile
+    """The machine's TOML file."""
     data: ReadingDataConfig
+    """The tables."""
     sensors: Sensors
+    """Noise of each sensor, or of all of a kind."""
     tolerances: ReadingTolerancesConfig
+    """How far dimensions may be off."""
     workspace: PlanarPosesConfig
+    """Where poses may be."""
     variants: Annotated[list[ReadingVariantConfig], Field(min_length=1)]
+    """Models to compare."""
     sampler: SamplerConfig = SamplerConfig()
+    """Effort of sampling."""
     evidence: EvidenceConfig = EvidenceConfig()
+    """Effort of the evidence."""
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
@@ -74,17 +93,27 @@ class ReadingTruthConfig(Section):
     """A file with all true parameters, as a simulation writes it."""
 
     parameters: InputFile
+    """CSV file of all true parameters, as a simulation writes it."""
 
 
 class ReadingSimulationConfig(ExperimentConfig):
     """Readings of a machine drawn within its tolerances, or of a given one; legs of a ``common`` symbol are alike."""
 
     kind: Literal["reading_simulation"]
+    """`"reading_simulation"`."""
     origin: str
+    """What is written into all files about where they come from."""
     machine: InputFile
+    """The machine's TOML file."""
     sensors: Sensors
+    """Noise of each sensor, or of all of a kind."""
     tolerances: ReadingTolerancesConfig
+    """How far dimensions may be off; the true machine is drawn within."""
     poses: PlanarPosesConfig
+    """Where it is measured."""
     verification_poses: Count
+    """Number of poses that are held back."""
     truth: ReadingTruthConfig | None = None
+    """A given true machine in place of a drawn one."""
     common: Names = Field(default_factory=list)
+    """Symbols whose parameters deviate alike."""

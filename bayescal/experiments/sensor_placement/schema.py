@@ -22,7 +22,9 @@ class PlacementSensorConfig(ReadingSensorConfig):
     """
 
     reads: Annotated[Names, Field(min_length=1)] | None = None
+    """Readings that are bought together as one instrument; what the sensor's name says where nothing is said."""
     always: bool = False
+    """Whether it is in every set."""
 
 
 class PlacementPosesConfig(Section):
@@ -32,9 +34,13 @@ class PlacementPosesConfig(Section):
     """
 
     n_poses: Annotated[int, Field(ge=1, le=10_000)] = 100
+    """Number of poses."""
     position_mm: Positive | Extent
+    """Half width of the tool's centre (planar), or three of the position."""
     angle_deg: Annotated[float, Field(gt=0.0, le=180.0)] | None = None
+    """Half width of a planar platform's angle."""
     rotation_deg: Turns | None = None
+    """Half widths of the rotation vector."""
 
     @model_validator(mode="after")
     def _check_dimension(self) -> Self:
@@ -49,9 +55,13 @@ class PlacementMachineConfig(Section):
     """A machine's file: of a planar platform on sliding legs, or of a mechanism seen through a kinematic model."""
 
     file: InputFile
+    """The machine's TOML file."""
     model: Annotated[str, ClassMark("MODELS")] | None = None
+    """Kinematic model of a mechanism; none for a planar platform on sliding legs."""
     deformation: Annotated[str, ClassMark("DEFORMATIONS")] = "none"
+    """Deformation of the platform."""
     tool_mm: Vector | None = None
+    """The tool on the platform; the platform's origin where nothing is said."""
 
     @model_validator(mode="after")
     def _check_model(self) -> Self:
@@ -69,14 +79,28 @@ class PlacementConfig(ExperimentConfig):
     """
 
     kind: Literal["sensor_placement"]
+    """`"sensor_placement"`."""
     machine: PlacementMachineConfig
+    """The machine."""
     tolerances: ReadingTolerancesConfig
+    """How far dimensions may be off."""
     poses: PlacementPosesConfig
+    """Poses to calibrate with."""
     workspace_poses: Annotated[int, Field(ge=4, le=2000)] = 64
+    """How many poses stand for the workspace."""
     sensors: Sensors
+    """Sensors to choose from, with noise and price."""
     prices: str = "assumed, in units of the dearest linear encoder"
+    """What the page says of the prices."""
     frames: Literal["aligned", "given", "instrument"] = "aligned"
+    """What frames mean: `aligned` once after the calibration, `given` by the first legs, or those of an
+    `instrument`.
+    """
     within: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
+    """How near to the most accurate set a cheaper one is good enough, as a share of its error [1]."""
     named: dict[str, Annotated[Names, Field(min_length=1)]] = Field(default={})
+    """Sets that are judged by name."""
     simulated_sets: Annotated[int, Field(ge=0, le=100)] = 12
+    """How many sets are tried by simulated calibrations."""
     machines: Annotated[int, Field(ge=2, le=10_000)] = 100
+    """How many machines each is tried on."""

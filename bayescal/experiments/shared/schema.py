@@ -25,31 +25,42 @@ class DeformationConfig(Section):
     """
 
     kappa: Annotated[Number, Field(ge=-LARGEST_KAPPA, le=LARGEST_KAPPA)] = 0.0
+    """Nominal share of its leg's displacement by which a joint shifts, for the deformation `linear` [1]."""
     matrix: Annotated[str, FileMark(but=("targets",))] = "targets"
+    """CSV file of the matrix K for the deformation `matrix`, or `targets` to take it from targets on the pads."""
 
 
 class UnitsConfig(Section):
     """Units of tolerances, requirements and results; the mechanism's file has its own."""
 
     length: Literal["um", "mm", "m"] = "mm"
+    """Unit of lengths in tolerances, requirements and results."""
     angle: Literal["arcsec", "mrad", "deg", "rad"] = "deg"
+    """Unit of angles there."""
 
 
 class ModelConfig(Section):
     """A kinematic model with a deformation; without a list, every parameter that has a prior is free."""
 
     model: Annotated[str, ClassMark("MODELS")]
+    """Kinematic model; `bayescal list models` shows all."""
     deformation: Annotated[str, ClassMark("DEFORMATIONS")] = "none"
+    """Deformation of the platform; `bayescal list deformations` shows all."""
     free: Annotated[Names, Field(min_length=1)] | None = None
+    """Symbols that are free; all that have a prior where nothing is said."""
 
 
 class PoseSensorConfig(Section):
     """An instrument that hands out poses, or a part of them."""
 
     kind: Literal["pose"]
+    """`"pose"`."""
     position_um: Positive | None = None
+    """Standard deviation of a position, each axis; without it positions are not seen."""
     orientation_arcsec: Positive | None = None
+    """Standard deviation of a rotation, each axis; without it rotations are not seen."""
     axes: Axes = "xyz"
+    """Which axes are seen."""
 
     @model_validator(mode="after")
     def _check_something(self) -> Self:
@@ -62,15 +73,20 @@ class TargetSensorConfig(Section):
     """An instrument that sees points on the platform, and on the base where its own frame wanders."""
 
     kind: Literal["targets"]
+    """`"targets"`."""
     noise_um: Positive
+    """Standard deviation of a target's coordinates."""
     platform: Annotated[list[TargetRingConfig], Field(min_length=1)] | PointsConfig
+    """Targets on the platform, on circles or one by one."""
     base: Annotated[list[TargetRingConfig], Field(min_length=1)] | PointsConfig | None = None
+    """Targets on the base, where the instrument's own frame wanders."""
 
 
 class OwnSensorConfig(OwnSection):
     """An instrument of somebody else's class, with its options."""
 
     kind: Annotated[str, ClassMark("SENSORS", beside=True)]
+    """Class of the instrument, `file.py:Class`; its options stand beside it."""
 
 
 def _tag_sensor(section: Any) -> str:
@@ -90,21 +106,27 @@ class ActuatorNoiseConfig(Section):
     """What moves a pose besides the geometry, per actuator."""
 
     actuator_um: NotNegative
+    """Standard deviation of an actuator's position about what it reads."""
     model_error_um: NotNegative = 0.0
+    """What the model leaves out, per leg, one standard deviation."""
 
 
 class FrameConfig(Section):
     """How well a frame is known: standard deviations along and about its axes."""
 
     position: Positive
+    """Standard deviation of its origin along each axis [length of units; mm in studies]."""
     rotation: Positive
+    """Standard deviation about each axis [angle of units; degrees in studies]."""
 
 
 class FramesConfig(Section):
     """Frames that the calibration has to find: the instrument's against the base, the tool's against the platform."""
 
     base: FrameConfig | None = None
+    """How well the instrument's frame against the base is known; exactly, where nothing is said."""
     tool: FrameConfig | None = None
+    """How well the probe's frame against the platform is known; exactly, where nothing is said."""
 
 
 class WorkspaceConfig(Section):
@@ -114,22 +136,34 @@ class WorkspaceConfig(Section):
     """
 
     position_mm: Extent
+    """Half widths in x, y and z."""
     rotation_deg: Turns
+    """Half widths of the rotation vector."""
     shape: Literal["ellipsoid", "box", "axes"] = "ellipsoid"
+    """All axes together within an `ellipsoid`, every combination (`box`), or one axis at a time (`axes`)."""
     poses: Annotated[int, Field(ge=12, le=5000)] = 200
+    """How many poses stand for the workspace."""
 
 
 class RequirementsConfig(Section):
     """Largest errors of the calibrated machine's pose anywhere in the workspace."""
 
     x: Positive | None = None
+    """Largest error along x [length of units]."""
     y: Positive | None = None
+    """Largest error along y [length of units]."""
     z: Positive | None = None
+    """Largest error along z [length of units]."""
     position: Positive | None = None
+    """Largest distance from where the platform should be [length of units]."""
     rotation_x: Positive | None = None
+    """Largest error about x [angle of units]."""
     rotation_y: Positive | None = None
+    """Largest error about y [angle of units]."""
     rotation_z: Positive | None = None
+    """Largest error about z [angle of units]."""
     rotation: Positive | None = None
+    """Largest angle of the rotation that is wrong [angle of units]."""
 
     @property
     def is_any(self) -> bool:

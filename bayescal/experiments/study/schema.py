@@ -22,7 +22,9 @@ class MeasuredConfig(Section):
     """What all kinds of measurement have."""
 
     origin: str
+    """What the page says of where the data come from; simulated data say so here."""
     actuator_noise_um: NotNegative
+    """Standard deviation of an actuator's position about what it reads."""
 
     @model_validator(mode="before")
     @classmethod
@@ -40,36 +42,57 @@ class TargetDataConfig(MeasuredConfig):
     """Photogrammetry targets on base and platform and what is known of their noise."""
 
     measurement: Literal["targets"] = Field(default="targets", exclude_if=lambda value: value == "targets")
+    """`"targets"`, which is what holds where nothing is said."""
     targets: InputFile
+    """CSV file of measured targets."""
     actuators: InputFile
+    """CSV file of actuator positions."""
     reference: InputFile
+    """CSV file of where targets sit on their bodies."""
     target_noise_um: Positive
+    """Standard deviation of a target's coordinates."""
     pose_method: Literal["robust", "line", "least_squares"] = "robust"
+    """How a body's pose is found: `robust` (targets may be wrong), `line` (RR-8096) or `least_squares`."""
 
 
 class PoseDataConfig(MeasuredConfig):
     """Poses that an instrument handed out, whole or in part; the table states its noise, or these keys do."""
 
     measurement: Literal["poses"]
+    """`"poses"`."""
     poses: InputFile
+    """CSV file of poses."""
     actuators: InputFile | None = None
+    """CSV file of actuator positions, where the table of poses lacks them."""
     position_um: Positive | None = None
+    """Standard deviation of a position, each axis, where the table does not state it."""
     orientation_arcsec: Positive | None = None
+    """Standard deviation of a rotation, each axis, where the table does not state it."""
 
 
 class PointDataConfig(MeasuredConfig):
     """Points on the platform that stations tracked; the table states its noise, or these keys do."""
 
     measurement: Literal["points"]
+    """`"points"`."""
     points: InputFile
+    """CSV file of tracked points."""
     probe: InputFile
+    """CSV file of where points sit on the platform."""
     actuators: InputFile
+    """CSV file of actuator positions."""
     stations: InputFile | None = None
+    """CSV file of where stations stand; one in the base frame without it."""
     point_um: Positive | Annotated[list[Positive], Field(min_length=3, max_length=3)] | None = None
+    """Standard deviation of coordinates, one or per axis, where the table does not state it."""
     range_um: NotNegative = 0.0
+    """Standard deviation of a range."""
     range_ppm: NotNegative = 0.0
+    """What is added to it, in millionths of the range."""
     azimuth_arcsec: Positive | None = None
+    """Standard deviation of an azimuth."""
     elevation_arcsec: Positive | None = None
+    """Standard deviation of an elevation."""
 
     @model_validator(mode="after")
     def _check_noise(self) -> Self:
@@ -110,11 +133,17 @@ class VariantConfig(Section):
     """
 
     model: Annotated[str, ClassMark("MODELS")]
+    """Kinematic model; `bayescal list models` shows all."""
     deformation: Annotated[str, ClassMark("DEFORMATIONS")]
+    """Deformation of the platform: `none`, `linear` or `matrix`, or one of your own."""
     name: VariantName = Field(default_factory=lambda known: name_variant(known.get("model"), known.get("deformation")))
+    """What tables call the variant; `model/deformation` where nothing is said."""
     free: Annotated[list[str], Field(min_length=1)]
+    """Symbols that are free; all others stay nominal."""
     published: InputFile | None = None
+    """CSV file of printed values to compare with."""
     model_error: KernelName | None = Field(default=None, exclude_if=lambda value: value is None)
+    """What is a function of the pose in this variant: `independent`, `linear` or `smooth`."""
     kernel_length: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
 
     @property
@@ -147,9 +176,11 @@ class SensitivityConfig(Section):
     factor: Annotated[list[Factor], Field(min_length=1), AfterValidator(check_once)] = Field(
         default=[0.5, 1.0, 2.0, 5.0]
     )
+    """Factors on the widths of all priors for which evidences are computed anew [1]."""
     tau_scale_um: Annotated[list[Positive], Field(min_length=1), AfterValidator(check_once)] = Field(
         default=TAU_SCALES, exclude_if=lambda value: value == TAU_SCALES
     )
+    """Scales of the model error's prior, tried by reweighting."""
 
     @model_validator(mode="before")
     @classmethod
@@ -166,18 +197,31 @@ class StudyConfig(ExperimentConfig):
     """A calibration study: data, variants, priors and effort; frames in mm and degrees."""
 
     kind: Literal["study"]
+    """`"study"`."""
     mechanism: InputFile
+    """The machine's TOML file."""
     claims: Annotated[str, ClassMark("CLAIMS")] | None = None
+    """Statements of a publication that are put to the results; `bayescal list claims` shows all."""
     data: DataConfig
+    """What was measured, and how well."""
     deformation: DeformationConfig = DeformationConfig()
+    """Nominal deformation of the platform."""
     parameters: dict[str, PriorConfig]
+    """Tolerance of each symbol."""
     frames: FramesConfig = Field(default=FramesConfig(), exclude_if=lambda value: value == FramesConfig())
+    """Frames that are found with the machine, mm and degrees."""
     model_error: ModelErrorConfig = ModelErrorConfig()
+    """Prior of what the models leave out."""
     blunders: BlundersConfig | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Whether single poses may be wrong."""
     variants: Annotated[list[VariantConfig], Field(min_length=1)]
+    """Models to compare."""
     sampler: SamplerConfig = SamplerConfig()
+    """Effort of sampling."""
     evidence: EvidenceConfig = EvidenceConfig()
+    """Effort of the evidence."""
     sensitivity: SensitivityConfig = SensitivityConfig()
+    """Other widths of the priors."""
 
     @model_validator(mode="after")
     def _check_variants(self) -> Self:

@@ -24,13 +24,21 @@ class AxisConfig(Section):
     """
 
     key: str | Annotated[list[str], Field(min_length=1)]
+    """Dotted key of the experiment, or `machine.toml:legs.length_mm` of another of its files; several vary together."""
     label: str = ""
+    """What the page calls it."""
     unit: str = ""
+    """Its unit, for the page."""
     values: Annotated[list[Any], Field(min_length=1)] | None = None
+    """Values that it takes."""
     factors: Annotated[list[Positive], Field(min_length=1)] | None = None
+    """Factors on what the files say [1]."""
     between: Annotated[list[Number], Field(min_length=2, max_length=2)] | None = None
+    """Smallest and largest value, with `count` [unit of the key]."""
     count: Annotated[int, Field(ge=2, le=MAX_MEMBERS)] | None = None
+    """How many values there are between."""
     scale: Scale = "linear"
+    """Whether they are spread on a `linear` or a `log` scale, and drawn so."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -66,11 +74,17 @@ class FigureConfig(Section):
     """A figure of the experiment's summary by its dotted key, and what is required of it."""
 
     key: str
+    """Dotted key of `summary.json`."""
     label: str = ""
+    """What the page calls it."""
     unit: str = ""
+    """Its unit, for the page."""
     scale: Scale = "linear"
+    """Scale on which it is drawn."""
     at_most: Number | None = None
+    """Largest value that is allowed [unit of the figure]."""
     at_least: Number | None = None
+    """Smallest value that is allowed [unit of the figure]."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -88,12 +102,19 @@ class SweepConfig(ExperimentConfig):
     """
 
     kind: Literal["sweep"]
+    """`"sweep"`."""
     experiment: InputFile
+    """TOML file of the experiment that is varied."""
     set: dict[str, Any] = Field(default={})
+    """Keys that are filled into the experiment for all members."""
     combine: Literal["grid", "list"] = "grid"
+    """Every combination of the axes (`grid`), or their entries row by row (`list`)."""
     axes: Annotated[list[AxisConfig], Field(min_length=1)]
+    """Keys that vary."""
     figures: Annotated[list[FigureConfig], Field(min_length=1)]
+    """Figures of the summary that are kept."""
     cache: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]*$")] = ".bayescal_members"
+    """Folder beside the results directory that members are kept in for other sweeps; none where it is empty."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:

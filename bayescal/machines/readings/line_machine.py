@@ -40,8 +40,11 @@ class LineConfig(Section):
     """A line: its anchor, its spool's radius at the origin, how many lines of the spool run in parallel."""
 
     anchor_mm: Vector
+    """Where the line's anchor is."""
     spool_radius_mm: Positive
+    """Radius of the spool with the line on it, when the mover is at the origin."""
     parallel: Annotated[int, Field(ge=1, le=100)] = 1
+    """How many lines run in parallel from the spool to the mover."""
 
 
 class LineMachineConfig(Section):
@@ -52,15 +55,27 @@ class LineMachineConfig(Section):
     """
 
     lines: Annotated[list[LineConfig], Field(min_length=1)]
+    """The lines, one table each."""
     gear: Positive
+    """Turns of the motor per turn of the spool [1]."""
     buildup_mm: NotNegative
+    """Build-up Q of line on a spool: r² = R² − parallel · Q · (line paid out)."""
     reach_mm: Annotated[list[Positive], Field(min_length=3, max_length=3)]
+    """Half widths of the workspace in x, y and z."""
     centre_mm: Vector = Field(default=[0.0, 0.0, 0.0])
+    """Centre of the workspace."""
     tension: Literal["none", "hanging", "given"] = "none"
+    """Where the tensions of the lines come from: `none`, `hanging` (weight and pretension) or `given` (columns of
+    the data).
+    """
     compliance_per_million: NotNegative = 0.0
+    """Stretch of a line per force, in millionths of its length per N."""
     mass_kg: NotNegative = 0.0
+    """Mass of the mover."""
     pretension_n: Number = 0.0
+    """What pretension adds to the tensions of the lines."""
     force_at_origin_n: list[NotNegative] = Field(default=[])
+    """Tensions at the origin, one per line; with `tension = "given"`."""
 
 
 class LineMachine(ReadingMachine):

@@ -24,52 +24,74 @@ class SlidingLegConfig(Section):
     """
 
     guide_point_mm: Point
+    """Where the carriage reads zero, x and y."""
     guide_angle_deg: Turn
+    """Where the guide points, from x towards y."""
     length_mm: Positive
+    """Length of the leg."""
     platform_point_mm: Point
+    """The leg's joint on the platform, platform frame."""
     points: Literal["along", "against"] = "along"
+    """Whether the leg points from the carriage along its guide, or against it."""
 
 
 class ToolConfig(Section):
     """The tool's centre in the platform's frame."""
 
     point_mm: Point
+    """The tool's centre, platform frame."""
 
 
 class PlanarHomeConfig(Section):
     """Where the tool's centre stands at home, and how the platform is turned there."""
 
     tool_mm: Point
+    """Where the tool's centre stands at home."""
     angle_deg: Turn
+    """How the platform is turned at home."""
 
 
 class SlidingPlatformConfig(Section):
     """A planar platform on sliding legs; platform points lie in a frame of its own, whose origin does not matter."""
 
     kind: Literal["sliding_platform"]
+    """`"sliding_platform"`."""
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
+    """What tables call the machine."""
     title: str = ""
+    """What pages call the machine; its name where nothing is said."""
     source: str = ""
+    """Where the dimensions come from."""
     legs: Annotated[list[SlidingLegConfig], Field(min_length=1)]
+    """The legs, one table each."""
     tool: ToolConfig
+    """The tool on the platform."""
     home: PlanarHomeConfig
+    """The home pose."""
 
 
 class MachineFileConfig(Section):
     """What the file of a machine of one function says beside the machine's own section ``[machine]``."""
 
     kind: str
+    """Class of the machine: a built-in name, or `file.py:Class` beside this file."""
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
+    """What tables call the machine."""
     title: str = ""
+    """What pages call the machine; its name where nothing is said."""
     source: str = ""
+    """Where the dimensions come from."""
 
 
 class ReadingSensorConfig(Section):
     """A sensor, or one on every leg: its noise, in µm or arcsec, and its price."""
 
     noise_um: Positive | None = None
+    """Standard deviation of a reading of length."""
     noise_arcsec: Positive | None = None
+    """Standard deviation of a reading of an angle."""
     price: Annotated[float, Field(ge=0.0, le=LARGEST, allow_inf_nan=False)] = 1.0
+    """Price of one sensor [any currency]."""
 
     @model_validator(mode="after")
     def _check_one(self) -> Self:
@@ -82,13 +104,19 @@ class ReadingTolerancesConfig(Section):
     """Standard deviations beforehand: of lengths, of guide angles, of the zeros of angle sensors."""
 
     length_mm: Positive
+    """Standard deviation of lengths and places about nominal."""
     angle_deg: Positive
+    """Standard deviation of the guides' angles about nominal."""
     zero_deg: Positive
+    """Standard deviation of the zeros of angle sensors."""
 
 
 class PlanarPosesConfig(Section):
     """Poses spread evenly at random about home: tool's centre and angle within half widths."""
 
     n_poses: Count = 100
+    """Number of poses."""
     position_mm: Positive
+    """Half width about home of the tool's centre, in x and in y."""
     angle_deg: Annotated[float, Field(gt=0.0, le=180.0)]
+    """Half width about home of the platform's angle."""

@@ -42,15 +42,20 @@ class SensorSetConfig(Section):
     """Sensors that are used together, single ones such as ``s[2]`` or a kind such as ``s`` on all legs."""
 
     name: SetName
+    """What tables call the set."""
     sensors: Annotated[Names, Field(min_length=1)]
+    """Sensors of the set, single ones or kinds."""
 
 
 class PathConfig(Section):
     """A circle of the tool's centre about home, along which the platform swings once to each side."""
 
     radius_mm: Positive
+    """Radius of the circle."""
     angle_deg: Annotated[float, Field(ge=0.0, le=180.0)]
+    """How far the platform swings to each side."""
     n_poses: Annotated[int, Field(ge=8, le=10_000)] = 72
+    """Number of poses on it."""
 
 
 class PlausibleMachinesConfig(Section):
@@ -62,46 +67,72 @@ class PlausibleMachinesConfig(Section):
     """
 
     count: Repeats = 200
+    """Number of machines."""
     calibrations: Repeats = 8
+    """Calibrations of each."""
     guide_radius_mm: PositiveSpan
+    """Smallest and largest radius of the circle that the guides lie about."""
     guide_turn_deg: Annotated[Span, AfterValidator(partial(_within, 90.0))]
+    """How far guides are turned from its tangents."""
     leg_length_mm: PositiveSpan
+    """Smallest and largest length of the legs."""
     platform_radius_mm: PositiveSpan
+    """Smallest and largest radius of the platform's joints."""
     platform_turn_deg: Annotated[Span, AfterValidator(partial(_within, 180.0))]
+    """How far they are turned against the guides' points."""
     position_mm: PositiveSpan
+    """Smallest and largest half width of the poses."""
     angle_deg: Annotated[PositiveSpan, AfterValidator(partial(_within, 180.0))]
+    """Smallest and largest half width of their angle."""
 
 
 class NoiseSweepConfig(Section):
     """Other noise of all angle sensors, and how many calibrations with each."""
 
     angle_noise_arcsec: Annotated[list[Positive], Field(min_length=2), AfterValidator(check_once)]
+    """Standard deviations of all angle sensors."""
     calibrations: Repeats = 50
+    """Calibrations with each."""
 
 
 class PublishedSetsConfig(Section):
     """What was printed: of each set its number of parameters and C, from set to set the factors of improvement."""
 
     source: str
+    """What the page calls the source."""
     calibrability: InputFile
+    """CSV file of printed numbers of parameters and C, by set."""
     improvements: InputFile
+    """CSV file of printed factors from set to set."""
 
 
 class SelfCalibrationsConfig(ExperimentConfig):
     """Simulated self-calibrations with different sets of sensors, as in Šika et al. (2008)."""
 
     kind: Literal["self_calibrations"]
+    """`"self_calibrations"`."""
     machine: InputFile
+    """The machine's TOML file."""
     calibrations: Repeats = 200
+    """Number of simulated calibrations of the documented machine."""
     sensors: dict[str, ReadingSensorConfig]
+    """Noise of each sensor, or of all of a kind."""
     tolerances: ReadingTolerancesConfig
+    """How far dimensions may be off."""
     poses: PlanarPosesConfig
+    """Poses to calibrate with."""
     verification_poses: Count = 50
+    """Poses at which the tool's error is judged."""
     path: PathConfig
+    """A path along which it is drawn."""
     sets: Annotated[list[SensorSetConfig], Field(min_length=1)]
+    """Sets of sensors to compare."""
     machines: PlausibleMachinesConfig | None = None
+    """Other plausible machines."""
     noise_sweep: NoiseSweepConfig | None = None
+    """Other noise of the angle sensors."""
     published: PublishedSetsConfig | None = None
+    """Printed values to compare with."""
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:

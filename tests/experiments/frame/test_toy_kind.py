@@ -115,7 +115,7 @@ def test_faults_are_one_line_and_leave_nothing(call, tmp_path, change, message):
 
 
 def test_an_installed_package_offers_its_kind_by_name(tmp_path):
-    """What README says of entry points: a package on the path, its kind named by the config alone."""
+    """what the documentation says of entry points: a package on the path, its kind named by the config alone."""
     site, path = tmp_path / "site", toys.write_toy(tmp_path)
     (site / "toys-1.0.dist-info").mkdir(parents=True)
     (site / "toys-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: toys\nVersion: 1.0\n")

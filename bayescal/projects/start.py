@@ -1,0 +1,150 @@
+"""`bayescal init`: a folder with a machine, its measurements and configs, to be changed until they are one's own."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from scipy.stats import qmc
+
+from bayescal.config.load import look_up
+from bayescal.errors import InputError
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.run import compute_experiment
+from bayescal.files.atomic import make_directory, write_atomically
+from bayescal.files.csv_tables import format_table
+
+TEMPLATES = Path(__file__).parent / "templates"
+N_CALIBRATION, N_VERIFICATION = 30, 10
+REACH = 0.6
+"""Share of the actuators' range that the simulated poses use."""
+OWN = "own"
+INSTRUMENTS = {
+    "targets": "by photogrammetry of targets on base and platform",
+    "poses": "by an instrument that hands out poses",
+    "points": "by an instrument that tracks points on the platform",
+}
+MEANINGS = {
+    **{"a_x": "joints at the base", "a_y": "the same", "a_z": "the same", "b_x": "joints on the platform"},
+    **{"b_y": "the same", "b_z": "the same", "l": "lengths of the legs"},
+    **{"u_x": "directions of the actuators", "u_y": "the same"},
+}
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A made-up machine on six legs: dimensions in mm and degrees as TOML has them, tolerances by symbol."""
+
+    title: str
+    model: str
+    base_radius: float
+    platform_radius: float
+    home: list[float]
+    initial: float
+    range: float
+    tolerances: Mapping[str, float]
+    base_azimuth: tuple[float, ...] = (350.0, 10.0, 110.0, 130.0, 230.0, 250.0)
+    platform_azimuth: tuple[float, ...] = (310.0, 50.0, 70.0, 170.0, 190.0, 290.0)
+
+
+MACHINES: dict[str, Kind | None] = {
+    "hexapod": Kind(
+        *("A made-up hexapod", "six_ups", 300.0, 180.0, [0.0, 0.0, 380.0], 450.0, 40.0),
+        tolerances=dict.fromkeys(("a_x", "a_y", "a_z", "b_x", "b_y", "b_z"), 0.2) | {"l": 0.5},
+    ),
+    "carriages": Kind(
+        *("A made-up machine on six carriages", "six_pus", 250.0, 120.0, [0.0, 0.0, 500.0], 100.0, 40.0),
+        tolerances=dict.fromkeys(("a_x", "a_y", "b_x", "b_y"), 0.2) | {"l": 0.5, "u_x": 0.001, "u_y": 0.001},
+    ),
+    OWN: None,
+}
+"""Machines to begin with; none of the first ones is one function, a class of one's own."""
+
+
+def start_project(folder: Path, machine: str, instrument: str | None) -> list[Path]:
+    """Write a project with simulated measurements into a new folder, and return its files.
+
+    Parameters
+    ----------
+    folder : Path
+        Is not there yet, or empty.
+    machine : str
+        One of `MACHINES`.
+    instrument : str or None
+        One of `INSTRUMENTS`; None for a machine of one function, which brings its sensors.
+
+    Raises
+    ------
+    InputError
+        For another machine or instrument, and for a folder that holds something. Nothing is written then.
+    """
+    kind = look_up(MACHINES, machine, "--machine", Path("init"))
+    if kind is None and instrument is not None:
+        raise InputError(f"init: --instrument: found {instrument!r} with machine {machine!r}, which brings its sensors")
+    if kind is not None:
+        look_up(INSTRUMENTS, instrument or "none", "--instrument", Path("init"))
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder}: found something there, expected a new or an empty folder")
+    partial = folder.absolute().with_name(f"{folder.absolute().name}.partial")
+    make_directory(partial)
+    try:
+        _write_files(partial, kind, machine, instrument)
+        _simulate(partial)
+        make_directory(folder)
+        for path in partial.iterdir():
+            path.replace(folder / path.name)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def _write_files(folder: Path, kind: Kind | None, machine: str, instrument: str | None) -> None:
+    source = TEMPLATES / (OWN if kind is None else "legs")
+    files = {path.name: path for path in sorted(source.iterdir()) if path.is_file()}
+    if kind is None:
+        for name, path in files.items():
+            write_atomically(folder / name, path.read_bytes())
+        return
+    loader = Environment(loader=FileSystemLoader(source), undefined=StrictUndefined, keep_trailing_newline=True)
+    known = _describe(kind, machine, str(instrument))
+    for name in files:
+        if name != "probe.csv" or instrument == "points":
+            write_atomically(folder / name, loader.get_template(name).render(known).encode())
+    for use, moves in _spread(kind).items():
+        columns = [f"drho_{leg}" for leg in range(1, len(kind.base_azimuth) + 1)]
+        comment = f"Displacements of the actuators from home, mm, a row a pose: the simulated poses for {use}."
+        text = format_table([comment], columns, [[f"{move:.3f}" for move in row] for row in moves])
+        write_atomically(folder / f"{use}_configurations.csv", text.encode())
+
+
+def _describe(kind: Kind, machine: str, instrument: str) -> dict[str, Any]:
+    """Return what the templates have to know."""
+    rng, n_legs = np.random.default_rng(1), len(kind.base_azimuth)
+    offsets = {symbol: (sd * rng.standard_normal(n_legs)).round(5).tolist() for symbol, sd in kind.tolerances.items()}
+    lists = {"base_azimuth": list(kind.base_azimuth), "platform_azimuth": list(kind.platform_azimuth)}
+    return {
+        **vars(kind),
+        **lists,
+        **{"name": machine, "machine": machine, "instrument": instrument, "by": INSTRUMENTS[instrument]},
+        **{"offsets": offsets, "meanings": MEANINGS, "free": str(list(kind.tolerances)).replace("'", '"')},
+    }
+
+
+def _spread(kind: Kind) -> dict[str, np.ndarray]:
+    """Return displacements spread evenly, and others for verification, mm."""
+    drawn = qmc.Halton(len(kind.base_azimuth), rng=1).random(N_CALIBRATION + N_VERIFICATION)
+    moves = REACH * kind.range * (2.0 * drawn - 1.0)
+    return {"calibration": moves[:N_CALIBRATION], "verification": moves[N_CALIBRATION:]}
+
+
+def _simulate(folder: Path) -> None:
+    """Write the measurements of the project's simulation."""
+    _, config = load(folder / "simulate.toml")
+    make_directory(folder / "data")
+    for name, text in compute_experiment(config, folder).files.items():
+        write_atomically(folder / "data" / name, str(text).encode())

@@ -1,0 +1,124 @@
+"""Commands of tutorials, run while the pages are read: what is shown is what they print, and a failure ends the build.
+
+A page's commands share an empty folder, ``_build/work/PAGE``; ``$ROOT`` is the repository. Options of a block:
+
+``exit``
+    The exit code that is expected of the last command, 0 by default.
+``lines``
+    How many lines of output are shown at most.
+``hidden``
+    Run, and show nothing.
+
+``sphinx-build -D run_commands=0`` shows the commands alone, to look over the text.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from docutils import nodes
+from docutils.parsers.rst import directives
+from sphinx.errors import ExtensionError
+from sphinx.util.docutils import SphinxDirective
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from sphinx.application import Sphinx
+
+ROOT = Path(__file__).parents[2]
+WORK = ROOT / "docs" / "_build" / "work"
+TIME_LIMIT = 240.0  # s
+
+
+class Run(SphinxDirective):
+    """A block of commands with what they print."""
+
+    has_content = True
+    option_spec: ClassVar[dict[str, Callable[[str], object]]] = {
+        "exit": directives.nonnegative_int,
+        "lines": directives.positive_int,
+        "hidden": directives.flag,
+    }
+
+    def run(self) -> list[nodes.Node]:
+        """Run the commands one by one; ExtensionError where one of them does not end as expected."""
+        folder = self._enter()
+        commands = _join("\n".join(self.content))
+        shown = []
+        for number, command in enumerate(commands, start=1):
+            if not self.config.run_commands:
+                shown.append(f"$ {command}")
+                continue
+            expected = self.options.get("exit", 0) if number == len(commands) else 0
+            shown += [f"$ {command}", *_limit(self._call(command, folder, expected), self.options.get("lines"))]
+        if "hidden" in self.options:
+            return []
+        text = "\n".join(line.rstrip() for line in shown)
+        return [nodes.literal_block(text, text, language="console")]
+
+    def _enter(self) -> Path:
+        """Return the page's folder, emptied where this is the page's first block."""
+        folder = WORK / self.env.docname.rpartition("/")[2]
+        if not self.env.temp_data.get("run_begun"):
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir(parents=True)
+            self.env.temp_data["run_begun"] = True
+        return folder
+
+    def _call(self, command: str, folder: Path, expected: int) -> list[str]:
+        path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        environment = os.environ | {
+            "ROOT": str(ROOT),
+            "PATH": path,
+            "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+        }
+        done = subprocess.run(
+            ["bash", "-c", command],
+            cwd=folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=TIME_LIMIT,
+            check=False,
+        )
+        if done.returncode != expected:
+            where = f"{self.env.docname}, line {self.lineno}"
+            raise ExtensionError(
+                f"{where}: {command!r} ended with {done.returncode}, expected {expected}:\n{done.stdout}"
+            )
+        return done.stdout.splitlines()
+
+
+def _join(text: str) -> list[str]:
+    """Return commands, those that go on in the next line (a backslash, or a text up to EOF) in one."""
+    commands: list[str] = []
+    going_on = False
+    for line in text.splitlines():
+        if going_on:
+            commands[-1] += f"\n{line}"
+        elif line.strip():
+            commands.append(line)
+        else:
+            continue
+        going_on = line.endswith("\\") or ("<<" in commands[-1] and line.strip() != "EOF")
+    return commands
+
+
+def _limit(lines: list[str], most: int | None) -> list[str]:
+    return lines if most is None or len(lines) <= most else [*lines[:most], "..."]
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Register the directive."""
+    app.add_config_value("run_commands", True, "env", types=[bool])
+    app.add_directive("run", Run)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

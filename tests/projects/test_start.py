@@ -1,0 +1,69 @@
+"""`bayescal init`: projects that are whole, honest about their data, and fit to run as they are."""
+
+from __future__ import annotations
+
+import pytest
+
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.run import check_experiment
+from bayescal.projects.start import INSTRUMENTS, MACHINES, OWN, start_project
+
+SHIPPED = "examples/own_machine"
+LEGS = [machine for machine in MACHINES if machine != OWN]
+
+
+@pytest.mark.parametrize("instrument", INSTRUMENTS)
+@pytest.mark.parametrize("machine", LEGS)
+def test_a_project_is_fit_to_run_and_says_that_it_is_simulated(tmp_path, machine, instrument):
+    folder = tmp_path / "mine"
+    files = start_project(folder, machine, instrument)
+    for name in ("study.toml", "audit.toml", "simulate.toml"):
+        _, config = load(folder / name)
+        check_experiment(config, folder)
+    measured = [path for path in files if path.parent.name == "data"]
+    assert measured
+    for path in (*measured, folder / "README.md", folder / "study.toml"):
+        assert "never measured" in path.read_text()
+
+
+def test_the_own_machine_is_the_shipped_example(tmp_path, pytestconfig):
+    start_project(tmp_path / "mine", OWN, None)
+    shipped = pytestconfig.rootpath / SHIPPED
+    for name in ("linear_delta.py", "machine.toml", "study.toml", "audit.toml", "simulate.toml", "data/readings.csv"):
+        assert (tmp_path / "mine" / name).read_bytes() == (shipped / name).read_bytes()
+
+
+def test_from_the_command_line(call, tmp_path):
+    code, said, complaint = call("init", tmp_path / "mine", "--machine", "hexapod", "--instrument", "poses")
+    assert (code, complaint) == (0, "")
+    assert "the data are simulated; next: cd" in said
+    code, _, complaint = call("init", tmp_path / "mine", "--machine", "hexapod", "--instrument", "poses")
+    assert code == 2
+    assert "found something there, expected a new or an empty folder" in complaint
+
+
+@pytest.mark.parametrize(
+    ("options", "fault"),
+    [
+        (("--machine", "hexapd"), "--machine: found 'hexapd', did you mean 'hexapod'?"),
+        (("--machine", "hexapod", "--instrument", "eyes"), "--instrument: found 'eyes', expected one of"),
+        (("--machine", "own", "--instrument", "poses"), "which brings its sensors"),
+        ((), "--machine: missing, expected one of hexapod, carriages, own"),
+    ],
+)
+def test_what_is_wrong_is_told_and_nothing_written(call, tmp_path, monkeypatch, options, fault):
+    monkeypatch.setattr("bayescal.cli._is_terminal", lambda: False)
+    if options[:2] == ("--machine", "hexapd"):
+        options = (*options, "--instrument", "poses")
+    code, _, complaint = call("init", tmp_path / "mine", *options)
+    assert code == 2
+    assert fault in complaint
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_not_said_is_asked(call, tmp_path, monkeypatch):
+    answers = iter(["carriages", "points"])
+    monkeypatch.setattr("bayescal.cli._is_terminal", lambda: True)
+    monkeypatch.setattr("bayescal.cli.typer.prompt", lambda *_, **__: next(answers))
+    assert call("init", tmp_path / "mine")[0] == 0
+    assert (tmp_path / "mine" / "probe.csv").exists()

@@ -1,0 +1,115 @@
+"""Slips that everybody makes are told with what to do about them."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from bayescal.config.lines import find_line
+from bayescal.projects.start import start_project
+
+TEXT = """kind = "study"
+[[variants]]
+model = "six_ups"
+free = [
+    "l",
+]
+[[variants]]
+model = "six_uxs"
+[parameters]
+l = { prior = "normal", sd = -1.0 }
+[sensors.tracker]
+noise_um = 1.0
+[[legs]]
+[legs.joint]
+x = 1.0
+[[legs]]
+[legs.joint]
+x = 2.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("location", "line"),
+    [
+        (("kind",), 1),
+        (("variants",), 2),
+        (("variants", 0, "free", 0), 4),
+        (("variants", 1, "model"), 8),
+        (("variants", 2, "model"), 2),
+        (("parameters", "l", "sd"), 10),
+        (("sensors", "tracker", "noise_um"), 12),
+        (("legs", 1, "joint", "x"), 18),
+        (("unknown",), None),
+    ],
+)
+def test_lines_of_keys(location, line):
+    assert find_line(TEXT, location) == line
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("hints") / "mine"
+    start_project(folder, "hexapod", "poses")
+    return folder
+
+
+@pytest.fixture
+def edit(project):
+    """Return a function that edits a file of the project until the test is over."""
+    kept = {}
+
+    def replace(name, old, new):
+        path = project / name
+        kept.setdefault(path, path.read_text())
+        text = re.sub(old, new, path.read_text(), count=1, flags=re.MULTILINE)
+        assert text != path.read_text()
+        path.write_text(text)
+
+    yield replace
+    for path, text in kept.items():
+        path.write_text(text)
+
+
+def test_a_wrong_model_is_told_with_its_line(call, project, edit):
+    edit("study.toml", r'^model = "six_ups"', 'model = "six_usp"')
+    line = 1 + (project / "study.toml").read_text().splitlines().index('model = "six_usp"')
+    _, _, complaint = call("validate", project / "study.toml")
+    assert f"study.toml, line {line}: variants.0.model: found 'six_usp', did you mean 'six_ups'?" in complaint
+
+
+def test_another_kind_is_told_what_takes_it(call, project):
+    code, _, complaint = call("audit", project / "study.toml")
+    assert code == 2
+    assert "kind: found 'study', expected 'audit'; bayescal run takes any kind" in complaint
+
+
+def test_a_file_that_is_no_experiment_is_told_what_it_is(call, project):
+    assert "none in a machine's file" in call("run", project / "machine.toml")[2]
+    assert "found a CSV table, expected a TOML config" in call("run", project / "data" / "poses.csv")[2]
+    assert "found a file, expected a directory" in call("report", project / "study.toml")[2]
+
+
+@pytest.mark.parametrize(("sign", "word"), [(";", "semicolons"), ("\t", "tabs")])
+def test_a_table_of_another_spreadsheet(call, project, edit, sign, word):
+    edit("data/poses.csv", r"(?s)\A.*\Z", (project / "data" / "poses.csv").read_text().replace(",", sign))
+    _, _, complaint = call("validate", project / "study.toml")
+    assert f"line 3: found cells separated by {word}, expected commas, and decimals with points" in complaint
+
+
+def test_a_machine_in_metres(call, project, edit):
+    edit("machine.toml", "radius_mm = 300.0", "radius_mm = 0.3")
+    edit("machine.toml", "radius_mm = 180.0", "radius_mm = 0.18")
+    edit("machine.toml", r"0\.0, 380\.0", "0.0, 0.38")
+    _, _, complaint = call("validate", project / "study.toml")
+    assert "expected a range that leaves something of the strut; the joints look like metres" in complaint
+
+
+def test_a_pose_that_is_not_found_is_told_with_its_row_and_name(call, project, edit, tmp_path):
+    edit("calibration_configurations.csv", r"\A((?:.*\n){4})[^,]*,", r"\g<1>390.0,")
+    code, _, complaint = call("simulate", project / "simulate.toml", "--out", tmp_path / "data")
+    assert code == 3
+    assert "calibration_configurations.csv: row 3 below the header, pose 'C03': found displacements 390" in complaint
+    assert "expected ones that the machine can take: smaller ones" in complaint
+    assert not (tmp_path / "data").exists()
