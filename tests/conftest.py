@@ -28,6 +28,9 @@ def twin():
     return machines.simulate_poses(machine, truth, machines.table_3_actuators(), np.zeros(6), rng)
 
 
+pytest.register_assert_rewrite("browser")
+
+
 @pytest.fixture
 def call(monkeypatch, capsys):
     """Return a function that calls the command line in this process: exit code, standard output, standard error."""

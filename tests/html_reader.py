@@ -31,5 +31,5 @@ class Reader(HTMLParser):
 
 
 def leave_out_script(text: str) -> str:
-    """Return a page without its script, whose words are not the page's."""
-    return re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
+    """Return a page without its script and style, whose words are not the page's."""
+    return re.sub(r"<(script|style)>.*?</\1>", "", text, flags=re.DOTALL)

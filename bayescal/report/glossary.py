@@ -90,7 +90,7 @@ TERMS = (
     Term(("pose", "poses"), "Position and orientation of the platform together."),
     Term(
         ("posterior", "posteriors"),
-        "What is known of the parameters after the measurements: not one number each but how probable each value is.",
+        "What is known of the parameters by the measurements: not one number each but how probable each value is.",
     ),
     Term(
         ("prior", "priors", "tolerance", "tolerances"),

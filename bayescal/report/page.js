@@ -15,7 +15,7 @@ const textOf = (cell) => (cell ? cell.innerText ?? cell.textContent : "").replac
 function readNumber(text) {
   const powers = "⁰¹²³⁴⁵⁶⁷⁸⁹";
   const plain = text.replace(/−/g, "-").replace(/(\d),(?=\d{3})/g, "$1");
-  const found = plain.match(/^[<>≤≥~≈+\s]*(-?∞|-?\d+(?:\.\d+)?(?:e[-+]?\d+)?|(?=10[⁻⁰-⁹¹²³]))(?:·?10([⁻⁰¹²³⁴-⁹]+))?/);
+  const found = plain.match(/^[<>≤≥~≈+\s]*((?=10[⁻⁰¹²³⁴-⁹])|-?∞|-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)(?:·?10([⁻⁰¹²³⁴-⁹]+))?/);
   if (!found || !found[0].trim()) return NaN;
   const base = found[1] === "" ? 1 : found[1].includes("∞") ? (found[1][0] === "-" ? -Infinity : Infinity) : Number(found[1]);
   const power = [...(found[2] ?? "")].map((c) => (c === "⁻" ? "-" : powers.indexOf(c))).join("");
@@ -205,14 +205,18 @@ addEventListener("keydown", (event) => { if (event.key === "Escape") hide(); });
 
 // --- contents: where one is ---
 const links = new Map(all("nav a").map((link) => [link.getAttribute("href").slice(1), link]));
+let chosen = 0;  // when a link was followed last: the end of a page cannot be scrolled to its top
+function mark(link) {
+  links.forEach((one) => one.removeAttribute("aria-current"));
+  link.setAttribute("aria-current", "true");
+  const bar = link.closest("nav");
+  bar.scrollLeft = link.offsetLeft - bar.clientWidth / 2;
+}
+links.forEach((link) => link.addEventListener("click", () => { chosen = performance.now(); mark(link); }));
 const inSight = new IntersectionObserver((entries) => {
   for (const entry of entries) {
-    if (!entry.isIntersecting) continue;
-    links.forEach((link) => link.removeAttribute("aria-current"));
     const link = links.get(entry.target.id);
-    link?.setAttribute("aria-current", "true");
-    const bar = link?.closest("nav");
-    if (bar) bar.scrollLeft = link.offsetLeft - bar.clientWidth / 2;
+    if (entry.isIntersecting && link && performance.now() > chosen + 800) mark(link);
   }
 }, { rootMargin: "-10% 0px -80% 0px" });
 all("main > section[id]").forEach((section) => inSight.observe(section));

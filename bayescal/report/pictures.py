@@ -17,7 +17,7 @@ from bayescal.report.style import RC
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DPI, FINE_DPI = 120, 240
+DPI, FINE_DPI = 120, 192
 POINTS = 72.0  # an inch
 FINER = 2.2  # how much larger a PNG of twice the resolution is at most
 LEAST_SCALE = 0.8  # of a figure on a small screen, which scrolls; letters of 6.5 points are read then

@@ -230,7 +230,7 @@ def test_a_cloud_that_is_smaller_as_pixels_is_a_fine_png():
     assert picture.markup.startswith('<img width="240" height="120"')
     data = re.search(r'src="data:image/png;base64,([^"]+)" alt="', picture.markup)
     assert data is not None
-    assert base64.b64decode(data[1])[16:24] == struct.pack(">II", 480, 240)
+    assert base64.b64decode(data[1])[16:24] == struct.pack(">II", 384, 192)
 
 
 def test_at_most_five_findings_are_seen_at_first_the_bad_ones_among_them():
