@@ -383,6 +383,19 @@ def report(
     typer.echo(f"wrote {write_report(results, kind)}")
 
 
+@app.command(epilog="Example: bayescal show experiments/audit/m2_hexapod_mechanism.toml --out m2.html")
+def show(
+    machine: Annotated[Path, typer.Argument(metavar="MACHINE.toml", help="A machine's file.")],
+    out: Annotated[Path | None, typer.Option(help="HTML file; default MACHINE.html here.")] = None,
+) -> None:
+    """Draw a machine as a page in which it can be turned, with its joints and legs."""
+    from bayescal.experiments.shared.show import describe_machine
+    from bayescal.report.page import render_page
+
+    page = describe_machine(machine)
+    _put(render_page(page, {}), out if out is not None else Path(f"{machine.stem}.html"))
+
+
 @app.command(epilog="Example: bayescal compare results/telescope results/telescope_seed2")
 def compare(
     results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="Results directories of one kind.")],

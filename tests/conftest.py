@@ -10,6 +10,7 @@ import telescope_machines as machines
 
 from bayescal import cli
 from bayescal.errors import InputError
+from bayescal.report.pictures import Picture
 
 
 @pytest.fixture
@@ -25,6 +26,9 @@ def twin():
     truth = machines.telescope_truth(machine)
     rng = np.random.default_rng(7)
     return machines.simulate_poses(machine, truth, machines.table_3_actuators(), np.zeros(6), rng)
+
+
+pytest.register_assert_rewrite("browser")
 
 
 @pytest.fixture
@@ -44,7 +48,7 @@ def call(monkeypatch, capsys):
 @pytest.fixture
 def no_pictures(monkeypatch):
     """Leave a page's pictures undrawn, which take most of its time; text and files' names are what they are."""
-    monkeypatch.setattr("bayescal.report.page.render_png", lambda draw: b"not drawn")
+    monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
 
 
 @pytest.fixture

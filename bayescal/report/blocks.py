@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import TYPE_CHECKING, ClassVar, Literal
 
+from bayescal.report.scene import Scene
+
 if TYPE_CHECKING:  # it takes a second to import, and only pages that are drawn need it
     from matplotlib import figure as mpl
 
@@ -244,7 +246,19 @@ class Fold:
 
 
 type Block = (
-    str | Statement | Table | Figure | Heading | Absent | Counts | Preformatted | Definitions | Side | Card | Fold
+    str
+    | Statement
+    | Table
+    | Figure
+    | Scene
+    | Heading
+    | Absent
+    | Counts
+    | Preformatted
+    | Definitions
+    | Side
+    | Card
+    | Fold
 )
 """A string is a paragraph."""
 
@@ -334,8 +348,16 @@ class Page:
 
 def find_figures(blocks: Sequence[Block]) -> Iterator[Figure]:
     """Yield the figures among blocks and inside their folds."""
+    return (block for block in _unfold(blocks) if isinstance(block, Figure))
+
+
+def find_scenes(blocks: Sequence[Block]) -> Iterator[Scene]:
+    """Yield the machines in space among blocks and inside their folds."""
+    return (block for block in _unfold(blocks) if isinstance(block, Scene))
+
+
+def _unfold(blocks: Sequence[Block]) -> Iterator[Block]:
     for block in blocks:
-        if isinstance(block, Figure):
-            yield block
-        elif isinstance(block, Fold):
-            yield from find_figures(block.blocks)
+        yield block
+        if isinstance(block, Fold):
+            yield from _unfold(block.blocks)

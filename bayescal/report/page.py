@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import base64
-import io
+import hashlib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from bayescal.errors import InputError
 from bayescal.files.atomic import write_atomically
-from bayescal.report.blocks import Page, Section
-from bayescal.report.style import RC
+from bayescal.report.blocks import Page, Section, Statement, find_scenes
+from bayescal.report.glossary import find_terms
+from bayescal.report.pictures import Picture, render_picture
 from bayescal.report.symbols import split_symbol
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-DPI = 120
 PAGE = "report.html"
 FIGURES = "figures"
 FIGURE = re.compile(rf"{FIGURES}/[A-Za-z0-9_-]+\.png")
@@ -51,46 +47,56 @@ def write_page(page: Page, folder: Path, more: Sequence[Section] = (), earlier: 
     InputError
         Where the folder of the figures is a link.
     """
-    images = {figure.name: render_png(figure.draw) for figure in page.figures() if figure.draw is not None}
-    text = render_page(page, images, more)
+    pictures = {figure.name: render_picture(figure.draw) for figure in page.figures() if figure.draw is not None}
+    text = render_page(page, pictures, more)
     figures = folder / FIGURES
     if figures.is_symlink():
         raise InputError(f"{figures}: found a link, expected a directory; nothing is written through links")
-    for name in set(earlier) - {f"{FIGURES}/{image}.png" for image in images}:
+    for name in set(earlier) - {f"{FIGURES}/{picture}.png" for picture in pictures}:
         if FIGURE.fullmatch(name):
             (folder / name).unlink(missing_ok=True)
-    for name, image in images.items():
+    for name, picture in pictures.items():
         figures.mkdir(exist_ok=True)
-        write_atomically(figures / f"{name}.png", image)
+        write_atomically(figures / f"{name}.png", picture.png)
     write_atomically(folder / PAGE, text.encode())
     return folder / PAGE
 
 
-def render_page(page: Page, images: Mapping[str, bytes], more: Sequence[Section] = ()) -> str:
-    """Return a page as HTML with these figures, PNG by name; all text is escaped."""
+def render_page(page: Page, pictures: Mapping[str, Picture], more: Sequence[Section] = ()) -> str:
+    """Return a page as HTML with these figures by name; all text is escaped, and nothing but its own script runs."""
     here = Path(__file__).parent
     environment = Environment(
         loader=FileSystemLoader(here), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters |= {"symbol": set_symbol, "bind": bind_units, "prose": make_prose(page.symbols)}
-    sources = {
-        name: f"data:image/png;base64,{base64.b64encode(image).decode('ascii')}" for name, image in images.items()
-    }
+    environment.globals |= {"first_findings": choose_first, "find_terms": find_terms}
     style = Markup((here / "page.css").read_text(encoding="utf-8"))
+    blocks = [block for section in (*page.sections, *more) for block in section.blocks]
+    scripts = ("page.js", "scene.js") if any(find_scenes(blocks)) else ("page.js",)
+    script = Markup("\n".join((here / name).read_text(encoding="utf-8") for name in scripts))
     sections = [(one.anchor or f"section-{k}", one) for k, one in enumerate((*page.sections, *more), start=1)]
-    return environment.get_template("page.html").render(style=style, page=page, sections=sections, sources=sources)
+    return environment.get_template("page.html").render(
+        style=style,
+        script=script,
+        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
+        page=page,
+        sections=sections,
+        pictures={name: picture.place(name) for name, picture in pictures.items()},
+    )
 
 
-def render_png(draw: Callable[[], Figure]) -> bytes:
-    """Return a figure as PNG; the same figure gives the same bytes."""
-    from matplotlib import rc_context, rcdefaults, rcParams  # a second to import, for those who draw
+MOST_FINDINGS = 5
+URGENCY = {"bad": 0, "warning": 1}
 
-    buffer = io.BytesIO()
-    with rc_context():
-        rcdefaults()  # whatever somebody's matplotlibrc says
-        rcParams.update(RC)  # type: ignore[arg-type]  # its keys are a literal type of three hundred names
-        draw().savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    return buffer.getvalue()
+
+def choose_first(findings: Sequence[Statement]) -> tuple[list[Statement], list[Statement]]:
+    """Return what stands in the verdict at first sight and what is folded, both in their order.
+
+    At most five are seen: bad news before warnings, warnings before the rest, else what comes first.
+    """
+    ranked = sorted(range(len(findings)), key=lambda k: (URGENCY.get(findings[k].level, 2), k))
+    first = set(ranked[:MOST_FINDINGS])
+    return [findings[k] for k in sorted(first)], [findings[k] for k in sorted(set(ranked) - first)]
 
 
 # --- text --------------------------------------------------------------------------------------------------------

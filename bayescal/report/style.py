@@ -31,6 +31,7 @@ RC: dict[str, Any] = {
     "legend.frameon": False,
     "legend.fontsize": 8.5,
     "figure.constrained_layout.use": True,
+    "svg.hashsalt": "bayescal",  # the same figure gives the same bytes
 }
 
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 import re
+import struct
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 
+import numpy as np
 import pytest
 from html_reader import Reader
 from matplotlib import rc_context
@@ -32,8 +37,10 @@ from bayescal.report.blocks import (
     Statement,
     make_table,
 )
-from bayescal.report.page import make_prose, render_page, render_png, set_symbol, write_page
+from bayescal.report.page import choose_first, make_prose, render_page, set_symbol, write_page
+from bayescal.report.pictures import render_picture
 from bayescal.report.provenance import format_config, show_provenance
+from bayescal.report.scene import Scene, SceneLine, ScenePoint, choose_magnification
 
 WICKED = "<script>alert(1)</script> & O1 at 3 µm"
 ESCAPED = "&lt;script&gt;alert(1)&lt;/script&gt; &amp; O1 at 3"
@@ -59,24 +66,24 @@ def test_page_holds_everything_it_shows(tmp_path):
     assert path == tmp_path / "report.html"
     assert {one.name for one in tmp_path.iterdir()} == {"report.html", "figures"}
     assert {one.name for one in (tmp_path / "figures").iterdir()} == {"a.png", "b.png"}
-    assert (tmp_path / "figures/a.png").read_bytes() == render_png(draw)
-    assert render_png(draw).startswith(b"\x89PNG")
-    assert len(re.findall(r'<img src="data:image/png;base64,', text)) == 2
+    assert (tmp_path / "figures/a.png").read_bytes() == render_picture(draw).png
+    assert render_picture(draw).png.startswith(b"\x89PNG")
+    assert len(re.findall(r"<svg ", text)) == 2
     reader = Reader(text)
     assert reader.open == []
     assert all(reference.startswith(("#", "data:")) for reference in reader.references)
-    assert not re.search(r"url\(|@import", text)
-    assert '<th colspan="1" class="group">published</th>' in text
+    assert not re.search(r"url\((?!#)|@import|src=\"(?!data:)", text)
+    assert '<th colspan="1" scope="colgroup" class="group">published</th>' in text
     assert ">0.0357<" in text
     assert not re.search(r"\{\{|\{%", text)
 
 
 def test_all_text_is_escaped(tmp_path):
     text = write_page(make_page(Figure("a", WICKED, draw)), tmp_path).read_text(encoding="utf-8")
-    assert "<script" not in text
+    assert text.count("<script") == 1
     assert "<1>" not in text
-    # heading, name, fact, origin, headline, finding, paragraph, caption, cell, three notes and captions, title, alt
-    assert text.count(ESCAPED) == 14
+    # heading, name, fact, origin, headline, finding, paragraph, caption, cell, two notes, the figure's caption, title
+    assert text.count(ESCAPED) == 13
 
 
 @pytest.mark.parametrize(
@@ -99,7 +106,7 @@ def test_all_text_is_escaped(tmp_path):
 )
 def test_text_of_every_block_is_shown_and_escaped(block, times):
     without, text = render_page(make_page(), {}), render_page(make_page(block), {})
-    assert "<script" not in text
+    assert text.count("<script") == 1
     assert text.count(ESCAPED) == without.count(ESCAPED) + times
     assert Reader(text).open == []
 
@@ -116,7 +123,7 @@ def test_links_of_the_page_lead_somewhere(tmp_path):
     more = Section("Provenance", (), anchor="provenance")
     text = write_page(make_page(), tmp_path, [more]).read_text(encoding="utf-8")
     targets = re.findall(r'href="#([^"]*)"', text)
-    assert targets == ["section-1", "provenance"]
+    assert targets == ["verdict", "section-1", "provenance", "glossary"]
     assert all(f'id="{target}"' in text for target in targets)
     assert not (tmp_path / "figures").exists()
 
@@ -164,9 +171,9 @@ def test_nothing_is_written_through_links(tmp_path):
 
 
 def test_a_figure_is_the_same_whatever_matplotlibrc_says():
-    plain = render_png(draw)
+    plain = render_picture(draw)
     with rc_context({"text.usetex": True, "axes.facecolor": "red", "figure.figsize": (2, 2)}):
-        assert render_png(draw) == plain
+        assert render_picture(draw) == plain
 
 
 def test_figures_need_names_of_their_own():
@@ -186,6 +193,99 @@ def test_what_is_folded_on_screen_is_open_in_print():
     style = (Path(setting.__file__).parent / "page.css").read_text(encoding="utf-8")
     print_rules = style[style.index("@media print") :]
     assert re.search(r"details::details-content \{[^}]*content-visibility: visible;[^}]*\}", print_rules)
+
+
+# --- figures and verdicts --------------------------------------------------------------------------------------------
+
+
+def test_a_figure_tells_its_values_and_what_is_seen():
+    def bars() -> Drawing:
+        drawing = Drawing(figsize=(3.0, 1.0))
+        axes = drawing.subplots()
+        axes.barh([0, 1], [3.0, 8.6])
+        axes.plot([1.0, 2.0], [0, 1], "D", label="τ = 0")
+        axes.set_yticks([0, 1], ["six_pus", "<beam>"])
+        axes.set_xlabel("Error (µm)")
+        return drawing
+
+    markup = render_picture(bars).place("errors")
+    assert markup.startswith("<svg ")
+    assert "<title>&lt;beam&gt;; Error (µm) 8.6</title>" in markup
+    assert "<title>τ = 0; six_pus; Error (µm) 1</title>" in markup
+    assert 'aria-label="across Error (µm) from 0 to 9; upwards six_pus and &lt;beam&gt;; shown: τ = 0."' in markup
+    ids = re.findall(r' id="([^"]+)"', markup)
+    assert ids
+    assert all(one.startswith("errors-") for one in ids)
+    assert set(re.findall(r'(?:href="#|url\(#)([^")]+)', markup)) <= set(ids)
+    assert Reader(markup).open == []
+
+
+def test_a_cloud_that_is_smaller_as_pixels_is_a_fine_png():
+    def cloud() -> Drawing:
+        drawing = Drawing(figsize=(2.0, 1.0))
+        drawing.subplots().plot(*np.random.default_rng(1).standard_normal((2, 4000)), ".")
+        return drawing
+
+    picture = render_picture(cloud)
+    assert picture.markup.startswith('<img width="240" height="120"')
+    data = re.search(r'src="data:image/png;base64,([^"]+)" alt="', picture.markup)
+    assert data is not None
+    assert base64.b64decode(data[1])[16:24] == struct.pack(">II", 384, 192)
+
+
+def test_at_most_five_findings_are_seen_at_first_the_bad_ones_among_them():
+    findings = [Statement(str(k), level) for k, level in enumerate(["plain"] * 4 + ["good", "warning", "good", "bad"])]
+    shown, folded = choose_first(findings)
+    assert [one.text for one in shown] == ["0", "1", "2", "5", "7"]
+    assert [one.text for one in folded] == ["3", "4", "6"]
+    text = render_page(replace(make_page(), verdict=tuple(findings)), {})
+    assert "<summary>3 more findings" in text
+
+
+def test_terms_that_a_page_uses_are_explained_at_its_end():
+    text = render_page(make_page("The posterior's sd is 0.5 nat wide."), {})
+    listed = re.findall(r'<dt data-words="([^"|]+)', text)
+    assert listed == sorted(listed, key=str.lower)
+    assert {"posterior", "sd", "nat"} <= set(listed)
+    assert "R-hat" not in listed
+
+
+def test_nothing_runs_but_the_pages_own_script():
+    text = render_page(make_page(), {})
+    script = re.search(r"<script>(.*)</script>", text, re.DOTALL)
+    assert script is not None
+    digest = base64.b64encode(hashlib.sha256(script[1].encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in text
+    assert "default-src 'none'" in text
+    assert len(script[1]) < 15_000
+
+
+# --- machines in space -----------------------------------------------------------------------------------------------
+
+
+def make_scene() -> Scene:
+    points = [ScenePoint(f"<b> {k}", "base", ((100.0 * k, 0.0, 10.0), (0.0, 50.0 * k, 0.0))) for k in range(3)]
+    points[1] = replace(points[1], offset=(0.5, 0.0, 0.0))
+    lines = (SceneLine((0, 1, 2), "base", closed=True),)
+    return Scene("machine", "Turn it.", WICKED, tuple(points), lines, ("home", "<P1>"), (("a", (0, 1)),), 20.0)
+
+
+def test_a_machine_can_be_turned_and_is_seen_without_a_script():
+    text = render_page(make_page(make_scene()), {})
+    assert "<b> 1: 100, 0, 10 mm; found 0.5, 0, 0 mm from there" in unescape(text)
+    assert text.count('class="moved"') == 1
+    data = re.search(r'data-scene="([^"]+)"', text)
+    assert data is not None
+    content = json.loads(unescape(data[1]))
+    assert content["poses"] == ["home", "<P1>"]
+    assert content["points"][1]["offset"] == [0.5, 0.0, 0.0]
+    assert "svg[data-scene]" not in render_page(make_page(), {})
+    assert len((Path(setting.__file__).parent / "scene.js").read_bytes()) < 15_000
+
+
+def test_offsets_are_magnified_to_be_seen():
+    assert choose_magnification(make_scene().points) == 50.0
+    assert choose_magnification([ScenePoint("a", "base", ((0.0, 0.0, 0.0),))]) == 0.0
 
 
 # --- text ------------------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from bayescal.experiments.audit.results import summarise, tabulate
 from bayescal.experiments.audit.ridge_curves import plot_ridges, tabulate_plots
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.identifiability.calibration import (
     Comparison,
     compare_with_prediction,
@@ -54,7 +55,15 @@ def compute_audit(design: AuditDesign, run: Run) -> Results:
     for name, calibrations in simulated.items():
         summary[name] = _summarise_calibrations(audit, name, calibrations)
     tables = tabulate(summary, audit) | tabulate_plots(plots) | _tabulate_profiles(audit, profiles)
-    return Results(summary, tables)
+    return Results(summary, {**tables, "joints": _tabulate_joints(inputs)})
+
+
+def _tabulate_joints(inputs: AuditInputs) -> pd.DataFrame:
+    """Return where the machine's joints stand at home and at the plan's poses."""
+    plan = inputs.plan
+    return tabulate_joints(
+        inputs.knowledge.machine.mechanism, plan.actuators, [f"pose {k + 1}" for k in range(plan.n_poses)]
+    )
 
 
 # --- profiles ----------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from bayescal.config.classes import label_class
 from bayescal.density.least_squares import LeastSquaresFit
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
+from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.experiments.shared.trees import pack_tree, write_packed
 from bayescal.experiments.study.calibrated import describe_nominal
 from bayescal.experiments.study.claims import Claims
@@ -70,6 +71,7 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
         "flexure": tabulate_flexure(inputs.mechanism),
         "ring": tabulate_ring(inputs),
         "deformation": tabulate_deformation(inputs),
+        "joints": tabulate_joints(inputs.mechanism, inputs.measured.actuators, inputs.names),
     }
     if inputs.has_kernels:
         tables["structured"] = tabulate_structured(inputs, posteriors)

@@ -11,6 +11,7 @@ from saved_trees import check_tree
 
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
+from bayescal.report.pictures import Picture
 
 
 def run(*arguments, folder):
@@ -26,7 +27,7 @@ def outcomes(tmp_path_factory):
     elsewhere.mkdir()
     done = run("run", path, "--out", elsewhere / "2", "--workers", 2, folder=elsewhere)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("bayescal.report.page.render_png", lambda draw: b"not drawn")
+        patched.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
         run_experiment(load(path)[1], path.parent, elsewhere / "1")
     return folder, done
 

@@ -14,6 +14,7 @@ import studies
 from bayescal.api import run_study
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
+from bayescal.report.pictures import Picture
 
 
 @pytest.fixture(scope="module", params=hexapods.LIMITS)
@@ -28,7 +29,7 @@ def folder(request, tmp_path_factory) -> Path:
 def results(folder) -> Path:
     """Return the results of the study, pictures not drawn."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("bayescal.report.page.render_png", lambda draw: b"not drawn")
+        patched.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
         return run_study(load_experiment(folder / "study.toml"), folder, folder / "results", workers=1).out
 
 

@@ -110,6 +110,7 @@ def _build_sections(audit: AuditResults) -> tuple[Section, ...]:
 def _show_parameters(audit: AuditResults) -> tuple[Block, ...]:
     each = Fold("Every parameter with the reason of its verdict", (_set_small(tables.tabulate_parameters(audit)),))
     return (
+        *illustrations.show_machine(audit),
         _set_small(tables.tabulate_symbols(audit)),
         illustrations.show_contraction(audit),
         each,

@@ -14,11 +14,23 @@ from bayescal.experiments.audit.page.figures.spectrum import draw_spectrum
 from bayescal.experiments.audit.page.figures.sweeps import SWEEPS, draw_sweeps
 from bayescal.experiments.audit.page.results import AuditResults, Ridge
 from bayescal.experiments.audit.page.tables import name_change
+from bayescal.experiments.shared.machine_scene import build_scene, read_joint_columns
 from bayescal.report.blocks import Figure
 from bayescal.report.numbers import join_words
+from bayescal.report.scene import Scene
 from bayescal.report.symbols import split_name
 
+IN_MM = {"um": 1e-3, "mm": 1.0, "m": 1e3}
 PANELS = 12  # of ridges in the first figure
+
+
+def show_machine(audit: AuditResults) -> list[Scene]:
+    """Return the machine in space at its planned poses, with what remains unknown of its joints."""
+    if "joints" not in audit.tables:
+        return []
+    frame = audit.parameters.assign(sd=audit.parameters["posterior_sd"] * audit.parameters["unit"].map(IN_MM))
+    scene = build_scene(audit.tables["joints"], spreads=read_joint_columns(frame.dropna(subset="sd"), "sd"))
+    return [] if scene is None else [scene]
 
 
 def show_contraction(results: AuditResults) -> Figure:

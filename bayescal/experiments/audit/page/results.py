@@ -14,6 +14,7 @@ import pandas as pd
 from bayescal.errors import InputError
 from bayescal.experiments.audit.page.checks import REQUIREMENT_KEYS, check_summary
 from bayescal.experiments.frame.results import SUMMARY_FILE, Results
+from bayescal.experiments.shared.joints import COLUMNS as JOINT_COLUMNS
 from bayescal.report.symbols import split_name
 
 TABLES = "tables"  # where they stand in the results directory
@@ -25,8 +26,9 @@ TABLE_COLUMNS = {
     "profile_paths": ("parameter", "value", "other", "other_unit", "other_value"),
     "ridge_draws": ("direction", "source", "x", "y"),
     "ridge_curves": ("direction", "source", "x", "y"),
+    "joints": JOINT_COLUMNS,
 }
-TEXT_COLUMNS = ("sweep", "symbol", "requirement", "unit", "parameter", "other", "other_unit", "source")
+TEXT_COLUMNS = ("pose", "joint", "sweep", "symbol", "requirement", "unit", "parameter", "other", "other_unit", "source")
 REQUIRED = ("spectrum",)
 
 

@@ -19,8 +19,11 @@ from bayescal.experiments.calibration.page.verdict import (
     state_verdict,
 )
 from bayescal.experiments.shared.diagnostics_table import tabulate_diagnostics
+from bayescal.experiments.shared.joints import MOST_POSES
+from bayescal.experiments.shared.machine_scene import AXES, build_line_scene
 from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Section, make_section, make_table
 from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant
+from bayescal.report.scene import Triple
 
 KIND = "Calibration"
 VERDICT_LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad", "noise": "plain"}
@@ -33,6 +36,7 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
     sections = [
         _show_variants(tables, summary),
         _show_parameters(tables, best),
+        *show_machine(tables, best),
         show_accuracy(tables),
         *_show_predictions(tables, best),
         _show_poses(tables, best),
@@ -135,6 +139,29 @@ def _show_parameters(tables: dict[str, pd.DataFrame], best: str) -> Section:
     text = ("Contraction is the part of the prior's variance that the readings removed: 0.75 halves the tolerance.",)
     caption = f"Parameters of “{titles[best]}”, mean ± standard deviation."
     return make_section("Parameters", text, (make_table(caption, columns, rows),), (figure,))
+
+
+def show_machine(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
+    """Return a machine of lines in space, anchors where they were found; nothing of other machines."""
+    rows = tables["parameters"][tables["parameters"]["variant"] == best].set_index("parameter")
+    n_lines = sum(str(name).startswith("A_x[") for name in rows.index)
+    wanted = [[f"A_{axis}[{k}]" for axis in AXES] for k in range(1, n_lines + 1)]
+    if not n_lines or not {name for names in wanted for name in names} <= set(rows.index):
+        return []
+    moved = rows["mean"] - rows["nominal"]
+    anchors, offsets, spreads = (
+        [_take_triple(column, names) for names in wanted] for column in (rows["nominal"], moved, rows["sd"])
+    )
+    places = {"origin": (0.0, 0.0, 0.0)}
+    poses = tables.get("poses", pd.DataFrame(columns=["variant"]))
+    for row in list_rows(poses[poses["variant"] == best][:MOST_POSES]):
+        places[f"pose {row['pose']}"] = (float(row["x_mm"]), float(row["y_mm"]), float(row["z_mm"]))
+    return [Section("The machine", (build_line_scene(anchors, offsets, spreads, places),), "machine")]
+
+
+def _take_triple(column: pd.Series, names: list[str]) -> Triple:
+    x, y, z = (float(column[name]) for name in names)
+    return x, y, z
 
 
 def show_accuracy(tables: dict[str, pd.DataFrame], asked: Asked = None) -> Section:

@@ -122,7 +122,8 @@ def _show_parameters(study: StudyResults) -> Section:
 
 def _show_joints(study: StudyResults) -> Section:
     title = "Joints: where the identified points lie"
-    return Section(title, (show.illustrate_joints(study),), anchor="joints", short="Joints")
+    blocks: list[Block] = [*show.show_machine(study), show.illustrate_joints(study)]
+    return Section(title, tuple(blocks), anchor="joints", short="Joints")
 
 
 def _show_flexure(study: StudyResults) -> Section | None:

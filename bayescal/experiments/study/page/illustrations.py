@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import partial
 
 import pandas as pd
 
+from bayescal.experiments.shared.machine_scene import build_scene, read_joint_columns
 from bayescal.experiments.study.page.figures.deformation import draw_deflections
 from bayescal.experiments.study.page.figures.errors import draw_bounds, draw_error_bars
 from bayescal.experiments.study.page.figures.flexure import choose_flexure, draw_flexure
@@ -32,6 +34,7 @@ from bayescal.experiments.study.page.variants import (
 )
 from bayescal.report.blocks import Figure
 from bayescal.report.numbers import format_plain
+from bayescal.report.scene import Scene
 from bayescal.report.symbols import MODEL_ERROR, split_name
 from bayescal.report.variant_names import describe_deformation
 
@@ -125,6 +128,20 @@ def illustrate_joints(results: StudyResults) -> Figure:
     )
     variants = {label_model(results, model): find_variants(results, model) for model in models}
     return Figure(name, caption, partial(draw_joints, joints, variants, assign_styles(results)))
+
+
+def show_machine(results: StudyResults) -> list[Scene]:
+    """Return the machine in space with how far the best variant's joints were found from nominal."""
+    if results.joints is None:
+        return []
+    frame = _choose_free(results)
+    best = frame[frame["variant"] == results.ranking[0]]
+    moved = best.assign(offset=best["mean"] - best["nominal"])
+    offsets, spreads = read_joint_columns(moved, "offset"), read_joint_columns(moved, "sd")
+    scene = build_scene(results.joints, offsets, spreads)
+    if scene is None:
+        return []
+    return [replace(scene, caption=f"{scene.caption} Found by {label_variant(results, results.ranking[0])}.")]
 
 
 def illustrate_flexure(results: StudyResults, flexure: pd.DataFrame) -> Figure:

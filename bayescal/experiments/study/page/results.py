@@ -15,6 +15,7 @@ import pandas as pd
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import SUMMARY_FILE, Results
+from bayescal.experiments.shared.joints import COLUMNS as JOINT_COLUMNS
 from bayescal.experiments.study.page.posterior_files import Replicates, read_posteriors, read_replicates
 from bayescal.experiments.study.page.publication import Publication, read_publication
 from bayescal.report.reading import NUMBER, Kinds, check_keys
@@ -27,7 +28,7 @@ SETTINGS = {"free": "with model error", "zero": "without model error (τ = 0)"}
 SHORT_SETTINGS = {"free": "free", "zero": "τ = 0"}
 USES = ("calibration", "verification")
 TEXT_COLUMNS = (
-    *("variant", "model_error", "pose", "use", "parameter", "unit", "quantity"),
+    *("variant", "model_error", "joint", "pose", "use", "parameter", "unit", "quantity"),
     *("claim", "section", "statement", "expected", "found", "verdict", "why"),
 )
 VERDICTS = ("holds", "does not hold", "not testable")
@@ -113,6 +114,7 @@ TABLE_COLUMNS = {
         "along_circle_um",
         "circle_error_nm",
     ),
+    "joints": JOINT_COLUMNS,
     "structured": ("variant", "pose", "use", "leg", "actuator", "travel_mm", "mean_um", "low_um", "high_um"),
     "claims": ("claim", "section", "statement", "expected", "found", "value", "unit", "verdict", "why"),
 }
@@ -144,6 +146,8 @@ class StudyResults:
         Statements of the publication, each with a verdict; None where the study tests none.
     flexure : DataFrame or None
         Displacement of a flexure joint; None where no model has flexures.
+    joints : DataFrame or None
+        Where the machine's joints stand, pose by pose; None in results of earlier versions.
     structured : DataFrame or None
         The structured model error at every pose; None where no variant has one.
     publication : Publication or None
@@ -167,6 +171,7 @@ class StudyResults:
     deformation: pd.DataFrame | None = None
     claims: pd.DataFrame | None = None
     flexure: pd.DataFrame | None = None
+    joints: pd.DataFrame | None = None
     structured: pd.DataFrame | None = None
     publication: Publication | None = None
     draws: dict[str, dict[str, Array]] = field(default_factory=dict)

@@ -8,12 +8,14 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pandas as pd
+from html_reader import leave_out_script
 
 from bayescal.experiments.frame import results as frame
 from bayescal.experiments.study.page.build import build_page
 from bayescal.experiments.study.page.results import StudyResults
 from bayescal.report.blocks import Page
 from bayescal.report.page import render_page, write_page
+from bayescal.report.pictures import Picture
 from bayescal.report.provenance import show_provenance
 
 TWO = {"pus/none": (100.0, 2.0), "pus/linear": (120.0, 1.0)}  # log-evidence and how far the parameters moved
@@ -367,4 +369,5 @@ def write_report(folder) -> Path:
 def render_text(folder) -> str:
     """Return the page of a results directory without drawing its figures."""
     page = read_page(folder)
-    return render_page(page, {figure.name: b"" for figure in page.figures() if figure.draw is not None})
+    pictures = {figure.name: Picture(b"") for figure in page.figures() if figure.draw is not None}
+    return leave_out_script(render_page(page, pictures))

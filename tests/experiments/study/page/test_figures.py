@@ -16,7 +16,7 @@ from matplotlib.colors import to_hex
 from bayescal.experiments.study.page.figures.flexure import choose_flexure, draw_flexure
 from bayescal.experiments.study.page.figures.joints import find_magnification, locate_joints, measure_moves
 from bayescal.experiments.study.page.styles import DEFORMATION_COLOURS, assign_styles, list_keys
-from bayescal.report.page import render_png
+from bayescal.report.pictures import render_picture
 from bayescal.report.style import RC
 
 
@@ -68,7 +68,7 @@ def list_texts(figure) -> list[str]:
 def test_every_figure_is_drawn_without_a_warning(page):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        images = {one.name: render_png(one.draw) for one in page.figures()}
+        images = {one.name: render_picture(one.draw).png for one in page.figures()}
     assert set(images) == {
         *("errors", "errors_none", "errors_linear", "errors_matrix", "bounds", "parameters", "hardpoints", "flexure"),
         *("ridges", "deflections", "model_error", "sensitivity"),

@@ -1,0 +1,137 @@
+"""What the words of statistics and of the field mean, for readers who have not read the papers."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Term:
+    """A term in its spellings, the one it is listed by first, and what it means."""
+
+    words: tuple[str, ...]
+    meaning: str
+
+
+TERMS = (
+    Term(
+        ("90 % interval", "90 % intervals", "90 % predictive intervals", "credible interval"),
+        "Range that holds the true value with a probability of 90 %, if the assumptions are right.",
+    ),
+    Term(("actuator", "actuators"), "Motor of a leg: it moves the joint at the leg's base, or changes its length."),
+    Term(("bulk ESS", "tail ESS", "ESS"), "Effective sample size: how many independent draws the draws are worth."),
+    Term(
+        ("calibration poses",),
+        "Measured poses that the parameters were fitted to; errors on them look smaller than they are elsewhere.",
+    ),
+    Term(
+        ("contraction",),
+        "Share of a tolerance's variance that the measurements remove: at 0 nothing is learnt, at 0.75 the tolerance "
+        "is halved, at 1 the parameter is known.",
+    ),
+    Term(
+        ("coverage", "coverage of 90 % intervals"),
+        "How many measurements, or true values, lie inside their intervals: of 90 % intervals it should be 90 %. Less: "
+        "the intervals claim too much.",
+    ),
+    Term(
+        ("deformation", "deformations"),
+        "How the platform gives way under its legs: none; linear, each joint by κ times its own actuator's "
+        "displacement; matrix, by the displacements of all actuators through a measured matrix K.",
+    ),
+    Term(("draws", "draw"), "Parameters picked at random from the posterior: what is left open, as examples."),
+    Term(
+        ("elpd", "elpd LOO"),
+        "Expected log predictive density: how well poses that were not used are predicted. Larger is better; only "
+        "differences count.",
+    ),
+    Term(
+        ("free parameters", "free"),
+        "Parameters that the calibration may change; all others keep their nominal values.",
+    ),
+    Term(("gauge",), "Change of parameters that no measurement of this kind can ever reveal."),
+    Term(
+        ("identifiable",),
+        "Of a parameter: the measurements tell it clearly better than its tolerance does.",
+    ),
+    Term(
+        ("importance sampling",),
+        "Weighing draws of an approximation so that they stand for the exact posterior.",
+    ),
+    Term(
+        ("leave-one-out", "leave-one-out cross-validation", "LOO", "left out"),
+        "Each pose in turn is predicted from all the others: a test on poses that the fit has not seen.",
+    ),
+    Term(
+        ("log-evidence", "log-evidences", "evidence"),
+        "How well a model with its tolerances foretold all measurements together, as a logarithm. Larger is better; "
+        "freedom that is not needed costs. Only differences between variants count.",
+    ),
+    Term(
+        ("model error", "model errors"),
+        "τ: standard deviation of what a model leaves unexplained along a leg, beyond the noise of the measurement.",
+    ),
+    Term(
+        ("nat", "nats"),
+        "Unit of a difference of log-evidences: 1 nat is odds of 2.7 to 1, 3 nat of 20 to 1, 5 nat of 150 to 1.",
+    ),
+    Term(("nominal", "from nominal"), "As the machine was designed; offsets are counted from there."),
+    Term(
+        ("observability index", "observability indices", "O1"),
+        "O1 to O5: single numbers for how well a set of poses shows all parameters together; larger is better.",
+    ),
+    Term(
+        ("Pareto k",),
+        "Says whether an estimate by importance sampling can be trusted: below 0.7 it can.",
+    ),
+    Term(("PIT", "ranks"), "Where measurements fall within their predictions: evenly, if the predictions are right."),
+    Term(("platform",), "What the legs carry: its position and orientation are what a parallel machine is for."),
+    Term(("pose", "poses"), "Position and orientation of the platform together."),
+    Term(
+        ("posterior", "posteriors"),
+        "What is known of the parameters by the measurements: not one number each but how probable each value is.",
+    ),
+    Term(
+        ("prior", "priors", "tolerance", "tolerances"),
+        "What is assumed of a parameter before the measurements: nominal, give or take its tolerance.",
+    ),
+    Term(
+        ("R-hat",),
+        "Compares several runs of the sampler with each other: near 1 they agree; above the limit the numbers are not "
+        "to be relied on.",
+    ),
+    Term(
+        ("ridge", "ridges"),
+        "Parameters that can change together while the measured poses stay the same: only their combination is known.",
+    ),
+    Term(("rms",), "Root mean square: a mean in which large values count more."),
+    Term(
+        ("sd", "standard deviation", "standard deviations"),
+        "A normal error lies within ± 1 sd with 68 %, ± 2 with 95 %.",
+    ),
+    Term(
+        ("stacking", "stacked"),
+        "Mixing the predictions of several variants, weighed so that poses left out are predicted best.",
+    ),
+    Term(("twin",), "Simulated machine whose true errors are known, so that results can be checked."),
+    Term(
+        ("variant", "variants"),
+        "One way to describe the machine: a kinematic model, a deformation of the platform and the free parameters.",
+    ),
+    Term(
+        ("verification poses", "verification", "held back"),
+        "Measured poses that were kept from the fit, to test it.",
+    ),
+)
+
+
+def find_terms(markup: str) -> list[Term]:
+    """Return the terms that a page's text uses, in the order of the alphabet."""
+    text = re.sub(r"<svg.*?</svg>|<[^>]+>", " ", str(markup), flags=re.DOTALL).replace("\u00a0", " ").lower()
+    used = [term for term in TERMS if any(_uses(text, word.lower()) for word in term.words)]
+    return sorted(used, key=lambda term: term.words[0].lower())
+
+
+def _uses(text: str, word: str) -> bool:
+    return word in text and re.search(rf"(?<![\w-]){re.escape(word)}(?![\w-])", text) is not None

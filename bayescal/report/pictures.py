@@ -1,0 +1,121 @@
+"""Figures as they stand in a page: SVG with the values of its points where that is smaller, else a fine PNG."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from markupsafe import Markup, escape
+
+from bayescal.report.figure_text import TIP, describe_figure, mark_points
+from bayescal.report.style import RC
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DPI, FINE_DPI = 120, 192
+POINTS = 72.0  # an inch
+FINER = 2.2  # how much larger a PNG of twice the resolution is at most
+LEAST_SCALE = 0.8  # of a figure on a small screen, which scrolls; letters of 6.5 points are read then
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A drawn figure.
+
+    Attributes
+    ----------
+    png : bytes
+        The figure as a file.
+    markup : str
+        As it stands in a page, escaped; without its name, see `place`.
+    """
+
+    png: bytes
+    markup: str = ""
+
+    def place(self, name: str) -> Markup:
+        """Return the markup with the ids of its parts made the figure's own."""
+        text = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", self.markup)
+        return Markup(text)  # markup already; names are letters, digits, _ and -
+
+
+def render_picture(draw: Callable[[], Figure]) -> Picture:
+    """Return a figure as PNG and as it stands in a page; the same figure gives the same bytes."""
+    from matplotlib import rc_context, rcdefaults, rcParams  # a second to import, for those who draw
+
+    with rc_context():
+        rcdefaults()  # whatever somebody's matplotlibrc says
+        rcParams.update(RC)  # type: ignore[arg-type]  # its keys are a literal type of three hundred names
+        figure = draw()
+        png = _save(figure, "png", DPI)
+        figure.set_layout_engine("none")  # it stays where it is
+        width, height = figure.get_size_inches() * DPI
+        alt, tips = describe_figure(figure), mark_points(figure)
+        drawn = tidy_svg(_save(figure, "svg", POINTS).decode(), tips)
+        size = f'width="{width:.0f}" height="{height:.0f}" style="min-width:{LEAST_SCALE * width:.0f}px"'
+        if len(drawn) > FINER * len(png) * 4 / 3 and len(fine := _save(figure, "png", FINE_DPI)) * 4 / 3 < len(drawn):
+            source = base64.b64encode(fine).decode("ascii")
+            return Picture(png, Markup(f'<img {size} src="data:image/png;base64,{source}" alt="{escape(alt)}">'))
+        box = f"0 0 {width * POINTS / DPI:g} {height * POINTS / DPI:g}"
+    return Picture(png, Markup(f'<svg {size} viewBox="{box}" role="img" aria-label="{escape(alt)}">{drawn}</svg>'))
+
+
+def _save(figure: Figure, kind: str, dpi: float) -> bytes:
+    buffer = io.BytesIO()
+    nothing = {"Software": None} if kind == "png" else dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    figure.savefig(buffer, format=kind, dpi=dpi, metadata=nothing)
+    return buffer.getvalue()
+
+
+def tidy_svg(text: str, tips: Mapping[str, list[str]]) -> str:
+    """Return what is inside an SVG of matplotlib's, without what a page does not need.
+
+    Parameters
+    ----------
+    text : str
+        All text in it is drawn as glyphs.
+    tips : mapping of str to list of str
+        By the id of a group, what its marks stand for.
+    """
+    inside = text[text.index(">", text.index("<svg")) + 1 : text.rindex("</svg>")]
+    inside = re.sub(r"<!--.*?-->|<metadata>.*?</metadata>|<style[^>]*>.*?</style>", "", inside, flags=re.DOTALL)
+    inside = re.sub(r' (?:d|x|y)="[^"]*"', lambda found: re.sub(r"(\.\d\d)\d+", r"\1", found[0]), inside)
+    inside = re.sub(r"\s*\n\s*", "\n", inside).replace("; ", ";").replace(": ", ":")
+    used = set(re.findall(r'href="#([^"]+)"', inside)) | set(re.findall(r"url\(#([^)]+)\)", inside)) | set(tips)
+    inside = re.sub(r' id="([^"]+)"', lambda found: found[0] if found[1] in used else "", inside)
+    for name, texts in tips.items():
+        inside = _insert_tips(inside, name, texts)
+    return inside.replace("<defs>\n</defs>\n", "").strip()
+
+
+def _insert_tips(inside: str, name: str, texts: list[str]) -> str:
+    """Return the SVG with a title in each mark of a group; none where its marks are not one for each text."""
+    mark = f'<g id="{name}">'
+    begin = inside.find(mark)
+    if begin < 0:
+        return inside
+    end = _find_end(inside, begin)
+    group = inside[begin + len(mark) : end]
+    titles = [f"<title>{escape(text)}</title>" for text in texts]
+    uses = re.findall(r"<use [^>]*/>", group)
+    if len(texts) == 1 and len(uses) != 1:
+        group = f"{titles[0]}{group}"
+    elif len(uses) == len(texts):
+        left = iter(titles)
+        group = re.sub(r"<use ([^>]*)/>", lambda found: f"<use {found[1]}>{next(left)}</use>", group)
+    return f'{inside[:begin]}<g class="{TIP.rstrip("-")}">{group}{inside[end:]}'
+
+
+def _find_end(text: str, begin: int) -> int:
+    """Return where the group that begins there closes."""
+    depth = 0
+    for found in re.finditer(r"<g[ >]|</g>", text[begin:]):
+        depth += -1 if found[0] == "</g>" else 1
+        if depth == 0:
+            return begin + found.start()
+    return len(text)
