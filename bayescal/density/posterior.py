@@ -311,8 +311,8 @@ class Posterior:
 
     def pose_information(self, y: Array, pose: int) -> Array:
         """Return one pose's part of the information of the data on the geometry at y, shape (m, m)."""
-        _, _, slope, precision, _ = self._linearise(y)
-        return np.asarray(slope[pose].T @ precision[pose] @ slope[pose])
+        local = self._linearise(y)
+        return np.asarray(local.slope[pose].T @ local.precision[pose] @ local.slope[pose])
 
     def prior_residual(self, y: Array, theta: Array) -> Array:
         """Return the geometry's prior as residuals of unit variance, shape (m,), at coordinates (m,) and θ (D,)."""
