@@ -74,9 +74,9 @@ def describe_lead(results: StudyResults) -> str:
 def state_verdict(results: StudyResults) -> list[Statement]:
     """Return the sentences below the headline."""
     return [
-        _state_accuracy(results),
         *state_soundness(results),
         *state_blunders(results),
+        _state_accuracy(results),
         checks.state_convergence(results),
         *state_prediction(results),
         Statement(describe_lead(results), lead="Evidence"),

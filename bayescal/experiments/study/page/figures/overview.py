@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
 from bayescal.experiments.study.page.styles import Styles
-from bayescal.report.numbers import MICROMETRES, MILLIDEGREES, format_fixed, format_pair, format_plain
+from bayescal.report.numbers import MICROMETRES, MILLIDEGREES, format_fixed, format_pair, format_power
 from bayescal.report.style import INK, PALE
 
 QUANTITIES = (
@@ -56,7 +56,7 @@ def draw_overview(
     chosen = predictions[predictions["use"] == use]
     for panel, (column, factor, label) in zip(axes[1:-1], quantities, strict=True):
         _draw_errors(panel, names, chosen, column, factor, styles)
-        panel.set_xlabel(f"{label}, {use}")
+        panel.set_xlabel(f"{label},\n{use}")
     _draw_without(axes[-1], names, behind)
     axes[0].set_yticks(range(len(names)), [styles[name].label for name in names])
     axes[0].set_ylim(len(names) - 0.5, -0.5)
@@ -92,8 +92,11 @@ def _draw_without(axes: Axes, names: Sequence[str], behind: Mapping[tuple[str, s
 
 def _scale_evidence(axes: Axes, values: Sequence[float]) -> None:
     axes.set_xscale("symlog", linthresh=1.0, linscale=0.5)
-    axes.set_xlim(0, 60 * max(1.0, *values))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
+    axes.set_xlim(0, 100 * max(1.0, *values))
+    locator = axes.xaxis.get_major_locator()
+    if isinstance(locator, SymmetricalLogLocator):
+        locator.set_params(numticks=4)
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_power(value, 1)))
 
 
 def _write_beside(axes: Axes, ends: Sequence[float], texts: Sequence[str]) -> None:
