@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: study real audits test test-dask test-slow check docs dist data picture benchmark clean help
+.PHONY: study real audits test test-browser test-dask test-slow check docs dist data picture benchmark clean help
 
 help:
 	@echo "make study      the telescope study: environment, run, ranking, report (three to four minutes on two cores)"
@@ -13,6 +13,7 @@ help:
 	@echo "make test       environment and the test suite"
 	@echo "make test-slow  the slow statistical suites"
 	@echo "make test-dask  schedulers and workers of dask, killed and late (installs dask.distributed)"
+	@echo "make test-browser  every kind's page in the system's Chromium (installs playwright, no browser)"
 	@echo "make check      linter, types, import contracts"
 	@echo "make data       simulate the shipped twins again"
 	@echo "make docs       the documentation, its tutorials run, into docs/_build/html (installs Sphinx)"
@@ -37,6 +38,10 @@ test: $(STAMP)
 test-dask: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dask]"
 	$(THREADS) $(BIN)/python -m pytest -q -m "slow or not slow" tests/experiments/frame/test_distributed.py
+
+test-browser: $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[browser]"
+	$(THREADS) $(BIN)/python -m pytest -q -m slow tests/report tests/experiments/frame/test_pages_in_browser.py
 
 test-slow: $(STAMP)
 	$(THREADS) $(BIN)/python -m pytest -q -n 2 -m slow

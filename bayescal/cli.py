@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -490,8 +491,12 @@ def schema(kind: Annotated[str, typer.Argument(metavar="KIND", help="Kind of exp
 
 
 def _make_console(width: int = WIDTH) -> Console:
+    """Return where to print; without a terminal as wide as COLUMNS says, or as is given."""
     found = Console(highlight=False, markup=False)
-    return found if found.is_terminal else Console(width=width, highlight=False, markup=False)
+    if found.is_terminal:
+        return found
+    told = os.environ.get("COLUMNS", "")
+    return Console(width=int(told) if told.isdecimal() and int(told) else width, highlight=False, markup=False)
 
 
 def main() -> None:

@@ -40,7 +40,7 @@ OVERLAPS = """() => {
     for (const box of range.getClientRects()) {
       const right = Math.min(box.right, clip?.right ?? Infinity);
       if (right - box.left > 2 && box.height > 2 && !(innerWidth < 800 && clip && !parent.closest(".lead")))
-        boxes.push({ top: box.top + 3, bottom: box.bottom - 3, left: box.left + 1, right: right - 1, text: node.data, node });
+        boxes.push({ top: box.top + 3, bottom: box.bottom - 3, left: box.left + 1, right: right - 1, node });
     }
   }
   boxes.sort((one, other) => one.top - other.top);
@@ -48,8 +48,9 @@ OVERLAPS = """() => {
   boxes.forEach((one, k) => {
     for (let j = k + 1; j < boxes.length && boxes[j].top < one.bottom; j++) {
       const other = boxes[j];
-      if (other.left < one.right && one.left < other.right && !one.node.parentElement.closest("sub, sup")
-          && !other.node.parentElement.closest("sub, sup")) found.push(`${one.text.slice(0, 30)} | ${other.text.slice(0, 30)}`);
+      const raised = [one, other].some((box) => box.node.parentElement.closest("sub, sup"));
+      if (other.left < one.right && one.left < other.right && !raised)
+        found.push(`${one.node.data.slice(0, 30)} | ${other.node.data.slice(0, 30)}`);
     }
   });
   return found.slice(0, 5);

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 from rich.console import Console, RenderableType
 from rich.table import Table
@@ -20,9 +21,12 @@ from bayescal.experiments.audit.page.wording import (
     name_unit,
 )
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.frame.terminal import Shown, print_table
 from bayescal.limits import COVERAGE
 from bayescal.report.numbers import NOTHING, format_plain, format_significant
 from bayescal.report.symbols import write_symbol
+
+type Printed = tuple[Sequence[Shown], Sequence[Sequence[str]]]
 
 MARKS = {"good": "+", "plain": " ", "warning": "!", "bad": "x"}
 MOST_WIDTH, FILE_WIDTH = 120, 100
@@ -31,12 +35,15 @@ MOST_WIDTH, FILE_WIDTH = 120, 100
 def show_audit(results: Results, console: Console) -> None:
     """Print the verdict of an audit, what is known of each symbol, and the requirements."""
     audit = AuditResults.of(results)
-    width = min(MOST_WIDTH, console.width) if console.is_terminal else FILE_WIDTH
+    width = min(MOST_WIDTH if console.is_terminal else FILE_WIDTH, console.width)
     for one in _list_lines(audit):
         console.print(one, width=width, markup=False, highlight=False)
+    for columns, rows in (_tabulate_symbols(audit), *_tabulate_sets(audit), *_tabulate_requirements(audit)):
+        print_table(console, columns, rows, width)
 
 
 def _list_lines(audit: AuditResults) -> list[RenderableType]:
+    """Return the verdict, its headline first."""
     lines: list[RenderableType] = [audit.summary["title"]]
     lines += [f"DO NOT RELY ON THIS: {failure.text}" for failure in list_failures(audit)]
     lines.append(state_headline(audit))
@@ -44,9 +51,6 @@ def _list_lines(audit: AuditResults) -> list[RenderableType]:
         grid = Table.grid(padding=(0, 1))
         grid.add_row(MARKS[statement.level], f"{statement.lead}: {_write_symbols(statement.text, audit.symbols)}")
         lines.append(grid)
-    lines += [_tabulate_symbols(audit), *_tabulate_sets(audit)]
-    if audit.requirements:
-        lines.append(_tabulate_requirements(audit))
     return lines
 
 
@@ -56,34 +60,47 @@ def _write_symbols(text: str, symbols: list[str]) -> str:
     return re.sub(r"(?<![\w.])[A-Za-z]\w*", lambda found: written.get(found[0], found[0]), text)
 
 
-def _tabulate_symbols(audit: AuditResults) -> Table:
-    table = Table()
-    for heading in ("symbol", "unit", "tolerance", "remains", "contraction", "verdict"):
-        table.add_column(heading, justify="left" if heading in ("symbol", "unit", "verdict") else "right")
+def _tabulate_symbols(audit: AuditResults) -> Printed:
+    columns = (
+        Shown("symbol", justify="left"),
+        Shown("unit", justify="left"),
+        Shown("tolerance", 1),
+        Shown("remains"),
+        Shown("contraction", 2),
+        Shown("verdict", justify="left"),
+    )
+    rows = []
     for symbol, group in audit.parameters.groupby("symbol", sort=False):
         counts = group["verdict"].value_counts()
         several = len(counts) > 1
         verdicts = [f"{n} {name_verdict(str(v))}" if several else name_verdict(str(v)) for v, n in counts.items()]
-        table.add_row(
-            write_symbol(str(symbol)),
-            name_unit(str(group["unit"].iloc[0])),
-            format_range(list(group["prior_sd"]), format_sd),
-            format_range(list(group["posterior_sd"]), format_sd),
-            format_range(list(group["contraction"]), format_contraction),
-            ", ".join(verdicts),
+        rows.append(
+            (
+                write_symbol(str(symbol)),
+                name_unit(str(group["unit"].iloc[0])),
+                format_range(list(group["prior_sd"]), format_sd),
+                format_range(list(group["posterior_sd"]), format_sd),
+                format_range(list(group["contraction"]), format_contraction),
+                ", ".join(verdicts),
+            )
         )
-    return table
+    return columns, rows
 
 
-def _tabulate_sets(audit: AuditResults) -> list[Table]:
+def _tabulate_sets(audit: AuditResults) -> list[Printed]:
     """Return how true the claims of everything free and of the reduced set are; nothing without a reduced set."""
     reduced = audit.summary["reduced_set"]
     if reduced is None or len(reduced["free"]) == len(audit.parameters):
         return []
-    table = Table()
-    for heading in ("free", "parameters", "true error / claimed sd, rms", "90 % intervals hold", "simulated"):
-        table.add_column(heading, justify="left" if heading == "free" else "right")
-    rows = (
+    columns = (
+        Shown("free", justify="left"),
+        Shown("parameters", 1),
+        Shown("true error / claimed sd, rms"),
+        Shown("90 % intervals hold"),
+        Shown("simulated", 2),
+    )
+    rows = []
+    for name, n, z, coverage, key in (
         ("everything", len(audit.parameters), 1.0, COVERAGE, "simulated_calibrations"),
         (
             "reduced set",
@@ -92,26 +109,34 @@ def _tabulate_sets(audit: AuditResults) -> list[Table]:
             reduced["coverage_90"],
             "simulated_calibrations_reduced",
         ),
-    )
-    for name, n, z, coverage, key in rows:
+    ):
         simulated = audit.summary.get(key)
         found = NOTHING if simulated is None else format_share(simulated["coverage_90"])
-        table.add_row(name, str(n), format_significant(z, 2), format_share(coverage), found)
-    return [table]
+        rows.append((name, str(n), format_significant(z, 2), format_share(coverage), found))
+    return [(columns, rows)]
 
 
-def _tabulate_requirements(audit: AuditResults) -> Table:
-    table = Table()
-    for heading in ("requirement", "limit", "predicted sd", "of limit", "probability", "before"):
-        table.add_column(heading, justify="left" if heading == "requirement" else "right")
+def _tabulate_requirements(audit: AuditResults) -> list[Printed]:
+    """Return how each requirement stands; nothing where none is stated."""
+    columns = (
+        Shown("requirement", justify="left"),
+        Shown("limit"),
+        Shown("predicted sd"),
+        Shown("of limit", 1),
+        Shown("probability"),
+        Shown("before", 2),
+    )
+    rows = []
     for r in audit.requirements:
         unit = name_unit(r.unit)
-        table.add_row(
-            name_requirement(r.name),
-            f"{format_plain(r.limit)} {unit}",
-            f"{format_sd(r.predicted_sd)} {unit}",
-            format_share(r.predicted_sd / r.limit),
-            format_probability(r.probability),
-            format_probability(r.prior_probability),
+        rows.append(
+            (
+                name_requirement(r.name),
+                f"{format_plain(r.limit)} {unit}",
+                f"{format_sd(r.predicted_sd)} {unit}",
+                format_share(r.predicted_sd / r.limit),
+                format_probability(r.probability),
+                format_probability(r.prior_probability),
+            )
         )
-    return table
+    return [(columns, rows)] if rows else []

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import pandas as pd
 from pydantic import ValidationError
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from bayescal.config.files import find_classes, find_files
 from bayescal.config.registry import hash_modules
@@ -23,6 +23,7 @@ from bayescal.errors import InputError
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.frame.terminal import print_text
 from bayescal.report.blocks import Page
 from bayescal.report.numbers import format_significant
 
@@ -94,9 +95,9 @@ class Experiment[C: ExperimentConfig, I](ABC):
     def show(self, results: Results, page: Page, console: Console) -> None:
         """Print the results on the terminal: the page's verdict."""
         del results
-        console.print(page.headline, soft_wrap=True)
+        print_text(console, page.headline)
         for one in page.verdict:
-            console.print(f"{one.lead}: {one.text}" if one.lead else one.text, soft_wrap=True)
+            print_text(console, f"{one.lead}: {one.text}" if one.lead else one.text)
 
     def list_failures(self, results: Results) -> list[str]:
         """Return what forbids to rely on the results, in words; the command line then ends with exit code 3."""
@@ -116,7 +117,7 @@ class Experiment[C: ExperimentConfig, I](ABC):
 
     def show_comparison(self, table: pd.DataFrame, console: Console) -> None:
         """Print what `compare` returns."""
-        shown = Table(*(str(name) for name in table.columns))
+        shown = Table(*(Column(str(name), overflow="fold") for name in table.columns))
         for row in table.itertuples(index=False):
             shown.add_row(*map(str, row))
         console.print(shown)

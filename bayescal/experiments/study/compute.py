@@ -6,6 +6,8 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from bayescal.config.classes import label_class
 from bayescal.density.least_squares import LeastSquaresFit
 from bayescal.experiments.frame.parallel import Run
@@ -36,6 +38,7 @@ from bayescal.experiments.study.tables import (
     tabulate_tau_scale,
 )
 from bayescal.experiments.study.trees import build_study_tree
+from bayescal.numerics.units import MICROMETRE
 
 ONLY_SAVED = ("prior", "prior_misfit", "start_error", "whitening")
 """Arrays of a posterior that nothing but its tree has."""
@@ -129,12 +132,25 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dic
         "drive": inputs.mechanism.drive,
         "n_poses": {"calibration": int((~held).sum()), "verification": int(held.sum())},
         **inputs.measured.describe(),
+        **_describe_noise(inputs),
         **_describe_names(config),
         "variants": variants,
         "ranking": rank_variants(variants),
         **_stack(inputs, posteriors),
     }
     return summary, files
+
+
+def _describe_noise(inputs: StudyInputs) -> dict[str, dict[str, float]]:
+    """Return the measurement noise of a position, rms over the poses of each use, µm; nothing of parts of poses."""
+    if not inputs.measured.has_poses:
+        return {}
+    found = {}
+    for use, held in (("calibration", False), ("verification", True)):
+        poses = inputs.poses(held)
+        if poses.n_poses:
+            found[use] = float(np.sqrt(np.trace(poses.covariance[:, :3, :3], axis1=1, axis2=2).mean()) / MICROMETRE)
+    return {"measurement_noise_um": found}
 
 
 def _choose_free(posteriors: dict[Task, Arrays]) -> dict[str, Arrays]:

@@ -23,6 +23,7 @@ from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.frame.terminal import print_text
 from bayescal.experiments.shared.calibrating import Calibrating
 from bayescal.experiments.shared.measured import MeasuredVariant, Measuring, VariantChoice
 from bayescal.experiments.study.calibrated import calibrate_study, load_same
@@ -90,7 +91,8 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
         return build_page(results)
 
     def show(self, results: Results, page: Page, console: Console) -> None:
-        """Print the ranking, and what contradicts the stated noise and tolerances."""
+        """Print what to use, the ranking, and what contradicts the stated noise and tolerances."""
+        print_text(console, page.headline)
         show_ranking(results.summary, console)
         show_doubts(page.verdict, console)
 

@@ -7,47 +7,67 @@ from typing import Any
 
 import pandas as pd
 from rich.console import Console
-from rich.table import Table
 
+from bayescal.experiments.frame.terminal import Shown, print_table, print_text
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import MICROMETRES, format_estimate, format_fixed
 
 DOUBTS = ("Data", "Noise", "Tolerances", "Bounds")
 
 
+RANKING = (
+    Shown("rank"),
+    Shown("variant", justify="left"),
+    Shown("log-evidence", 2),
+    Shown("difference"),
+    Shown("elpd LOO", 3),
+    Shown("elpd verif.", 4),
+    Shown("position error"),
+    Shown("converged"),
+)
+COMPARED = (
+    Shown("results", justify="left"),
+    Shown("variant", justify="left"),
+    Shown("free", 3),
+    Shown("log-evidence", 1),
+    Shown("difference"),
+    Shown("elpd LOO", 2),
+    Shown("elpd verif.", 4),
+    Shown("converged"),
+)
+
+
 def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
     """Print the ranking of a study, and what did not converge."""
-    table = Table(title=f"{summary['title']} ({summary['data_origin']})", title_justify="left", title_style="")
-    for heading in (
-        *("rank", "variant", "log-evidence", "difference"),
-        *("elpd LOO", "elpd verif.", "position error", "converged"),
-    ):
-        table.add_column(heading, justify="left" if heading == "variant" else "right")
+    console.print(f"{summary['title']} ({summary['data_origin']})")
     best = summary["variants"][summary["ranking"][0]]["log_evidence"]
+    rows = []
     for rank, name in enumerate(summary["ranking"], start=1):
         fit = summary["variants"][name]
         held = fit["verification"]
         error = (held or fit["calibration"])["position_error_mm"]
-        table.add_row(
-            str(rank) if fit["converged"] else "not ranked",
-            name,
-            format_estimate(fit["log_evidence"], fit["log_evidence_se"], 2),
-            format_fixed(fit["log_evidence"] - best, 1),
-            format_estimate(fit["elpd_loo"], fit["elpd_loo_se"], 1),
-            format_fixed(held["elpd"] if held else None, 1),
-            " / ".join(_format_size(error[which]) for which in ("mean", "max")) + " µm",
-            "yes" if fit["converged"] else "NO",
+        rows.append(
+            (
+                str(rank) if fit["converged"] else "not ranked",
+                name,
+                format_estimate(fit["log_evidence"], fit["log_evidence_se"], 2),
+                format_fixed(fit["log_evidence"] - best, 1),
+                format_estimate(fit["elpd_loo"], fit["elpd_loo_se"], 1),
+                format_fixed(held["elpd"] if held else None, 1),
+                " / ".join(_format_size(error[which]) for which in ("mean", "max")) + " µm",
+                "yes" if fit["converged"] else "NO",
+            )
         )
-    console.print(table)
+    print_table(console, RANKING, rows)
     use = "verification" if summary["n_poses"]["verification"] else "calibration"
-    console.print(f"position error: mean / largest on the {use} poses; log-evidence in nats")
+    print_text(console, f"position error: mean / largest on the {use} poses; log-evidence in nats")
     for name in summary["ranking"]:
         fit = summary["variants"][name]
         for setting, one in (("", fit), (" without model error", fit["without_model_error"])):
             if "log_evidence_check" in one:
-                console.print(_describe_check(f"{name}{setting}", one))
+                print_text(console, _describe_check(f"{name}{setting}", one))
             for problem in one["problems"]:
-                console.print(f"NOT CONVERGED {name}{setting}: {problem}")
+                print_text(console, f"NOT CONVERGED {name}{setting}: {problem}")
 
 
 def _describe_check(name: str, fit: Mapping[str, Any]) -> str:
@@ -61,7 +81,7 @@ def show_doubts(verdict: Sequence[Statement], console: Console) -> None:
     """Print what contradicts the stated noise and tolerances."""
     for statement in verdict:
         if statement.lead in DOUBTS and statement.level in ("warning", "bad"):
-            console.print(f"{statement.lead.upper()}: {statement.text}", soft_wrap=True)
+            print_text(console, f"{statement.lead.upper()}: {statement.text}")
 
 
 def _format_size(size: float | None) -> str:
@@ -70,11 +90,8 @@ def _format_size(size: float | None) -> str:
 
 def show_comparison(comparison: pd.DataFrame, console: Console) -> None:
     """Print variants of several studies ranked together."""
-    table = Table()
-    for heading in ("results", "variant", "free", "log-evidence", "difference", "elpd LOO", "elpd verif.", "converged"):
-        table.add_column(heading, justify="left" if heading in ("results", "variant") else "right", overflow="fold")
-    for row in comparison.to_dict("records"):
-        table.add_row(
+    rows = [
+        (
             str(row["results"]),
             str(row["variant"]),
             str(row["n_parameters"]),
@@ -84,4 +101,6 @@ def show_comparison(comparison: pd.DataFrame, console: Console) -> None:
             format_fixed(row["elpd_verification"], 1),
             str(row["converged"]),
         )
-    console.print(table)
+        for row in comparison.to_dict("records")
+    ]
+    print_table(console, COMPARED, rows)

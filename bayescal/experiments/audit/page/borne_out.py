@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bayescal.experiments.audit.page.results import AuditResults
+from bayescal.experiments.audit.page.results import AuditResults, Requirement
 from bayescal.experiments.audit.page.wording import (
     format_probability,
     format_range,
@@ -70,6 +70,16 @@ def read_drawn_probabilities(results: AuditResults) -> dict[str, float]:
     posterior = results.summary.get("posterior") or {}
     found = {name: values.get("probability") for name, values in (posterior.get("requirements") or {}).items()}
     return {name: float(value) for name, value in found.items() if value is not None}
+
+
+def find_probability(results: AuditResults, requirement: Requirement) -> float:
+    """Return with which probability a requirement is kept: the smaller one where draws of the posterior say another."""
+    return min(requirement.probability, read_drawn_probabilities(results).get(requirement.name, 1.0))
+
+
+def is_kept(results: AuditResults, requirement: Requirement) -> bool:
+    """Whether a requirement counts as kept, in verdict, table and picture alike."""
+    return find_probability(results, requirement) >= KEPT
 
 
 def state_posterior(results: AuditResults) -> list[Statement]:

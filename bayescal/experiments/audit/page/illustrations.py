@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
+from bayescal.experiments.audit.page.borne_out import KEPT, is_kept
 from bayescal.experiments.audit.page.figures.heat import NUMBERED, draw_changes, draw_contraction
 from bayescal.experiments.audit.page.figures.profiles import draw_profiles, draw_ridge_plots
 from bayescal.experiments.audit.page.figures.requirements import draw_requirements
@@ -16,7 +17,7 @@ from bayescal.experiments.audit.page.results import AuditResults, Ridge
 from bayescal.experiments.audit.page.tables import name_change
 from bayescal.experiments.shared.machine_scene import build_scene, read_joint_columns
 from bayescal.report.blocks import Figure
-from bayescal.report.numbers import join_words
+from bayescal.report.numbers import format_percent, join_words
 from bayescal.report.scene import Scene
 from bayescal.report.symbols import split_name
 
@@ -67,11 +68,15 @@ def show_requirements(results: AuditResults) -> Figure:
     caption = (
         "Largest standard deviation of the predicted pose anywhere in the workspace, in per cent of each requirement's "
         "limit, logarithmic. The tick is the part of the geometry; the rest up to the dot are actuators and model "
-        "error."
+        f"error. Blue: kept with a probability of {format_percent(KEPT)} or more, as in the table; red: not reliably."
     )
     if not results.requirements:
         return Figure("requirements", caption, None, "the design states no requirement")
-    return Figure("requirements", caption, partial(draw_requirements, results.requirements))
+    return Figure(
+        "requirements",
+        caption,
+        partial(draw_requirements, results.requirements, [is_kept(results, r) for r in results.requirements]),
+    )
 
 
 def show_changes(results: AuditResults) -> Figure:

@@ -6,7 +6,7 @@ import math
 
 import pandas as pd
 
-from bayescal.experiments.audit.page.borne_out import KEPT, read_drawn_probabilities
+from bayescal.experiments.audit.page.borne_out import KEPT, is_kept, read_drawn_probabilities
 from bayescal.experiments.audit.page.results import AuditResults, Change
 from bayescal.experiments.audit.page.verdict import (
     choose_for_ridge,
@@ -155,7 +155,7 @@ def tabulate_requirements(results: AuditResults) -> Table | None:
         columns.insert(-1, Column("after, by draws", "", "Probability to keep it"))
     rows: list[list[str | Cell]] = []
     for r in results.requirements:
-        kept = min(r.probability, drawn.get(r.name, 1.0)) >= KEPT
+        kept = is_kept(results, r)
         rows.append(
             [
                 name_requirement(r.name),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from bayescal.experiments.audit.page.borne_out import KEPT, state_posterior, state_simulated
+from bayescal.experiments.audit.page.borne_out import find_probability, is_kept, state_posterior, state_simulated
 from bayescal.experiments.audit.page.results import AuditResults, Change, Requirement, Ridge
 from bayescal.experiments.audit.page.wording import (
     count,
@@ -27,6 +27,17 @@ FIXING_COSTS = 1.25  # growth of a predicted sd from which on fixing the rest is
 
 
 def state_headline(results: AuditResults) -> str:
+    """Return whether the plan meets what is required, and how much of the machine it determines."""
+    told = describe_determined(results)
+    if not results.requirements:
+        return f"{told} Requirements: not stated."
+    kept = sum(is_kept(results, r) for r in results.requirements)
+    subject = "calibration" if results.is_measured else "plan"
+    meets = f"The {subject} meets {kept} of {count(len(results.requirements), 'requirement')}"
+    return f"{meets}. {told}"
+
+
+def describe_determined(results: AuditResults) -> str:
     """Return how many parameters are determined and how many combinations are not."""
     summary, poses = results.summary, f"the {results.n_poses} {_planned(results)} poses"
     n, known = int(summary["n_parameters"]), results.n_identifiable
@@ -185,18 +196,20 @@ def _state_requirements(results: AuditResults) -> list[Statement]:
         return [
             Statement("The design states none; whether the accuracy suffices is not told.", "plain", "Requirements")
         ]
-    failing = [r for r in requirements if r.probability < KEPT]
+    failing = [r for r in requirements if not is_kept(results, r)]
     worst = max(requirements, key=_share)
     uncalibrated = f"before the calibration {_describe_before(requirements)}"
     if not failing:
-        least = say(format_probability(min(r.probability for r in requirements)))
+        least = say(format_probability(min(find_probability(results, r) for r in requirements)))
         text = (
             f"The calibrated machine will keep {_all(requirements)} with a probability of {least}, {uncalibrated}. "
             f"Tightest: {name_requirement(worst.name)}, predicted standard deviation {format_share(_share(worst))} of "
             "the limit."
         )
         return [Statement(text, "good", "Requirements")]
-    words = [f"{name_requirement(r.name)} (probability {format_probability(r.probability)})" for r in failing]
+    words = [
+        f"{name_requirement(r.name)} (probability {format_probability(find_probability(results, r))})" for r in failing
+    ]
     text = (
         f"The calibrated machine will not reliably keep {join_words(words)}; {uncalibrated}. {_blame(worst)}"
         f"{' The other requirements are kept.' if len(failing) < len(requirements) else ''}"
@@ -269,7 +282,7 @@ def rank_help(results: AuditResults, beyond_range: bool = False) -> list[Help]:
 
 
 def _is_at_risk(results: AuditResults) -> bool:
-    return any(r.probability < KEPT for r in results.requirements)
+    return not all(is_kept(results, r) for r in results.requirements)
 
 
 def _state_help(results: AuditResults) -> list[Statement]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.study.page import illustrations as show
+from bayescal.experiments.study.page.advice import state_headline
 from bayescal.experiments.study.page.blunders import show_blunders
 from bayescal.experiments.study.page.checks import list_failures, title_failures
 from bayescal.experiments.study.page.claims import show_claims
@@ -24,7 +25,7 @@ from bayescal.experiments.study.page.ridges import state_ridges, tabulate_ridges
 from bayescal.experiments.study.page.soundness import has_doubts
 from bayescal.experiments.study.page.structured import show_structured
 from bayescal.experiments.study.page.tau_scale import show_tau_scale
-from bayescal.experiments.study.page.verdict import state_headline, state_verdict
+from bayescal.experiments.study.page.verdict import state_verdict
 from bayescal.report.blocks import Block, Fold, Heading, Page, Section
 
 KIND = "Bayesian identification"

@@ -46,12 +46,17 @@ def list_failures(results: StudyResults) -> list[Statement]:
 
 def title_failures(results: StudyResults) -> str:
     """Return how far the failures reach: to the ranking, or only to posteriors without model error."""
-    if all(_passed(fit) for _, setting, fit in results.fits() if setting == "free"):
+    if passes_with_model_error(results):
         return (
             "Do not rely yet on the posteriors listed here, all without model error; the ranking with model error does "
             "not use them."
         )
     return "Do not rely on these numbers yet. What speaks against them:"
+
+
+def passes_with_model_error(results: StudyResults) -> bool:
+    """Whether every posterior with model error converged and both estimators of its log-evidence agree."""
+    return all(_passed(fit) for _, setting, fit in results.fits() if setting == "free")
 
 
 def _passed(fit: Mapping[str, Any]) -> bool:

@@ -24,6 +24,7 @@ from bayescal.experiments.study.page.ridges import choose_leg, rank_pairs
 from bayescal.experiments.study.page.styles import assign_styles
 from bayescal.experiments.study.page.variants import (
     choose_model,
+    choose_variant,
     find_variants,
     group_variants,
     label_model,
@@ -56,9 +57,9 @@ def illustrate_ranking(results: StudyResults) -> Figure:
     bands = " A shared band joins variants that the evidence does not tell apart." if len(groups) > 1 else ""
     caption = (
         "Left: how far each variant's log-evidence with model error lies below the best one, logarithmic beyond 1 nat. "
-        f"Middle and right: errors of the posterior mean prediction on the {use} poses; full bar: mean, pale bar: "
-        "largest, both as numbers. Diamonds: the same with the model error set to zero (left: below the best of those; "
-        f"else: mean).{bands} Position error is the distance between measured and predicted origin of the platform, "
+        f"Middle: errors of the posterior mean prediction on the {use} poses; full bar: mean, pale bar: "
+        "largest, both as numbers. Right: log-evidence with the model error set to zero, below the best of those."
+        f"{bands} Position error is the distance between measured and predicted origin of the platform, "
         "orientation error the angle between measured and predicted platform."
     )
     draw = partial(draw_overview, groups, behind, results.predictions, use, assign_styles(results))
@@ -135,13 +136,13 @@ def show_machine(results: StudyResults) -> list[Scene]:
     if results.joints is None:
         return []
     frame = _choose_free(results)
-    best = frame[frame["variant"] == results.ranking[0]]
+    best = frame[frame["variant"] == choose_variant(results)]
     moved = best.assign(offset=best["mean"] - best["nominal"])
     offsets, spreads = read_joint_columns(moved, "offset"), read_joint_columns(moved, "sd")
     scene = build_scene(results.joints, offsets, spreads)
     if scene is None:
         return []
-    return [replace(scene, caption=f"{scene.caption} Found by {label_variant(results, results.ranking[0])}.")]
+    return [replace(scene, caption=f"{scene.caption} Found by {label_variant(results, choose_variant(results))}.")]
 
 
 def illustrate_flexure(results: StudyResults, flexure: pd.DataFrame) -> Figure:

@@ -12,6 +12,7 @@ from bayescal.report.numbers import join_words
 from bayescal.report.variant_names import describe_deformation
 
 NOT_DISTINGUISHABLE = 1.0  # nats
+SIMPLEST_FIRST = ("none", "linear", "matrix")
 VARIANT = Column("Variant", kind="name")
 
 
@@ -115,9 +116,23 @@ def find_leaders(results: StudyResults, setting: str = "free") -> list[str]:
     return group_variants(results, results.ranking, setting)[0]
 
 
+def choose_variant(results: StudyResults) -> str:
+    """Return the variant to use: the simplest that the evidence does not tell apart from the best.
+
+    Simplest by the number of free parameters, then by the deformation, then by its place in the study.
+    """
+
+    def weigh(name: str) -> tuple[int, int]:
+        deformation = split_variant(results, name)[1]
+        rank = SIMPLEST_FIRST.index(deformation) if deformation in SIMPLEST_FIRST else len(SIMPLEST_FIRST)
+        return int(results.fit(name, "free")["n_parameters"]), rank
+
+    return min(find_leaders(results), key=weigh)
+
+
 def choose_model(results: StudyResults) -> str:
-    """Return the model to show where one must do: the study's first among the leaders."""
-    return split_variant(results, find_leaders(results)[0])[0]
+    """Return the model to show where one must do: that of the variant to use."""
+    return split_variant(results, choose_variant(results))[0]
 
 
 def measure_spread(results: StudyResults, names: Sequence[str], setting: str = "free") -> float:

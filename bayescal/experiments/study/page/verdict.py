@@ -43,7 +43,7 @@ STRONG = 5.0  # nats
 BEYOND_BELIEF = 15.0  # nats from which odds rest on the assumptions, no longer on the data
 
 
-def state_headline(results: StudyResults) -> str:
+def describe_lead(results: StudyResults) -> str:
     """Return which variant wins and by how much, or which share the first place."""
     best = results.ranking[0]
     if len(results.ranking) == 1:
@@ -76,14 +76,15 @@ def state_verdict(results: StudyResults) -> list[Statement]:
     return [
         *state_soundness(results),
         *state_blunders(results),
+        _state_accuracy(results),
+        checks.state_convergence(results),
+        *state_prediction(results),
+        Statement(describe_lead(results), lead="Evidence"),
         *_state_deformations(results),
         *_state_models(results),
         *_state_free_sets(results),
         *_state_pairs(results),
-        _state_accuracy(results),
-        *state_prediction(results),
         *claims.state_claims(results),
-        checks.state_convergence(results),
         *checks.state_stability(results),
         *checks.state_model_error(results),
         *checks.state_coverage(results),

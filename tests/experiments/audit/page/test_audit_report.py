@@ -15,6 +15,7 @@ from made_up_audit import OPTIONAL, describe_audit, make_audit_results, write_au
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from bayescal.errors import InputError
+from bayescal.experiments.audit.page.borne_out import KEPT
 from bayescal.experiments.audit.page.build import build_page
 from bayescal.experiments.audit.page.figures.profiles import span_profile
 from bayescal.experiments.audit.page.freedom import tabulate_sets, tabulate_simulated
@@ -26,7 +27,13 @@ from bayescal.experiments.audit.page.tables import (
     tabulate_ridge_help,
     tabulate_symbols,
 )
-from bayescal.experiments.audit.page.verdict import list_failures, rank_help, state_headline, state_verdict
+from bayescal.experiments.audit.page.verdict import (
+    describe_determined,
+    list_failures,
+    rank_help,
+    state_headline,
+    state_verdict,
+)
 from bayescal.experiments.audit.page.wording import (
     format_contraction,
     format_fixed_span,
@@ -182,7 +189,7 @@ def test_ridges_of_a_kind_stand_together_and_are_open_in_print(tmp_path, no_pict
 
 
 def test_the_headline_counts_what_is_determined():
-    assert state_headline(make()) == (
+    assert describe_determined(make()) == (
         "Of 7 parameters the 40 planned poses determine 2; 3 combinations can never be told by any measurement of this "
         "kind and 1 more is hardly touched by the planned ones."
     )
@@ -192,7 +199,7 @@ def test_the_headline_counts_what_is_determined():
         for parameter in summary["parameters"].values():
             parameter["verdict"] = "identifiable"
 
-    assert state_headline(make(know_all)) == "The 40 planned poses determine all 7 parameters."
+    assert describe_determined(make(know_all)) == "The 40 planned poses determine all 7 parameters."
 
     def know_nothing(summary):
         summary["plan"]["sensors"] = []
@@ -200,10 +207,19 @@ def test_the_headline_counts_what_is_determined():
         for parameter in summary["parameters"].values():
             parameter["verdict"] = "weak"
 
-    assert state_headline(make(know_nothing)) == (
+    assert describe_determined(make(know_nothing)) == (
         "Of 7 parameters the 40 calibration poses determine none on its own; 3 combinations can never be told by any "
         "measurement of this kind and 1 more is learnt only in part."
     )
+
+
+def test_the_headline_says_first_whether_the_requirements_are_met():
+    audit = make()
+    assert state_headline(audit).endswith(describe_determined(audit))
+    kept = sum(requirement.probability >= KEPT for requirement in audit.requirements)
+    assert state_headline(audit).startswith(f"The plan meets {kept} of {len(audit.requirements)} requirement")
+    none = make(lambda summary: summary.update(requirements={}))
+    assert state_headline(none).endswith("Requirements: not stated.")
 
 
 def test_good_news_is_marked_good():

@@ -11,7 +11,6 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from bayescal.experiments.audit.page.results import Requirement
 from bayescal.experiments.audit.page.wording import format_share, name_requirement
-from bayescal.limits import NINETY_FIVE
 from bayescal.report.numbers import format_plain
 from bayescal.report.style import GREY, INK, PALE, RED
 from bayescal.report.symbols import quote
@@ -19,12 +18,14 @@ from bayescal.report.symbols import quote
 BLUE = "#0072B2"
 
 
-def draw_requirements(requirements: Sequence[Requirement]) -> Figure:
+def draw_requirements(requirements: Sequence[Requirement], kept: Sequence[bool]) -> Figure:
     """Return the predicted standard deviation of each requirement in per cent of its limit, logarithmic.
 
     Parameters
     ----------
     requirements : sequence of Requirement
+    kept : sequence of bool
+        Which of them count as kept; the others are red.
     """
     figure = Figure(figsize=(9.4, 1.0 + 0.42 * len(requirements)))
     axes = figure.subplots()
@@ -37,7 +38,10 @@ def draw_requirements(requirements: Sequence[Requirement]) -> Figure:
     shape: dict[str, Any] = {"linestyle": "none", "markersize": 6.5}
     axes.plot(before, rows, marker="o", markerfacecolor="white", color=GREY, label="before the calibration", **shape)
     axes.plot(geometry, rows, marker="|", color=INK, label="after it, from the geometry alone", **shape)
-    axes.plot(after, rows, marker="o", color=BLUE, label="after it", **shape)
+    for colour, label, which in ((BLUE, "after it, kept", True), (RED, "after it, not reliably kept", False)):
+        chosen = np.array(kept) == which
+        if chosen.any():
+            axes.plot(after[chosen], rows[chosen], marker="o", color=colour, label=label, **shape)
     for row, value in zip(rows, after, strict=True):
         axes.annotate(
             format_share(value / 100.0), (value, row), (0, 6), textcoords="offset points", ha="center", fontsize=8
@@ -46,10 +50,7 @@ def draw_requirements(requirements: Sequence[Requirement]) -> Figure:
     positive = np.concatenate([before, after, geometry, [100.0]])
     positive = positive[positive > 0.0]
     axes.set_xlim(positive.min() / 2.0, positive.max() * 2.0)
-    axes.axvline(
-        100.0 / NINETY_FIVE, color=RED, linewidth=1.0, linestyle="--", label="95 % within the limit, at one pose"
-    )
-    axes.axvline(100.0, color=RED, linewidth=1.2, label="the limit")
+    axes.axvline(100.0, color=INK, linewidth=1.2, label="the limit")
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{format_plain(value, separator=',')} %"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_yticks(rows, [quote(name_requirement(r.name)) for r in requirements])
