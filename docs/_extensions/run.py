@@ -64,7 +64,7 @@ class Run(SphinxDirective):
         if "hidden" in self.options:
             return []
         text = "\n".join(line.rstrip() for line in shown)
-        block = nodes.literal_block(text, text, language="console")
+        block = nodes.literal_block(text, text, language="text")  # outputs are no language
         return [block, *self._link()]
 
     def _link(self) -> list[nodes.Node]:
