@@ -58,7 +58,7 @@ data: $(STAMP)
 
 docs: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[docs]"
-	$(THREADS) $(BIN)/python -m sphinx --fail-on-warning --keep-going --fresh-env -q docs docs/_build/html
+	$(THREADS) $(BIN)/python -m sphinx --fail-on-warning --keep-going --fresh-env --jobs 2 -q docs docs/_build/html
 
 dist: $(STAMP)
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .

@@ -57,6 +57,8 @@ def test_given_examples_are_valid_and_needed(keys, examples):
 def test_a_page_of_a_kind_has_its_keys(examples):
     _, _, schema = references.list_schemas()["kind_study"]
     page = references.write_page("study", "", schema, examples)
-    assert "| `target_noise_um` | Standard deviation of a target's coordinates. | µm | number | **needed** |" in page
+    row = "| `target_noise_um` | Standard deviation of a target's coordinates.<br>`target_noise_um = 10.0` | µm |"
+    assert row in page
+    assert '## `[data]` with `measurement = "poses"`' in page
     assert "## `[[variants]]`" in page
     assert "`[parameters.NAME]`" in page

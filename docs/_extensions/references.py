@@ -41,6 +41,7 @@ SUFFIXES = {
 }
 UNIT = re.compile(r"\s*\[([^\[\]]+)\](?=\.?$)")
 LONGEST = 60
+TABLE = "see its table"
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +212,7 @@ def find_example(schema: type[BaseModel], name: str, examples: Examples) -> str:
     if get_origin(kind) is Literal and len(get_args(kind)) == 1:
         return show_key(name, get_args(kind)[0])
     if any(True for _ in list_sections(info.annotation)):
-        return "see its table"
+        return TABLE
     known = info.default not in (PydanticUndefined, None) and info.default_factory is None
     return show_key(name, info.default) if known else ""
 
@@ -264,15 +265,23 @@ def write_page(title: str, text: str, schema: type[BaseModel], examples: Example
     """Return the page of a file."""
     parts = [f"# {title}\n\n{text}\n"]
     for place in list_places(schema):
-        headings = ", ".join(f"`{one}`" if one.startswith("[") else one for one in place.headings)
-        rows = [write_row(place.schema, name, examples) for name in place.schema.model_fields]
+        lines = "\n".join(write_row(place.schema, name, examples) for name in place.schema.model_fields)
         parts.append(
-            f"## {headings}\n\n{' '.join((inspect.getdoc(place.schema) or '').split()).replace('``', '`')}\n\n"
-            + "| key | meaning | unit | takes | default | example |\n|---|---|---|---|---|---|\n"
-            + "\n".join(rows)
-            + "\n"
+            f"## {write_heading(place)}\n\n"
+            f"{' '.join((inspect.getdoc(place.schema) or '').split()).replace('``', '`')}\n\n"
+            f"| key | meaning, and an example | unit | takes | default |\n|---|---|---|---|---|\n{lines}\n"
         )
     return "\n".join(parts)
+
+
+def write_heading(place: Place) -> str:
+    """Return where a section stands, with the key that chooses it where there are several."""
+    headings = ", ".join(f"`{one}`" if one.startswith("[") else one for one in place.headings)
+    for name, info in place.schema.model_fields.items():
+        kind = unwrap(info.annotation)
+        if place.headings[0].startswith("[") and get_origin(kind) is Literal and len(get_args(kind)) == 1:
+            return f"{headings} with {show_key(name, get_args(kind)[0])}"
+    return headings
 
 
 def write_row(schema: type[BaseModel], name: str, examples: Examples) -> str:
@@ -280,14 +289,9 @@ def write_row(schema: type[BaseModel], name: str, examples: Examples) -> str:
     info = schema.model_fields[name]
     meaning, unit = split_unit(name, info)
     kind = Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
-    cells = [
-        f"`{name}`",
-        meaning,
-        unit,
-        describe_type(kind),
-        describe_default(info),
-        find_example(schema, name, examples),
-    ]
+    example = find_example(schema, name, examples)
+    told = f"{meaning} {example[0].upper()}{example[1:]}." if example == TABLE else f"{meaning}<br>{example}"
+    cells = [f"`{name}`", told, unit, describe_type(kind), describe_default(info)]
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 

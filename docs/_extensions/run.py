@@ -8,6 +8,8 @@ A page's commands share an empty folder, ``_build/work/PAGE``; ``$ROOT`` is the 
     How many lines of output are shown at most.
 ``hidden``
     Run, and show nothing.
+``page``
+    A page that the commands have written: a link to it stands below them.
 
 ``sphinx-build -D run_commands=0`` shows the commands alone, to look over the text.
 """
@@ -23,6 +25,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from docutils import nodes
 from docutils.parsers.rst import directives
+from sphinx import addnodes
 from sphinx.errors import ExtensionError
 from sphinx.util.docutils import SphinxDirective
 
@@ -44,6 +47,7 @@ class Run(SphinxDirective):
         "exit": directives.nonnegative_int,
         "lines": directives.positive_int,
         "hidden": directives.flag,
+        "page": directives.unchanged_required,
     }
 
     def run(self) -> list[nodes.Node]:
@@ -60,11 +64,24 @@ class Run(SphinxDirective):
         if "hidden" in self.options:
             return []
         text = "\n".join(line.rstrip() for line in shown)
-        return [nodes.literal_block(text, text, language="console")]
+        block = nodes.literal_block(text, text, language="text")  # outputs are no language
+        return [block, *self._link()]
+
+    def _link(self) -> list[nodes.Node]:
+        """Return the link to a page that was written, where there is one."""
+        if "page" not in self.options or not self.config.run_commands:
+            return []
+        target = f"/{WORK.relative_to(ROOT / 'docs').as_posix()}/{self._name}/{self.options['page']}"
+        words = nodes.Text("The page that this run has written")
+        return [nodes.paragraph("", "", addnodes.download_reference("", "", words, reftarget=target), nodes.Text("."))]
+
+    @property
+    def _name(self) -> str:
+        return self.env.docname.rpartition("/")[2]
 
     def _enter(self) -> Path:
         """Return the page's folder, emptied where this is the page's first block."""
-        folder = WORK / self.env.docname.rpartition("/")[2]
+        folder = WORK / self._name
         if not self.env.temp_data.get("run_begun"):
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)

@@ -145,6 +145,7 @@ class VariantConfig(Section):
     model_error: KernelName | None = Field(default=None, exclude_if=lambda value: value is None)
     """What is a function of the pose in this variant: `independent`, `linear` or `smooth`."""
     kernel_length: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Over how far smooth errors change in this variant, in place of that of the study [ranges of the actuators]."""
 
     @property
     def has_own_name(self) -> bool:

@@ -74,7 +74,9 @@ def _call(model: FunctionModel, where: str, *arguments: Any) -> Array:
             return np.asarray(model.evaluate(*arguments))
     except Exception as error:  # whatever somebody else's code raises
         text = " ".join(str(error).split())
-        raise InputError(f"{where}: failed with {type(error).__name__}: {text}, expected readings") from error
+        analytic = np.iscomplexobj(arguments[0])
+        hint = "; bayescal.numerics.analytic has functions that take complex numbers" if analytic else ""
+        raise InputError(f"{where}: failed with {type(error).__name__}: {text}, expected readings{hint}") from error
 
 
 def check_derivatives(model: FunctionModel) -> None:
