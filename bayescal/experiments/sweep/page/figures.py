@@ -10,7 +10,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from bayescal.experiments.sweep.answers import group_others
 from bayescal.experiments.sweep.schema import AxisConfig, FigureConfig, SweepConfig
-from bayescal.report.numbers import format_plain, format_power
+from bayescal.report.numbers import format_plain
 from bayescal.report.style import INK, LEG_COLOURS, MARKERS, RED
 
 MOST_LINES = 8
@@ -76,7 +76,7 @@ def _draw_limit(axes: Axes, figure: FigureConfig) -> None:
 
 def _say_minor(value: float, _: object) -> str:
     """Return a number between two powers of ten where it is twice or five times the lower one."""
-    return format_plain(value) if format_power(value, 1)[:1] in "25" else ""
+    return format_plain(value) if f"{value:.0e}"[0] in "25" else ""
 
 
 def _scale(axes: Axes, known: pd.DataFrame, figure: FigureConfig, axis: AxisConfig) -> None:
