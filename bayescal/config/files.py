@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
@@ -39,10 +40,8 @@ def _find(value: Any, folder: Path) -> Iterator[str]:
     if isinstance(value, ClassName):
         yield from list_sources(value.registry, value, folder)
     elif isinstance(value, Section):
-        for name, field in type(value).model_fields.items():
+        for name, mark in _mark_fields(type(value)).items():
             inner = getattr(value, name)
-            marks = [*field.metadata, *_list_metadata(field.annotation)]
-            mark = next((one for one in marks if isinstance(one, FileMark)), None)
             if isinstance(inner, str) and mark is not None:
                 yield from (() if inner in mark.but else (inner,))
             else:
@@ -50,6 +49,16 @@ def _find(value: Any, folder: Path) -> Iterator[str]:
     elif isinstance(value, dict | list | tuple):
         for one in value.values() if isinstance(value, dict) else value:
             yield from _find(one, folder)
+
+
+@cache
+def _mark_fields(section: type[Section]) -> dict[str, FileMark | None]:
+    """Return the fields of a section with the marks of those that may name a file."""
+    found = {}
+    for name, field in section.model_fields.items():
+        marks = [*field.metadata, *_list_metadata(field.annotation)]
+        found[name] = next((one for one in marks if isinstance(one, FileMark)), None)
+    return found
 
 
 def _list_metadata(annotation: Any) -> Iterator[Any]:

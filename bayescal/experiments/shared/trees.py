@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 SAVED_DRAWS = 2000
 PRIOR_DRAWS = 500
-KEPT_NUMBERS = 2**24
+KEPT_NUMBERS = 2**23
 """Of all draws together that one array keeps: with thousands of poses fewer draws, never too few to say anything."""
 LEAST_DRAWS = 200
 

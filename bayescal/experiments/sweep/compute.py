@@ -25,7 +25,7 @@ def compute_sweep(inputs: SweepInputs, run: Run) -> Results:
     """Return the table of all members and what it answers; members that fail are in it, with the reason."""
     taken, addresses, tasks, faults = _plan(inputs)
     found, lost = _keep(inputs.config, run).attempt("members", compute_member, inputs.base, tasks, (Outcome,))
-    faults |= {address: Outcome("", fault) for address, fault in lost.items()}
+    faults |= {address: Outcome.from_failure(fault) for address, fault in lost.items()}
     outcomes = [found.get(address) or faults[address] for address in addresses]
     members = _tabulate(inputs.config, taken, outcomes)
     answers = find_answers(inputs.config, members)
@@ -46,7 +46,7 @@ def _plan(
             tasks[address] = settings
         except InputError as error:
             address = json.dumps(settings)
-            faults[address] = Outcome("", str(error))
+            faults[address] = Outcome.from_failure(str(error))
         taken.append(values)
         addresses.append(address)
     return taken, addresses, tasks, faults
@@ -64,16 +64,18 @@ def _tabulate(config: SweepConfig, taken: list[tuple[Any, ...]], outcomes: list[
     columns: dict[str, list[Any]] = {
         axis.name: [_show(values[k]) for values in taken] for k, axis in enumerate(config.axes)
     }
-    summaries = [json.loads(outcome.summary) if outcome.summary else {} for outcome in outcomes]
-    for figure in config.figures:
-        columns[figure.key] = [_show(look_up(summary, figure.key)) for summary in summaries]
+    columns |= {figure.key: [] for figure in config.figures}
+    for outcome in outcomes:  # one summary at a time: thousands of them, unpacked, take gigabytes
+        summary = outcome.read()
+        for figure in config.figures:
+            columns[figure.key].append(_show(look_up(summary, figure.key)))
     columns["state"] = [_say(outcome) for outcome in outcomes]
     columns["reason"] = [outcome.failure for outcome in outcomes]
     return pd.DataFrame({name: _unify(values) for name, values in columns.items()})
 
 
 def _say(outcome: Outcome) -> str:
-    return FAILED if not outcome.summary else UNSURE if outcome.failure else DONE
+    return FAILED if not outcome.has_summary else UNSURE if outcome.failure else DONE
 
 
 def _show(value: Any) -> Any:

@@ -22,23 +22,36 @@ def split_key(key: str) -> tuple[str, str]:
 def change(content: Mapping[str, Any], settings: Iterable[tuple[str, Any]]) -> dict[str, Any]:
     """Return a config's content with values set by dotted keys; tables on the way are made where there are none.
 
+    What no key leads through is not copied.
+
     Raises
     ------
     InputError
         Where a key leads through what is no table, or to an entry that a list has not.
     """
-    changed: dict[str, Any] = copy.deepcopy(dict(content))
+    changed: dict[str, Any] = dict(content)
     for key, value in settings:
         *way, last = key.split(".")
         place: Any = changed
         for part in way:
-            place = place.setdefault(part, {}) if isinstance(place, dict) else _step(place, part, key)
+            place = _enter(place, part, key)
         if isinstance(place, dict):
             place[last] = value
         else:
             _step(place, last, key)
             place[int(last)] = value
     return changed
+
+
+def _enter(place: Any, part: str, key: str) -> Any:
+    """Return a copy of what stands at a part of a key, put in its place."""
+    inner = place.get(part, {}) if isinstance(place, dict) else _step(place, part, key)
+    own = copy.copy(inner)
+    if isinstance(place, dict):
+        place[part] = own
+    elif isinstance(place, list):
+        place[int(part)] = own
+    return own
 
 
 def _step(place: Any, part: str, key: str) -> Any:

@@ -18,18 +18,22 @@ class Sweep(Experiment[SweepConfig, SweepInputs]):
     """Many experiments of one kind that differ in some keys."""
 
     schema = SweepConfig
+    _last: tuple[SweepConfig, Path, SweepInputs] | None = None
+    """What was read last: files and modules are asked for after the inputs, and every axis is checked in reading."""
 
     def files(self, config: SweepConfig, folder: Path) -> list[str]:
         """Return the experiment's file, those that it extends, and all that members read."""
-        return list_files(read_sweep(config, folder))
+        return list_files(self.read(config, folder))
 
     def modules(self, config: SweepConfig, folder: Path) -> dict[str, str]:
         """Return the hashes of others' modules that members use."""
-        return read_sweep(config, folder).modules
+        return self.read(config, folder).modules
 
     def read(self, config: SweepConfig, folder: Path) -> SweepInputs:
         """Return the experiment and what varies, checked."""
-        return read_sweep(config, folder)
+        if self._last is None or self._last[0] is not config or self._last[1] != folder:
+            self._last = (config, folder, read_sweep(config, folder))
+        return self._last[2]
 
     def compute(self, inputs: SweepInputs, run: Run) -> Results:
         """Return all members' figures."""

@@ -11,6 +11,7 @@ import os
 import shutil
 import tempfile
 import tomllib
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ from functools import lru_cache
 from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from bayescal.config.load import check_section
 from bayescal.config.sections import ExperimentConfig
@@ -70,20 +73,41 @@ class Base:
         return changed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Outcome:
     """What became of a member.
 
     Attributes
     ----------
-    summary : str
-        JSON, as ``summary.json`` has it; empty where the member failed.
+    packed : ndarray of uint8
+        JSON, as ``summary.json`` has it, compressed: thousands of members are held and kept; empty where it failed.
     failure : str
         Why it failed, or what forbids to rely on it.
     """
 
-    summary: str
+    packed: np.ndarray
     failure: str
+
+    @classmethod
+    def from_summary(cls, summary: Mapping[str, Any], failure: str = "") -> Outcome:
+        """Return the outcome of a member that has a summary."""
+        text = json.dumps(summary, ensure_ascii=False, allow_nan=False)
+        return cls(np.frombuffer(zlib.compress(text.encode()), dtype=np.uint8), failure)
+
+    @classmethod
+    def from_failure(cls, failure: str) -> Outcome:
+        """Return the outcome of a member that has none."""
+        return cls(np.empty(0, dtype=np.uint8), failure)
+
+    @property
+    def has_summary(self) -> bool:
+        """Whether it did not fail."""
+        return self.packed.size > 0
+
+    def read(self) -> dict[str, Any]:
+        """Return the summary; nothing where there is none."""
+        found: dict[str, Any] = json.loads(zlib.decompress(self.packed.tobytes())) if self.has_summary else {}
+        return found
 
 
 def compute_member(base: Base, settings: tuple[Setting, ...]) -> Outcome:
@@ -95,8 +119,7 @@ def compute_member(base: Base, settings: tuple[Setting, ...]) -> Outcome:
             inputs = experiment.read(config, folder)
             check_memory(experiment.estimate_memory(inputs), 1)
             results = experiment.compute(inputs, Run())
-            summary = json.dumps(results.summary, ensure_ascii=False, allow_nan=False)
-            failures = experiment.list_failures(results)
+            return Outcome.from_summary(results.summary, "; ".join(experiment.list_failures(results)))
         except MemoryError as error:  # another time, or on another machine, it may do: such an outcome is not kept
             raise NumericalError("found no memory for it") from error
         except Exception as error:  # whatever it is, the other members go on, and it is listed
@@ -104,8 +127,7 @@ def compute_member(base: Base, settings: tuple[Setting, ...]) -> Outcome:
                 error, InputError | NumericalError | ArithmeticError | ValueError
             )  # LAPACK's are the last
             said = " ".join(str(error).split()).replace(f"{folder}{os.sep}", "")
-            return Outcome("", said if known and said else f"{type(error).__name__}: {said}")
-    return Outcome(summary, "; ".join(failures))
+            return Outcome.from_failure(said if known and said else f"{type(error).__name__}: {said}")
 
 
 @lru_cache(maxsize=4)

@@ -74,11 +74,17 @@ def _draw_limit(axes: Axes, figure: FigureConfig) -> None:
         axes.axhline(limit, color=RED, linewidth=1.0, linestyle="--", label=f"{word} {format_plain(limit)}")
 
 
+def _say_minor(value: float, _: object) -> str:
+    """Return a number between two powers of ten where it is twice or five times the lower one."""
+    return format_plain(value) if f"{value:.0e}"[0] in "25" else ""
+
+
 def _scale(axes: Axes, known: pd.DataFrame, figure: FigureConfig, axis: AxisConfig) -> None:
     """Set logarithmic scales where they are asked for and all numbers have logarithms; ticks where values are few."""
     if figure.scale == "log" and len(known) and known[figure.key].min() > 0.0:
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
+        axes.yaxis.set_minor_formatter(FuncFormatter(_say_minor))
     if axis.scale == "log" and len(known) and known[axis.name].min() > 0.0:
         axes.set_xscale("log")
         axes.xaxis.set_minor_formatter(NullFormatter())
