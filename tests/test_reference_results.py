@@ -17,6 +17,7 @@ DOCS = ROOT / "docs"
 RESULTS = ROOT / "results" / "telescope"
 STUDIES = {
     "telescope": "telescope/study.toml",
+    "telescope_model_error": "telescope/model_error.toml",
     "m2_hexapod": "m2_hexapod/study.toml",
     "m2_hexapod_lengths": "m2_hexapod/lengths.toml",
 }

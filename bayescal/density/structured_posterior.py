@@ -112,6 +112,14 @@ class StructuredPosterior(Posterior):
 
     # --- derivatives ---------------------------------------------------------------------------------------------
 
+    def pose_information(self, y: Array, pose: int) -> Array:
+        """Return what one pose tells of the geometry at y beyond all others, shape (m, m); see `pointwise`."""
+        assert isinstance(self.likelihood, StructuredLikelihood)
+        local, share = self._linearise(y), self.likelihood.combination[pose]
+        seen = np.einsum("k,kij,kjm->im", share, local.precision, local.slope)
+        own = np.einsum("k,kij->ij", share**2, local.precision)
+        return np.asarray(seen.T @ np.linalg.solve(own, seen))
+
     def _add_model_error(self, y: Array, local: Local, weighted: Array, gradient: Array, hessian: Array) -> None:
         """Add the part of τ and s."""
         by_errors, curvature = self._differentiate_by_errors(self.model_errors_at(y), local, weighted)

@@ -283,6 +283,21 @@ def test_proposal_holds_a_scale_that_is_hardly_known(wrong):
     assert np.median(scale) > 1.2 * wrong[0].scales(found.modes[0].y[None])[0, 0]
 
 
+def test_information_of_a_pose_is_what_is_lost_without_it(wrong):
+    """Against all poses' covariance written out, and without the pose's rows and columns."""
+    posterior, y = wrong
+    local, u = posterior._linearise(y), posterior.likelihood.combination
+    covariance = np.einsum("pk,qk,kij->piqj", u, u, np.linalg.inv(local.precision)).reshape(24 * 6, 24 * 6)
+    slope = np.einsum("pk,kim->pim", u, local.slope).reshape(24 * 6, -1)
+    rest = np.delete(np.arange(24 * 6), np.arange(6 * 5, 6 * 6))
+    whole, without = (
+        slope[k].T @ np.linalg.solve(covariance[np.ix_(k, k)], slope[k]) for k in (np.arange(24 * 6), rest)
+    )
+    found = posterior.pose_information(y, 5)
+    assert np.abs(found - (whole - without)).max() < 1e-7 * np.abs(whole).max()
+    assert np.abs(found).max() > 1e-3 * np.abs(whole).max()
+
+
 def test_straight_coordinates_lead_back_and_keep_volumes(wrong):
     posterior, y = wrong
     straight = straighten(posterior, Mode(y, 0.0, np.eye(len(y)), True))

@@ -66,7 +66,7 @@ def _tabulate(study: StudyResults, found: dict[str, Any]) -> Table:
     """Return the errors' scales, surest slopes and what explains them."""
     known = list(dict.fromkeys(name for one in found.values() for name in one["explained"]))
     columns = [VARIANT, Column("Kernel", kind="text"), Column("Present", "%")]
-    columns += [Column("Scale", "µm", "median [5 %, 95 %]"), Column("left of prior", "%", "median [5 %, 95 %]")]
+    columns += [Column("Scale", "µm", "median [5 %, 95 %]"), Column("left of prior", "%")]
     columns += [Column("Surest slope", "µm", "mean [5 %, 95 %]"), Column("Linear in travel", "%")]
     columns += [Column(name, "%", "Explained by") for name in known]
     rows = []

@@ -22,6 +22,7 @@ from bayescal.report.symbols import quote
 
 DEFORMATION_COLOURS = {"none": "#D55E00", "linear": "#0072B2", "matrix": "#009E73"}
 FEW = 4  # variants to name one by one in a legend
+LONG, FEW_COLUMNS = 20, 4  # letters of a variant's own name from which on a line of a legend holds so few
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,11 @@ def assign_styles(results: StudyResults) -> dict[str, VariantStyle]:
 def _kind_of(results: StudyResults, name: str) -> str:
     """Return the title of a variant's model, with whose variants it shares its marker; its own name if it has one."""
     return name if name in results.own_names else label_model(results, split_variant(results, name)[0])
+
+
+def count_columns(styles: Styles, most: int) -> int:
+    """Return how many entries of `list_keys` a line of a legend holds, at most so many."""
+    return FEW_COLUMNS if any(len(style.model) > LONG for style in styles.values()) else most
 
 
 def list_keys(styles: Styles, linewidth: float = 0.0) -> list[Line2D]:

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from bayescal.experiments.study.page.styles import Styles, list_keys
+from bayescal.experiments.study.page.styles import Styles, count_columns, list_keys
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import MICROMETRES
@@ -131,5 +131,7 @@ def draw_pareto_k(left_out: pd.DataFrame, variants: list[str], styles: Styles) -
     axes.set_xlim(-0.7, len(poses) - 0.3)
     axes.set_ylabel("Pareto k")
     axes.grid(axis="y")
-    figure.legend(handles=list_keys(styles, 1.2), loc="outside upper left", ncols=8, borderaxespad=0.2)
+    figure.legend(
+        handles=list_keys(styles, 1.2), loc="outside upper left", ncols=count_columns(styles, 8), borderaxespad=0.2
+    )
     return figure

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from bayescal.experiments.study.page.styles import Styles, list_keys
+from bayescal.experiments.study.page.styles import Styles, count_columns, list_keys
 from bayescal.report.numbers import MICROMETRES
 from bayescal.report.style import GREY, INK, PALE
 from bayescal.report.symbols import MODEL_ERROR, is_model_error, scale_of, set_mathematics
@@ -54,7 +54,7 @@ def draw_parameters(parameters: pd.DataFrame, published: pd.DataFrame, styles: S
     handles = [*list_keys(styles, 1.6), Patch(color=PALE, alpha=0.55, label="prior, central 90 %")]
     if published["published_offset"].notna().any():
         handles.append(Line2D([], [], color=INK, marker="x", markersize=4.5, linestyle="none", label="published"))
-    figure.legend(handles=handles, loc="outside upper left", ncols=5, borderaxespad=0.2)
+    figure.legend(handles=handles, loc="outside upper left", ncols=count_columns(styles, 5), borderaxespad=0.2)
     return figure
 
 
@@ -76,7 +76,8 @@ def draw_model_error(parameters: pd.DataFrame, styles: Styles, prior_scale_um: f
         handles.append(Line2D([], [], color=GREY, linestyle="--", linewidth=1.0, label=label))
     grid[0].set_ylim(bottom=0)
     grid[0].set_ylabel("Model error τ (µm)")
-    figure.legend(handles=handles, loc="outside upper left", ncols=8, borderaxespad=0.2, columnspacing=1.4)
+    columns = count_columns(styles, 8)
+    figure.legend(handles=handles, loc="outside upper left", ncols=columns, borderaxespad=0.2, columnspacing=1.4)
     return figure
 
 

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from bayescal.experiments.study.page.styles import Styles, list_keys
+from bayescal.experiments.study.page.styles import Styles, count_columns, list_keys
 from bayescal.report.numbers import format_plain
 
 SPREAD = 0.08  # of the axis between the first and the last model at one factor
@@ -34,7 +34,9 @@ def draw_sensitivity(wide: pd.DataFrame, styles: Styles) -> Figure:
     right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
     right.set_ylabel("below the best there (nat, logarithmic)")
     right.set_title("What separates the variants")
-    figure.legend(handles=list_keys(styles, 1.2), loc="outside upper left", ncols=8, borderaxespad=0.2)
+    figure.legend(
+        handles=list_keys(styles, 1.2), loc="outside upper left", ncols=count_columns(styles, 8), borderaxespad=0.2
+    )
     return figure
 
 
