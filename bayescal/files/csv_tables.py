@@ -45,6 +45,10 @@ class Table:
         for number, value in enumerate(values):
             if not value:
                 raise InputError(f"{self.where(number)}: {column}: found an empty cell, expected a name")
+            if not is_plain(value):
+                raise InputError(
+                    f"{self.where(number)}: {column}: found control characters in {value!r}, expected a name"
+                )
         return values
 
     def numbers(self, columns: Sequence[str], gaps: bool = False) -> Array:

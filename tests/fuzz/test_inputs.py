@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fuzz.hostile import change_file
 from fuzz.judged import judge_call
-from fuzz.subjects import QUICK, Subject, read_subject, write_subjects
+from fuzz.subjects import CHEAP, QUICK, Subject, read_subject, write_subjects
 
 from bayescal.errors import NumericalError
 from bayescal.experiments.frame import run as frame
@@ -75,6 +75,14 @@ def fuzz(subjects: dict[str, Subject], first: int, folder: Path) -> str:
 @pytest.mark.usefixtures("cut")
 def test_no_mutation_ends_in_a_traceback(subjects, first, tmp_path):
     assert fuzz(subjects, first, tmp_path) == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(N_SLOW + N_QUICK, N_SLOW + N_QUICK + 200, AT_A_TIME))
+def test_no_mutation_ends_in_a_traceback_when_computed(subjects, first, tmp_path, monkeypatch):
+    monkeypatch.setattr("bayescal.report.page.render_png", lambda draw: b"not drawn")
+    chosen = {name: one for name, one in subjects.items() if name in CHEAP}
+    assert fuzz(chosen, first, tmp_path) == ""
 
 
 @pytest.mark.slow
