@@ -17,6 +17,7 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
+from bayescal.files.plain_text import is_plain
 from bayescal.numerics.geometry import Array
 
 LEG_NUMBER = re.compile(r"(?:^|[^0-9])([1-9][0-9]*)(?=_|$)")
