@@ -174,7 +174,7 @@ def kill_again_and_again(
     """Run and kill at random moments, and take up until it ends."""
     for attempt in range(TRIES):
         child = resume_or_start(config, out, seed) if attempt else start(config, out, seed)
-        if attempt < KILLS and not child.wait(float(rng.uniform(0.0, 1.2 * whole))):
+        if attempt < KILLS and not child.wait(float(rng.uniform(0.0, 0.7 * whole))):
             child.kill(SIGNALS[rng.integers(len(SIGNALS))])
             tally.done["kills"] += 1
         if finish(child, tally, f"killed {config.name} {seed}") in (0, 3):
