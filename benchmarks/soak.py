@@ -37,6 +37,7 @@ from fuzz.subjects import write_subjects  # noqa: E402  # beside the tests
 from bayescal import cli  # noqa: E402
 from bayescal.experiments.frame.load import load  # noqa: E402
 from bayescal.report import page  # noqa: E402
+from bayescal.report.pictures import Picture  # noqa: E402
 
 EXPERIMENTS = (
     "pose_extraction/figure5.toml",
@@ -257,7 +258,7 @@ def main() -> None:
         folder = Path(name)
         write_subjects(folder)
         if not arguments.pictures:
-            page.render_png = lambda draw: b"not drawn"
+            page.render_picture = lambda draw: Picture(b"not drawn")
         for experiment in EXPERIMENTS:
             load(folder / "experiments" / experiment)  # imported before anything is forked
         end = time.monotonic() + 60.0 * arguments.minutes

@@ -15,6 +15,7 @@ from fuzz.judged import judge_call
 
 from bayescal.experiments.frame import run as frame
 from bayescal.report import page as pages
+from bayescal.report.pictures import Picture
 
 RESULTS = Path(__file__).parents[2] / "results"
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -65,7 +66,7 @@ def poison_texts(value: Any) -> Any:
 
 @pytest.fixture(autouse=True)
 def _without_pictures(monkeypatch):
-    monkeypatch.setattr(pages, "render_png", lambda draw: b"not drawn")
+    monkeypatch.setattr(pages, "render_picture", lambda draw: Picture(b"not drawn"))
 
 
 @pytest.mark.parametrize("name", ["hexapod_figure10", *(pytest.param(one, marks=pytest.mark.slow) for one in PAGES)])
