@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: study real audits test test-browser test-dask test-slow check docs dist data picture benchmark clean help
+.PHONY: study real audits test test-browser test-dask test-slow check docs dist data picture benchmark soak clean help
 
 help:
 	@echo "make study      the telescope study: environment, run, ranking, report (three to four minutes on two cores)"
@@ -19,6 +19,7 @@ help:
 	@echo "make docs       the documentation, its tutorials run, into docs/_build/html (installs Sphinx)"
 	@echo "make dist       the wheel, into dist"
 	@echo "make picture    README's picture of a report, from committed results (needs Chromium)"
+	@echo "make soak       random kills, full disks and runs that meet, for MINUTES=60: nothing lost, nothing different"
 	@echo "make benchmark  speed against a compiled loop and against NUTS (installs numba and numpyro)"
 
 study: $(STAMP)
@@ -70,6 +71,9 @@ benchmark: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[benchmark]"
 	$(BIN)/python benchmarks/likelihood.py
 	$(BIN)/python benchmarks/sampling.py --dense-mass --name sampling_dense_mass
+
+soak: $(STAMP)
+	$(THREADS) $(BIN)/python benchmarks/soak.py --minutes $(or $(MINUTES),60)
 
 clean:
 	rm -rf $(VENV) build *.egg-info

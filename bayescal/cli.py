@@ -6,6 +6,7 @@ import errno
 import io
 import os
 import sys
+import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,12 +17,16 @@ from rich.padding import Padding
 from bayescal.config.trust import allow_own_classes
 from bayescal.errors import BayescalError, InputError, NumericalError, name_faults
 from bayescal.experiments.frame.interrupts import INTERRUPTED, end_on_interrupt
+from bayescal.files.plain_text import make_plain
 from bayescal.limits import LARGEST_SEED
 
 if TYPE_CHECKING:
     from bayescal.calibrated.machine import CalibratedMachine
     from bayescal.config.sections import ExperimentConfig
 
+OWN_FAULT = "a fault of bayescal, or of a class of one's own"
+TRACEBACK = "BAYESCAL_TRACEBACK"
+"""Environment variable that shows where in the code a fault of bayescal's own is."""
 WIDTH, WIDE = 120, 160
 """Of what is printed where there is no terminal; comparisons are wide."""
 
@@ -524,11 +529,24 @@ def main() -> None:
         )
     except (KeyboardInterrupt, typer.Abort):
         code = _complain("interrupted", INTERRUPTED)
+    except Exception as error:
+        if os.environ.get(TRACEBACK):
+            raise
+        code = _complain(_describe_own_fault(error), NumericalError.exit_code)
     sys.exit(code or 0)
 
 
+def _describe_own_fault(error: Exception) -> str:
+    """Return what nobody foresaw in a line: where, what, and how to see all of it."""
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return (
+        f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno}): {OWN_FAULT}, expected a "
+        f"line that says what is wrong; please report it with what {TRACEBACK}=1 shows"
+    )
+
+
 def _complain(message: str, code: int) -> int:
-    typer.echo(f"bayescal: {' '.join(message.split())}", err=True)
+    typer.echo(f"bayescal: {make_plain(' '.join(message.split()))}", err=True)
     return code
 
 

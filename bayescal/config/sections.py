@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator
 
+from bayescal.files.plain_text import is_plain
 from bayescal.limits import BOUNDS, LARGEST, LARGEST_FACTOR, LARGEST_SEED, NOISE_BOUNDS
 
 
@@ -53,6 +54,14 @@ class Section(BaseModel):
     """A table of a config: unknown keys and wrong types are errors; docstrings of its fields describe the keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
+
+    @field_validator("*")
+    @classmethod
+    def _check_text(cls, value: Any) -> Any:
+        """Refuse what would command a terminal, or turn what is read around: lines and tabs are all a text may have."""
+        if isinstance(value, str) and not is_plain(value, but="\n\t"):
+            raise ValueError(f"found control characters in {value!r}, expected plain text")
+        return value
 
     @field_validator("*")
     @classmethod

@@ -17,6 +17,7 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
+from bayescal.files.plain_text import is_plain
 from bayescal.numerics.geometry import Array
 
 LEG_NUMBER = re.compile(r"(?:^|[^0-9])([1-9][0-9]*)(?=_|$)")
@@ -45,6 +46,10 @@ class Table:
         for number, value in enumerate(values):
             if not value:
                 raise InputError(f"{self.where(number)}: {column}: found an empty cell, expected a name")
+            if not is_plain(value):
+                raise InputError(
+                    f"{self.where(number)}: {column}: found control characters in {value!r}, expected a name"
+                )
         return values
 
     def numbers(self, columns: Sequence[str], gaps: bool = False) -> Array:

@@ -445,7 +445,7 @@ def data_study(tmp_path) -> Path:
         ("study.toml", "published.csv", "publisht.csv", "publisht.csv: no such file"),
         ("study.toml", 'matrix = "targets"', 'matrix = "K.csv"', "K.csv: no such file"),
         ("study.toml", '"mechanism.toml"', '"mechanics.toml"', "mechanics.toml: no such file"),
-        ("study.toml", '"mechanism.toml"', '"me\\u0000chanics.toml"', "cannot be read"),
+        ("study.toml", '"mechanism.toml"', '"me\\u0000chanics.toml"', "found control characters"),
         (
             "mechanism.toml",
             "[265.0, 275.0, 25.0, 35.0, 145.0, 155.0]",

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bayescal import cli
+from bayescal.files.plain_text import is_plain
 
 SECONDS = 60
 CODES = (0, 2, 3, 130)
@@ -81,6 +82,8 @@ def _find_faults(code: int, out: str, err: str, raised: str, shown: list[str], c
     if raised:
         yield raised
         return
+    if cli.OWN_FAULT in err:
+        yield err
     if code not in CODES:
         yield f"exit code {code}"
     if shown:
@@ -91,7 +94,7 @@ def _find_faults(code: int, out: str, err: str, raised: str, shown: list[str], c
         yield f"something on standard output: {out!r}"
     if not code and err:
         yield f"something on standard error: {err!r}"
-    if any(not one.isprintable() for one in err.rstrip("\n")):
+    if not is_plain(err, but="\n"):
         yield f"control characters: {err!r}"
     if changed:
         yield f"exit code 2, but something was written ({err!r})"

@@ -41,6 +41,20 @@ QUICK = (
     "telescope/simulate.toml",
 )
 """Those that are read within a tenth of a second or so; all kinds among them."""
+CHEAP = (
+    "camera_hexapod/simulate.toml",
+    "hexapod/figure10.toml",
+    "hexapod/table4.toml",
+    "hexapod/table8.toml",
+    "own_machine/simulate.toml",
+    "pose_extraction/figure5.toml",
+    "pose_selection/yu2023_table1.toml",
+    "sliding_star/calibrations.toml",
+    "sliding_star/sensors.toml",
+    "sliding_star/simulate.toml",
+    "telescope/simulate.toml",
+)
+"""Those that are computed within seconds."""
 POSES = ("C01", "C02", "C03", "C04", "C05", "C06", "C07", "C08", "C09", "C10", "C11", "C12", "V01", "V02")
 SHORT: dict[str, dict[str, Any]] = {
     "telescope": {"sensitivity": {"factor": [1.0]}},

@@ -169,3 +169,13 @@ def test_zero_in_a_published_table_is_refused(root, config):
     assert outcome.faults == ()
     assert outcome.code == 2
     assert "found 0, expected" in outcome.err
+
+
+@pytest.mark.parametrize("text", ["\x1b]0;mine\x07", "\u202etxt.exe"])
+def test_text_that_commands_a_terminal_is_refused(root, text):
+    path = root / STUDY
+    other = path.with_name("absurd.toml")
+    other.write_text(put(path, "title", text))
+    outcome = judge_call(["validate", other], root)
+    assert (outcome.faults, outcome.code) == ((), 2)
+    assert "title: found control characters" in outcome.err

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from fuzz.hostile import change_file
 from fuzz.judged import judge_call
-from fuzz.subjects import QUICK, Subject, read_subject, write_subjects
+from fuzz.subjects import CHEAP, QUICK, Subject, read_subject, write_subjects
 
 from bayescal.errors import NumericalError
 from bayescal.experiments.frame import run as frame
+from bayescal.report.pictures import Picture
 
 SEED = 14
 N_QUICK, N_SLOW, AT_A_TIME = 500, 5000, 50
@@ -75,6 +76,14 @@ def fuzz(subjects: dict[str, Subject], first: int, folder: Path) -> str:
 @pytest.mark.usefixtures("cut")
 def test_no_mutation_ends_in_a_traceback(subjects, first, tmp_path):
     assert fuzz(subjects, first, tmp_path) == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(N_SLOW + N_QUICK, N_SLOW + N_QUICK + 200, AT_A_TIME))
+def test_no_mutation_ends_in_a_traceback_when_computed(subjects, first, tmp_path, monkeypatch):
+    monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
+    chosen = {name: one for name, one in subjects.items() if name in CHEAP}
+    assert fuzz(chosen, first, tmp_path) == ""
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ MADE = (
 """Experiments of the other kinds, run for the slow tests."""
 COMMANDS = ("report", "compare", "export", "predict", "report", "compare")
 NOTE = "no draws of the posterior"  # what the committed results do not hold is said beside success
-N_QUICK, N_SLOW, AT_A_TIME = 96, 1040, 24
+N_QUICK, N_SLOW, AT_A_TIME = 48, 1040, 24
 
 
 @pytest.fixture(autouse=True)

@@ -109,7 +109,7 @@ class PointDataConfig(MeasuredConfig):
 
 
 def _tag_data(value: Any) -> str:
-    found = value.get("measurement", "targets") if isinstance(value, dict) else value.measurement
+    found = value.get("measurement", "targets") if isinstance(value, dict) else getattr(value, "measurement", value)
     return f"{MEASURED}{found}"
 
 

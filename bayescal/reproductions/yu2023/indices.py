@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
+from bayescal.errors import InputError
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.files.csv_tables import read_table
@@ -116,6 +117,9 @@ def read_published(setup: Setup, study: IndexStudyConfig) -> Published:
     values = table.positive(study.indices)
     names = table.text("condition")
     table.check_unique([(name,) for name in names], "condition")
+    for condition in study.conditions:
+        if condition.name not in names:
+            raise InputError(f"{table.path}: found no row of condition {condition.name!r}, expected one of each")
     return {(c, i): float(values[r, k]) for r, c in enumerate(names) for k, i in enumerate(study.indices)}
 
 
