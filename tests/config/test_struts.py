@@ -60,7 +60,7 @@ def test_drive_of_the_telescope_is_at_the_base():
         (
             HOME,
             '[home]\nplatform = "besides"\n',
-            "line 29: home.platform: found 'besides', expected 'above' or 'below'",
+            "line 30: home.platform: found 'besides', expected 'above' or 'below'",
         ),
         (STRUT, f"{STRUT}\ndirection = [0.0, 0.0, 1.0]", "line 32: legs: found direction with drive 'strut', expected"),
         (STRUT, f"{STRUT}\nlength_mm = 493.0", "line 32: legs.length_mm: found lengths beside [home], expected one of"),

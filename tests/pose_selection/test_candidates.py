@@ -74,7 +74,7 @@ def test_range_leaves_candidates_out():
 
 def flat_struts() -> WorkspaceBox:
     """Return struts whose workspace holds the pose where all joints lie in one plane."""
-    machine = machines.build_machine("none", machines.build_hexapod(actuator_range=1000.0), "six_ups")
+    machine = machines.build_machine("none", machines.build_hexapod(actuator_range=499.0), "six_ups")
     knowledge = audit_problems.build_knowledge(machine)
     height = WorkspaceBox(knowledge, np.ones(6)).home.position[2] - machine.mechanism.base_points[0, 2]
     return WorkspaceBox(knowledge, np.array([50.0, 50.0, height, 0.1, 0.1, 0.1]))

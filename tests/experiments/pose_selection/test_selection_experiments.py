@@ -227,7 +227,7 @@ position_mm = [0.0, 0.0, 100.0]
 
 [legs]
 drive = "strut"
-actuator_range_mm = 1000.0
+actuator_range_mm = 118.0
 """
 HEADER = "drho_1_mm,drho_2_mm,drho_3_mm,drho_4_mm,drho_5_mm,drho_6_mm"
 FLAT_BOX = 'within = "workspace"\nposition_mm = [50.0, 50.0, 100.0]\nrotation_deg = [1.0, 1.0, 1.0]'

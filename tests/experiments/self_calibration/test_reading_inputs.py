@@ -237,9 +237,10 @@ def test_simulated_readings_are_those_shipped(call, tmp_path):
     assert "never measured" in (EXPERIMENT / "data" / "readings.csv").read_text().splitlines()[0]
 
 
-def test_truth_fed_back_gives_the_same_readings(call, tmp_path):
+def test_truth_fed_back_gives_the_same_readings(call, tmp_path, monkeypatch):
     import shutil
 
+    monkeypatch.chdir(tmp_path)
     shutil.copytree(EXPERIMENT, tmp_path / "star")
     config = tmp_path / "star" / "simulate.toml"
     call("simulate", config, "--out", tmp_path / "first", "--seed", 3)

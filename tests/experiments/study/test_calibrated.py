@@ -166,7 +166,7 @@ def test_poses_out_of_reach_are_named_row_by_row(study, refuse, call):
         (("export", "out", "--format", "step"), "--format: found 'step', expected one of"),
         (("export", "out", "--experiment", "other.toml"), "other.toml: found another study than that of out"),
         (("export", "nowhere"), "nowhere/provenance.json: no such file"),
-        (("export", "out", "--out", "study.toml"), "study.toml: cannot be made a directory"),
+        (("export", "out", "--out", "study.toml"), "study.toml: is no directory, expected one"),
         (("predict", "out", "far.csv"), "far.csv: pose 'P0', leg 1: found 20 mm"),
         (("command", "out", "far.csv"), "far.csv, line 1: found no column 'x_mm'"),
     ],
