@@ -510,10 +510,9 @@ def test_shipped_pose_extraction_runs_tiny(call, tmp_path):
 
 
 STUDIES = [
-    ("telescope/table6", 4),
-    *(pytest.param(f"telescope/table{k}", 4, marks=pytest.mark.slow) for k in (5, 7)),
+    *(pytest.param(f"telescope/table{k}", 4, marks=pytest.mark.slow) for k in (5, 6, 7)),
     *(pytest.param(f"telescope/{name}", 12, marks=pytest.mark.slow) for name in ("study", "ridges")),
-    ("telescope/model_error", 9),
+    pytest.param("telescope/model_error", 9, marks=pytest.mark.slow),
     ("m2_hexapod/study", 3),
     ("m2_hexapod/lengths", 1),
     ("camera_hexapod/study", 1),

@@ -95,6 +95,7 @@ def test_modes_keep_their_masses():
     assert lesser == pytest.approx(0.06, abs=0.02)
 
 
+@pytest.mark.slow
 def test_funnel_into_a_narrow_end():
     """Data that are nothing but the scale of five coordinates pull it down, where these are narrow."""
 

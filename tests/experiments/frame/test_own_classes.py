@@ -61,7 +61,7 @@ def folder(tmp_path_factory):
 # --- studies -----------------------------------------------------------------------------------------------------
 
 
-def test_a_study_of_an_own_model_and_deformation(call, tmp_path):
+def test_a_study_of_an_own_model_and_deformation(call, tmp_path, no_pictures):
     path = own_classes.write_study(tmp_path, own_classes.ONE_VARIANT)
     code, _, complaint = call("run", path, "--out", tmp_path / "out1", "--workers", 1, "--quiet")
     assert code == 0 or "not everything converged" in complaint, complaint  # so few draws do not
@@ -228,7 +228,7 @@ def test_continuous_starts_from_an_own_method(tmp_path):
 # --- audits ------------------------------------------------------------------------------------------------------
 
 
-def test_an_audit_with_an_own_sensor(call, tmp_path, monkeypatch):
+def test_an_audit_with_an_own_sensor(call, tmp_path, monkeypatch, no_pictures):
     monkeypatch.setattr(changes, "propose_i_optimal", decline)  # takes longer than all the rest
     shipped = (problems.DESIGNS / "camera_hexapod.toml").read_text()
     shipped = shipped.replace('"camera_hexapod_mechanism', f'"{problems.DESIGNS}/camera_hexapod_mechanism')

@@ -168,7 +168,12 @@ def test_measured_readings_need_no_truth(tmp_path, no_pictures, search_little):
 
 
 @pytest.mark.parametrize(
-    ("n_legs", "sensors"), [(3, ["s", "psi[1]", "phi[2]"]), (5, ["s"]), (6, ["s[1]", "s[2]", "s[3]", "s[4]", "phi"])]
+    ("n_legs", "sensors"),
+    [
+        (3, ["s", "psi[1]", "phi[2]"]),
+        pytest.param(5, ["s"], marks=pytest.mark.slow),
+        pytest.param(6, ["s[1]", "s[2]", "s[3]", "s[4]", "phi"], marks=pytest.mark.slow),
+    ],
 )
 def test_other_legs_and_sensors_find_their_truth(tmp_path, n_legs, sensors):
     path = write_small(tmp_path, describe_variant("one", sensors, 'fixed = ["x_P"]'), n_legs=n_legs)

@@ -35,8 +35,8 @@ def first_pose(path):
     return pd.read_csv(path.parent / "data" / "actuators.csv", comment="#", dtype=str)["pose"][4]
 
 
-@pytest.mark.parametrize("spoiled", [True, False])
-def test_blunders_are_named_on_the_page(tmp_path, spoiled):
+@pytest.mark.parametrize("spoiled", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_blunders_are_named_on_the_page(tmp_path, spoiled, no_pictures):
     path = allow_blunders(studies.write_tiny_study(tmp_path))
     pose = first_pose(path)
     if spoiled:

@@ -164,7 +164,7 @@ def test_points_of_two_stations_find_the_machine_and_their_frames(pointed):
     assert sd.min() < 0.02 * 0.5  # so that it is not the prior that says so
 
 
-def test_positions_alone_are_a_study_with_a_page(fed, tmp_path, call):
+def test_positions_alone_are_a_study_with_a_page(fed, tmp_path, call, no_pictures):
     table = (fed / "data" / "poses.csv").read_text().splitlines()
     head = next(row for row in table if row.startswith("pose,")).split(",")
     kept = [k for k, name in enumerate(head) if not re.search(r"r[xyz]", name)]

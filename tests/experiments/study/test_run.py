@@ -243,7 +243,7 @@ def test_title_changes_no_number(result, folder):
     assert one == two
 
 
-@pytest.mark.parametrize("n_finished", [1, 3])
+@pytest.mark.parametrize("n_finished", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_interrupted_and_resumed_equals_uninterrupted(result, folder, monkeypatch, n_finished):
     out = folder / "results" / f"interrupted after {n_finished}"
     calls = []
