@@ -15,6 +15,7 @@ from arviz_stats.base import array_stats
 from scipy.special import logsumexp
 
 from bayescal.density.posterior import Posterior
+from bayescal.errors import NumericalError
 from bayescal.experiments.study.correct import draw_to_correct, pull_back
 from bayescal.inference.correction import Correction, CostlyDensity, correct
 from bayescal.inference.ensemble import run_ensemble
@@ -54,17 +55,17 @@ class LeftOut:
 
     @property
     def elpd(self) -> Array:
-        """Return each pose's elpd, by a run where there was one."""
+        """Return each pose's elpd, anew where it was left out so."""
         return np.where(self.was_refitted, self.refitted, self.weighted)
 
     @property
     def was_refitted(self) -> np.ndarray:
-        """Which poses were left out by a run."""
+        """Which poses were left out anew."""
         return np.isfinite(self.refitted)
 
     @property
     def is_doubtful(self) -> np.ndarray:
-        """Which poses have weights with too heavy a tail and were not left out by a run."""
+        """Which poses have weights with too heavy a tail and were not left out anew."""
         return (self.pareto_k > PARETO_K_LIMIT) & ~self.was_refitted
 
     def summarise(self) -> tuple[float, float]:
@@ -94,11 +95,16 @@ def refit_doubtful(
     drawn = draw_to_correct(exploration, np.random.default_rng(draw_seed), MOVED)
     refitted = found.refitted.copy()
     for pose, own in zip(doubtful.tolist(), seeds, strict=True):
-        moved = move_without(pose, posterior, exploration, *drawn)
-        refitted[pose] = -moved.log_ratio
-        if not (moved.pareto_k <= PARETO_K_LIMIT and moved.standard_error <= ENOUGH):
-            proposal = moved.move.move_proposal(exploration.proposal)
-            refitted[pose] = refit_without(pose, posterior, exploration, proposal, n_walkers, own)
+        proposal = exploration.proposal
+        try:
+            moved = move_without(pose, posterior, exploration, *drawn)
+            if moved.pareto_k <= PARETO_K_LIMIT and moved.standard_error <= ENOUGH:
+                refitted[pose] = -moved.log_ratio
+                continue
+            proposal = moved.move.move_proposal(proposal)
+        except NumericalError:
+            pass  # no moved draw is a machine: the run starts where the posterior of all is
+        refitted[pose] = refit_without(pose, posterior, exploration, proposal, n_walkers, own)
     return LeftOut(found.weighted, found.pareto_k, found.effective, refitted)
 
 
