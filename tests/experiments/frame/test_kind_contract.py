@@ -15,8 +15,8 @@ import studies
 import sweeps
 import tiny_experiments
 
-from bayescal import cli
 from bayescal.config.registry import list_references
+from bayescal.experiments.frame.interrupts import INTERRUPTED
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment, write_report
 from bayescal.experiments.frame.store import Store
@@ -244,4 +244,4 @@ def test_options_are_those_of_every_kind(call):
         code, said, _ = call(command, "--help")
         assert code == 0
         assert all(option in said for option in ("--out", "--seed", "--workers", "--scheduler", "--resume", "--quiet"))
-    assert cli.INTERRUPTED == 130
+    assert INTERRUPTED == 130

@@ -6,7 +6,7 @@ import io
 
 from rich.console import Console
 
-from bayescal.cli import _make_console
+from bayescal.cli.console import make_console
 from bayescal.experiments.frame.terminal import Shown, print_table
 
 COLUMNS = (Shown("variant", justify="left"), Shown("log-evidence", 1), Shown("elpd", 2), Shown("error"))
@@ -31,16 +31,16 @@ def test_columns_give_way_in_order():
 
 def test_without_a_terminal_it_is_as_wide_as_columns_says(monkeypatch):
     monkeypatch.delenv("COLUMNS", raising=False)
-    assert _make_console().width == 120
+    assert make_console().width == 120
     monkeypatch.setenv("COLUMNS", "80")
-    assert _make_console().width == 80
+    assert make_console().width == 80
     monkeypatch.setenv("COLUMNS", "wide")
-    assert _make_console(160).width == 160
+    assert make_console(160).width == 160
 
 
 def test_colour_stands_on_terminals_alone_and_obeys_no_color(monkeypatch):
     monkeypatch.delenv("FORCE_COLOR", raising=False)
-    assert not _make_console().color_system
+    assert not make_console().color_system
     monkeypatch.setenv("TERM", "xterm-256color")
     coloured = Console(force_terminal=True, color_system="256", file=io.StringIO())
     coloured.print("[red]x[/red]")

@@ -1,0 +1,11 @@
+"""The command line: a module of commands each for running, data, machines, results and projects."""
+
+# The order of the imports is that of the help.
+# isort: off
+from bayescal.cli.app import app
+from bayescal.cli import run, data, machine, results, project
+from bayescal.cli.main import OWN_FAULT, TRACEBACK, main
+
+# isort: on
+
+__all__ = ["OWN_FAULT", "TRACEBACK", "app", "data", "machine", "main", "project", "results", "run"]

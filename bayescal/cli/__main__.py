@@ -1,0 +1,5 @@
+"""`python -m bayescal.cli`."""
+
+from bayescal.cli import main
+
+main()

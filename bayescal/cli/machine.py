@@ -1,0 +1,109 @@
+"""Commands that use a calibrated machine: export, command, predict."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bayescal.cli.app import app
+from bayescal.cli.console import check_out, put
+from bayescal.limits import LARGEST_SEED
+
+if TYPE_CHECKING:
+    from bayescal.calibrated.machine import CalibratedMachine
+
+Calibrated = Annotated[
+    Path, typer.Argument(metavar="RESULTS", help="Results directory of a study, or a machine that export wrote.")
+]
+Variant = Annotated[str | None, typer.Option(help="Variant by its name; default the best.")]
+Config = Annotated[
+    Path | None, typer.Option("--experiment", help="Config of results that do not hold the nominal machine.")
+]
+Force = Annotated[bool, typer.Option("--force", help="Take a posterior that did not converge; files say so.")]
+Table = Annotated[Path | None, typer.Option(help="CSV file; default standard output.")]
+
+
+@app.command(epilog="Example: bayescal export results/m2_hexapod --format urdf --out machines/m2")
+def export(
+    results: Calibrated,
+    variant: Variant = None,
+    name: Annotated[
+        str, typer.Option("--format", help="mechanism (every command takes it), csv, json, urdf or genhexkins.")
+    ] = "mechanism",
+    out: Annotated[Path | None, typer.Option(help="Directory; default machines/NAME-VARIANT.")] = None,
+    experiment: Config = None,
+    force: Force = False,
+) -> None:
+    """Write the machine as calibrated, with covariance and draws, as files for the next tool."""
+    from bayescal.api import export_machine, load_calibrated
+    from bayescal.files.atomic import check_writable
+
+    calibrated = load_calibrated(results, variant, experiment, force)
+    where = out or Path("machines") / calibrated.source.stem
+    check_writable(where)
+    for path in export_machine(calibrated, where, name):
+        typer.echo(f"wrote {path}")
+    _tell_missing(results, calibrated)
+
+
+@app.command(epilog="Example: bayescal command results/m2_hexapod poses.csv --out actuators.csv")
+def command(
+    results: Calibrated,
+    poses: Annotated[Path, typer.Argument(metavar="POSES.csv", help="pose, x_mm ... z_mm, rx_deg ... rz_deg.")],
+    variant: Variant = None,
+    out: Table = None,
+    mark: Annotated[bool, typer.Option("--mark", help="Mark poses out of reach instead of refusing them.")] = False,
+    experiment: Config = None,
+    force: Force = False,
+) -> None:
+    """Tell the actuator positions that hold commanded poses, and how sure they are."""
+    from bayescal.api import command_poses, load_calibrated
+    from bayescal.calibrated.tables import check_reached, format_command, read_commanded
+
+    calibrated = load_calibrated(results, variant, experiment, force)
+    check_out(out)
+    commanded = read_commanded(poses, calibrated.n_legs)
+    found = command_poses(calibrated, commanded.position, commanded.rotation)
+    if not mark:
+        check_reached(commanded, found)
+    put(format_command(calibrated, commanded.names, found), out)
+    _tell_missing(results, calibrated)
+
+
+@app.command(epilog="Example: bayescal predict results/m2_hexapod actuators.csv --out poses.csv")
+def predict(
+    results: Calibrated,
+    actuators: Annotated[Path, typer.Argument(metavar="ACTUATORS.csv", help="pose, rho_1_mm, rho_2_mm ...")],
+    variant: Variant = None,
+    out: Table = None,
+    draws: Annotated[Path | None, typer.Option(help="CSV file for poses by draws of the posterior.")] = None,
+    n_draws: Annotated[int, typer.Option(min=1, max=100_000, help="How many of them.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Of the draws' errors.")] = 0,
+    experiment: Config = None,
+    force: Force = False,
+) -> None:
+    """Predict the poses of actuator positions with their covariance."""
+    import numpy as np
+
+    from bayescal.api import draw_poses, load_calibrated, predict_poses
+    from bayescal.calibrated.tables import check_found, format_draws, format_prediction, read_positions
+
+    calibrated = load_calibrated(results, variant, experiment, force)
+    check_out(out)
+    check_out(draws)
+    names, positions = read_positions(actuators, calibrated)
+    found = predict_poses(calibrated, positions)
+    check_found(actuators, names, found)
+    if draws is not None:
+        drawn = draw_poses(calibrated, positions, n_draws, np.random.default_rng(seed))
+        put(format_draws(calibrated, names, *drawn), draws)
+    put(format_prediction(calibrated, names, found), out)
+    _tell_missing(results, calibrated)
+
+
+def _tell_missing(results: Path, calibrated: CalibratedMachine) -> None:
+    """Say on standard error that there is no covariance, and why."""
+    if calibrated.covariance is None:
+        typer.echo(f"{results}: no draws of the posterior (posterior/*.nc): without covariance and draws", err=True)

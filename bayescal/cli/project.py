@@ -1,0 +1,96 @@
+"""Commands about configs: begin a project, check a file, list what it can name, its schema."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.padding import Padding
+
+from bayescal.cli.app import app
+from bayescal.cli.console import make_console
+from bayescal.cli.options import Experiment, NoPlugins
+from bayescal.errors import InputError, name_faults
+
+
+@app.command(epilog="Example: bayescal validate experiments/telescope/study.toml")
+def validate(experiment: Experiment, no_plugins: NoPlugins = False) -> None:
+    """Find everything at fault in a config and its files without computing, and say what a run would do."""
+    del no_plugins
+    from bayescal.experiments.frame.load import load
+    from bayescal.experiments.frame.run import check_experiment
+    from bayescal.experiments.shared.simulated_data import SimulatedData
+
+    kind, config = load(experiment)
+    with name_faults(experiment):
+        files, doubts = check_experiment(config, experiment.parent)
+    typer.echo(f"{experiment}: fit to run, a {config.kind} {config.name!r} ({config.title})")
+    for doubt in doubts:
+        typer.echo(f"but {doubt}")
+    typer.echo(f"{len(files)} files belong to it: {', '.join(files)}" if files else "no other file belongs to it")
+    command = "simulate" if isinstance(kind, SimulatedData) else "run"
+    typer.echo(f"next: bayescal {command} {experiment}, into results/{config.name}")
+
+
+@app.command(epilog="Example: bayescal init my_hexapod --machine hexapod --instrument poses")
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="New folder for the project.")],
+    machine: Annotated[
+        str | None, typer.Option(help="hexapod (struts), carriages (legs of fixed length) or own (one function).")
+    ] = None,
+    instrument: Annotated[
+        str | None, typer.Option(help="targets, poses or points; own machines bring their sensors.")
+    ] = None,
+) -> None:
+    """Begin a project: a commented machine with simulated data that runs as it is; asks what is not said."""
+    from bayescal.projects.start import INSTRUMENTS, MACHINES, OWN, start_project
+
+    machine = machine or _ask("--machine", list(MACHINES))
+    if instrument is None and machine != OWN:
+        instrument = _ask("--instrument", list(INSTRUMENTS))
+    for path in start_project(folder, machine, instrument):
+        typer.echo(f"wrote {path}")
+    typer.echo(f"the data are simulated; next: cd {folder}, bayescal run study.toml, and read README.md")
+
+
+def _ask(option: str, choices: list[str]) -> str:
+    """Return what is chosen at the terminal; InputError where nobody can be asked."""
+    if not _is_terminal():
+        raise InputError(f"init: {option}: missing, expected one of {', '.join(choices)}")
+    answer: str = typer.prompt(f"{option.removeprefix('--')} ({', '.join(choices)})", default=choices[0])
+    return answer.strip()
+
+
+def _is_terminal() -> bool:
+    """Whether somebody can be asked."""
+    return sys.stdin.isatty()
+
+
+@app.command("list", epilog="Example: bayescal list models")
+def list_names(
+    sort: Annotated[
+        str | None, typer.Argument(metavar="[SORT]", help="kinds, models, sensors, ...; all by default.")
+    ] = None,
+) -> None:
+    """List what a config can name: kinds, models, deformations, sensors, criteria, methods, own ones too."""
+    from bayescal.experiments.frame.catalogue import list_entries, list_sorts
+
+    console = make_console()
+    sorts = list_sorts() if sort is None else {sort: list_sorts().get(sort, "")}
+    for one in sorts:
+        entries = list_entries(one)
+        console.print(f"{sorts[one]} ({one})")
+        for entry in entries:
+            console.print(Padding(f"{entry.name}{' (own)' if entry.own else ''}: {entry.text}", (0, 0, 0, 2)))
+
+
+@app.command(epilog="Example: bayescal schema study > study.schema.json")
+def schema(kind: Annotated[str, typer.Argument(metavar="KIND", help="Kind of experiment, as in its config.")]) -> None:
+    """Print the JSON Schema of a kind's config, by which editors complete and check it."""
+    import json
+
+    from bayescal.experiments.frame.catalogue import describe_schema
+
+    typer.echo(json.dumps(describe_schema(kind), indent=1, ensure_ascii=False))
