@@ -18,6 +18,7 @@ from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import Mode, find_modes, revisit_modes
 from bayescal.inference.peaks import Peak, bend_at, curve_at, proposal_from_peaks, refine_peak
 from bayescal.inference.proposal import MixtureProposal, proposal_from_draws
+from bayescal.inference.ridges import trace_ridges
 from bayescal.inference.straightening import Straightening, straighten
 from bayescal.inference.target import Target
 from bayescal.numerics.geometry import Array
@@ -74,9 +75,9 @@ def explore(
     """Find the modes, straighten the coordinates and fit a proposal.
 
     Laplace's approximation first; where a trial shows that it is not good enough, peaks refined over a posterior sd in
-    coordinates bent and curved to fit, twice; where these are not, pilot runs. Where what the density leaves out
-    matters at draws of Laplace's approximation, all of it is done again with the posterior's finer density. With
-    ``anew`` the search for modes begins from draws of the prior, too.
+    coordinates bent and curved to fit, twice; where these are not, curved ridges are traced to their ends; then pilot
+    runs. Where what the density leaves out matters at draws of Laplace's approximation, all of it is done again with
+    the posterior's finer density. With ``anew`` the search for modes begins from draws of the prior, too.
 
     Raises
     ------
@@ -151,6 +152,9 @@ def _explore_from(
         straight, peaks = _sharpen(straight, peaks[0], modes, curve=round_ == 0)
         found = _try_peaks(straight, peaks, modes, trial_rng)
         best = found if found.efficiency > best.efficiency else best
+    if best.efficiency < enough and posterior.curved_ridges():
+        found = _follow_ridges(straight, modes, trial_rng)
+        best = found if found.efficiency > best.efficiency else best
     straight, proposal = best.straight, best.proposal
     walkers = count_walkers(posterior.n_parameters, n_walkers)
     for pilot_seed in pilot_seeds[:max_pilots]:
@@ -201,9 +205,10 @@ def add_clusters(found: Exploration, seed: np.random.SeedSequence, n_walkers: in
 
 
 def _peak_in(straight: Straightening, mode: Mode) -> Peak:
-    """Return a mode as a peak in straight coordinates; its covariance is close enough as it is."""
+    """Return a mode as a peak in straight coordinates; stretches leave its covariance close enough as it is."""
     centre = straight.x_from_y(mode.y[None])
-    return Peak(centre[0], np.linalg.cholesky(mode.covariance), float(straight.log_density(centre)[0]))
+    factor = np.linalg.cholesky(straight.unsheared(mode.y, mode.covariance))
+    return Peak(centre[0], factor, float(straight.log_density(centre)[0]))
 
 
 def _try_peaks(straight: Straightening, peaks: list[Peak], modes: list[Mode], rng: np.random.Generator) -> Exploration:
@@ -226,6 +231,13 @@ def _sharpen(straight: Straightening, main: Peak, modes: list[Mode], curve: bool
         if all(np.linalg.norm(np.linalg.solve(p.factor, other.centre - p.centre)) > 1.0 for p in peaks):
             peaks.append(other)
     return straight, peaks
+
+
+def _follow_ridges(straight: Straightening, modes: list[Mode], rng: np.random.Generator) -> Exploration:
+    """Return what peaks find in coordinates in which curved ridges are straight as far as they go."""
+    straight = trace_ridges(straight, modes)
+    straight, peaks = _sharpen(straight, _peak_in(straight, modes[0]), modes, curve=False)
+    return _try_peaks(straight, peaks, modes, rng)
 
 
 def _try_out(straight: Straightening, proposal: MixtureProposal, rng: np.random.Generator) -> float:

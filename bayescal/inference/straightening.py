@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
 from scipy.special import ndtri
 
@@ -82,6 +83,10 @@ class Curve:
         """Add the shear to vectors (B, n) in place, or take it away."""
         w[:, self.others] += sign * ((w[:, self.base] - self.origin) ** 2)[:, None] * self.beta
 
+    def slope(self, w: Array) -> Array:
+        """Return how the shear grows along the ridge at one vector (n,), shape (k,)."""
+        return 2.0 * (w[self.base] - self.origin) * self.beta
+
 
 def fit_curve(y: Array, base: int, others: np.ndarray) -> Curve:
     """Return the shear from a quadratic regression of draws (B, n) on the coordinate ``base``."""
@@ -90,6 +95,38 @@ def fit_curve(y: Array, base: int, others: np.ndarray) -> Curve:
     design = np.stack([np.ones_like(u), u, u * u], axis=1)
     coefficients = np.linalg.lstsq(design, y[:, others], rcond=None)[0]
     return Curve(base, others, origin, coefficients[2])
+
+
+@dataclass(frozen=True, eq=False)
+class Ridge:
+    """The shear y_others = w_others + g(w_base), g a spline that has neither value nor slope at the best mode.
+
+    Attributes
+    ----------
+    base : int
+        The coordinate along which the ridge runs.
+    others : ndarray of int, shape (k,)
+        Those that follow.
+    ends : tuple of float
+        Where it was traced to; beyond, it goes on straight.
+    spline : CubicSpline
+        g, values (k,).
+    """
+
+    base: int
+    others: np.ndarray
+    ends: tuple[float, float]
+    spline: CubicSpline
+
+    def add_to(self, w: Array, sign: float) -> None:
+        """Add the shear to vectors (B, n) in place, or take it away."""
+        u = w[:, self.base]
+        inside = np.clip(u, *self.ends)
+        w[:, self.others] += sign * (self.spline(inside) + (u - inside)[:, None] * self.spline(inside, 1))
+
+    def slope(self, w: Array) -> Array:
+        """Return how the shear grows along the ridge at one vector (n,), shape (k,)."""
+        return np.asarray(self.spline(np.clip(w[self.base], *self.ends), 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +166,7 @@ class Straightening:
         m and τ̂ of each group.
     bend : Bend or None
         Bend of the model errors' coordinates.
-    curves : tuple of Curve
+    curves : tuple of Curve or Ridge
         Shears along curved ridges; what they follow is moved by none of them, so that the order does not matter.
     """
 
@@ -139,7 +176,7 @@ class Straightening:
     rest: Array
     tau: Array
     bend: Bend | None = None
-    curves: tuple[Curve, ...] = ()
+    curves: tuple[Curve | Ridge, ...] = ()
 
     def _stretches(self, y: Array) -> list[tuple[Array, Array | float]]:
         """Return stretch and shift of every block; needs only the model errors of y."""
@@ -191,10 +228,21 @@ class Straightening:
         return total + self.posterior.log_density(self._curve(self._stretch(y, stretches), 1.0))
 
     def fitted_to(self, y: Array) -> Straightening:
-        """Return the straightening with bend and curves fitted to draws (B, n) in sampling coordinates."""
+        """Return the straightening with bend and curves fitted to draws (B, n); ridges that were traced stay."""
         bend = fit_bend(y[:, self.posterior.n_geometry :]) if self.blocks else None
-        curves = tuple(fit_curve(y, base, others) for base, others in self.posterior.curved_ridges())
+        traced = {curve.base: curve for curve in self.curves if isinstance(curve, Ridge)}
+        curves = tuple(
+            traced[base] if base in traced else fit_curve(y, base, others)
+            for base, others in self.posterior.curved_ridges()
+        )
         return replace(self, bend=bend, curves=curves)
+
+    def unsheared(self, y: Array, covariance: Array) -> Array:
+        """Return the covariance (n, n) around y, shape (n,), as it is without the shears."""
+        back = np.eye(len(y))
+        for curve in self.curves:
+            back[curve.others, curve.base] -= curve.slope(y)
+        return np.asarray(back @ covariance @ back.T)
 
 
 def straighten(posterior: Target, mode: Mode) -> Straightening:

@@ -14,8 +14,8 @@ import telescope_machines as machines
 from bayescal.density.likelihood import PoseLikelihood
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
-from bayescal.inference.exploration import explore
-from bayescal.inference.importance import estimate_by_importance, evaluate_in_batches
+from bayescal.inference.importance import evaluate_in_batches
+from bayescal.inference.integration import Effort, integrate_posterior
 from bayescal.inference.tempered import estimate_by_tempering
 
 pytestmark = pytest.mark.slow
@@ -134,10 +134,10 @@ def compare_runs(natural):
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
 def test_evidence_and_widths_are_those_of_tempering(case):
     posterior = case.posterior()
-    found = explore(posterior, np.random.SeedSequence(3))
-    density, rng = found.straight.log_density, np.random.default_rng(5)
-    importance = estimate_by_importance(density, found.proposal, rng, 20_000, 0.01, 100_000)
-    sd, error = measure_widths(posterior, found, rng)
+    search_seed, weigh_seed = np.random.SeedSequence(3), np.random.SeedSequence(5)
+    found, importance = integrate_posterior(posterior, search_seed, weigh_seed, 128, Effort(20_000, 0.01, 100_000))
+    assert not importance.is_doubtful
+    sd, error = measure_widths(posterior, found, np.random.default_rng(6))
     check = estimate_by_tempering(posterior, np.random.SeedSequence(1), 192, N_RUNS)
     natural = posterior.natural(check.y)
     _, expected = check.moments(natural)

@@ -17,8 +17,8 @@ from bayescal.inference.diagnostics import (
     list_stand_problems,
     measure_longest_stand,
 )
-from bayescal.inference.exploration import Exploration, add_clusters, explore
-from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
+from bayescal.inference.importance import ImportanceEvidence
+from bayescal.inference.integration import Effort, integrate_posterior
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.inference.scouts import Scouts, send_scouts
@@ -132,14 +132,14 @@ def estimate_posterior(
     explore_seed, importance_seed, ensemble_seed, bridge_seed = np.random.SeedSequence(
         [seed, zlib.crc32(name.encode())]
     ).spawn(4)
-    found = explore(posterior, explore_seed, sampler.walkers, anew=True)
+    found, importance = integrate_posterior(
+        posterior,
+        explore_seed,
+        importance_seed,
+        sampler.walkers,
+        Effort(effort.draws, effort.target_error, effort.max_draws),
+    )
     density = found.straight.log_density
-    importance = _integrate(found, importance_seed, effort)
-    if importance.is_doubtful:
-        other = add_clusters(found, explore_seed, sampler.walkers)
-        again = _integrate(other, importance_seed, effort)
-        if again.is_better_than(importance):
-            found, importance = other, again
     sample = sample_posterior(found, ensemble_seed, sampler.ensembles, sampler.walkers, sampler.burn_in, sampler.steps)
     bridge = estimate_by_bridge(
         density,
@@ -164,11 +164,6 @@ def estimate_posterior(
         send_scouts(found, sample, np.random.SeedSequence([seed, zlib.crc32(f"{name}-scouts".encode())])),
         _check(posterior, seed, name, effort),
     )
-
-
-def _integrate(found: Exploration, seed: np.random.SeedSequence, effort: EvidenceConfig) -> ImportanceEvidence:
-    rng, density = np.random.default_rng(seed), found.straight.log_density
-    return estimate_by_importance(density, found.proposal, rng, effort.draws, effort.target_error, effort.max_draws)
 
 
 def _check(posterior: Target, seed: int, name: str, effort: EvidenceConfig) -> TemperedEvidence | None:

@@ -24,14 +24,15 @@ from bayescal.experiments.study.leave_one_out import LeftOut, leave_out, refit_d
 from bayescal.experiments.study.pointwise import SomeDraws, evaluate_poses
 from bayescal.experiments.study.power_scaling import measure_sensitivity
 from bayescal.experiments.study.replicates import replicate_prior
-from bayescal.experiments.study.schema import StudyConfig, stem_of
+from bayescal.experiments.study.schema import stem_of
 from bayescal.experiments.study.soundness import measure_misfit, measure_pulls
 from bayescal.experiments.study.structured import evaluate_structured
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.correction import Correction
 from bayescal.inference.diagnostics import measure_longest_stand
-from bayescal.inference.exploration import Exploration, add_clusters, count_walkers, explore
-from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
+from bayescal.inference.exploration import Exploration, count_walkers
+from bayescal.inference.importance import ImportanceEvidence
+from bayescal.inference.integration import Effort, integrate_posterior
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.scouts import send_scouts
 from bayescal.inference.tempered import estimate_by_tempering
@@ -75,14 +76,15 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
     posterior = inputs.posterior(variant, task.with_model_error)
     seed = np.random.SeedSequence([inputs.config.seed, zlib.crc32(task.key.encode())])
     explore_seed, importance_seed, ensemble_seed, bridge_seed, predict_seed, correct_seed = seed.spawn(6)
-    exploration = explore(posterior, explore_seed, inputs.config.sampler.walkers, anew=True)
+    effort = inputs.config.evidence
+    exploration, importance = integrate_posterior(
+        posterior,
+        explore_seed,
+        importance_seed,
+        inputs.config.sampler.walkers,
+        Effort(effort.draws, effort.target_error, effort.max_draws),
+    )
     posterior = get_explored(exploration)
-    importance = _importance(inputs.config, exploration, importance_seed)
-    if importance.is_doubtful:
-        other = add_clusters(exploration, explore_seed, inputs.config.sampler.walkers)
-        again = _importance(inputs.config, other, importance_seed)
-        if again.is_better_than(importance):
-            exploration, importance = other, again
     arrays = {
         **list_importance(importance),
         "modes": np.stack([mode.y for mode in exploration.modes]),
@@ -110,18 +112,6 @@ def get_explored(exploration: Exploration) -> Posterior:
     posterior = exploration.straight.posterior
     assert isinstance(posterior, Posterior)
     return posterior
-
-
-def _importance(config: StudyConfig, exploration: Exploration, seed: np.random.SeedSequence) -> ImportanceEvidence:
-    effort = config.evidence
-    return estimate_by_importance(
-        exploration.straight.log_density,
-        exploration.proposal,
-        np.random.default_rng(seed),
-        effort.draws,
-        effort.target_error,
-        effort.max_draws,
-    )
 
 
 def _sample(

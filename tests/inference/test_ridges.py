@@ -1,0 +1,131 @@
+"""Curved ridges traced to their ends: against ridges that are known, and what a proposal gains."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.polynomial import Polynomial
+
+from bayescal.inference.importance import estimate_by_importance
+from bayescal.inference.mode import Mode
+from bayescal.inference.peaks import Peak, proposal_from_peaks
+from bayescal.inference.ridges import trace_ridges
+from bayescal.inference.straightening import Straightening
+
+WIDTH = 0.05  # of the ridge, across
+CURVE = Polynomial([0.3, 0.5, 0.4, -0.7])
+
+
+class Bent:
+    """A density along u = y[0], by its log and slopes, whose y[1] is N(CURVE(u), WIDTH²); unnormalised."""
+
+    n_parameters = n_geometry = 2
+
+    def __init__(self, along):
+        """Take the log-density along u, a function with two derivatives."""
+        self.along = along
+
+    def log_density(self, y):
+        """Return the log-density (B,)."""
+        return self.along(y[:, 0]) - 0.5 * ((y[:, 1] - CURVE(y[:, 0])) / WIDTH) ** 2
+
+    def gradient(self, y):
+        """Return gradient and Hessian at y."""
+        off, slope, bend = y[1] - CURVE(y[0]), CURVE.deriv()(y[0]), CURVE.deriv(2)(y[0])
+        gradient = np.array([self.along.deriv()(y[0]) + off * slope / WIDTH**2, -off / WIDTH**2])
+        corner = self.along.deriv(2)(y[0]) + (off * bend - slope**2) / WIDTH**2
+        return gradient, np.array([[corner, slope / WIDTH**2], [slope / WIDTH**2, -1 / WIDTH**2]])
+
+    def curved_ridges(self):
+        """Return the one ridge."""
+        return [(0, np.array([1]))]
+
+
+def make_mode(bent, u):
+    """Return the mode of the ridge at u."""
+    y = np.array([u, CURVE(u)])
+    return Mode(y, float(bent.log_density(y[None])[0]), np.linalg.inv(-bent.gradient(y)[1]), True)
+
+
+def straighten(bent, modes):
+    """Return the traced straightening."""
+    plain = Straightening(bent, modes[0].y, (), np.empty(0), np.empty(0))
+    return trace_ridges(plain, modes)
+
+
+@pytest.fixture
+def single():
+    """Return a ridge of standard normal density along it, and its mode."""
+    bent = Bent(Polynomial([0.0, 0.0, -0.5]))
+    return bent, make_mode(bent, 0.0)
+
+
+def test_a_ridge_is_traced_as_far_as_it_goes(single):
+    bent, mode = single
+    (ridge,) = straighten(bent, [mode]).curves
+    assert ridge.ends[0] < -3.9
+    assert ridge.ends[1] > 3.9
+    w = np.stack([np.linspace(-4.0, 4.0, 41), np.zeros(41)], axis=1)
+    ridge.add_to(w, 1.0)
+    np.testing.assert_allclose(w[:, 1], CURVE(w[:, 0]) - 0.3 - 0.5 * w[:, 0], atol=1e-3)
+    np.testing.assert_allclose(ridge.slope(mode.y), 0.0, atol=1e-9)
+
+
+def test_straight_coordinates_are_a_bijection_beyond_the_ends_too(single):
+    straight = straighten(*[single[0], [single[1]]])
+    x = np.random.default_rng(1).normal(0.0, 4.0, (200, 2))
+    np.testing.assert_allclose(straight.x_from_y(straight.y_from_x(x)), x, atol=1e-9)
+
+
+def test_one_gaussian_is_the_posterior_along_a_traced_ridge(single):
+    """It is one exactly: ∫ = 2 π WIDTH, every draw counts."""
+    bent, mode = single
+    straight = straighten(bent, [mode])
+    peak = Peak(mode.y, np.linalg.cholesky(straight.unsheared(mode.y, mode.covariance)), mode.log_density)
+    found = estimate_by_importance(
+        straight.log_density, proposal_from_peaks([peak], 50.0), np.random.default_rng(2), 4000
+    )
+    assert found.log_evidence == pytest.approx(np.log(2 * np.pi * WIDTH), abs=4 * found.standard_error + 1e-3)
+    assert found.efficiency > 0.9
+
+
+def test_modes_one_after_the_other_share_a_spline():
+    """Two normal peaks along the ridge, of log-density -(u² - 4)² / 8 each side, too deep a valley between them."""
+    bent = Bent(Polynomial([-32.0, 0.0, 16.0, 0.0, -2.0]))
+    modes = [make_mode(bent, 2.0), make_mode(bent, -2.0)]
+    straight = straighten(bent, modes)
+    (ridge,) = straight.curves
+    assert ridge.ends[0] < -2.0 < 2.0 < ridge.ends[1]
+    peaks = [
+        Peak(
+            straight.x_from_y(one.y[None])[0],
+            np.linalg.cholesky(straight.unsheared(one.y, one.covariance)),
+            one.log_density,
+        )
+        for one in modes
+    ]
+    along = np.linspace(-4.0, 4.0, 4001)
+    expected = np.log(np.trapezoid(np.exp(bent.along(along)), along) * np.sqrt(2 * np.pi) * WIDTH)
+    found = estimate_by_importance(
+        straight.log_density, proposal_from_peaks(peaks, 10.0), np.random.default_rng(3), 8000
+    )
+    assert found.log_evidence == pytest.approx(expected, abs=4 * found.standard_error + 1e-3)
+    assert found.efficiency > 0.7
+
+
+def test_modes_beside_each_other_keep_what_there_is(single):
+    bent, mode = single
+    beside = Mode(mode.y + np.array([0.0, 40 * WIDTH]), mode.log_density, mode.covariance, True)
+    assert straighten(bent, [mode, beside]).curves == ()
+
+
+def test_a_ridge_that_ends_at_once_is_none(single):
+    bent, mode = single
+    cut = SimpleNamespace(
+        gradient=bent.gradient,
+        curved_ridges=bent.curved_ridges,
+        log_density=lambda y: np.where(y[:, 0] <= 0.0, bent.log_density(y), -np.inf),
+    )
+    assert straighten(cut, [mode]).curves == ()
