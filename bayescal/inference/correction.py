@@ -13,11 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from arviz_stats.base import array_stats
 from scipy.special import logsumexp
 
 from bayescal.errors import NumericalError
-from bayescal.inference.importance import LogDensity
+from bayescal.inference.importance import LogDensity, smooth_weights
 from bayescal.inference.proposal import MixtureProposal
 from bayescal.limits import MOVED_LIMIT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
@@ -201,5 +200,5 @@ def _summarise(move: Move, log_weights: Array) -> Correction:
     log_ratio = float(logsumexp(log_weights)) - np.log(n_draws)
     relative = np.exp(log_weights - log_ratio)
     error = float(np.std(relative, ddof=1) / np.sqrt(n_draws))
-    pareto_k = float(array_stats.psislw(-log_weights[np.isfinite(log_weights)])[1])
+    _, pareto_k = smooth_weights(log_weights[np.isfinite(log_weights)])
     return Correction(move, float(log_ratio), error, float(1.0 / np.mean(relative**2)), pareto_k, n_draws)

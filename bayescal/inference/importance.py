@@ -56,6 +56,15 @@ def evaluate_in_batches(log_density: LogDensity, y: Array) -> Array:
     return np.concatenate([log_density(y[k : k + BATCH]) for k in range(0, len(y), BATCH)])
 
 
+def smooth_weights(log_weights: Array) -> tuple[Array, float]:
+    """Return Pareto-smoothed log-weights (B,), normalised, and the shape k of their tail; all are finite."""
+    from arviz_stats.base import array_stats  # seconds to import, for those who sample
+
+    with np.errstate(over="ignore"):  # quantiles of a tail so heavy that its weights are cut off at the largest
+        smoothed, pareto_k = array_stats.psislw(-log_weights)  # takes minus them, as log-likelihoods for LOO
+    return np.asarray(smoothed - logsumexp(smoothed)), float(pareto_k)
+
+
 def estimate_by_importance(
     log_density: LogDensity,
     proposal: MixtureProposal,
@@ -69,8 +78,6 @@ def estimate_by_importance(
     Draws come in blocks of n_draws until the standard error reaches its target or max_draws are used. Stopping on the
     standard error biases the estimate by a small part of it.
     """
-    from arviz_stats.base import array_stats  # seconds to import, for those who sample
-
     log_weights = np.empty(0)
     while True:
         draws = proposal.draw(n_draws, rng)
@@ -84,9 +91,9 @@ def estimate_by_importance(
         if error <= target_error or len(log_weights) + n_draws > max_draws:
             break
     finite = log_weights[np.isfinite(log_weights)]
-    _, pareto_k = array_stats.psislw(-finite)  # takes minus the log-weights, as log-likelihoods for LOO
+    _, pareto_k = smooth_weights(finite)
     efficiency = 1.0 / np.mean(relative**2)
-    return ImportanceEvidence(float(log_evidence), float(error), float(efficiency), float(pareto_k), len(log_weights))
+    return ImportanceEvidence(float(log_evidence), float(error), float(efficiency), pareto_k, len(log_weights))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,14 +116,12 @@ def resample(
     log_density: LogDensity, proposal: MixtureProposal, rng: np.random.Generator, n_draws: int, n_kept: int
 ) -> Resampled:
     """Return n_kept draws out of n_draws of the proposal, by their Pareto-smoothed weights."""
-    from arviz_stats.base import array_stats  # seconds to import, for those who sample
-
     draws = proposal.draw(n_draws, rng)
     log_weights = evaluate_in_batches(log_density, draws) - proposal.log_density(draws)
     finite = np.isfinite(log_weights)
     if not finite.any():
         raise NumericalError("importance sampling: no draw of the proposal has a finite density")
-    smoothed, pareto_k = array_stats.psislw(-log_weights[finite])
-    weights = np.exp(smoothed - logsumexp(smoothed))
+    smoothed, pareto_k = smooth_weights(log_weights[finite])
+    weights = np.exp(smoothed)
     chosen = rng.choice(np.flatnonzero(finite), n_kept, p=weights / weights.sum())
-    return Resampled(draws[chosen], float(1.0 / (n_draws * np.sum(weights**2))), float(pareto_k))
+    return Resampled(draws[chosen], float(1.0 / (n_draws * np.sum(weights**2))), pareto_k)

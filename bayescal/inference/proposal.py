@@ -46,10 +46,12 @@ class MixtureProposal:
         n = y.shape[1]
         constant = gammaln(0.5 * (self.dof + n)) - gammaln(0.5 * self.dof) - 0.5 * n * np.log(self.dof * np.pi)
         terms = np.empty((len(self.weights), len(y)))
-        for m, (weight, mean, factor) in enumerate(zip(self.weights, self.means, self.factors, strict=True)):
+        with np.errstate(divide="ignore"):  # a component whose weight is too small for a float
+            log_weights = np.log(self.weights)
+        for m, (log_weight, mean, factor) in enumerate(zip(log_weights, self.means, self.factors, strict=True)):
             white = solve_triangular(factor, (y - mean).T, lower=True)
             square = np.einsum("ib,ib->b", white, white)
-            terms[m] = np.log(weight) + constant - np.log(np.diag(factor)).sum()
+            terms[m] = log_weight + constant - np.log(np.diag(factor)).sum()
             terms[m] -= 0.5 * (self.dof + n) * np.log1p(square / self.dof)
         return terms
 

@@ -12,7 +12,7 @@ from scipy.special import loggamma
 from bayescal.errors import NumericalError
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.importance import estimate_by_importance
+from bayescal.inference.importance import estimate_by_importance, smooth_weights
 from bayescal.inference.proposal import MixtureProposal, proposal_from_draws
 
 TOLERANCE = 0.02
@@ -240,3 +240,18 @@ def test_mixture_draws_follow_its_density(rng):
         ratio = np.exp(other - mixture.log_density(draws))
         assert abs(ratio.mean() - 1) < 4.5 * ratio.std() / np.sqrt(len(ratio))
         assert ratio.std() / np.sqrt(len(ratio)) < 0.05
+
+
+def test_a_tail_too_heavy_for_a_float_is_said_without_a_warning():
+    """Log-weights thousands of nats apart: the shape of the tail is far beyond 0.7, and nothing overflows aloud."""
+    log_weights = 500.0 * np.random.default_rng(1).exponential(size=500)
+    smoothed, pareto_k = smooth_weights(log_weights)
+    assert pareto_k > 0.7
+    assert np.exp(smoothed).sum() == pytest.approx(1.0)
+
+
+def test_a_component_without_weight_adds_nothing():
+    two = MixtureProposal(np.array([1.0, 0.0]), np.array([[0.0], [5.0]]), np.ones((2, 1, 1)), 50.0)
+    one = MixtureProposal(np.ones(1), np.zeros((1, 1)), np.ones((1, 1, 1)), 50.0)
+    y = np.linspace(-3.0, 8.0, 12)[:, None]
+    np.testing.assert_array_equal(two.log_density(y), one.log_density(y))

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from arviz_stats.base import array_stats
 from scipy.special import logsumexp
 
 from bayescal.density.least_squares import LeastSquaresFit, identify, list_identified
@@ -14,6 +13,7 @@ from bayescal.experiments.study.fit import Arrays, Task, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.published import read_published
 from bayescal.files.csv_tables import format_table
+from bayescal.inference.importance import smooth_weights
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.machines.flexure import CIRCLE, PIVOT, compute_beam_shift, compute_circle_shift
 from bayescal.machines.mechanism import Mechanism
@@ -81,7 +81,7 @@ def tabulate_tau_scale(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> p
             log_weights = tau.shape[-1] * np.log(own / scale) + 0.5 * square * (own**-2 - scale**-2)
             gain = float(logsumexp(log_weights) - np.log(len(log_weights)))
             relative = np.exp(log_weights - gain)
-            pareto_k = 0.0 if scale == own else float(array_stats.psislw(-log_weights)[1])
+            pareto_k = 0.0 if scale == own else smooth_weights(log_weights)[1]
             trusted = pareto_k <= PARETO_K_LIMIT
             rows.append(
                 {
