@@ -57,11 +57,16 @@ def evaluate_in_batches(log_density: LogDensity, y: Array) -> Array:
 
 
 def smooth_weights(log_weights: Array) -> tuple[Array, float]:
-    """Return Pareto-smoothed log-weights (B,), normalised, and the shape k of their tail; all are finite."""
+    """Return Pareto-smoothed log-weights (B,), normalised, and the shape k of their tail; all are finite.
+
+    Where no Pareto distribution fits so heavy a tail in floats, they are as they were and k is infinite.
+    """
     from arviz_stats.base import array_stats  # seconds to import, for those who sample
 
-    with np.errstate(over="ignore"):  # quantiles of a tail so heavy that its weights are cut off at the largest
+    with np.errstate(all="ignore"):
         smoothed, pareto_k = array_stats.psislw(-log_weights)  # takes minus them, as log-likelihoods for LOO
+    if not (np.isfinite(pareto_k) and np.isfinite(smoothed).all()):
+        smoothed, pareto_k = log_weights, np.inf
     return np.asarray(smoothed - logsumexp(smoothed)), float(pareto_k)
 
 
