@@ -1,0 +1,44 @@
+"""The command that certifies a calibrated machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bayescal.cli.app import app
+from bayescal.cli.console import check_out, put
+from bayescal.cli.machine import Calibrated, Config, Force, Variant
+from bayescal.limits import LARGEST_SEED
+
+
+@app.command(epilog="Example: bayescal certificate results/m2_hexapod --out certificate.html")
+def certificate(
+    results: Calibrated,
+    variant: Variant = None,
+    out: Annotated[Path | None, typer.Option(help="HTML file; default certificate-NAME-VARIANT.html here.")] = None,
+    coverage: Annotated[float, typer.Option(min=0.5, max=0.9999, help="Probability of what is stated.")] = 0.95,
+    cube: Annotated[
+        float | None, typer.Option(min=1e-3, max=1e5, help="Edge of ISO 9283's cube, mm; default the largest.")
+    ] = None,
+    poses: Annotated[int, typer.Option(min=16, max=100_000, help="Poses of the workspace.")] = 512,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED - 2, help="Of poses and draws.")] = 0,
+    experiment: Config = None,
+    force: Force = False,
+) -> None:
+    """Certify how sure the poses of a calibrated machine are: budget, expanded uncertainty, ISO figures."""
+    from bayescal.api import load_calibrated
+    from bayescal.experiments.shared.certificate_page import build_certificate, state_headline
+    from bayescal.experiments.shared.certify import Wishes, certify
+    from bayescal.report.page import render_page
+    from bayescal.report.pictures import render_picture
+
+    calibrated = load_calibrated(results, variant, experiment, force)
+    where = out or Path(f"certificate-{calibrated.source.stem}.html")
+    check_out(where)
+    found = certify(calibrated, results, Wishes(coverage, poses, cube_mm=cube, seed=seed))
+    typer.echo(state_headline(found))
+    page = build_certificate(found)
+    pictures = {figure.name: render_picture(figure.draw) for figure in page.figures() if figure.draw is not None}
+    put(render_page(page, pictures), where)

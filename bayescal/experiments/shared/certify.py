@@ -1,0 +1,157 @@
+"""What a certificate of a calibrated machine states: its numbers, from the machine and the results they come from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayescal.calibrated.machine import CalibratedMachine
+from bayescal.calibrated.standards import (
+    AXIS_CYCLES,
+    CYCLES,
+    AxisFigures,
+    PoseFigures,
+    draw_cycles,
+    fit_cube,
+    judge_axis,
+    judge_poses,
+    list_axis_poses,
+    list_cube_poses,
+)
+from bayescal.calibrated.uncertainty import (
+    Budget,
+    Spread,
+    compute_budget,
+    coverage_factor,
+    propagate,
+    sample_workspace,
+)
+from bayescal.experiments.frame.results import PROVENANCE_FILE, SUMMARY_FILE
+from bayescal.files.atomic import read_json
+from bayescal.machines.kinematics import check_home_pose
+from bayescal.numerics.geometry import Array
+
+AGREED = 0.02
+"""How far the expanded uncertainty k u may be from that of the draws before the latter is stated."""
+BOUND = 0.95  # share of machines of the posterior whose figure of merit is not larger
+N_CHECKED = 64  # poses that draws go through
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What a certificate is to state.
+
+    Attributes
+    ----------
+    coverage : float
+        Probability of the expanded uncertainty.
+    n_poses : int
+        Of the workspace.
+    n_draws : int
+        Of the posterior, at most.
+    cube_mm : float or None
+        Edge of the cube of ISO 9283; the largest within reach by default.
+    seed : int
+    """
+
+    coverage: float = 0.95
+    n_poses: int = 512
+    n_draws: int = 2000
+    cube_mm: float | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """What is certified.
+
+    Attributes
+    ----------
+    calibrated : CalibratedMachine
+    wishes : Wishes
+    budget : Budget
+    factor : float
+        k of the law of propagation.
+    spread : Spread
+        By Monte Carlo, of the first poses of the budget.
+    cube_mm : float
+    poses : PoseFigures
+        ISO 9283 of each machine of the posterior (S, 5).
+    axes : tuple of AxisFigures
+        ISO 230-2 along x, y and z, of each machine (S,).
+    summary, provenance : dict
+        Of the results; empty for a machine that was exported.
+    """
+
+    calibrated: CalibratedMachine
+    wishes: Wishes
+    budget: Budget
+    factor: float
+    spread: Spread
+    cube_mm: float
+    poses: PoseFigures
+    axes: tuple[AxisFigures, ...]
+    summary: dict[str, Any]
+    provenance: dict[str, Any]
+
+    @property
+    def ratios(self) -> Array:
+        """The expanded uncertainty k u over that of the draws, per axis, rms over the poses of both, shape (6,)."""
+        checked = self.factor * self.budget.sd()[: len(self.spread.half_width)]
+        return np.asarray(_rms(checked) / _rms(self.spread.half_width))
+
+    @property
+    def agrees(self) -> bool:
+        """Whether k u may be stated."""
+        return bool(np.all(np.abs(self.ratios - 1.0) <= AGREED))
+
+    @property
+    def expanded(self) -> Array:
+        """Expanded uncertainty of each pose, (P, 6), mm and rad: k u, or as much more or less as the draws say."""
+        expanded = self.factor * self.budget.sd()
+        return np.asarray(expanded if self.agrees else expanded / self.ratios)
+
+
+def _rms(values: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
+def certify(calibrated: CalibratedMachine, path: Path, wishes: Wishes) -> Certificate:
+    """Return what a certificate states of a calibrated machine, loaded from a directory.
+
+    Raises
+    ------
+    InputError
+        Without draws of the posterior, or where the cube is out of reach.
+    """
+    actuators = sample_workspace(calibrated, wishes.n_poses, wishes.seed)
+    budget = compute_budget(calibrated, actuators)
+    spread = propagate(calibrated, actuators[:N_CHECKED], wishes.coverage, wishes.n_draws, wishes.seed + 1)
+    home = check_home_pose(calibrated.machine)
+    position, rotation = home.position, home.rotation
+    cube = wishes.cube_mm or fit_cube(calibrated, position, rotation)
+    effort = (wishes.n_draws, wishes.seed + 2)
+    visited = draw_cycles(calibrated, list_cube_poses(position, cube), rotation, CYCLES, *effort)
+    axes = []
+    for axis in range(3):
+        along = draw_cycles(calibrated, list_axis_poses(position, cube, axis), rotation, AXIS_CYCLES, *effort)
+        axes.append(judge_axis(along[..., axis]))
+    return Certificate(
+        calibrated,
+        wishes,
+        budget,
+        coverage_factor(wishes.coverage),
+        spread,
+        cube,
+        judge_poses(visited),
+        tuple(axes),
+        _read(path / SUMMARY_FILE),
+        _read(path / PROVENANCE_FILE),
+    )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    return read_json(path) if path.is_file() else {}
