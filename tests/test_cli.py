@@ -40,6 +40,7 @@ COMMANDS = (
     "export",
     "command",
     "predict",
+    "certificate",
 )
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 

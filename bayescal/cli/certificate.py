@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import typer
 from bayescal.cli.app import app
 from bayescal.cli.console import check_out, put
 from bayescal.cli.machine import Calibrated, Config, Force, Variant
+from bayescal.errors import InputError
 from bayescal.limits import LARGEST_SEED
 
 
@@ -17,7 +19,9 @@ from bayescal.limits import LARGEST_SEED
 def certificate(
     results: Calibrated,
     variant: Variant = None,
-    out: Annotated[Path | None, typer.Option(help="HTML file; default certificate-NAME-VARIANT.html here.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="HTML file, its numbers beside it as JSON; default certificate-...html.")
+    ] = None,
     coverage: Annotated[float, typer.Option(min=0.5, max=0.9999, help="Probability of what is stated.")] = 0.95,
     cube: Annotated[
         float | None, typer.Option(min=1e-3, max=1e5, help="Edge of ISO 9283's cube, mm; default the largest.")
@@ -35,6 +39,8 @@ def certificate(
     from bayescal.report.pictures import render_picture
 
     calibrated = load_calibrated(results, variant, experiment, force)
+    if out is not None and out.suffix != ".html":
+        raise InputError(f"--out: found {out.name!r}, expected a name that ends with .html; the numbers go beside it")
     where = out or Path(f"certificate-{calibrated.source.stem}.html")
     check_out(where)
     found = certify(calibrated, results, Wishes(coverage, poses, cube_mm=cube, seed=seed))
@@ -42,3 +48,4 @@ def certificate(
     page = build_certificate(found)
     pictures = {figure.name: render_picture(figure.draw) for figure in page.figures() if figure.draw is not None}
     put(render_page(page, pictures), where)
+    put(json.dumps(found.list_figures(), indent=1, ensure_ascii=False) + "\n", where.with_suffix(".json"))

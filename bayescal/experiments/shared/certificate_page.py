@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib import figure as mpl
 
 from bayescal.calibrated.uncertainty import ACTUATORS, GEOMETRY, MATRIX, MODEL
-from bayescal.experiments.shared.certify import AGREED, BOUND, Certificate
+from bayescal.experiments.shared.certify import AGREED, AXES, BOUND, Certificate
 from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import (
     Cell,
@@ -25,7 +25,6 @@ from bayescal.report.numbers import format_percent, format_significant
 from bayescal.report.style import LEG_COLOURS
 
 KIND = "Certificate"
-AXES = ("x", "y", "z", "rx", "ry", "rz")
 UNITS = ("µm", "µm", "µm", "µrad", "µrad", "µrad")
 SCALE = np.array([1e3, 1e3, 1e3, 1e6, 1e6, 1e6])  # from mm and rad
 SOURCES = {
@@ -90,9 +89,13 @@ def _state_verdict(found: Certificate) -> list[Statement]:
     first = max(shares, key=lambda source: shares[source][:3].mean())
     share = format_percent(float(shares[first][:3].mean()))
     worst = found.ratios[np.argmax(np.abs(found.ratios - 1.0))] - 1.0
-    said = f"k u and Monte Carlo by {found.spread.n_draws} machines of the posterior differ by {100 * worst:+.1f} % at most"
+    said = (
+        f"k u and Monte Carlo by {found.spread.n_draws} draws of the posterior differ by {100 * worst:+.1f} % at most"
+    )
     statements = [
-        Statement(f"{_begin(SOURCES[first])} makes {share} of the variance of position.", "plain", "Where it comes from"),
+        Statement(
+            f"{_begin(SOURCES[first])} makes {share} of the variance of position.", "plain", "Where it comes from"
+        ),
         Statement(f"{said}, within {format_percent(AGREED)}: k u is stated.", "good", "Checked")
         if found.agrees
         else Statement(f"{said}: what is stated is that of Monte Carlo.", "warning", "Checked"),

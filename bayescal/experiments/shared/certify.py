@@ -37,6 +37,7 @@ from bayescal.numerics.geometry import Array
 AGREED = 0.02
 """How far the expanded uncertainty k u may be from that of the draws before the latter is stated."""
 BOUND = 0.95  # share of machines of the posterior whose figure of merit is not larger
+AXES = ("x", "y", "z", "rx", "ry", "rz")
 N_CHECKED = 64  # poses that draws go through
 
 
@@ -113,6 +114,35 @@ class Certificate:
         """Expanded uncertainty of each pose, (P, 6), mm and rad: k u, or as much more or less as the draws say."""
         expanded = self.factor * self.budget.sd()
         return np.asarray(expanded if self.agrees else expanded / self.ratios)
+
+    def list_figures(self) -> dict[str, Any]:
+        """Return what is stated as numbers for files: µm and µrad, root mean squares over the workspace."""
+        scale = np.array([1e3, 1e3, 1e3, 1e6, 1e6, 1e6])
+
+        def name(values: Array) -> dict[str, float]:
+            return dict(zip(AXES, (float(f"{one:.6g}") for one in values), strict=True))
+
+        return {
+            "experiment": self.calibrated.source.experiment,
+            "variant": self.calibrated.source.variant,
+            "data_origin": self.calibrated.source.data,
+            "problems": list(self.calibrated.source.problems),
+            "coverage": self.wishes.coverage,
+            "poses": len(self.budget.actuators),
+            "unit": {"x, y, z": "µm", "rx, ry, rz": "µrad"},
+            "standard_uncertainty": {
+                **{source: name(_rms(self.budget.sd(source)) * scale) for source in self.budget.parts},
+                "combined": name(_rms(self.budget.sd()) * scale),
+            },
+            "coverage_factor": float(f"{self.factor:.6g}"),
+            "expanded_uncertainty": {
+                "stated": name(_rms(self.expanded) * scale),
+                "largest": name(self.expanded.max(axis=0) * scale),
+                "monte_carlo": name(_rms(self.spread.half_width) * scale),
+                "propagated_over_monte_carlo": name(self.ratios),
+                "method": "k u" if self.agrees else "Monte Carlo",
+            },
+        }
 
 
 def _rms(values: Array) -> Array:

@@ -221,3 +221,46 @@ def test_committed_hexapod_with_its_config():
     expected = summary["variants"]["six_ups/none"]["parameters"]
     for name, value in zip(found.machine.layout.names, found.theta, strict=True):
         assert value == expected[name]["mean"]
+
+
+# --- a certificate -----------------------------------------------------------------------------------------------
+
+
+def test_a_certificate_states_a_budget_and_how_it_was_checked(study, call):
+    code, out, _ = call("certificate", "out", "--out", "machine.html", "--poses", 32, "--cube", 0.2)
+    assert code == 0
+    assert out.splitlines()[0].startswith("Position within ±(x ")
+    page, figures = Path("machine.html").read_text(), json.loads(Path("machine.json").read_text())
+    for said in ("noise of the actuators", "ISO 9283 pose accuracy AP", "ISO 230-2 accuracy A of z", "predicted"):
+        assert said in page
+    assert "targets.csv" in page  # the files that it goes back to
+    parts = figures["standard_uncertainty"]
+    combined = sum(parts[source]["x"] ** 2 for source in ("geometry", "actuator noise", "model error"))
+    assert parts["combined"]["x"] ** 2 == pytest.approx(
+        combined + parts.get("deformation matrix", {"x": 0.0})["x"] ** 2, rel=1e-4
+    )
+    expanded = figures["expanded_uncertainty"]
+    method = (
+        "k u"
+        if all(abs(one - 1) <= 0.02 for one in expanded["propagated_over_monte_carlo"].values())
+        else "Monte Carlo"
+    )
+    assert expanded["method"] == method
+    chosen = {axis: figures["coverage_factor"] * one for axis, one in parts["combined"].items()}
+    assert expanded["stated"] == pytest.approx(chosen if method == "k u" else expanded["monte_carlo"], rel=0.2)
+
+
+def test_a_certificate_is_refused_in_a_line(study, refuse):
+    assert "expected a name that ends with .html" in refuse("certificate", "out", "--out", "machine.pdf")
+    assert "cube: found a pose out of reach" in refuse("certificate", "out", "--cube", 500, "--poses", 16)
+    shutil.rmtree("out/posterior")
+    assert "found no draws of its posterior, expected some" in refuse("certificate", "out")
+
+
+def test_a_certificate_by_force_says_first_what_is_wrong(study, refuse, call):
+    change_summary(lambda fit: fit.update(problems=["R-hat 1.2, limit 1.01"], converged=False))
+    assert "did not converge" in refuse("certificate", "out")
+    arguments = ("certificate", "out", "--force", "--out", "machine.html", "--poses", 16, "--cube", 0.2)
+    assert call(*arguments)[0] == 0
+    assert "Not converged, certified by force: R-hat 1.2, limit 1.01." in Path("machine.html").read_text()
+    assert json.loads(Path("machine.json").read_text())["problems"] == ["R-hat 1.2, limit 1.01"]
