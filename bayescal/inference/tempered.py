@@ -6,9 +6,9 @@ started, and all their states are the next density's draws (Dau and Chopin 2022,
 independent draws of a mixture fitted to the cloud, steps of the size and shape of one of its components, and
 differences of two draws.
 
-The product of the mean weights is an evidence that needs no proposal, but a coarse one. The last draws are those of the
-posterior, and a bridge (Meng and Wong 1996) from them to the mixture fitted to another run's is finer by an order.
-Standard errors come from independent runs.
+The last draws are those of the posterior; the evidence is that of a bridge (Meng and Wong 1996) from them to a mixture
+fitted to another run's, finer by an order than the product of the mean weights. Standard errors come from independent
+runs.
 """
 
 from __future__ import annotations
@@ -49,8 +49,6 @@ class TemperedEvidence:
     ----------
     log_evidence, standard_error : float
         Of the mean over independent runs by the bridge, and its standard error from their scatter.
-    product, product_error : float
-        The same by the product of the mean weights.
     y : ndarray, shape (S, n)
         Draws in sampling coordinates, all runs together.
     weights : ndarray, shape (S,)
@@ -65,8 +63,6 @@ class TemperedEvidence:
 
     log_evidence: float
     standard_error: float
-    product: float
-    product_error: float
     y: Array
     weights: Array
     n_levels: int
@@ -102,7 +98,6 @@ class _Level:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    product: float
     cloud: _Cloud
     mixture: MixtureProposal
     n_levels: int
@@ -135,7 +130,6 @@ def estimate_by_tempering(
     bridges = [_bridge(target, r.cloud, o.mixture, n_chains, g) for r, o, g in zip(runs, others, rngs, strict=True)]
     return TemperedEvidence(
         *_average(np.array(bridges)),
-        *_average(np.array([run.product for run in runs])),
         np.concatenate([run.cloud.y for run in runs]),
         np.concatenate([np.full(len(run.cloud.y), 1.0 / (len(run.cloud.y) * n_runs)) for run in runs]),
         max(run.n_levels for run in runs),
@@ -152,17 +146,16 @@ def _average(log_values: Array) -> tuple[float, float]:
 
 def _run(target: Prospect, rng: np.random.Generator, n_chains: int) -> _Run:
     cloud = _evaluate(target, target.draw_prior(n_chains * SHORTEST * 2, rng))
-    product, beta, levels, mixed, n_evaluations = 0.0, 0.0, 0, True, len(cloud.y)
+    beta, levels, mixed, n_evaluations = 0.0, 0, True, len(cloud.y)
     while beta < 1.0:
         rise = _choose_rise(cloud.log_likelihood, 1.0 - beta)
         log_weights = rise * cloud.log_likelihood
-        product += float(logsumexp(log_weights) - np.log(len(log_weights)))
         beta = min(1.0, beta + rise)
         level = _settle(target, cloud, np.exp(log_weights - logsumexp(log_weights)), beta, n_chains, rng)
         cloud, levels, mixed = level.cloud, levels + 1, mixed and level.settled
         n_evaluations += level.n_evaluations
     mixture = _fit(cloud, np.full(len(cloud.y), 1.0 / len(cloud.y)), n_chains, rng)
-    return _Run(product, cloud, mixture, levels, mixed, n_evaluations)
+    return _Run(cloud, mixture, levels, mixed, n_evaluations)
 
 
 def _fit(cloud: _Cloud, weights: Array, n_chains: int, rng: np.random.Generator) -> MixtureProposal:
