@@ -23,6 +23,7 @@ from bayescal.numerics.geometry import Array
 CHUNK = 250  # draws at a time
 LOOKS = 100  # draws of which it is seen whether they leave the tangent
 BENT = 0.02  # of the errors' spread: off the tangent by more, draws are followed by their closures
+ROUNDING = 1e-9  # mm and rad
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +132,10 @@ class Remaining:
     def _leaves_tangent(self, theta: Array) -> bool:
         """Return whether machines (s, D) err otherwise than their tangent says."""
         followed = self._follow(theta)
-        off = np.sqrt(np.mean((followed - self._project(theta)) ** 2, axis=-1))
-        spread = np.sqrt(np.mean(followed**2, axis=-1))
-        return not bool(np.all(off <= BENT * spread + np.finfo(float).tiny))
+        off, spread = (
+            np.sqrt(np.mean(error**2, axis=-1)).max(axis=0) for error in (followed - self._project(theta), followed)
+        )
+        return not bool(np.all(off <= BENT * spread + ROUNDING))
 
 
 @dataclass(frozen=True, eq=False)

@@ -59,7 +59,7 @@ class Belief:
     way: Way
 
 
-def update(posterior: Target, start: Array | None, n_draws: int, seed: int) -> Belief:
+def update(posterior: Target, start: Array | None, n_draws: int, seed: int, *, anew: bool = True) -> Belief:
     """Return what is known of a posterior whose mode is near a start.
 
     Parameters
@@ -71,6 +71,8 @@ def update(posterior: Target, start: Array | None, n_draws: int, seed: int) -> B
         How many draws to return.
     seed : int
         The same one gives draws that differ from those before by what the measurements tell alone.
+    anew : bool
+        Whether to explore the posterior anew where the update will not do; it takes a second or two.
 
     Raises
     ------
@@ -78,14 +80,14 @@ def update(posterior: Target, start: Array | None, n_draws: int, seed: int) -> B
         Where no mode is found.
     """
     mode = climb(posterior, posterior.approach() if start is None else start)
-    if not posterior.jumps(mode.y):
+    if not (anew and posterior.jumps(mode.y)):
         straight = straighten(posterior, mode)
         centre = straight.x_from_y(mode.y[None])
         rough = Peak(centre[0], np.linalg.cholesky(mode.covariance), mode.log_density)
         straight, peak = bend_at(straight, rough)
         proposal, rng = proposal_from_peaks([peak], DOF), np.random.default_rng(seed)
         made = resample(straight.log_density, proposal, rng, PER_KEPT * n_draws, n_draws)
-        if made.pareto_k <= PARETO_K_LIMIT:
+        if not anew or made.pareto_k <= PARETO_K_LIMIT:
             draws = straight.y_from_x(made.draws)
             return _collect(mode, draws, made.efficiency, made.pareto_k, "updated")
     return _begin_anew(posterior, n_draws, seed)

@@ -17,6 +17,7 @@ from bayescal.experiments.next_pose.inputs import NextInputs, take_poses
 from bayescal.experiments.next_pose.state import State, find_state
 from bayescal.identifiability.remaining import Standing
 from bayescal.identifiability.sensitivity import Sensitivity
+from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array, compute_pose_error, rotation_vector_from_matrix
 from bayescal.pose_selection.next_pose import Step, compare_variants, find_unmeasured, look_ahead
 
@@ -96,9 +97,10 @@ def _follow_course(inputs: NextInputs, last: State) -> pd.DataFrame:
             some = take_poses(last.measured, n)
             draws = _count_draws(inputs, COURSE_DRAWS)
             seed = inputs.config.seed + COURSE_SEED
-            state = find_state(some, start, inputs.requirements, inputs.workspace, draws, seed)
+            state = find_state(some, start, inputs.requirements, inputs.workspace, draws, seed, anew=False)
             start = state.belief.y
-        rows.append(_describe_standing(inputs, n, "measured", state.standing))
+        rough = state.belief.pareto_k > PARETO_K_LIMIT and state.belief.way == "updated"
+        rows.append({**_describe_standing(inputs, n, "measured", state.standing), "rough": rough})
     return pd.DataFrame(rows)
 
 
@@ -148,7 +150,7 @@ def _look_ahead(inputs: NextInputs, state: State, seen: Sensitivity, telling: Ar
 
 def _foretell(inputs: NextInputs, state: State, steps: list[Step]) -> Iterator[tuple[int, Standing]]:
     """Yield how requirements are expected to stand after some of the steps: doubled, then halved to the one needed."""
-    wanted = inputs.config.probability
+    wanted = find_goal(inputs, state)
     low, n = 0, 1
     while True:
         standing = state.after(steps[n - 1].covariance)
@@ -164,8 +166,14 @@ def _foretell(inputs: NextInputs, state: State, steps: list[Step]) -> Iterator[t
         low, high = (low, middle) if between.probability >= wanted else (middle, high)
 
 
+def find_goal(inputs: NextInputs, state: State) -> float:
+    """Return the probability to be reached: the stated one, or its share of what an exactly known geometry reaches."""
+    wanted, best = inputs.config.probability, state.at_best.probability
+    return wanted if best >= wanted else wanted * best
+
+
 def count_needed(ahead: Ahead, probability: float) -> int | None:
-    """Return after how many further poses requirements are expected to hold; None where it is not that soon."""
+    """Return after how many further poses a probability is expected; None where it is not that soon."""
     enough = [n for n, standing in ahead.standings.items() if standing.probability >= probability]
     return min(enough, default=None)
 
@@ -173,7 +181,7 @@ def count_needed(ahead: Ahead, probability: float) -> int | None:
 def _foresee(inputs: NextInputs, ahead: Ahead, state: State) -> pd.DataFrame:
     n_poses = state.measured.poses.n_poses
     rows = [
-        _describe_standing(inputs, n_poses + n, "expected", standing)
+        {**_describe_standing(inputs, n_poses + n, "expected", standing), "rough": False}
         for n, standing in sorted(ahead.standings.items())
     ]
     return pd.DataFrame(rows)
@@ -251,7 +259,8 @@ def _summarise(inputs: NextInputs, state: State, best: str, of_best: float, ahea
             "standard_error": state.standing.standard_error,
             "after_next": ahead.standings[1].probability,
             "at_best": state.at_best.probability,
-            "poses_needed": count_needed(ahead, config.probability),
+            "goal": find_goal(inputs, state),
+            "poses_needed": count_needed(ahead, find_goal(inputs, state)),
         }
     return {**summary, "decision": _decide(inputs, summary)}
 

@@ -142,7 +142,9 @@ def find_state(
     workspace: Array,
     n_draws: int,
     seed: int,
+    *,
+    anew: bool = True,
 ) -> State:
-    """Return what is known after a variant's poses, updated from the mode before the last of them."""
-    belief = update(measured.posterior, start, n_draws, seed)
+    """Return what is known after a variant's poses, updated from the mode before the last of them; see `update`."""
+    belief = update(measured.posterior, start, n_draws, seed, anew=anew)
     return State(measured, belief, requirements, workspace, seed)
