@@ -1,9 +1,9 @@
 """Twins of the M2 hexapod calibrated pose by pose, beside the plan of 40 poses: how many are enough, is the stop true.
 
-    python benchmarks/next_pose.py --first 0 --twins 25 --out /tmp/a.npz [--model-error] [--range 10.5]
+    python benchmarks/next_pose.py --first 0 --twins 25 --poses 24 --out /tmp/a.npz [--model-error] [--range 10.5]
     python benchmarks/next_pose.py --summarise /tmp/a*.npz [--name next_pose]
 
-Each twin is a machine drawn from the tolerances of experiments/m2_hexapod/study.toml, with --model-error its legs' model
+Each twin is a machine drawn from the tolerances of experiments/m2_hexapod/study.toml, with --model-error its model
 errors too, drawn from the study's prior; otherwise there are none and the posterior knows. It is measured at the plan's
 40 poses, and by itself at poses that are chosen one by one after what was measured before, out of 729 within the limits
 of the hexapod's pose, or with --range out of a grid of displacements. Poses are those of forward kinematics, with the
@@ -20,6 +20,7 @@ import argparse
 import json
 import time
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -33,12 +34,12 @@ from bayescal.experiments.next_pose.inputs import NextInputs, read_next
 from bayescal.experiments.next_pose.state import State, find_state
 from bayescal.experiments.shared.measured import MeasuredVariant
 from bayescal.identifiability.requirements import Requirement
-from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.machines.kinematics import ForwardKinematics, solve_forward_kinematics
 from bayescal.numerics.geometry import Array, compute_pose_error, matrix_from_rotation_vector
 from bayescal.pose_selection.next_pose import find_unmeasured, look_ahead
 
 FOLDER = Path(__file__).parents[1] / "experiments" / "m2_hexapod"
-MOST, STATED, DRAWS, SEED = 40, 0.95, 1000, 5
+STATED, DRAWS, SEED = 0.95, 1000, 5
 RESULTS = Path(__file__).parent / "results"
 
 
@@ -53,10 +54,8 @@ class Problem:
         The shipped survey seen through the rigid variant.
     plan : ndarray, shape (40, 6)
         Actuator positions of the plan, mm.
-    rows : ndarray, shape (C, 6, m)
-        What candidates tell, at the expected machine.
-    expected : State
-        The expected machine, before any pose.
+    noise : ndarray, shape (6, 6)
+        Covariance of a measured pose, mm and rad.
     """
 
     inputs: NextInputs
@@ -106,19 +105,23 @@ class Twin:
 
     def find_errors(self, calibrated: Array) -> Array:
         """Return the true error of a calibrated machine, by geometry alone, over the workspace, shape (W, 6)."""
+        true, there = self.true_poses, self.problem.inputs.workspace
+        found = solve_forward_kinematics(self.problem.measured.machine, calibrated, there, follow=False)
+        return compute_pose_error(true.position, true.rotation, found.position, found.rotation)
+
+    @cached_property
+    def true_poses(self) -> ForwardKinematics:
+        """Where the true machine stands."""
         machine, there = self.problem.measured.machine, self.problem.inputs.workspace
-        both = solve_forward_kinematics(machine, np.stack([self.theta, calibrated])[:, None], there)
-        return compute_pose_error(both.position[0], both.rotation[0], both.position[1], both.rotation[1])
+        return solve_forward_kinematics(machine, self.theta, there)
 
     def draw_rest(self) -> Array:
         """Return what actuators and model err by at the workspace, shape (W, 6)."""
         machine, there = self.problem.measured.machine, self.problem.inputs.workspace
-        found = solve_forward_kinematics(machine, self.theta, there)
-        gain = np.linalg.inv(machine.linearise(self.theta, found.position, found.rotation, there).pose)
-        by = machine.linearise(self.theta, found.position, found.rotation, there).actuators
+        here = machine.linearise(self.theta, self.true_poses.position, self.true_poses.rotation, there)
         error = self.problem.measured.actuator_noise * self.rng.standard_normal(there.shape)
         error += self.tau * self.rng.standard_normal(there.shape)
-        return np.einsum("wij,wjk,wk->wi", gain, by, error)
+        return np.einsum("wij,wjk,wk->wi", np.linalg.inv(here.pose), here.actuators, error)
 
 
 def join(one: MeasuredPoses | None, other: MeasuredPoses) -> MeasuredPoses:
@@ -143,7 +146,7 @@ def find(problem: Problem, poses: MeasuredPoses, start: Array | None) -> State:
 
 
 def tighten(problem: Problem) -> Problem:
-    """Return the problem with requirements that the plan meets with the stated probability, for the expected machine."""
+    """Return the problem with requirements that the plan meets with the stated probability."""
     centre = problem.measured.posterior.coordinates.start
     tau = np.zeros(6)
     if problem.measured.posterior.model_error.scale is not None:
@@ -176,15 +179,15 @@ def judge(problem: Problem, twin: Twin, state: State, rest: Array) -> list[float
     return [state.standing.probability, rms, float(np.max(shares)), float(np.max(whole))]
 
 
-def calibrate(problem: Problem, first: State, rows: Array, number: int) -> tuple[Array, Array, list[float]]:
-    """Return how a twin stands after the plan (4,), after each of the chosen poses (MOST, 4), and seconds of steps."""
+def calibrate(problem: Problem, first: State, rows: Array, number: int, most: int) -> tuple[Array, Array, list[float]]:
+    """Return how a twin stands after the plan (4,), after each of the chosen poses (most, 4), and seconds of steps."""
     twin = draw_twin(problem, number)
     planned = find(problem, twin.measure(problem.plan), None)
     rest = twin.draw_rest()
     by_plan = judge(problem, twin, planned, rest)
     chosen, seconds, poses, state = [], [], None, None
     covariance = np.eye(rows.shape[-1])
-    for _ in range(MOST):
+    for _ in range(most):
         began = time.perf_counter()
         measured = np.empty((0, 6)) if poses is None else poses.actuators
         allowed = find_unmeasured(problem.inputs.candidates, measured, 0.28)
@@ -210,7 +213,7 @@ def run(args: argparse.Namespace) -> None:
     plans, courses, times = [], [], []
     with np.errstate(all="ignore"):
         for number in range(args.first, args.first + args.twins):
-            plan, course, seconds = calibrate(problem, first, rows, number)
+            plan, course, seconds = calibrate(problem, first, rows, number, args.poses)
             plans.append(plan)
             courses.append(course)
             times.append(seconds)
@@ -222,7 +225,9 @@ def run(args: argparse.Namespace) -> None:
 def summarise(args: argparse.Namespace) -> None:
     """Print and write what all twins say."""
     loaded = [np.load(path) for path in args.summarise]
-    plan, course, seconds = (np.concatenate([one[key] for one in loaded]) for key in ("plan", "course", "seconds"))
+    n_poses = min(one["course"].shape[1] for one in loaded)
+    plan = np.concatenate([one["plan"] for one in loaded])
+    course, seconds = (np.concatenate([one[key][:, :n_poses] for one in loaded]) for key in ("course", "seconds"))
     stopped = (course[:, :, 0] >= STATED).any(axis=1)
     at = np.argmax(course[:, :, 0] >= STATED, axis=1)
     true = course[np.arange(len(course)), at, 3] <= 1.0
@@ -261,6 +266,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--twins", type=int, default=100)
+    parser.add_argument("--poses", type=int, default=40)
     parser.add_argument("--out", type=Path, default=Path("next_pose.npz"))
     parser.add_argument("--model-error", action="store_true")
     parser.add_argument("--range", type=float)

@@ -1,7 +1,7 @@
 """How far a calibrated machine errs over its workspace, by draws of what is known of it.
 
 The calibrated machine predicts its poses by the posterior mean of its parameters; a draw of the posterior stands for
-the true one. At a pose the closure of the draw, f(θ, pose, ρ), is what its legs do not meet, and the pose errs by -A⁻¹ f
+the true one. At a pose the closure of the draw, f(θ, pose, ρ), is what its legs miss, and the pose errs by -A⁻¹ f
 with A = ∂f/∂pose at the calibrated machine; where that is as good as its tangent by θ, the tangent takes its place.
 Actuators and the draw's own model errors τ err besides, as in `bayescal.identifiability.sensitivity`. Requirements hold
 where no pose of the workspace exceeds a limit.
@@ -17,7 +17,8 @@ import numpy as np
 
 from bayescal.errors import NumericalError
 from bayescal.identifiability.requirements import Requirement
-from bayescal.machines.kinematics import ForwardKinematics, Linearisation, Machine, solve_forward_kinematics
+from bayescal.machines.kinematics import ForwardKinematics, Machine, solve_forward_kinematics
+from bayescal.machines.models.base import Linearisation
 from bayescal.numerics.geometry import Array
 
 CHUNK = 250  # draws at a time
@@ -123,9 +124,7 @@ class Remaining:
     def _follow(self, theta: Array) -> Array:
         """Return the errors of machines (s, D) by their closures, shape (W, 6, s); NaN where there is none."""
         machine, poses = self.machine, self._poses
-        closure = machine.model.bind(
-            machine.layout, poses.position, poses.rotation, machine.basis(self.actuators)
-        )
+        closure = machine.model.bind(machine.layout, poses.position, poses.rotation, machine.basis(self.actuators))
         with np.errstate(all="ignore"):  # far out numbers overflow
             return np.asarray(-(self._gain @ closure.evaluate(np.asfortranarray(theta)).transpose(1, 0, 2)))
 
@@ -175,4 +174,3 @@ def move_draws(draws: Array, before: Array, after: Array) -> Array:
     """Return draws (S, n) about zero with a covariance (n, n) taken to another one, the same normal numbers in both."""
     old, new = np.linalg.cholesky(before), np.linalg.cholesky(after)
     return np.asarray(draws @ np.linalg.solve(old.T, new.T))
-

@@ -125,9 +125,7 @@ def _begin_anew(posterior: Target, n_draws: int, seed: int) -> Belief:
     straight, rng = found.straight, np.random.default_rng(draw_seed)
     made = resample(straight.log_density, found.proposal, rng, PER_KEPT * n_draws, n_draws)
     if made.pareto_k <= PARETO_K_LIMIT:
-        return _collect(
-            found.modes[0], straight.y_from_x(made.draws), made.efficiency, made.pareto_k, "explored"
-        )
+        return _collect(found.modes[0], straight.y_from_x(made.draws), made.efficiency, made.pareto_k, "explored")
     sample = sample_posterior(found, ensemble_seed, ENSEMBLES, WALKERS, BURN_IN, LENGTH)
     draws = sample.y.reshape(-1, posterior.n_parameters)
     chosen = rng.choice(len(draws), n_draws, replace=len(draws) < n_draws)

@@ -29,7 +29,6 @@ SHOWN = 10  # poses of the list to come
 SEED, COURSE_SEED = 11, 12
 
 
-
 @dataclass(frozen=True, eq=False)
 class Ahead:
     """Further poses in the order in which to measure them.
@@ -119,9 +118,7 @@ def _describe_standing(inputs: NextInputs, n: int, what: str, standing: Standing
 # --- what may come -----------------------------------------------------------------------------------------------
 
 
-def _tell_apart(
-    inputs: NextInputs, states: dict[str, State], probabilities: Array, seen: Sensitivity
-) -> Array | None:
+def _tell_apart(inputs: NextInputs, states: dict[str, State], probabilities: Array, seen: Sensitivity) -> Array | None:
     """Return what each candidate is expected to tell of which variant is right, nats, (C,); None where it is no aim."""
     if inputs.config.aim != "variants":
         return None

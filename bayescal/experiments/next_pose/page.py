@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib import figure as mpl
 from matplotlib.axes import Axes
@@ -16,6 +17,7 @@ from bayescal.report.blocks import (
     Column,
     Definitions,
     Figure,
+    Level,
     Page,
     Section,
     Statement,
@@ -41,8 +43,8 @@ METHOD = (
     (
         "Which pose is next?",
         "For the requirements: the candidate after which the predicted poses of the workspace have the smallest mean "
-        "variance in units of the limits (I-optimal). For telling variants apart: the candidate where their predictions "
-        "differ most, against what is not known of them and the instrument's noise (Box and Hill 1967).",
+        "variance in units of the limits (I-optimal). For telling variants apart: the candidate where their "
+        "predictions differ most, against what is not known of them and the instrument's noise (Box and Hill 1967).",
     ),
     (
         "What is expected of it?",
@@ -90,8 +92,8 @@ def state_headline(summary: dict[str, Any]) -> str:
         return f"{_say_order(summary)}: after {_count(n)} {sure}, {wanted} wanted."
     standing = summary["requirements"]
     if summary["decision"] == "hopeless":
-        best = _say_chance(standing["at_best"])
-        return f"Stop: the requirements will not be met by measuring. With the geometry known exactly they hold with {best}."
+        best = f"with the geometry known exactly they hold with {_say_chance(standing['at_best'])}"
+        return f"Stop: the requirements will not be met by measuring; {best}."
     held = _say_chance(standing["probability"])
     return f"{_say_order(summary)}: after {_count(n)} the requirements hold with {held}, {wanted} wanted."
 
@@ -132,14 +134,14 @@ def _state_pose(results: Results) -> Statement:
 
 def _state_gain(results: Results) -> Statement:
     summary, table = results.summary, results.table("requirements")
-    tightest = table.loc[(table["error"] / table["limit"]).idxmax()]
+    tightest = table.iloc[int(np.argmax(table["error"] / table["limit"]))]
+    wanted, unit = format_percent(summary["stated_probability"]), tightest["unit"]
     gain = 1.0 - summary["mean_error_after_next"] / summary["mean_error"]
     now, then = (format_significant(float(tightest[key]), 4) for key in ("error", "error_after_next"))
     text = (
-        f"The tightest requirement is that on {_name(tightest['requirement'])}: with a probability of "
-        f"{format_percent(summary['stated_probability'])} no pose errs by more than {now} {tightest['unit']} there, and by "
-        f"{then} {tightest['unit']} after the next pose; allowed are {format_significant(float(tightest['limit']))}. "
-        f"The mean error that the geometry causes falls by {format_percent(gain, 1)}; all requirements then hold with "
+        f"The tightest requirement is that on {_name(tightest['requirement'])}: with a probability of {wanted} no pose "
+        f"errs by more than {now} {unit} there, and by {then} {unit} after the next pose; allowed are "
+        f"{format_significant(float(tightest['limit']))} {unit}. The mean error that the geometry causes falls by {format_percent(gain, 1)}; all requirements then hold with "
         f"{_say_chance(summary['requirements']['after_next'])}."
     )
     return Statement(text, "plain", "What it brings")
@@ -166,11 +168,9 @@ def _state_best(summary: dict[str, Any]) -> Statement:
     text = f"With the geometry known exactly the requirements would hold with {_say_chance(best)}"
     if best >= wanted:
         return Statement(f"{text}: measuring is what helps.", "good", "What can be reached")
-    why = (
-        f"what the actuators and the model leave out stays (model error {format_significant(summary['model_error_um'], 2)} "
-        "µm a leg, root mean square, by what is known today)"
-    )
-    level = "bad" if summary["decision"] == "hopeless" else "warning"
+    error = format_significant(summary["model_error_um"], 2)
+    why = f"actuators and model errors stay ({error} µm a leg, root mean square, by what is known today)"
+    level: Level = "bad" if summary["decision"] == "hopeless" else "warning"
     return Statement(f"{text}: {why}.", level, "What can be reached")
 
 
@@ -186,7 +186,9 @@ def _state_soundness(summary: dict[str, Any]) -> Statement:
         text = f"Draws are those of ensembles, since weights have a heavy tail (k {k}); a study's run tells more."
         return Statement(text, "warning", "How sure")
     anew = "" if summary["found"] == "updated" else ", the posterior explored anew"
-    text = f"{format_percent(summary['efficiency'])} of the draws count, the tail of their weights is light (k {k}){anew}."
+    text = (
+        f"{format_percent(summary['efficiency'])} of the draws count, the tail of their weights is light (k {k}){anew}."
+    )
     return Statement(text, "good", "How sure")
 
 
@@ -268,10 +270,10 @@ def _tabulate_variants(results: Results) -> Table:
 def _plot_course(results: Results) -> Figure:
     wanted = format_percent(results.summary["stated_probability"])
     caption = (
-        f"Left: how probable it was after the first poses that all requirements hold, and how probable it is expected to "
-        f"be after further ones (open marks, dashed); the grey line is where one stops. Right: the error that no pose "
-        f"exceeds with {wanted}, in shares of each limit; below the grey line a requirement holds. Crosses are rough: the "
-        "approximation of so few poses has draws with heavy-tailed weights."
+        "Left: how probable it was after the first poses that all requirements hold, and how probable it is expected "
+        "to be after further ones (open marks, dashed); the grey line is where one stops. Right: the error that no "
+        f"pose exceeds with {wanted}, in shares of each limit; below the grey line a requirement holds. Crosses are "
+        "rough: the approximation of so few poses has draws with heavy-tailed weights."
     )
     course, stated = results.table("course"), results.summary["stated_probability"]
     return Figure("course", caption, partial(draw_course, course, stated))
