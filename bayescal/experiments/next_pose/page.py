@@ -141,7 +141,8 @@ def _state_gain(results: Results) -> Statement:
     text = (
         f"The tightest requirement is that on {_name(tightest['requirement'])}: with a probability of {wanted} no pose "
         f"errs by more than {now} {unit} there, and by {then} {unit} after the next pose; allowed are "
-        f"{format_significant(float(tightest['limit']))} {unit}. The mean error that the geometry causes falls by {format_percent(gain, 1)}; all requirements then hold with "
+        f"{format_significant(float(tightest['limit']))} {unit}. The mean error that the geometry causes falls by "
+        f"{format_percent(gain, 1)}; all requirements then hold with "
         f"{_say_chance(summary['requirements']['after_next'])}."
     )
     return Statement(text, "plain", "What it brings")
