@@ -41,17 +41,21 @@ def compute_directly(place: Remaining, true: np.ndarray) -> np.ndarray:
 
 def test_errors_are_those_of_forward_kinematics(place):
     found, true = place
-    np.testing.assert_allclose(found.find_largest(REQUIREMENTS, true), compute_directly(found, true), rtol=2e-3)
+    np.testing.assert_allclose(found.find_largest(REQUIREMENTS, true), compute_directly(found, true), rtol=0.0, atol=2e-3)
 
 
 def test_bent_machines_are_followed_by_their_closures(place, monkeypatch):
+    """Joints off by a tenth of a leg's length: the tangent misses more than the closure does."""
     found, true = place
-    far = found.theta + 40.0 * (true - found.theta)
-    expected = compute_directly(found, far)
+    far, a_x = np.tile(found.theta, (N_DRAWS, 1)), found.machine.layout.index["a_x"]
+    far[:, a_x] += 15.0 * np.random.default_rng(7).standard_normal((N_DRAWS, 6))
+    assert found._leaves_tangent(far)
+    assert not found._leaves_tangent(true)
     followed = found.find_largest(REQUIREMENTS, far)
     monkeypatch.setattr(remaining, "BENT", np.inf)
-    off = [np.abs(one / expected - 1.0).max() for one in (followed, found.find_largest(REQUIREMENTS, far))]
-    assert off[0] < 0.6 * off[1]
+    expected, tangent = compute_directly(found, far), found.find_largest(REQUIREMENTS, far)
+    off = [np.median(np.abs(one / expected - 1.0)) for one in (followed, tangent)]
+    assert off[0] < 0.9 * off[1], off
 
 
 def test_noise_has_the_spread_that_is_stated(place):
@@ -80,8 +84,8 @@ def test_a_machine_that_cannot_be_there_exceeds_every_limit(place):
 def test_requirements_hold_together_where_each_does():
     standing = Standing(np.array([[0.5, 0.5], [0.9, 1.1], [1.2, 0.8], [1.0, 0.2]]))
     assert standing.probability == 0.5
-    assert list(standing.probabilities) == [0.75, 0.75]
-    assert list(standing.bound(0.75)) == [1.2, 0.8]
+    np.testing.assert_allclose(standing.probabilities, [0.75, 0.75])
+    assert list(standing.bound(0.75)) == [1.2, 1.1]
     assert standing.standard_error == pytest.approx(0.25)
 
 

@@ -30,8 +30,8 @@ CHECK = 'kind = "check"\nname = "check"\ntitle = "Check"\nseed = 3\nstudy = "stu
 CHECK += 'draws = 300\nvariants = ["six_pus/matrix"]\n'
 
 NEXT = 'kind = "next_pose"\nname = "next"\ntitle = "Next"\nseed = 3\nstudy = "study.toml"\ndraws = 200\nahead = 2\n'
-NEXT += "[workspace]\nposition_mm = [1.0, 1.0, 1.0]\nrotation_deg = [0.3, 0.3, 0.3]\nposes = 12\n"
-NEXT += "[requirements]\nz = 0.05\n[candidates]\ncount = 64\nrange_mm = 2.0\n"
+NEXT += "[workspace]\nposition_mm = [0.3, 0.3, 0.3]\nrotation_deg = [0.1, 0.1, 0.1]\nposes = 12\n"
+NEXT += "[requirements]\nz = 0.05\n[candidates]\ncount = 64\nrange_mm = 1.2\n"
 
 
 def write_audit(folder: Path) -> Path:

@@ -24,8 +24,8 @@ draws = 300
 ahead = 8
 
 [workspace]
-position_mm = [1.0, 1.0, 1.0]
-rotation_deg = [0.3, 0.3, 0.3]
+position_mm = [0.3, 0.3, 0.3]
+rotation_deg = [0.1, 0.1, 0.1]
 poses = 15
 
 [requirements]
@@ -33,7 +33,7 @@ z = 0.02
 
 [candidates]
 count = 64
-range_mm = 4.0
+range_mm = 1.2
 """
 
 
@@ -46,22 +46,22 @@ def question(tmp_path) -> Path:
 
 
 def test_it_says_what_to_measure_and_what_to_expect(question, call, no_pictures):
-    studies.edit(question, "z = 0.02", "z = 0.008")
-    studies.edit(question, "draws", "first = 6\ndraws")
+    studies.edit(question, "z = 0.02", "z = 0.004")
+    studies.edit(question, "draws", "first = 4\ndraws")
     out = question.parent / "out"
     code, said, complaint = call("next", question, "--out", out)
     assert (code, complaint) == (0, "")
     summary = json.loads((out / "summary.json").read_text())
     assert summary["decision"] == "measure"
-    assert summary["n_poses"] == 6
-    assert said.startswith(f"Measure one more pose, candidate {summary['next_candidate']}: after 6 poses")
+    assert summary["n_poses"] == 4
+    assert said.startswith(f"Measure one more pose, candidate {summary['next_candidate']}: after 4 poses")
     poses, course = (pd.read_csv(out / f"{name}.csv") for name in ("next_poses", "course"))
     first = poses.iloc[0]
     moves = [first[f"displacement_{leg}_mm"] for leg in range(1, 7)]
-    assert max(map(abs, moves)) <= 4.0
+    assert max(map(abs, moves)) <= 1.2 + 1e-9
     assert ", ".join(f"{move:.3f}".replace("-", "−") for move in moves) in said
-    assert list(course.loc[course["what"] == "measured", "poses"]) == [1, 2, 3, 4, 5, 6]
-    assert course.loc[course["what"] == "expected", "poses"].iloc[0] == 7
+    assert list(course.loc[course["what"] == "measured", "poses"]) == [1, 2, 3, 4]
+    assert course.loc[course["what"] == "expected", "poses"].iloc[0] == 5
     page = (out / "report.html").read_text()
     assert "What it brings" in page
     assert "Course" in page
@@ -105,10 +105,10 @@ FAULTS = {
     'variants = ["six_pus/matrix"]': ('variants = ["six_pus/lienar"]', "unknown here, expected one of six_pus/none"),
     "draws = 300": ("first = 99", "first: found 99, expected at most 13"),
     "z = 0.02": ("", "found no [requirements], expected the largest errors allowed, or aim = 'variants'"),
-    "range_mm = 4.0": ("range_mm = 400.0", "candidates.range_mm: found 400, expected at most the actuator range"),
+    "range_mm = 1.2": ("range_mm = 400.0", "candidates.range_mm: found 400, expected at most the actuator range"),
     "count = 64": ("position_mm = [1.0, 1.0, 1.0]", "found one of position_mm and rotation_deg, expected both"),
     "poses = 15": ("poses = 5", "workspace.poses: found 5"),
-    "position_mm = [1.0, 1.0, 1.0]": ("position_mm = [900.0, 1.0, 1.0]", "workspace: out of reach"),
+    "position_mm = [0.3, 0.3, 0.3]": ("position_mm = [900.0, 1.0, 1.0]", "workspace: out of reach"),
 }
 
 
