@@ -23,7 +23,7 @@ from bayescal.numerics.geometry import Array
 
 CHUNK = 250  # draws at a time
 LOOKS = 100  # draws of which it is seen whether they leave the tangent
-BENT = 0.02  # of the errors' spread: off the tangent by more, draws are followed by their closures
+BENT = 0.1  # of the errors' spread: off the tangent by more, draws are followed by their closures
 ROUNDING = 1e-9  # mm and rad
 
 

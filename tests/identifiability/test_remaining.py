@@ -41,7 +41,9 @@ def compute_directly(place: Remaining, true: np.ndarray) -> np.ndarray:
 
 def test_errors_are_those_of_forward_kinematics(place):
     found, true = place
-    np.testing.assert_allclose(found.find_largest(REQUIREMENTS, true), compute_directly(found, true), rtol=0.0, atol=2e-3)
+    np.testing.assert_allclose(
+        found.find_largest(REQUIREMENTS, true), compute_directly(found, true), rtol=0.0, atol=2e-3
+    )
 
 
 def test_bent_machines_are_followed_by_their_closures(place, monkeypatch):

@@ -38,6 +38,7 @@ def test_the_mode_is_that_of_a_search_from_the_beginning(posteriors):
     assert np.abs((found.y - searched.y) / sd).max() < 0.02
 
 
+@pytest.mark.slow
 def test_an_update_is_what_exploring_anew_finds(posteriors, monkeypatch):
     before, whole = posteriors
     updated = update(whole, climb(before, before.approach()).y, N_DRAWS, 3)

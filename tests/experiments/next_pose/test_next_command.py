@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 import studies
 
+from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import compute_experiment
 
@@ -135,3 +136,11 @@ def test_the_shipped_question_is_of_the_shipped_study():
     inputs = experiment.read(config, studies.EXPERIMENTS / "m2_hexapod")
     assert list(inputs.variants) == ["six_ups/none"]
     assert inputs.variants["six_ups/none"].poses.n_poses == config.first
+
+
+def test_the_committed_results_are_those_of_the_shipped_question():
+    path = studies.EXPERIMENTS / "m2_hexapod" / "next.toml"
+    kind, config = load(path)
+    current = hash_identity(identify(config, path.parent, kind.files(config, path.parent)))
+    results = studies.EXPERIMENTS.parent / "results" / config.name
+    assert json.loads((results / "summary.json").read_text())["config_sha256"] == current
