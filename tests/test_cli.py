@@ -33,6 +33,7 @@ COMMANDS = (
     "run",
     "audit",
     "sweep",
+    "next",
     "simulate",
     "poses-from-targets",
     "report",
@@ -555,6 +556,7 @@ def test_every_shipped_experiment_is_run_here():
         *(f"hangprinter/{name}.toml" for name in ("machine", "hanging", "forces", "study")),  # in test_hangprinter
         "camera_hexapod/simulate.toml",
         "m2_hexapod/simulate.toml",
+        "m2_hexapod/next.toml",  # in next_pose/test_next_command.py
         *(f"hexaglide/{name}.toml" for name in ("mechanism", "simulate", "audit")),  # in test_hexaglide
         "telescope/mechanism.toml",
         "telescope/simulate.toml",

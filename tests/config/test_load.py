@@ -35,6 +35,7 @@ LOADERS = {
     "calibration": load_experiment,
     "line_machine": read_reading_model,
     "sweep": load_experiment,
+    "next_pose": load_experiment,
 }
 SHIPPED = sorted(studies.EXPERIMENTS.rglob("*.toml"))
 

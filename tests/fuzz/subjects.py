@@ -37,6 +37,7 @@ QUICK = (
     "sliding_star/short.toml",
     "sliding_star/simulate.toml",
     "telescope/check.toml",
+    "telescope/next.toml",
     "telescope/short.toml",
     "telescope/simulate.toml",
 )
@@ -64,6 +65,17 @@ SHORT: dict[str, dict[str, Any]] = {
 CHECK = (
     'kind = "check"\nname = "check"\ntitle = "A check"\nseed = 1\nstudy = "short.toml"\nvariants = ["six_pus/none"]\n'
 )
+NEXT = """kind = "next_pose"
+name = "next"
+title = "The next pose"
+seed = 1
+study = "short.toml"
+variants = ["six_pus/none"]
+draws = 200
+workspace = { position_mm = [0.3, 0.3, 0.3], rotation_deg = [0.1, 0.1, 0.1], poses = 12 }
+requirements = { z = 0.02 }
+candidates = { count = 64, range_mm = 1.2 }
+"""
 
 
 @dataclass(frozen=True)
@@ -84,8 +96,10 @@ def write_subjects(folder: Path) -> list[Path]:
     for name, sections in SHORT.items():
         study = tomllib.loads((root / name / "study.toml").read_text(encoding="utf-8"))
         study |= sections | {"variants": study["variants"][:1]}
+        study.get("parameters", {}).pop("kappa", None)  # the first variants have no deformation
         (root / name / "short.toml").write_text(dump_toml(study), encoding="utf-8")
     (root / "telescope" / "check.toml").write_text(CHECK, encoding="utf-8")
+    (root / "telescope" / "next.toml").write_text(NEXT, encoding="utf-8")
     for name in ("targets.csv", "actuators.csv"):
         _keep_poses(root / "telescope" / "data" / name)
     return [path for path in sorted(root.glob("*/*.toml")) if "kind" in path.read_text(encoding="utf-8")]

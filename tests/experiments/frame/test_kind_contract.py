@@ -29,6 +29,10 @@ AUDIT += "[workspace]\nposes = 20\n[posterior]\ndraws = 200\n[sweep]\nnoise = [1
 CHECK = 'kind = "check"\nname = "check"\ntitle = "Check"\nseed = 3\nstudy = "study.toml"\ndata_sets = 4\n'
 CHECK += 'draws = 300\nvariants = ["six_pus/matrix"]\n'
 
+NEXT = 'kind = "next_pose"\nname = "next"\ntitle = "Next"\nseed = 3\nstudy = "study.toml"\ndraws = 200\nahead = 2\n'
+NEXT += "[workspace]\nposition_mm = [0.3, 0.3, 0.3]\nrotation_deg = [0.1, 0.1, 0.1]\nposes = 12\n"
+NEXT += "[requirements]\nz = 0.05\n[candidates]\ncount = 64\nrange_mm = 1.2\n"
+
 
 def write_audit(folder: Path) -> Path:
     for path in (tiny_experiments.SHIPPED / "audit").glob("camera_hexapod*.toml"):
@@ -41,6 +45,12 @@ def write_check(folder: Path) -> Path:
     studies.write_tiny_study(folder)
     (folder / "check.toml").write_text(CHECK)
     return folder / "check.toml"
+
+
+def write_next(folder: Path) -> Path:
+    studies.write_tiny_study(folder)
+    (folder / "next.toml").write_text(NEXT)
+    return folder / "next.toml"
 
 
 def take_tiny(name: str) -> Callable[[Path], Path]:
@@ -61,6 +71,7 @@ MAKE = {
     "calibration_simulation": calibrations.write_simulation,
     "check": write_check,
     "hexapod_calibrations": take_tiny("hexapod/figure10"),
+    "next_pose": write_next,
     "pose_methods": take_tiny("pose_extraction/figure5"),
     "pose_selection": write_selection,
     "reading_simulation": take_tiny("sliding_star/simulate"),
@@ -76,6 +87,7 @@ WITHOUT_TASKS = (
     "simulation",
     "reading_simulation",
     "calibration_simulation",
+    "next_pose",
 )  # over in an instant: nothing is worth keeping
 
 
@@ -240,7 +252,7 @@ def test_compare_takes_two_results_or_says_why_not(finished, call):
 
 
 def test_options_are_those_of_every_kind(call):
-    for command in ("run", "audit", "sweep"):
+    for command in ("run", "audit", "sweep", "next"):
         code, said, _ = call(command, "--help")
         assert code == 0
         assert all(option in said for option in ("--out", "--seed", "--workers", "--scheduler", "--resume", "--quiet"))

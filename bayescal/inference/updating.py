@@ -1,0 +1,136 @@
+"""A posterior found again when a few measurements have come to those it was found for: updated, not begun anew.
+
+More measurements of the same machine move the mode by little. A few Newton steps from where it was lead to the new one;
+Laplace's approximation there, in coordinates that straighten the funnel of the model errors, is a proposal whose draws
+are weighed by the density itself. Where their weights have a heavy tail, or other modes may hold mass, the posterior is
+explored anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bayescal.inference.exploration import DOF, explore
+from bayescal.inference.importance import resample
+from bayescal.inference.mode import DECREMENT_TOLERANCE, Mode, find_mode
+from bayescal.inference.peaks import Peak, bend_at, proposal_from_peaks
+from bayescal.inference.sampling import sample_posterior
+from bayescal.inference.straightening import straighten
+from bayescal.inference.target import Target
+from bayescal.limits import PARETO_K_LIMIT
+from bayescal.numerics.geometry import Array
+
+STEPS, HALVINGS = 20, 6
+PER_KEPT = 2  # draws of the proposal for each that is kept
+ENSEMBLES, WALKERS, BURN_IN, LENGTH = 4, 64, 30, 60  # where importance resampling will not do
+
+type Way = Literal["updated", "explored", "sampled"]
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """What is known of the n coordinates of a posterior.
+
+    Attributes
+    ----------
+    y : ndarray, shape (n,)
+        The mode.
+    covariance : ndarray, shape (n, n)
+        Inverse of minus the Gauss-Newton Hessian there.
+    log_evidence : float
+        By Laplace's formula, with that covariance where it was updated.
+    draws : ndarray, shape (S, n)
+        Of the posterior, in its coordinates.
+    efficiency, pareto_k : float
+        Share of the proposal's draws that count, and the shape of the tail of their weights.
+    way : str
+        ``updated`` from the last mode, ``explored`` anew, or ``sampled`` by ensembles.
+    """
+
+    y: Array
+    covariance: Array
+    log_evidence: float
+    draws: Array
+    efficiency: float
+    pareto_k: float
+    way: Way
+
+
+def update(posterior: Target, start: Array | None, n_draws: int, seed: int, *, anew: bool = True) -> Belief:
+    """Return what is known of a posterior whose mode is near a start.
+
+    Parameters
+    ----------
+    posterior : Target
+    start : ndarray, shape (n,), or None
+        The mode before the last measurements; None to begin at the machine as expected.
+    n_draws : int
+        How many draws to return.
+    seed : int
+        The same one gives draws that differ from those before by what the measurements tell alone.
+    anew : bool
+        Whether to explore the posterior anew where the update will not do; it takes a second or two.
+
+    Raises
+    ------
+    NumericalError
+        Where no mode is found.
+    """
+    mode = climb(posterior, posterior.approach() if start is None else start)
+    if not (anew and posterior.jumps(mode.y)):
+        straight = straighten(posterior, mode)
+        centre = straight.x_from_y(mode.y[None])
+        rough = Peak(centre[0], np.linalg.cholesky(mode.covariance), mode.log_density)
+        straight, peak = bend_at(straight, rough)
+        proposal, rng = proposal_from_peaks([peak], DOF), np.random.default_rng(seed)
+        made = resample(straight.log_density, proposal, rng, PER_KEPT * n_draws, n_draws)
+        if not anew or made.pareto_k <= PARETO_K_LIMIT:
+            draws = straight.y_from_x(made.draws)
+            return _collect(mode, draws, made.efficiency, made.pareto_k, "updated")
+    return _begin_anew(posterior, n_draws, seed)
+
+
+def climb(posterior: Target, start: Array) -> Mode:
+    """Return the mode that Newton's steps from a start (n,) lead to, with the Gauss-Newton covariance there.
+
+    Steps that do not gain are halved; where that does not help, the search of `bayescal.inference.mode` takes over.
+    """
+    y, value = start, float(posterior.log_density(start[None])[0])
+    for _ in range(STEPS):
+        gradient, hessian = posterior.gradient(y)
+        try:
+            covariance = np.linalg.inv(-hessian)
+            np.linalg.cholesky(covariance)
+        except np.linalg.LinAlgError:
+            break
+        step = covariance @ gradient
+        if gradient @ step < DECREMENT_TOLERANCE:
+            return Mode(y, value, covariance, True)
+        trials = y + step * 0.5 ** np.arange(HALVINGS)[:, None]
+        values = posterior.log_density(trials)
+        if not np.any(values > value):
+            break
+        first = int(np.argmax(values > value))
+        y, value = trials[first], float(values[first])
+    return find_mode(posterior, start if not np.isfinite(value) else y)
+
+
+def _begin_anew(posterior: Target, n_draws: int, seed: int) -> Belief:
+    """Return what is known by exploring the posterior, and by ensembles where importance resampling will not do."""
+    explore_seed, draw_seed, ensemble_seed = np.random.SeedSequence([seed, 1]).spawn(3)
+    found = explore(posterior, explore_seed)
+    straight, rng = found.straight, np.random.default_rng(draw_seed)
+    made = resample(straight.log_density, found.proposal, rng, PER_KEPT * n_draws, n_draws)
+    if made.pareto_k <= PARETO_K_LIMIT:
+        return _collect(found.modes[0], straight.y_from_x(made.draws), made.efficiency, made.pareto_k, "explored")
+    sample = sample_posterior(found, ensemble_seed, ENSEMBLES, WALKERS, BURN_IN, LENGTH)
+    draws = sample.y.reshape(-1, posterior.n_parameters)
+    chosen = rng.choice(len(draws), n_draws, replace=len(draws) < n_draws)
+    return _collect(found.modes[0], draws[chosen], made.efficiency, made.pareto_k, "sampled")
+
+
+def _collect(mode: Mode, draws: Array, efficiency: float, pareto_k: float, way: Way) -> Belief:
+    return Belief(mode.y, mode.covariance, mode.log_evidence, draws, efficiency, pareto_k, way)

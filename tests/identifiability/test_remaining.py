@@ -1,0 +1,100 @@
+"""What error remains: by tangent and by closures alike, against forward kinematics, and how probable it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import telescope_machines as machines
+
+from bayescal.errors import NumericalError
+from bayescal.identifiability import remaining
+from bayescal.identifiability.remaining import Remaining, Standing, move_draws
+from bayescal.identifiability.requirements import Requirement
+from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.numerics.geometry import compute_pose_error
+
+N_DRAWS, N_POSES = 60, 15
+REQUIREMENTS = [Requirement("z", 0.02), Requirement("position", 0.05), Requirement("rotation_x", 1e-4)]
+
+
+@pytest.fixture(scope="module")
+def place():
+    """Return where a machine is to be accurate, without any noise, and true machines."""
+    machine, rng = machines.build_machine("none"), np.random.default_rng(2)
+    theta = machine.layout.nominal
+    start = machine.mechanism.initial_actuator_positions
+    actuators = start + 5.0 * rng.uniform(-1.0, 1.0, (N_POSES, 6))
+    true = np.tile(theta, (N_DRAWS, 1))
+    true[:, machine.layout.index["l"]] += 0.02 * rng.standard_normal((N_DRAWS, 6))
+    return Remaining(machine, theta, actuators, 0.0, np.zeros((N_DRAWS, 6)), 1), true
+
+
+def compute_directly(place: Remaining, true: np.ndarray) -> np.ndarray:
+    """Return the largest errors in shares of the limits by forward kinematics of both machines."""
+    predicted = solve_forward_kinematics(place.machine, place.theta, place.actuators)
+    stood = solve_forward_kinematics(place.machine, true[:, None], place.actuators)
+    error = compute_pose_error(stood.position, stood.rotation, predicted.position, predicted.rotation)
+    return np.stack([(r.take(error) / r.limit).max(axis=1) for r in REQUIREMENTS], axis=1)
+
+
+def test_errors_are_those_of_forward_kinematics(place):
+    found, true = place
+    np.testing.assert_allclose(
+        found.find_largest(REQUIREMENTS, true), compute_directly(found, true), rtol=0.0, atol=2e-3
+    )
+
+
+def test_bent_machines_are_followed_by_their_closures(place, monkeypatch):
+    """Joints off by a tenth of a leg's length: the tangent misses more than the closure does."""
+    found, true = place
+    far, a_x = np.tile(found.theta, (N_DRAWS, 1)), found.machine.layout.index["a_x"]
+    far[:, a_x] += 15.0 * np.random.default_rng(7).standard_normal((N_DRAWS, 6))
+    assert found._leaves_tangent(far)
+    assert not found._leaves_tangent(true)
+    followed = found.find_largest(REQUIREMENTS, far)
+    monkeypatch.setattr(remaining, "BENT", np.inf)
+    expected, tangent = compute_directly(found, far), found.find_largest(REQUIREMENTS, far)
+    off = [np.median(np.abs(one / expected - 1.0)) for one in (followed, tangent)]
+    assert off[0] < 0.9 * off[1], off
+
+
+def test_noise_has_the_spread_that_is_stated(place):
+    """A single pose: actuators of σ and model errors of τ move it as one error of sqrt(σ² + τ²) would."""
+    one = replace(place[0], actuators=place[0].actuators[:1], actuator_noise=0.003)
+    exact, limits = np.tile(one.theta, (4000, 1)), [Requirement("z", 1.0)]
+    both = replace(one, model_error=np.full((4000, 6), 0.004)).find_largest(limits, exact)
+    alone = replace(one, actuator_noise=0.005, model_error=np.zeros((4000, 6)), seed=8).find_largest(limits, exact)
+    assert np.mean(both**2) / np.mean(alone**2) == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 * 2.0 / 4000))
+
+
+def test_a_workspace_out_of_reach_is_told(place):
+    with pytest.raises(NumericalError, match="poses that the calibrated machine cannot take"):
+        replace(place[0], actuators=place[0].actuators + 1e4).find_largest(REQUIREMENTS, place[1])
+
+
+def test_a_machine_that_cannot_be_there_exceeds_every_limit(place):
+    found, true = place
+    broken = true.copy()
+    broken[3] = np.nan
+    largest = found.find_largest(REQUIREMENTS, broken)
+    assert np.isinf(largest[3]).all()
+    assert np.isfinite(np.delete(largest, 3, axis=0)).all()
+
+
+def test_requirements_hold_together_where_each_does():
+    standing = Standing(np.array([[0.5, 0.5], [0.9, 1.1], [1.2, 0.8], [1.0, 0.2]]))
+    assert standing.probability == 0.5
+    np.testing.assert_allclose(standing.probabilities, [0.75, 0.75])
+    assert list(standing.bound(0.75)) == [1.2, 1.1]
+    assert standing.standard_error == pytest.approx(0.25)
+
+
+def test_moved_draws_have_the_other_covariance():
+    rng = np.random.default_rng(4)
+    before, after = (a @ a.T for a in rng.standard_normal((2, 5, 5)))
+    draws = np.linalg.cholesky(before) @ rng.standard_normal((5, 50))
+    moved = move_draws(draws.T, before, after)
+    whitened = [np.linalg.solve(np.linalg.cholesky(c), d) for c, d in ((before, draws), (after, moved.T))]
+    np.testing.assert_allclose(*whitened)

@@ -1,0 +1,66 @@
+"""Updating a posterior: the same as beginning anew, whichever mode it starts from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import studies
+
+from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.posterior import Posterior
+from bayescal.inference import updating
+from bayescal.inference.mode import find_modes
+from bayescal.inference.updating import climb, update
+
+N_DRAWS = 1000
+
+
+@pytest.fixture(scope="module")
+def posteriors(tmp_path_factory):
+    """Return the posteriors of the first eight poses of a tiny study, and of all of them."""
+    inputs = studies.load_study(studies.write_tiny_study(tmp_path_factory.mktemp("updating")))
+    variant = inputs.variant("six_pus/matrix")
+    whole = inputs.posterior(variant, with_model_error=True)
+    poses = inputs.poses(verification=False).select(np.arange(8))
+    variance = inputs.matrix_variance(variant, verification=False)[:8]
+    noise = 1e-3 * inputs.config.data.actuator_noise_um
+    likelihood = PoseLikelihood(whole.likelihood.machine, poses, noise, variance)
+    return Posterior(likelihood, whole.priors, whole.model_error, whole.fixed), whole
+
+
+def test_the_mode_is_that_of_a_search_from_the_beginning(posteriors):
+    before, whole = posteriors
+    start = climb(before, before.approach()).y
+    found, searched = climb(whole, start), find_modes(whole)[0]
+    assert found.converged
+    assert found.log_density == pytest.approx(searched.log_density, abs=1e-3)
+    sd = np.sqrt(np.diag(searched.covariance))
+    assert np.abs((found.y - searched.y) / sd).max() < 0.02
+
+
+@pytest.mark.slow
+def test_an_update_is_what_exploring_anew_finds(posteriors, monkeypatch):
+    before, whole = posteriors
+    updated = update(whole, climb(before, before.approach()).y, N_DRAWS, 3)
+    assert updated.way == "updated"
+    monkeypatch.setattr(updating, "PARETO_K_LIMIT", -np.inf)  # nothing is good enough: all ways are gone
+    monkeypatch.setattr(updating, "sample_posterior", fail)
+    with pytest.raises(ArithmeticError, match="ensembles"):
+        update(whole, None, N_DRAWS, 3)
+    monkeypatch.undo()
+    anew = updating._begin_anew(whole, N_DRAWS, 4)
+    assert anew.way in ("explored", "sampled")
+    spread = anew.draws.std(axis=0)
+    # each mean errs by spread / sqrt(effective draws); a few hundred of these count
+    assert np.abs((updated.draws.mean(axis=0) - anew.draws.mean(axis=0)) / spread).max() < 0.25
+    assert updated.draws.std(axis=0) / spread == pytest.approx(1.0, abs=0.25)
+
+
+def fail(*_arguments):
+    raise ArithmeticError("ensembles")
+
+
+def test_the_same_seed_gives_the_same_draws(posteriors):
+    _, whole = posteriors
+    start = climb(whole, whole.approach()).y
+    assert np.array_equal(update(whole, start, 200, 5).draws, update(whole, start, 200, 5).draws)
