@@ -58,9 +58,7 @@ def find_scales_mode(log_density: LogDensity, start: Array) -> Array:
     return np.asarray(found.x)
 
 
-def sample_scales(
-    log_density: LogDensity, mode: Array, n_draws: int, n_kept: int, rng: np.random.Generator
-) -> Scales:
+def sample_scales(log_density: LogDensity, mode: Array, n_draws: int, n_kept: int, rng: np.random.Generator) -> Scales:
     """Return evidence and draws of scales, from draws of a proposal about their mode.
 
     Parameters

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import norm
 
 from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.calibrated.recheck.statistics import Knowledge, Test, build_test, look_again, predict_knowledge
+from bayescal.calibrated.recheck.statistics import Knowledge, LegTest, build_test, look_again, predict_knowledge
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
@@ -57,7 +57,7 @@ class RecheckPlan:
         Which of the candidates, the most telling first.
     actuators : ndarray, shape (P, N)
         mm.
-    test : Test
+    test : LegTest
         Of all sessions.
     power : ndarray, shape (N,)
         With which the shift of each leg is found.
@@ -66,7 +66,7 @@ class RecheckPlan:
 
     chosen: np.ndarray
     actuators: Array
-    test: Test
+    test: LegTest
     power: Array
     demand: Demand
 
@@ -102,9 +102,7 @@ def _keep_reached(calibrated: CalibratedMachine, actuators: Array) -> Array:
     return actuators[found.converged]
 
 
-def plan_recheck(
-    calibrated: CalibratedMachine, candidates: Array, covariance: Array, demand: Demand
-) -> RecheckPlan:
+def plan_recheck(calibrated: CalibratedMachine, candidates: Array, covariance: Array, demand: Demand) -> RecheckPlan:
     """Return the fewest poses out of candidates (C, N), mm, that meet a demand; covariance (6, 6) of a measured pose.
 
     Raises

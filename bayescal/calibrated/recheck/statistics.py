@@ -132,7 +132,7 @@ def _find_root(covariance: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Test:
+class LegTest:
     """The test of the largest statistic of all legs at any of several looks.
 
     Attributes
@@ -160,10 +160,10 @@ class Test:
         return np.array(found)
 
 
-def build_test(information: Array, false_alarm: float) -> Test:
+def build_test(information: Array, false_alarm: float) -> LegTest:
     """Return the test of information K (J, N, N) at J looks that gives false alarms so often, all looks together."""
     largest = np.abs(_simulate(information, SIMULATED)).max(axis=(0, 2))
-    return Test(float(np.quantile(largest, 1.0 - false_alarm)), false_alarm, information)
+    return LegTest(float(np.quantile(largest, 1.0 - false_alarm)), false_alarm, information)
 
 
 def _simulate(information: Array, n: int) -> Array:

@@ -120,17 +120,17 @@ def _check_apart(config: SessionsConfig, poses: list[MeasuredPoses]) -> None:
 
 def _read_temperatures(session: SessionConfig, poses: MeasuredPoses, folder: Path) -> Array | None:
     """Return the temperature at each calibration pose (P,), °C; None where none is stated."""
-    if session.temperature_C is not None:
-        return np.full(poses.n_poses, session.temperature_C)
+    if session.temperature_celsius is not None:
+        return np.full(poses.n_poses, session.temperature_celsius)
     if session.temperatures is None:
         return None
-    table = read_table(folder / session.temperatures, ("pose", "temperature_C"), ("use",))
+    table = read_table(folder / session.temperatures, ("pose", "temperature_celsius"), ("use",))
     names = table.text("pose")
     table.check_unique([(name,) for name in names], "pose")
     for name in poses.names:
         if name not in names:
             raise InputError(f"{folder / session.temperatures}: found no row of pose {name!r}, expected one")
-    return table.numbers(["temperature_C"])[[names.index(name) for name in poses.names], 0]
+    return table.numbers(["temperature_celsius"])[[names.index(name) for name in poses.names], 0]
 
 
 def _split(config: SessionsConfig, session: int, measured: MeasuredVariant, warmth: Array | None) -> list[Part]:
@@ -144,7 +144,7 @@ def _split(config: SessionsConfig, session: int, measured: MeasuredVariant, warm
         chosen = np.flatnonzero(warmth == temperature)
         some = None if variance is None else variance[chosen]
         likelihood = PoseLikelihood(measured.machine, poses.select(chosen), measured.actuator_noise, some)
-        parts.append(Part(likelihood, session, float(temperature - config.thermal.reference_C)))
+        parts.append(Part(likelihood, session, float(temperature - config.thermal.reference_celsius)))
     return parts
 
 

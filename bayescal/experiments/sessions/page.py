@@ -27,15 +27,15 @@ CLEAR = 3.0
 METHOD = (
     (
         "What is shared?",
-        "All sessions have the study's priors, noise and model errors; parameters that may not move are the same in all "
-        "of them. Those that may move walk at random from session to session, or differ from machine to machine; how far "
-        "is learnt, with a half-normal prior on each scale.",
+        "All sessions have the study's priors, noise and model errors; parameters that may not move are the same in "
+        "all of them. Those that may move walk at random from session to session, or differ from machine to machine; "
+        "how far is learnt, with a half-normal prior on each scale.",
     ),
     (
         "How is it computed?",
-        "Given the scales, parameters of all sessions together are solved for in closed form about their mode; scales "
-        "and evidence come from importance sampling of their marginal density. Every draw is then weighted by the exact "
-        "density of its poses.",
+        "Given the scales, parameters of all sessions together are solved for in closed form about their mode; "
+        "scales and evidence come from importance sampling of their marginal density. Every draw is then weighted by "
+        "the exact density of its poses.",
     ),
     (
         "How does a leg move?",
@@ -121,10 +121,11 @@ def _list_statements(results: Results, walk: bool) -> list[Statement]:
     worst = float(max(models["pareto_k"].max(), models["exact_pareto_k"].max()))
     good = worst <= PARETO_K_LIMIT
     text = (
-        f"Draws agree with the exact density: at least {format_percent(float(models['exact_efficiency'].min()))} of them "
-        f"count; largest Pareto k {format_fixed(worst, 2)}."
+        "Draws agree with the exact density: "
+        f"at least {format_percent(float(models['exact_efficiency'].min()))} of them count; "
+        f"largest Pareto k {format_fixed(worst, 2)}."
         if good
-        else f"Weights have too heavy a tail (Pareto k {format_fixed(worst, 2)}): more draws, or fewer symbols that move."
+        else f"Weights have too heavy a tail (Pareto k {format_fixed(worst, 2)}): more draws, or fewer symbols."
     )
     found.append(Statement(text, "good" if good else "bad", "Computation"))
     return found
@@ -160,7 +161,9 @@ def _tabulate_scales(results: Results, walk: bool) -> Table:
         nats = one["log_odds_moved"]
         odds = Cell(format_fixed(nats, 1, sign=True), "warning" if nats > CLEAR else "plain")
         rows.append([str(one["unit"]), format_estimate(one["mean"], one["sd"]), interval, odds])
-    caption = "Scales of what may move, and log-odds that it does against that it alone stands still, at even prior odds."
+    caption = (
+        "Scales of what may move, and log-odds that it does against that it alone stands still, at even prior odds."
+    )
     return make_table(caption, columns, rows)
 
 
@@ -180,7 +183,7 @@ def _tabulate_sessions(results: Results) -> Table:
             str(one["session"]),
             format_plain(one["day"]) if np.isfinite(one["day"]) else "–",
             str(one["n_poses"]),
-            format_fixed(one["temperature_C"], 1),
+            format_fixed(one["temperature_celsius"], 1),
         ]
         for one in results.table("sessions").to_dict("records")
     ]

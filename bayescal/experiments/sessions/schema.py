@@ -23,7 +23,7 @@ class SessionConfig(Section):
         Of a walk.
     targets, poses, actuators, reference : str or None
         Files in place of the study's.
-    temperature_C : float or None
+    temperature_celsius : float or None
     temperatures : str or None
         File of a temperature for each pose.
     """
@@ -40,15 +40,15 @@ class SessionConfig(Section):
     """CSV file of actuator positions; the study's where nothing is said."""
     reference: InputFile | None = None
     """CSV file of the targets on their bodies; the study's where nothing is said."""
-    temperature_C: Temperature | None = None
+    temperature_celsius: Temperature | None = None
     """Temperature of the machine in the whole session [deg C]."""
     temperatures: InputFile | None = None
-    """CSV file with a temperature for each pose: pose, temperature_C."""
+    """CSV file with a temperature for each pose: pose, temperature_celsius."""
 
     @model_validator(mode="after")
     def _check_one(self) -> Self:
-        if self.temperature_C is not None and self.temperatures is not None:
-            raise ValueError("found temperature_C and temperatures, expected one of them")
+        if self.temperature_celsius is not None and self.temperatures is not None:
+            raise ValueError("found temperature_celsius and temperatures, expected one of them")
         return self
 
 
@@ -64,8 +64,8 @@ class DriftConfig(Section):
     """
 
     hierarchy: Literal["walk", "machines"] = "walk"
-    """`"walk"`: one machine, whose parameters walk at random; `"machines"`: machines of one design, each off its mean."""
-    symbols: Annotated[list[str], Field(min_length=1, max_length=12), AfterValidator(check_once)] = ["l"]
+    """`"walk"`: one machine, whose parameters walk at random; `"machines"`: several of a design, each off its mean."""
+    symbols: Annotated[list[str], AfterValidator(check_once), Field(min_length=1)] = Field(default=["l"])
     """Symbols of free lengths that may move."""
     scale_um: Positive
     """Half-normal prior of each scale: of a walk over the root of a month, of machines the spread between them."""
@@ -87,11 +87,11 @@ class ThermalConfig(Section):
 
     Attributes
     ----------
-    reference_C : float
+    reference_celsius : float
     struts, base, platform : BodyConfig or None
     """
 
-    reference_C: Temperature
+    reference_celsius: Temperature
     """Temperature at which the parameters are what they are called [deg C]."""
     struts: BodyConfig
     """The legs' lengths l."""
@@ -150,9 +150,9 @@ class SessionsConfig(ExperimentConfig):
                     )
         if self.thermal is not None:
             for one in self.sessions:
-                if one.temperature_C is None and one.temperatures is None:
+                if one.temperature_celsius is None and one.temperatures is None:
                     raise ValueError(
-                        f"session {one.label!r}: found no temperature, expected temperature_C or temperatures, as "
-                        "[thermal] needs one of every session"
+                        f"session {one.label!r}: found no temperature, expected temperature_celsius or temperatures, "
+                        "as [thermal] needs one of every session"
                     )
         return self

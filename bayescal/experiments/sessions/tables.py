@@ -100,7 +100,7 @@ def _tabulate_sessions(found: Found) -> pd.DataFrame:
     inputs = found.inputs
     days = [np.nan if one.day is None else one.day for one in inputs.config.sessions]
     return pd.DataFrame(
-        {"session": found.labels, "day": days, "n_poses": inputs.n_poses, "temperature_C": inputs.temperature}
+        {"session": found.labels, "day": days, "n_poses": inputs.n_poses, "temperature_celsius": inputs.temperature}
     )
 
 
