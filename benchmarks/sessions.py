@@ -1,8 +1,8 @@
-"""Sessions on twins: do intervals of a leg's motion hold it, and how often is drift seen where there is none?
+"""Sessions on twins: do intervals of a leg's motion hold it, and how often is drift seen where there is none.
 
 Machines of the tolerances of experiments/m2_hexapod, model errors and drift scales drawn from their priors, measured in
-monthly sessions of a few of that study's poses; then the same with legs that stand still. `python benchmarks/sessions.py
---twins 100`; add `--first N` to do them in parts.
+monthly sessions of a few of that study's poses; then the same with legs that stand still.
+`python benchmarks/sessions.py --twins 100`; add `--first N` to do them in parts.
 """
 
 from __future__ import annotations

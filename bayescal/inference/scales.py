@@ -19,6 +19,7 @@ from bayescal.inference.proposal import MixtureProposal
 from bayescal.numerics.geometry import Array
 
 DOF = 8.0
+LIMITS = (-6.0, 8.0)  # of the search: beyond them the prior alone speaks
 STEP = 0.05  # of differences, prior standard deviations
 LEAST_CURVATURE = 0.3  # of the density; that of the prior is 1
 ROUNDS = 2  # of mending the proposal by weighted draws
@@ -52,7 +53,10 @@ def find_scales_mode(log_density: LogDensity, start: Array) -> Array:
     """Return where a log-density of n coordinates, the standard normal prior included, is largest."""
     if not len(start):
         return start
-    found = minimize(lambda zeta: -log_density(zeta), start, method="L-BFGS-B", bounds=[(-6.0, 8.0)] * len(start))
+    if not np.isfinite(log_density(start)):
+        raise NumericalError("scales: found no density where their search begins")
+    with np.errstate(invalid="ignore"):  # differences of what is nowhere
+        found = minimize(lambda zeta: -log_density(zeta), start, method="L-BFGS-B", bounds=[LIMITS] * len(start))
     if not np.isfinite(found.fun):
         raise NumericalError("scales: found no mode of their density")
     return np.asarray(found.x)

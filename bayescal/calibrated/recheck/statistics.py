@@ -20,8 +20,8 @@ from bayescal.errors import InputError
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import Array
 
-SIMULATED = 200_000
-"""Tests simulated for a threshold: a false alarm of 1 % is met to 0.02 %."""
+SIMULATED = 100_000
+"""Tests simulated for a threshold: a false alarm of 1 % is met to 0.03 %."""
 LENGTH = "l"
 
 
@@ -149,7 +149,7 @@ class LegTest:
     false_alarm: float
     information: Array
 
-    def find_power(self, shift: float, n_simulated: int = SIMULATED // 5) -> Array:
+    def find_power(self, shift: float, n_simulated: int = SIMULATED // 2) -> Array:
         """Return with which probability a shift (mm) of each leg is found at any look, shape (N,)."""
         noise = _simulate(self.information, n_simulated)
         scale = np.sqrt(np.diagonal(self.information, axis1=1, axis2=2))[:, None]

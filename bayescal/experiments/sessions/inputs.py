@@ -129,7 +129,7 @@ def _read_temperatures(session: SessionConfig, poses: MeasuredPoses, folder: Pat
     table.check_unique([(name,) for name in names], "pose")
     for name in poses.names:
         if name not in names:
-            raise InputError(f"{folder / session.temperatures}: found no row of pose {name!r}, expected one")
+            raise InputError(f"{folder / session.temperatures}: found no row of pose {str(name)!r}, expected one")
     return table.numbers(["temperature_celsius"])[[names.index(name) for name in poses.names], 0]
 
 
