@@ -31,7 +31,7 @@ class SessionConfig(Section):
     label: Annotated[str, Field(min_length=1, max_length=60)]
     """Name of the session, or of the machine."""
     day: Number | None = None
-    """Day of the session, counted from any day; a walk needs it."""
+    """Day of the session, counted from any day; a walk needs it [d]."""
     targets: InputFile | None = None
     """CSV file of targets, for a study of targets."""
     poses: InputFile | None = None
