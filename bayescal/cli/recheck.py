@@ -55,11 +55,11 @@ def recheck(
     calibrated = load_calibrated(results, variant, experiment, force)
     if calibrated.covariance is None:
         raise InputError(f"{results}: found no draws of the posterior (posterior/*.nc), expected those of a run")
+    check_out(out)
     if measured:
         stated = _find_stated(results, position_um, orientation_arcsec)
-        _judge(calibrated, measured, actuators, stated, false_alarm, sessions)
+        put(_judge(calibrated, measured, actuators, stated, false_alarm, sessions), out)
         return
-    check_out(out)
     covariance = _find_covariance(results, position_um, orientation_arcsec, like)
     chosen = list_candidates(calibrated, share) if candidates is None else read_candidates(candidates, calibrated)
     demand = Demand(MICROMETRE * shift_um, power, false_alarm, sessions)
@@ -78,16 +78,16 @@ def _judge(
     stated: tuple[float, float] | None,
     false_alarm: float,
     sessions: int,
-) -> None:
-    """Print what measured sessions say."""
+) -> str:
+    """Return in lines what measured sessions say."""
     from bayescal.calibrated.recheck.judge import judge_recheck
     from bayescal.calibrated.recheck.tables import describe_recheck, has_noise, read_session
     from bayescal.data.instruments.read_poses import PoseNoise
 
     noise = [PoseNoise() if has_noise(path) or stated is None else PoseNoise(*stated) for path in measured]
     read = [read_session(path, actuators, one, calibrated) for path, one in zip(measured, noise, strict=True)]
-    for line in describe_recheck(judge_recheck(calibrated, read, false_alarm, sessions)):
-        typer.echo(line)
+    lines = describe_recheck(judge_recheck(calibrated, read, false_alarm, sessions))
+    return "".join(f"{line}\n" for line in lines)
 
 
 def _find_covariance(
