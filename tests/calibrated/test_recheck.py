@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import calibrated_machines as made_up
+import guided_machines
 import numpy as np
 import pytest
 import telescope_machines as machines
 from scipy.stats import norm
 
 from bayescal.api import export_machine
-from bayescal.calibrated.machine import CalibratedMachine
+from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors
 from bayescal.calibrated.recheck.judge import judge_recheck
 from bayescal.calibrated.recheck.plan import Demand, list_candidates, plan_recheck
 from bayescal.calibrated.recheck.statistics import build_test, compute_knowledge, predict_knowledge
@@ -19,7 +20,9 @@ from bayescal.calibrated.recheck.tables import build_covariance
 from bayescal.data.actuators import name_actuators
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.errors import InputError
-from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.machines.deformations import NoDeformation
+from bayescal.machines.kinematics import build_machine, solve_forward_kinematics
+from bayescal.machines.models.six_pus import SixPus
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
 NOISE = build_covariance(15.0, 15.0)
@@ -116,6 +119,25 @@ def test_candidates_lie_within_the_share_of_the_range(calibrated):
     moves = list_candidates(calibrated, 0.5) - mechanism.initial_actuator_positions
     assert np.abs(moves).max() == pytest.approx(0.5 * mechanism.actuator_range)
     assert len(moves) > 700
+
+
+def test_redundant_legs_close_at_the_candidates():
+    """Actuators of eight legs cannot be combined at will: the platform is moved, and the legs follow."""
+    mechanism = guided_machines.build_guided("star", 3, n_legs=8)
+    machine = build_machine(SixPus, mechanism, NoDeformation())
+    source, errors = made_up.SOURCE, IndependentErrors(1e-3, np.zeros(8))
+    free = np.arange(machine.layout.size)
+    covariance = 1e-6 * np.eye(len(free))
+    calibrated = CalibratedMachine(machine, machine.layout.nominal, free, covariance, None, errors, source)
+    actuators = list_candidates(calibrated, 0.5)
+    assert len(actuators) > 100
+    moves = np.abs(actuators - mechanism.initial_actuator_positions)
+    assert moves.max() <= mechanism.actuator_range
+    found = solve_forward_kinematics(machine, calibrated.theta, actuators)
+    here = machine.linearise(calibrated.theta, found.position, found.rotation, actuators)
+    np.testing.assert_allclose(here.residual, 0.0, atol=1e-6)
+    plan = plan_recheck(calibrated, actuators[:40], NOISE, Demand(0.05, sessions=1))
+    assert (len(plan.power), plan.power.min() >= 0.95) == (8, True)
 
 
 def test_what_cannot_be_told_is_refused(calibrated, candidates):

@@ -12,12 +12,12 @@ from scipy.stats import norm
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.recheck.statistics import Knowledge, LegTest, build_test, look_again, predict_knowledge
 from bayescal.errors import InputError
-from bayescal.machines.kinematics import solve_forward_kinematics
-from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
+from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 
 LEVELS = (-1.0, 0.0, 1.0)
 RANDOM = 729
-"""Candidates of machines with redundant legs, whose actuators cannot be combined at will."""
+"""Candidates of machines with redundant legs."""
 EXCHANGES = 3
 HOPEFUL = 0.03  # below the power asked for, from which on a plan is simulated
 
@@ -80,21 +80,31 @@ class RecheckPlan:
 def list_candidates(calibrated: CalibratedMachine, share: float) -> Array:
     """Return actuator positions (C, N), mm, over a share of the range: corners, middles of edges and faces, home.
 
-    Those of redundant legs are poses near home that perfect legs close at, at random.
+    Those of redundant legs, which cannot be combined at will, hold random poses about home.
     """
     mechanism = calibrated.machine.mechanism
     reach = share * mechanism.actuator_range
     if mechanism.n_legs == DEGREES_OF_FREEDOM:
         moves = reach * np.array(list(product(LEVELS, repeat=mechanism.n_legs)))
         return _keep_reached(calibrated, mechanism.initial_actuator_positions + moves)
-    machine, theta, start = calibrated.machine, calibrated.theta, mechanism.initial_actuator_positions
+    return _place_near_home(calibrated, reach)
+
+
+def _place_near_home(calibrated: CalibratedMachine, reach: float) -> Array:
+    """Return the actuator positions (C, N) of random poses at which the one that moves most moves by about a reach."""
+    machine, theta = calibrated.machine, calibrated.theta
+    mechanism = machine.mechanism
+    start = mechanism.initial_actuator_positions
     home = solve_forward_kinematics(machine, theta, start)
     here = machine.linearise(theta, home.position, home.rotation, start)
-    by_pose = -np.linalg.solve(here.actuators, here.pose)
     size = np.array([1.0] * 3 + [1.0 / np.linalg.norm(mechanism.platform_points, axis=1).max()] * 3)
-    moves = np.random.default_rng(0).uniform(-1.0, 1.0, (RANDOM, DEGREES_OF_FREEDOM)) * size @ by_pose.T
-    moves *= reach / np.abs(moves).max(axis=1, keepdims=True)
-    return _keep_reached(calibrated, start + moves)
+    moves = np.random.default_rng(0).uniform(-1.0, 1.0, (RANDOM, DEGREES_OF_FREEDOM)) * size
+    needed = np.abs(moves @ np.linalg.solve(here.actuators, here.pose).T).max(axis=1, keepdims=True)
+    moves *= reach / needed
+    rotation = matrix_from_rotation_vector(moves[:, 3:]) @ home.rotation
+    found = solve_inverse_kinematics(machine, theta, home.position + moves[:, :3], rotation, check=False)
+    within = np.abs(found.actuators - start).max(axis=1) <= mechanism.actuator_range
+    return _keep_reached(calibrated, found.actuators[found.converged & within])
 
 
 def _keep_reached(calibrated: CalibratedMachine, actuators: Array) -> Array:

@@ -40,7 +40,7 @@ class SessionFit:
     @property
     def is_sound(self) -> bool:
         """Whether no weights have too heavy a tail."""
-        return bool(max(self.quality[1], self.quality[3]) <= PARETO_K_LIMIT)
+        return bool(np.max(self.quality[[1, 3]]) <= PARETO_K_LIMIT)
 
 
 def fit_sessions(model: SessionModel, n_draws: int, rng: np.random.Generator) -> SessionFit:
