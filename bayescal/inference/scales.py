@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from bayescal.errors import NumericalError
-from bayescal.inference.importance import Resampled
+from bayescal.inference.importance import Resampled, smooth_weights
 from bayescal.inference.proposal import MixtureProposal
 from bayescal.numerics.geometry import Array
 
@@ -76,7 +76,7 @@ def sample_scales(log_density: LogDensity, mode: Array, n_draws: int, n_kept: in
     """
     if not len(mode):
         value = log_density(mode)
-        return Scales(mode, np.empty((n_kept, 0)), value, 0.0, 1.0, float("-inf"))
+        return Scales(mode, np.empty((n_kept, 0)), value, 0.0, 1.0, 0.0)
     laplace = _find_covariance(log_density, mode)
     proposal = _propose(mode, laplace)
     for _ in range(ROUNDS):
@@ -115,15 +115,13 @@ def _weigh(
 
 def keep_by_weight(draws: Array, log_weights: Array, n_kept: int, rng: np.random.Generator) -> Resampled:
     """Return n_kept out of draws (T, n) by their Pareto-smoothed weights, with efficiency and k of these."""
-    from arviz_stats.base import array_stats  # seconds to import, for those who sample
-
     finite = np.isfinite(log_weights)
     if finite.sum() < len(draws) / 2:
         raise NumericalError("scales: hardly any draw of the proposal has a density")
     if np.ptp(log_weights[finite]) < 1e-12:  # all alike: nothing to smooth
-        return Resampled(draws[rng.choice(len(draws), n_kept)], 1.0, float("-inf"))
-    smoothed, pareto_k = array_stats.psislw(-log_weights[finite])
-    weights = np.exp(smoothed - logsumexp(smoothed))
+        return Resampled(draws[rng.choice(len(draws), n_kept)], 1.0, 0.0)
+    smoothed, pareto_k = smooth_weights(log_weights[finite])
+    weights = np.exp(smoothed)
     chosen = rng.choice(np.flatnonzero(finite), n_kept, p=weights / weights.sum())
     return Resampled(draws[chosen], float(1.0 / (len(draws) * np.sum(weights**2))), float(pareto_k))
 

@@ -70,9 +70,6 @@ def _weigh(fits: dict[str, SessionFit], unit: str) -> float:
 
 
 def _tabulate_models(fits: dict[str, SessionFit]) -> pd.DataFrame:
-    rows = [
-        (name, fit.log_evidence, fit.standard_error, *map(float, np.where(np.isneginf(fit.quality), 0.0, fit.quality)))
-        for name, fit in fits.items()
-    ]
+    rows = [(name, fit.log_evidence, fit.standard_error, *map(float, fit.quality)) for name, fit in fits.items()]
     columns = ["model", "log_evidence", "se", "efficiency", "pareto_k", "exact_efficiency", "exact_pareto_k"]
     return pd.DataFrame(rows, columns=columns)
