@@ -77,7 +77,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--twins", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--draws", type=int, default=600)
+    parser.add_argument("--draws", type=int, default=900)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     experiment, study = load(STUDY)
