@@ -56,6 +56,10 @@ data: $(STAMP)
 	@for folder in telescope m2_hexapod hexaglide camera_hexapod sliding_star; do \
 	  $(BIN)/bayescal simulate experiments/$$folder/simulate.toml --out experiments/$$folder/data || exit $$?; \
 	done
+	@for month in january february march april may june; do \
+	  $(BIN)/bayescal simulate experiments/m2_hexapod_sessions/$$month.toml \
+	    --out experiments/m2_hexapod_sessions/data/$$month || exit $$?; \
+	done
 
 docs: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[docs]"

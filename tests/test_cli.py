@@ -42,6 +42,7 @@ COMMANDS = (
     "command",
     "predict",
     "certificate",
+    "recheck",
 )
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 

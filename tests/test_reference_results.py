@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from bayescal.experiments.audit.audit import analyse
@@ -64,6 +65,19 @@ def test_evidences_agree_and_all_converged(name):
             assert one["converged"]
             assert one["rhat_max"] < 1.01
             assert one["ess_bulk_min"] > 1000
+
+
+def test_sessions_are_those_of_the_committed_config_and_found_what_is_said():
+    results = ROOT / "results" / "m2_hexapod_sessions"
+    summary = json.loads((results / "summary.json").read_text())
+    assert summary["config_sha256"] == hash_shipped(ROOT / "experiments" / "m2_hexapod_sessions" / "sessions.toml")
+    assert all(summary["sound"].values())
+    legs, expansion = (pd.read_csv(results / "tables" / f"{name}.csv") for name in ("legs", "expansion"))
+    whole = legs[(legs["since"] == "January") & (legs["session"] == "June")].set_index("leg").loc[3]
+    page = (DOCS / "howto" / "sessions.md").read_text()
+    assert f"strut 3 longer by {whole['mean']:.1f} ± {whole['sd']:.1f} µm" in page
+    assert f"an expansion of {expansion['mean'][0]:.2f} ± {expansion['sd'][0]:.2f} ppm/K" in " ".join(page.split())
+    assert abs(whole["mean"] - 41.0) < 2.0 * whole["sd"]  # the twin's
 
 
 @pytest.mark.parametrize("name", ["telescope_six_pus_none", "m2_hexapod", "telescope_posterior"])

@@ -29,6 +29,7 @@ SMALL = {
     "sensor_placement": {"workspace_poses": "8", "machines": "4", "simulated_sets": "3", "n_poses": "20"},
     "calibration": {"walkers": "24", "burn_in": "3", "steps": "6", "max_draws": "2000", "folds": "2"}
     | {"draws": "1000"},
+    "sessions": {"draws": "500", "per_leg": "false"},
     "audit": {"simulated_calibrations": "4", "expected_over_draws": "3", "draws": "2000"},
 }
 """By kind of experiment, what stands after the names of its keys in place of what is shipped."""

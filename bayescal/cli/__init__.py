@@ -3,7 +3,7 @@
 # The order of the imports is that of the help.
 # isort: off
 from bayescal.cli.app import app
-from bayescal.cli import run, next_pose, data, machine, certificate, results, project
+from bayescal.cli import run, next_pose, data, machine, certificate, recheck, results, project
 from bayescal.cli.main import OWN_FAULT, TRACEBACK, main
 
 # isort: on
@@ -18,6 +18,7 @@ __all__ = [
     "main",
     "next_pose",
     "project",
+    "recheck",
     "results",
     "run",
 ]

@@ -11,6 +11,7 @@ KINDS = {
     "reading_simulation": "bayescal.experiments.self_calibration.simulation_kind:ReadingSimulation",
     "self_calibration": "bayescal.experiments.self_calibration.kind:SelfCalibration",
     "sensor_placement": "bayescal.experiments.sensor_placement.kind:SensorPlacement",
+    "sessions": "bayescal.experiments.sessions.kind:Sessions",
     "simulation": "bayescal.experiments.simulation.kind:Simulation",
     "study": "bayescal.experiments.study.kind:Study",
     "sweep": "bayescal.experiments.sweep.kind:Sweep",

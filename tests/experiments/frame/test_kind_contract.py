@@ -11,6 +11,7 @@ from pathlib import Path
 import calibrations
 import pytest
 import reading_studies
+import session_studies
 import studies
 import sweeps
 import tiny_experiments
@@ -78,6 +79,7 @@ MAKE = {
     "self_calibration": reading_studies.write_small,
     "self_calibrations": take_tiny("sliding_star/calibrations"),
     "sensor_placement": take_tiny("sliding_star/m2_hexapod_sensors"),
+    "sessions": session_studies.write_sessions,
     "simulation": take_tiny("telescope/simulate"),
     "study": studies.write_tiny_study,
     "sweep": sweeps.write_apart,

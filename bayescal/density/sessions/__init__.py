@@ -1,0 +1,1 @@
+"""Several measurements of one machine, or of machines of one design: what they share, and what moved between them."""

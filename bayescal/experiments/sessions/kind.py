@@ -1,0 +1,60 @@
+"""Sessions as a kind of experiment."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results
+from bayescal.experiments.sessions.compute import compute_sessions
+from bayescal.experiments.sessions.inputs import SessionsInputs, read_sessions
+from bayescal.experiments.sessions.page import build_page
+from bayescal.experiments.sessions.schema import SessionsConfig
+from bayescal.report.blocks import Page
+
+
+class Sessions(Experiment[SessionsConfig, SessionsInputs]):
+    """One machine measured again and again, or machines of one design: what moved, by how much, how sure."""
+
+    schema = SessionsConfig
+    tables_in = "tables"
+
+    def files(self, config: SessionsConfig, folder: Path) -> list[str]:
+        """Return the sessions' files, the study's file and its files."""
+        experiment, study = load(folder / config.study)
+        beside = Path(config.study).parent
+        own = [os.path.normpath(beside / name) for name in experiment.files(study, folder / beside)]
+        return list(dict.fromkeys([*super().files(config, folder), *own]))
+
+    def modules(self, config: SessionsConfig, folder: Path) -> dict[str, str]:
+        """Return the hashes of others' modules that the study's classes stand in."""
+        experiment, study = load(folder / config.study)
+        return experiment.modules(study, (folder / config.study).parent)
+
+    def read(self, config: SessionsConfig, folder: Path) -> SessionsInputs:
+        """Return the sessions' joint model."""
+        return read_sessions(config, folder)
+
+    def doubt(self, inputs: SessionsInputs) -> list[str]:
+        """Return whether temperatures are stated that nothing is made of."""
+        if inputs.config.thermal is not None or not np.isfinite(inputs.temperature).any():
+            return []
+        return ["sessions state temperatures, and there is no [thermal]: what they do counts as drift"]
+
+    def compute(self, inputs: SessionsInputs, run: Run) -> Results:
+        """Return what moved."""
+        return compute_sessions(inputs, run)
+
+    def page(self, results: Results) -> Page:
+        """Return the page."""
+        return build_page(results)
+
+    def list_failures(self, results: Results) -> list[str]:
+        """Return which models have weights that cannot be relied on."""
+        poor = [name for name, sound in results.summary["sound"].items() if not sound]
+        return [f"importance weights of {', '.join(poor)} have too heavy a tail"] if poor else []

@@ -1,0 +1,242 @@
+"""The page of sessions, from their results alone."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pandas as pd
+from matplotlib import figure as mpl
+
+from bayescal.experiments.frame.results import Results
+from bayescal.limits import PARETO_K_LIMIT
+from bayescal.report.blocks import Block, Cell, Column, Definitions, Figure, Page, Section, Statement, Table, make_table
+from bayescal.report.numbers import (
+    format_estimate,
+    format_fixed,
+    format_odds,
+    format_percent,
+    format_plain,
+    format_significant,
+    join_words,
+)
+from bayescal.report.style import GREY, LEG_COLOURS
+
+CLEAR = 3.0
+"""Nats, odds of twenty to one, from which on evidence is called clear."""
+METHOD = (
+    (
+        "What is shared?",
+        "All sessions have the study's priors, noise and model errors; parameters that may not move are the same in "
+        "all of them. Those that may move walk at random from session to session, or differ from machine to machine; "
+        "how far is learnt, with a half-normal prior on each scale.",
+    ),
+    (
+        "How is it computed?",
+        "Given the scales, parameters of all sessions together are solved for in closed form about their mode; "
+        "scales and evidence come from importance sampling of their marginal density. Every draw is then weighted by "
+        "the exact density of its poses.",
+    ),
+    (
+        "How does a leg move?",
+        "Its motion is the change of all parameters that may move, as a change of its length that would do the same at "
+        "home. Single parameters that cannot be told apart still add up to a motion that can.",
+    ),
+)
+
+
+def build_page(results: Results) -> Page:
+    """Return what the page of sessions says."""
+    summary = results.summary
+    walk = summary["hierarchy"] == "walk"
+    sections = [
+        Section("Motion of the legs", (_plot_legs(results, walk), _tabulate_legs(results, walk)), "legs"),
+        Section("Scales", (_tabulate_scales(results, walk),), "scales"),
+    ]
+    if len(results.table("expansion")):
+        sections.append(Section("Expansion", (_tabulate_expansion(results),), "expansion"))
+    sections += [
+        Section("Sessions", (_tabulate_sessions(results),), "sessions"),
+        Section("Evidence", (_tabulate_models(results),), "evidence"),
+        Section("How it was computed", (Definitions(METHOD),), "method"),
+    ]
+    return Page(
+        kind="Sessions",
+        name=summary["name"],
+        title=summary["title"],
+        origin=summary["data_origin"],
+        headline=state_headline(results),
+        verdict=tuple(_list_statements(results, walk)),
+        sections=tuple(sections),
+        facts=(
+            ("Study", f"{summary['study']}, {summary['variant']}"),
+            ("Sessions" if walk else "Machines", str(summary["n_sessions"])),
+            ("Poses", str(summary["n_poses"])),
+        ),
+    )
+
+
+def state_headline(results: Results) -> str:
+    """Return in one sentence whether anything moved, and what."""
+    summary = results.summary
+    nats, what = summary["log_evidence_drift"], "moved" if summary["hierarchy"] == "walk" else "differ"
+    if nats < -CLEAR:
+        return f"Nothing {what}: odds of {format_odds(-nats)} against it."
+    if nats < CLEAR:
+        return f"Whether anything {what} is open: the evidence differs by {format_significant(abs(nats), 2)} nats."
+    moved = _list_moved(results)
+    odds = format_odds(nats)
+    if not moved:
+        return f"Something {what}, odds of {odds}; which part is open."
+    return f"{join_words(moved)} {what}, odds of {odds} against no motion at all."
+
+
+def _list_moved(results: Results) -> list[str]:
+    scales = results.table("scales")
+    return [str(one) for one in scales.loc[scales["log_odds_moved"] > CLEAR, "unit"]]
+
+
+def _list_statements(results: Results, walk: bool) -> list[Statement]:
+    summary, found = results.summary, []
+    nats, error = summary["log_evidence_drift"], summary["log_evidence_drift_se"]
+    text = f"Log-evidence of motion against none: {format_estimate(nats, max(error, 0.01), sign=True)} nats."
+    found.append(Statement(text, "warning" if nats > CLEAR else "plain", "Evidence"))
+    legs = results.table("legs")
+    last = legs[legs["session"] == legs["session"].iloc[-1]]
+    last = last[last["since"] == last["since"].iloc[-1]] if walk else legs
+    largest = last.iloc[int(np.argmax(np.abs(last["mean"])))]
+    where = f"between {largest['since']} and {largest['session']}" if walk else f"in {largest['session']}"
+    text = (
+        f"Leg {largest['leg']} is off most {where}: {format_estimate(largest['mean'], largest['sd'], sign=True)} µm; "
+        f"beyond {format_plain(summary['shift_um'])} µm with a probability of {format_percent(largest['beyond'], 1)}."
+    )
+    found.append(Statement(text, "plain", "Largest motion"))
+    for _, one in results.table("expansion").iterrows():
+        text = (
+            f"{str(one['body']).capitalize()} expand by {format_estimate(one['mean'], one['sd'])} ppm/K; "
+            f"{format_estimate(one['prior_mean'], one['prior_sd'])} were expected."
+        )
+        found.append(Statement(text, "plain", "Temperature"))
+    models = results.table("models")
+    worst = float(max(models["pareto_k"].max(), models["exact_pareto_k"].max()))
+    good = worst <= PARETO_K_LIMIT
+    text = (
+        "Draws agree with the exact density: "
+        f"at least {format_percent(float(models['exact_efficiency'].min()))} of them count; "
+        f"largest Pareto k {format_fixed(worst, 2)}."
+        if good
+        else f"Weights have too heavy a tail (Pareto k {format_fixed(worst, 2)}): more draws, or fewer symbols."
+    )
+    found.append(Statement(text, "good" if good else "bad", "Computation"))
+    return found
+
+
+# --- tables ------------------------------------------------------------------------------------------------------
+
+
+def _tabulate_legs(results: Results, walk: bool) -> Table:
+    columns = [
+        Column("Since" if walk else "From", kind="name"),
+        Column("Session" if walk else "Machine", kind="name"),
+        Column("Leg", kind="text"),
+        Column("moved by", "µm"),
+        Column("90 % interval", "µm"),
+        Column("beyond", f"{format_plain(results.summary['shift_um'])} µm"),
+    ]
+    rows: list[list[str | Cell]] = []
+    for one in results.table("legs").to_dict("records"):
+        interval = f"{format_fixed(one['q05'], 1)} to {format_fixed(one['q95'], 1)}"
+        sure = Cell(format_percent(one["beyond"], 1), "warning" if one["beyond"] > 0.5 else "plain")
+        moved = format_estimate(one["mean"], one["sd"], sign=True)
+        rows.append([str(one["since"]), str(one["session"]), str(one["leg"]), moved, interval, sure])
+    return make_table("Motion of every leg, as a change of its length, with its standard deviation.", columns, rows)
+
+
+def _tabulate_scales(results: Results, walk: bool) -> Table:
+    unit = "µm per √month" if walk else "µm"
+    columns = [Column("Moves", kind="name"), Column("scale", unit), Column("90 % interval", unit), Column("odds, log")]
+    rows: list[list[str | Cell]] = []
+    for one in results.table("scales").to_dict("records"):
+        interval = f"{format_fixed(one['q05'], 1)} to {format_fixed(one['q95'], 1)}"
+        nats = one["log_odds_moved"]
+        odds = Cell(format_fixed(nats, 1, sign=True), "warning" if nats > CLEAR else "plain")
+        rows.append([str(one["unit"]), format_estimate(one["mean"], one["sd"]), interval, odds])
+    caption = (
+        "Scales of what may move, and log-odds that it does against that it alone stands still, at even prior odds."
+    )
+    return make_table(caption, columns, rows)
+
+
+def _tabulate_expansion(results: Results) -> Table:
+    columns = [Column("Body", kind="name"), Column("expected", "ppm/K"), Column("found", "ppm/K")]
+    rows = [
+        [str(one["body"]), format_estimate(one["prior_mean"], one["prior_sd"]), format_estimate(one["mean"], one["sd"])]
+        for one in results.table("expansion").to_dict("records")
+    ]
+    return make_table("Coefficients of expansion.", columns, rows)
+
+
+def _tabulate_sessions(results: Results) -> Table:
+    columns = [Column("Session", kind="name"), Column("Day"), Column("Poses"), Column("Temperature", "°C")]
+    rows = [
+        [
+            str(one["session"]),
+            format_plain(one["day"]) if np.isfinite(one["day"]) else "–",
+            str(one["n_poses"]),
+            format_fixed(one["temperature_celsius"], 1),
+        ]
+        for one in results.table("sessions").to_dict("records")
+    ]
+    return make_table("What was measured.", columns, rows)
+
+
+def _tabulate_models(results: Results) -> Table:
+    columns = [
+        Column("Model", kind="name"),
+        Column("log-evidence", "nats"),
+        Column("efficiency", group="Scales"),
+        Column("k", group="Scales"),
+        Column("efficiency", group="Against the exact density"),
+        Column("k", group="Against the exact density"),
+    ]
+    rows = [
+        [
+            str(one["model"]),
+            format_estimate(one["log_evidence"], max(one["se"], 0.001)),
+            format_percent(one["efficiency"]),
+            format_fixed(one["pareto_k"], 2),
+            format_percent(one["exact_efficiency"]),
+            format_fixed(one["exact_pareto_k"], 2),
+        ]
+        for one in results.table("models").to_dict("records")
+    ]
+    return make_table("Evidence of every model, and how good the draws behind it are.", columns, rows)
+
+
+def _plot_legs(results: Results, walk: bool) -> Block:
+    caption = (
+        "Motion of every leg from one session to the next: mean and 90 % interval of each step."
+        if walk
+        else "Every leg of every machine, off the mean of all: mean and 90 % interval."
+    )
+    return Figure("legs", caption, partial(draw_legs, results.table("legs"), walk))
+
+
+def draw_legs(legs: pd.DataFrame, walk: bool) -> mpl.Figure:
+    """Return the legs' motion over the sessions, a panel for each leg."""
+    numbers = list(dict.fromkeys(legs["leg"]))
+    ends = legs[legs["leg"] == numbers[0]][["since", "session"]]
+    steps = len(ends) - 1 if walk and len(ends) > 1 else len(ends)  # the last row sets the first against the last
+    figure = mpl.Figure(figsize=(9.4, 1.6 + 1.6 * ((len(numbers) - 1) // 3 + 1)))
+    panels = figure.subplots(-(-len(numbers) // 3), min(3, len(numbers)), sharex=True, sharey=True, squeeze=False)
+    for axes, leg in zip(panels.ravel(), numbers, strict=False):
+        mine = legs[legs["leg"] == leg].iloc[:steps]
+        at, mean = np.arange(len(mine)), mine["mean"].to_numpy(dtype=float)
+        bars = np.abs(mine[["q05", "q95"]].to_numpy(dtype=float).T - mean)
+        axes.errorbar(at, mean, yerr=bars, fmt="o", markersize=3.5, color=LEG_COLOURS[(int(leg) - 1) % 6])
+        axes.axhline(0.0, color=GREY, linewidth=0.8)
+        axes.set_title(f"Leg {leg}")
+        axes.set_xticks(at, [str(one) for one in mine["session"]], rotation=45, ha="right")
+    for axes in panels[:, 0]:
+        axes.set_ylabel("Step, µm" if walk else "Off the mean, µm")
+    return figure

@@ -1,0 +1,158 @@
+"""The schema of sessions."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, FiniteFloat, model_validator
+
+from bayescal.config.sections import ExperimentConfig, InputFile, Number, Positive, Section, check_once
+
+type Temperature = Annotated[FiniteFloat, Field(ge=-273.15, le=2000.0)]
+type Expansion = Annotated[FiniteFloat, Field(ge=-1000.0, le=1000.0)]
+type ExpansionSd = Annotated[FiniteFloat, Field(gt=0.0, le=1000.0)]
+
+
+class SessionConfig(Section):
+    """One session: what was measured, when, and how warm it was.
+
+    Attributes
+    ----------
+    label : str
+    day : float or None
+        Of a walk.
+    targets, poses, actuators, reference : str or None
+        Files in place of the study's.
+    temperature_celsius : float or None
+    temperatures : str or None
+        File of a temperature for each pose.
+    """
+
+    label: Annotated[str, Field(min_length=1, max_length=60)]
+    """Name of the session, or of the machine."""
+    day: Number | None = None
+    """Day of the session, counted from any day; a walk needs it [d]."""
+    targets: InputFile | None = None
+    """CSV file of targets, for a study of targets."""
+    poses: InputFile | None = None
+    """CSV file of poses, for a study of poses."""
+    actuators: InputFile | None = None
+    """CSV file of actuator positions; the study's where nothing is said."""
+    reference: InputFile | None = None
+    """CSV file of the targets on their bodies; the study's where nothing is said."""
+    temperature_celsius: Temperature | None = None
+    """Temperature of the machine in the whole session [deg C]."""
+    temperatures: InputFile | None = None
+    """CSV file with a temperature for each pose: pose, temperature_celsius."""
+
+    @model_validator(mode="after")
+    def _check_one(self) -> Self:
+        if self.temperature_celsius is not None and self.temperatures is not None:
+            raise ValueError("found temperature_celsius and temperatures, expected one of them")
+        return self
+
+
+class DriftConfig(Section):
+    """What may move between sessions, and how much of it is expected.
+
+    Attributes
+    ----------
+    hierarchy : str
+    symbols : list of str
+    scale_um : float
+    per_leg : bool
+    """
+
+    hierarchy: Literal["walk", "machines"] = "walk"
+    """`"walk"`: one machine, whose parameters walk at random; `"machines"`: several of a design, each off its mean."""
+    symbols: Annotated[list[str], AfterValidator(check_once), Field(min_length=1)] = Field(default=["l"])
+    """Symbols of free lengths that may move."""
+    scale_um: Positive
+    """Half-normal prior of each scale: of a walk over the root of a month, of machines the spread between them."""
+    per_leg: bool = True
+    """Whether every leg has a scale of its own for every symbol, or all legs share one."""
+
+
+class BodyConfig(Section):
+    """Expansion of a body, normal under the prior."""
+
+    ppm: Expansion
+    """Expected coefficient [1e-6 / K]."""
+    sd_ppm: ExpansionSd
+    """Standard deviation of the coefficient about it [1e-6 / K]."""
+
+
+class ThermalConfig(Section):
+    """Lengths by temperature: L (1 + α (T - reference)).
+
+    Attributes
+    ----------
+    reference_celsius : float
+    struts, base, platform : BodyConfig or None
+    """
+
+    reference_celsius: Temperature
+    """Temperature at which the parameters are what they are called [deg C]."""
+    struts: BodyConfig
+    """The legs' lengths l."""
+    base: BodyConfig | None = None
+    """The base points a; they stay where they are without it."""
+    platform: BodyConfig | None = None
+    """The platform points b; they stay where they are without it."""
+
+
+class SessionsConfig(ExperimentConfig):
+    """Sessions of one machine, or of machines of one design.
+
+    Attributes
+    ----------
+    study : str
+        Its file.
+    variant : str
+    origin : str
+    sessions : list of SessionConfig
+    drift : DriftConfig
+    thermal : ThermalConfig or None
+    shift_um : float
+    draws : int
+    """
+
+    kind: Literal["sessions"]
+    """`"sessions"`."""
+    study: InputFile
+    """The study's TOML file: machine, priors, noise and model error are those of one of its variants."""
+    variant: str
+    """The variant, by its name."""
+    origin: str
+    """Where the data come from, in words: measured or simulated."""
+    sessions: Annotated[list[SessionConfig], Field(min_length=2, max_length=60)]
+    """The sessions, in the order of their days."""
+    drift: DriftConfig
+    """What may move between them."""
+    thermal: ThermalConfig | None = None
+    """What the temperature does; nothing without it."""
+    shift_um: Positive = 20.0
+    """A motion of a leg from which on it counts: the probability that it moved further is told."""
+    draws: Annotated[int, Field(ge=500, le=200_000)] = 3000
+    """Draws for every evidence, a third of which stand for the posterior."""
+
+    @model_validator(mode="after")
+    def _check_sessions(self) -> Self:
+        check_once([one.label for one in self.sessions])
+        if self.drift.hierarchy == "walk":
+            for one, before in zip(self.sessions, [None, *self.sessions], strict=False):
+                if one.day is None:
+                    raise ValueError(f"session {one.label!r}: found no day, expected one, since parameters walk")
+                if before is not None and before.day is not None and one.day <= before.day:
+                    raise ValueError(
+                        f"session {one.label!r}: found day {one.day:g} after day {before.day:g} of "
+                        f"{before.label!r}, expected sessions in the order of their days"
+                    )
+        if self.thermal is not None:
+            for one in self.sessions:
+                if one.temperature_celsius is None and one.temperatures is None:
+                    raise ValueError(
+                        f"session {one.label!r}: found no temperature, expected temperature_celsius or temperatures, "
+                        "as [thermal] needs one of every session"
+                    )
+        return self

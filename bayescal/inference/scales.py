@@ -1,0 +1,151 @@
+"""A few scales by their marginal density in closed form: mode, proposal, and draws by importance.
+
+In coordinates that are standard normal under the prior a scale that the data do not need has nearly the prior's shape,
+and one that they need nearly a normal one: a Student t about the mode, mended once by its own weights, covers both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import logsumexp
+
+from bayescal.errors import NumericalError
+from bayescal.inference.importance import Resampled, smooth_weights
+from bayescal.inference.proposal import MixtureProposal
+from bayescal.numerics.geometry import Array
+
+DOF = 8.0
+LIMITS = (-6.0, 8.0)  # of the search: beyond them the prior alone speaks
+STEP = 0.05  # of differences, prior standard deviations
+LEAST_CURVATURE = 0.3  # of the density; that of the prior is 1
+ROUNDS = 2  # of mending the proposal by weighted draws
+FEW = 3.0  # effective draws for each coordinate, as many as Laplace's covariance counts beside theirs
+
+type LogDensity = Callable[[Array], float]
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """What a marginal density of n coordinates says.
+
+    Attributes
+    ----------
+    mode : ndarray, shape (n,)
+    draws : ndarray, shape (T, n)
+    log_evidence, standard_error : float
+    efficiency, pareto_k : float
+        Of the weights, as of `ImportanceEvidence`.
+    """
+
+    mode: Array
+    draws: Array
+    log_evidence: float
+    standard_error: float
+    efficiency: float
+    pareto_k: float
+
+
+def find_scales_mode(log_density: LogDensity, start: Array) -> Array:
+    """Return where a log-density of n coordinates, the standard normal prior included, is largest."""
+    if not len(start):
+        return start
+    if not np.isfinite(log_density(start)):
+        raise NumericalError("scales: found no density where their search begins")
+    with np.errstate(invalid="ignore"):  # differences of what is nowhere
+        found = minimize(lambda zeta: -log_density(zeta), start, method="L-BFGS-B", bounds=[LIMITS] * len(start))
+    if not np.isfinite(found.fun):
+        raise NumericalError("scales: found no mode of their density")
+    return np.asarray(found.x)
+
+
+def sample_scales(log_density: LogDensity, mode: Array, n_draws: int, n_kept: int, rng: np.random.Generator) -> Scales:
+    """Return evidence and draws of scales, from draws of a proposal about their mode.
+
+    Parameters
+    ----------
+    log_density : callable
+        Of one vector (n,), the standard normal prior included.
+    mode : ndarray, shape (n,)
+    n_draws, n_kept : int
+        Draws of the proposal, and how many of them are kept by their weights.
+    rng : Generator
+    """
+    if not len(mode):
+        value = log_density(mode)
+        return Scales(mode, np.empty((n_kept, 0)), value, 0.0, 1.0, 0.0)
+    laplace = _find_covariance(log_density, mode)
+    proposal = _propose(mode, laplace)
+    for _ in range(ROUNDS):
+        draws = proposal.draw(max(n_draws // 4, 20 * len(mode)), rng)
+        log_weights = _evaluate(log_density, draws) - proposal.log_density(draws)
+        proposal = _mend(draws, np.exp(log_weights - logsumexp(log_weights)), laplace)
+    return _weigh(log_density, proposal, mode, n_draws, n_kept, rng)
+
+
+def _propose(mean: Array, covariance: Array) -> MixtureProposal:
+    return MixtureProposal(np.ones(1), mean[None], _factor(covariance)[None], DOF)
+
+
+def _mend(draws: Array, weights: Array, laplace: Array) -> MixtureProposal:
+    """Return a proposal with the moments of weighted draws; few effective ones hardly change Laplace's covariance."""
+    mean, effective, few = weights @ draws, 1.0 / np.sum(weights**2), FEW * draws.shape[1]
+    spread = (draws - mean).T * weights @ (draws - mean)
+    return _propose(mean, (effective * spread + few * laplace) / (effective + few))
+
+
+def _weigh(
+    log_density: LogDensity,
+    proposal: MixtureProposal,
+    mode: Array,
+    n_draws: int,
+    n_kept: int,
+    rng: np.random.Generator,
+) -> Scales:
+    draws = proposal.draw(n_draws, rng)
+    log_weights = _evaluate(log_density, draws) - proposal.log_density(draws)
+    log_evidence = float(logsumexp(log_weights) - np.log(n_draws))
+    error = np.std(np.exp(log_weights - log_evidence), ddof=1) / np.sqrt(n_draws)
+    kept = keep_by_weight(draws, log_weights, n_kept, rng)
+    return Scales(mode, kept.draws, log_evidence, float(error), kept.efficiency, kept.pareto_k)
+
+
+def keep_by_weight(draws: Array, log_weights: Array, n_kept: int, rng: np.random.Generator) -> Resampled:
+    """Return n_kept out of draws (T, n) by their Pareto-smoothed weights, with efficiency and k of these."""
+    finite = np.isfinite(log_weights)
+    if finite.sum() < len(draws) / 2:
+        raise NumericalError("scales: hardly any draw of the proposal has a density")
+    if np.ptp(log_weights[finite]) < 1e-12:  # all alike: nothing to smooth
+        return Resampled(draws[rng.choice(len(draws), n_kept)], 1.0, 0.0)
+    smoothed, pareto_k = smooth_weights(log_weights[finite])
+    weights = np.exp(smoothed)
+    chosen = rng.choice(np.flatnonzero(finite), n_kept, p=weights / weights.sum())
+    return Resampled(draws[chosen], float(1.0 / (len(draws) * np.sum(weights**2))), float(pareto_k))
+
+
+def _evaluate(log_density: LogDensity, draws: Array) -> Array:
+    values = np.array([log_density(one) for one in draws])
+    values[~np.isfinite(values)] = -np.inf
+    return values
+
+
+def _find_covariance(log_density: LogDensity, mode: Array) -> Array:
+    """Return minus the inverse Hessian at the mode by differences, kept no wider than tails need."""
+    n, centre = len(mode), log_density(mode)
+    steps = STEP * np.eye(n)
+    ahead = np.array([log_density(mode + step) for step in steps])
+    behind = np.array([log_density(mode - step) for step in steps])
+    hessian = np.diag((ahead - 2.0 * centre + behind) / STEP**2)
+    for i in range(n):
+        for j in range(i):
+            both = log_density(mode + steps[i] + steps[j])
+            hessian[i, j] = hessian[j, i] = (both - ahead[i] - ahead[j] + centre) / STEP**2
+    values, vectors = np.linalg.eigh(-0.5 * (hessian + hessian.T))
+    return np.asarray(vectors / np.maximum(values, LEAST_CURVATURE) @ vectors.T)
+
+
+def _factor(covariance: Array) -> Array:
+    return np.linalg.cholesky(covariance + 1e-9 * np.eye(len(covariance)))

@@ -1,0 +1,113 @@
+"""How often `bayescal recheck` is wrong: false alarms, shifts of a leg found, the leg named, on twins of a hexapod.
+
+Every twin is a machine of the tolerances of experiments/m2_hexapod, calibrated by the 40 poses of that study, all
+simulated with real kinematics. A plan is made for it, and its sessions are simulated twice: as it was calibrated, and
+with one leg longer by the shift. `python benchmarks/recheck.py --twins 400`; add `--first N` to do them in parts.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors, Source
+from bayescal.calibrated.recheck.judge import judge_recheck
+from bayescal.calibrated.recheck.plan import Demand, list_candidates, plan_recheck
+from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.experiments.check.subject import Subject
+from bayescal.experiments.frame.load import load
+from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
+
+STUDY = Path(__file__).parents[1] / "experiments" / "m2_hexapod" / "study.toml"
+VARIANT = "six_ups/none"
+SHARE = 0.9
+
+
+def calibrate(subject: Subject, poses: MeasuredPoses) -> CalibratedMachine:
+    """Return the machine as a calibration by poses leaves it, by Laplace's approximation; the twins have no τ."""
+    posterior = subject.posterior_of(poses)
+    y = posterior.polish(posterior.approach())
+    change = posterior.coordinates.jacobian(posterior.theta(y[None])[0])[posterior.coordinates.free]
+    data, prior = posterior.information(y)
+    covariance = change @ np.linalg.inv(data + prior) @ change.T
+    machine = subject.measured.machine
+    errors = IndependentErrors(subject.measured.actuator_noise, np.zeros(machine.mechanism.n_legs))
+    theta, free = posterior.theta(y[None])[0], posterior.coordinates.free
+    return CalibratedMachine(machine, theta, free, covariance, None, errors, Source("twin", VARIANT, "simulated"))
+
+
+def measure(
+    subject: Subject, theta: Array, actuators: Array, covariance: Array, rng: np.random.Generator
+) -> MeasuredPoses:
+    """Return poses of a true machine θ (D,) as an instrument of a covariance (6, 6) sees them."""
+    actual = actuators + rng.normal(0.0, subject.measured.actuator_noise, actuators.shape)
+    found = solve_forward_kinematics(subject.measured.machine, theta, actual)
+    noise = rng.multivariate_normal(np.zeros(6), covariance, len(actuators), method="cholesky")
+    rotation = matrix_from_rotation_vector(noise[:, 3:]) @ found.rotation
+    names = tuple(f"R{k + 1}" for k in range(len(actuators)))
+    spread = np.broadcast_to(covariance, (len(actuators), 6, 6))
+    return MeasuredPoses(names, found.position + noise[:, :3], rotation, spread, actuators)
+
+
+def try_twin(subject: Subject, demand: Demand, seed: int) -> dict[str, object]:
+    """Return what rechecks say of one twin."""
+    rng = np.random.default_rng([2026, seed])
+    truth, poses = subject.simulate_from_prior(rng)
+    calibrated, covariance = calibrate(subject, poses), subject.measured.poses.covariance.mean(axis=0)
+    plan = plan_recheck(calibrated, list_candidates(calibrated, SHARE), covariance, demand)
+    theta, leg = subject.theta_of(truth)[0], int(rng.integers(6))
+    length = subject.measured.machine.layout.index["l"][leg]
+    row: dict[str, object] = {"twin": seed, "poses": len(plan.chosen), "leg": leg + 1, "promised": plan.power[leg]}
+    for name, shift in (("holds", 0.0), ("moved", demand.shift * (1.0 if rng.random() < 0.5 else -1.0))):
+        theta_now = theta.copy()
+        theta_now[length] += shift
+        sessions = [measure(subject, theta_now, plan.actuators, covariance, rng) for _ in range(demand.sessions)]
+        found = judge_recheck(calibrated, sessions, demand.false_alarm, demand.sessions)
+        row |= {f"{name}_found": not found.holds, f"{name}_leg": found.leg + 1, f"{name}_odd": found.is_odd}
+        row[f"{name}_first"] = bool(np.abs(found.statistic[0]).max() > found.threshold)
+        row[f"{name}_z"] = (found.shift[leg] - shift) / found.sd[leg]
+    return row
+
+
+def main() -> None:
+    """Print shares with their standard errors."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--twins", type=int, default=400)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--shift-um", type=float, default=20.0)
+    parser.add_argument("--sessions", type=int, default=2)
+    parser.add_argument("--out", type=Path)
+    given = parser.parse_args()
+    experiment, study = load(STUDY)
+    subject = Subject(experiment.measure(study, STUDY, experiment.list_variants(study)[VARIANT], False))
+    demand = Demand(1e-3 * given.shift_um, sessions=given.sessions)
+    table = pd.DataFrame([try_twin(subject, demand, given.first + k) for k in range(given.twins)])
+    if given.out is not None:
+        table.to_csv(given.out, index=False)
+    report(table)
+
+
+def report(table: pd.DataFrame) -> None:
+    """Print what the twins of a table tell."""
+    right = table["moved_leg"] == table["leg"]
+    shares = {
+        "false alarms": table["holds_found"],
+        "found": table["moved_found"],
+        "found at the first session": table["moved_first"],
+        "leg named rightly where found": right[table["moved_found"]],
+        "something else suspected, none there": table["holds_odd"],
+    }
+    print(f"{len(table)} twins, {table['poses'].min()} to {table['poses'].max()} poses a session")
+    print(f"promised: found in {100 * table['promised'].mean():.1f} %")
+    for name, share in shares.items():
+        p = float(share.mean())
+        print(f"{name}: {100 * p:.1f} ± {100 * np.sqrt(max(p * (1 - p), 1 / len(share)) / len(share)):.1f} %")
+    print(f"rms of errors over stated sd: {np.sqrt(np.mean(table['moved_z'] ** 2)):.3f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,276 @@
+"""Rechecks: statistics against brute force, plans that are short and keep their promise, the command as it is used."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import calibrated_machines as made_up
+import guided_machines
+import numpy as np
+import pytest
+import telescope_machines as machines
+from scipy.stats import norm
+
+from bayescal.api import export_machine
+from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors
+from bayescal.calibrated.recheck.judge import judge_recheck
+from bayescal.calibrated.recheck.plan import Demand, list_candidates, plan_recheck
+from bayescal.calibrated.recheck.statistics import build_test, compute_knowledge, predict_knowledge
+from bayescal.calibrated.recheck.tables import build_covariance
+from bayescal.data.actuators import name_actuators
+from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.errors import InputError
+from bayescal.machines.deformations import NoDeformation
+from bayescal.machines.kinematics import build_machine, solve_forward_kinematics
+from bayescal.machines.models.six_pus import SixPus
+from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
+
+NOISE = build_covariance(15.0, 15.0)
+DEMAND = Demand(shift=0.02, sessions=2)
+
+
+@pytest.fixture(scope="module")
+def calibrated() -> CalibratedMachine:
+    """Return the telescope calibrated to some micrometres, made up."""
+    return made_up.build_made_up(machines.build_machine("none"), np.random.default_rng(4), scale=1e-3)
+
+
+@pytest.fixture(scope="module")
+def candidates(calibrated) -> np.ndarray:
+    """Return some of all candidates, among which a plan is found in no time."""
+    return list_candidates(calibrated, 0.8)[::20]
+
+
+@pytest.fixture(scope="module")
+def plan(calibrated, candidates):
+    return plan_recheck(calibrated, candidates, NOISE, DEMAND)
+
+
+def measure(calibrated, actuators, rng, shift=0.0, leg=0) -> MeasuredPoses:
+    """Return measured poses of a machine with one leg longer by a shift, mm."""
+    theta = calibrated.theta.copy()
+    theta[calibrated.machine.layout.index["l"][leg]] += shift
+    found = solve_forward_kinematics(calibrated.machine, theta, actuators)
+    here = calibrated.machine.linearise(theta, found.position, found.rotation, actuators)
+    spread = calibrated.errors.covariance(actuators * 0.0, here.actuators)
+    legs = np.einsum("pij,pj->pi", np.linalg.cholesky(spread), rng.standard_normal(actuators.shape))
+    noise = rng.multivariate_normal(np.zeros(6), NOISE, len(actuators))
+    noise += np.linalg.solve(here.pose, legs[..., None])[..., 0]
+    rotation = matrix_from_rotation_vector(noise[:, 3:]) @ found.rotation
+    names = tuple(f"R{k:02d}" for k in range(1, len(actuators) + 1))
+    return MeasuredPoses(names, found.position + noise[:, :3], rotation, np.tile(NOISE, (len(noise), 1, 1)), actuators)
+
+
+def test_scores_are_those_of_generalised_least_squares(calibrated, plan, rng):
+    """Against the covariance of all closures with what the calibration does not know in it."""
+    session = measure(calibrated, plan.actuators[:3], rng)
+    arguments = (session.position, session.rotation, session.actuators)
+    knowledge = compute_knowledge(calibrated, *arguments, session.covariance)
+    here = calibrated.machine.linearise(calibrated.theta, *arguments)
+    legs = calibrated.errors.covariance(session.actuators * 0.0, here.actuators)
+    slope = here.parameters[..., calibrated.free].reshape(18, -1)
+    covariance = slope @ calibrated.covariance @ slope.T
+    for k, block in enumerate(here.pose @ session.covariance @ np.swapaxes(here.pose, 1, 2) + legs):
+        covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += block
+    moves = -here.parameters[..., calibrated.machine.layout.index["l"]].reshape(18, 6)
+    weighted = np.linalg.solve(covariance, np.column_stack([moves, here.residual.ravel()]))
+    score, information = knowledge.score(knowledge.gram.sum(axis=0))
+    np.testing.assert_allclose(information, moves.T @ weighted[:, :6], rtol=1e-6, atol=1e-6 * information.max())
+    np.testing.assert_allclose(score, moves.T @ weighted[:, 6], rtol=1e-6, atol=1e-6 * np.abs(score).max())
+    square = here.residual.ravel() @ weighted[:, 6]
+    assert knowledge.left_over(knowledge.gram.sum(axis=0)) == pytest.approx(square, rel=1e-6)
+
+
+def test_adding_a_pose_is_adding_its_matrix(calibrated, plan):
+    knowledge = predict_knowledge(calibrated, plan.actuators, NOISE)
+    gram = knowledge.gram[:2].sum(axis=0)
+    expected = np.diagonal(knowledge.score(3 * (gram + knowledge.gram))[1], axis1=1, axis2=2)
+    np.testing.assert_allclose(knowledge.add_each(gram, 3), expected, rtol=1e-8)
+
+
+def test_the_threshold_of_independent_legs_is_sidaks():
+    test = build_test(np.eye(5)[None] * np.arange(1.0, 6.0), 0.05)
+    assert test.threshold == pytest.approx(norm.isf(0.5 * (1.0 - 0.95 ** (1 / 5))), abs=0.02)
+    power = test.find_power(3.0)
+    assert (np.diff(power) > 0.0).all()  # the more is known of a leg
+    own = norm.sf(test.threshold - 3.0 * np.sqrt(5.0))
+    assert own < power[-1] < own + 0.05
+
+
+def test_a_plan_keeps_its_promise_with_as_few_poses_as_any(calibrated, candidates):
+    """Two poses do what no single one out of the same candidates does."""
+    demand = Demand(0.03, sessions=1)
+    plan = plan_recheck(calibrated, candidates, NOISE, demand)
+    assert plan.power.min() >= demand.power
+    assert len(set(plan.chosen)) == len(plan.chosen) == 2
+    knowledge = predict_knowledge(calibrated, candidates, NOISE)
+    alone = [build_test(knowledge.score(one)[1][None], demand.false_alarm) for one in knowledge.gram[:12]]
+    assert max(test.find_power(demand.shift).min() for test in alone) < demand.power
+
+
+def test_more_sessions_take_fewer_poses(calibrated, candidates, plan):
+    alone = plan_recheck(calibrated, candidates, NOISE, Demand(DEMAND.shift, sessions=1))
+    assert len(alone.chosen) > len(plan.chosen) > 1
+    assert plan.power_by_session[0] < plan.power_by_session[1] == plan.power.min()
+
+
+def test_candidates_lie_within_the_share_of_the_range(calibrated):
+    mechanism = calibrated.machine.mechanism
+    moves = list_candidates(calibrated, 0.5) - mechanism.initial_actuator_positions
+    assert np.abs(moves).max() == pytest.approx(0.5 * mechanism.actuator_range)
+    assert len(moves) > 700
+
+
+def test_redundant_legs_close_at_the_candidates():
+    """Actuators of eight legs cannot be combined at will: the platform is moved, and the legs follow."""
+    mechanism = guided_machines.build_guided("star", 3, n_legs=8)
+    machine = build_machine(SixPus, mechanism, NoDeformation())
+    source, errors = made_up.SOURCE, IndependentErrors(1e-3, np.zeros(8))
+    free = np.arange(machine.layout.size)
+    covariance = 1e-6 * np.eye(len(free))
+    calibrated = CalibratedMachine(machine, machine.layout.nominal, free, covariance, None, errors, source)
+    actuators = list_candidates(calibrated, 0.5)
+    assert len(actuators) > 100
+    moves = np.abs(actuators - mechanism.initial_actuator_positions)
+    assert moves.max() <= mechanism.actuator_range
+    found = solve_forward_kinematics(machine, calibrated.theta, actuators)
+    here = machine.linearise(calibrated.theta, found.position, found.rotation, actuators)
+    np.testing.assert_allclose(here.residual, 0.0, atol=1e-6)
+    plan = plan_recheck(calibrated, actuators[:40], NOISE, Demand(0.05, sessions=1))
+    assert (len(plan.power), plan.power.min() >= 0.95) == (8, True)
+
+
+def test_what_cannot_be_told_is_refused(calibrated, candidates):
+    with pytest.raises(InputError, match=r"poses tell a shift of 1 µm with .* % in 1 sessions, expected 95 %"):
+        plan_recheck(calibrated, candidates[:9], NOISE, Demand(1e-3, sessions=1))
+
+
+@pytest.mark.slow
+def test_rechecks_are_as_often_wrong_as_they_say(calibrated, plan, rng):
+    """False alarms and shifts found on 400 machines of the posterior, kinematics as it is."""
+    alarms, found, named = [], [], []
+    for k in range(400):
+        truth = made_up_draw(calibrated, int(rng.integers(len(calibrated.draws))))
+        for shift in (0.0, DEMAND.shift):
+            sessions = [measure(truth, plan.actuators, rng, shift, k % 6) for _ in range(DEMAND.sessions)]
+            said = judge_recheck(calibrated, sessions, DEMAND.false_alarm, DEMAND.sessions)
+            (found if shift else alarms).append(not said.holds)
+            named += [said.leg == k % 6] if shift and not said.holds else []
+    assert np.mean(alarms) < 0.01 + 4.0 * np.sqrt(0.01 * 0.99 / 400)
+    assert np.mean(found) > 0.95 - 4.0 * np.sqrt(0.05 * 0.95 / 400)
+    assert np.mean(named) > 0.9
+
+
+def made_up_draw(calibrated: CalibratedMachine, draw: int) -> CalibratedMachine:
+    """Return the machine with a draw of its posterior as the truth."""
+    theta = calibrated.theta.copy()
+    theta[calibrated.free] = calibrated.draws[draw]
+    return replace(calibrated, theta=theta)
+
+
+# --- the command -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def exported(calibrated, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("exported") / "machine"
+    export_machine(calibrated, folder, "mechanism")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def listed(candidates, tmp_path_factory):
+    """Return a file of the candidates."""
+    path = tmp_path_factory.mktemp("candidates") / "candidates.csv"
+    rows = [",".join([f"C{k}", *(repr(float(x)) for x in one)]) for k, one in enumerate(candidates)]
+    path.write_text("\n".join([",".join(["pose", *name_actuators(6)]), *rows]) + "\n")
+    return path
+
+
+def write_measured(path, session: MeasuredPoses, with_actuators: bool = False) -> None:
+    angles = np.degrees(rotation_vector_from_matrix(session.rotation))
+    columns = ["pose", "x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"]
+    rows = np.concatenate([session.position, angles], axis=1)
+    if with_actuators:
+        columns += ["use", *name_actuators(6)]
+    lines = [",".join(columns)]
+    for name, row, rho in zip(session.names, rows, session.actuators, strict=True):
+        more = ["calibration", *(f"{x:.6f}" for x in rho)] if with_actuators else []
+        lines.append(",".join([name, *(f"{x:.9f}" for x in row), *more]))
+    path.write_text("\n".join(lines) + "\n")
+
+
+NOISE_OPTIONS = ("--position-um", "15", "--orientation-arcsec", "15")
+
+
+def test_an_operator_takes_the_plan_and_brings_poses_back(calibrated, exported, listed, plan, call, tmp_path, rng):
+    table = tmp_path / "plan.csv"
+    code, said, complaint = call("recheck", exported, *NOISE_OPTIONS, "--candidates", listed, "--out", table)
+    assert (code, complaint) == (0, "")
+    assert f"{len(plan.chosen)} poses a session tell a shift of any leg by 20 µm" in said
+    rows = [line for line in table.read_text().splitlines() if not line.startswith("#")]
+    assert rows[0] == "pose,use," + ",".join(name_actuators(6))
+    np.testing.assert_allclose(np.array([row.split(",")[2:] for row in rows[1:]], dtype=float), plan.actuators)
+    for shift, expected in ((0.0, "the calibration holds"), (0.08, "leg 4 moved by +")):
+        write_measured(tmp_path / "poses.csv", measure(calibrated, plan.actuators, rng, shift, 3))
+        judged = ("--measured", tmp_path / "poses.csv", "--actuators", table)
+        code, said, complaint = call("recheck", exported, *NOISE_OPTIONS, *judged)
+        assert (code, complaint) == (0, "")
+        assert said.startswith(expected), said
+    write_measured(tmp_path / "whole.csv", measure(calibrated, plan.actuators, rng, 0.08, 3), True)
+    both = ("--measured", tmp_path / "poses.csv", "--measured", tmp_path / "whole.csv")
+    write_measured(tmp_path / "poses.csv", measure(calibrated, plan.actuators, rng, 0.08, 3), True)
+    assert "leg 4 moved by +" in call("recheck", exported, *NOISE_OPTIONS, *both)[1]
+
+
+def test_the_noise_may_come_from_a_table_of_poses(exported, listed, plan, call, tmp_path):
+    names = ("x", "y", "z", "rx", "ry", "rz")
+    columns = [f"cov_{a}_{b}" for k, a in enumerate(names) for b in names[k:]]
+    microradians = np.sqrt(np.diag(NOISE))[3:] * 1e6
+    sd = np.array([15.0, 15.0, 15.0, *microradians])
+    cells = [f"{sd[i] ** 2 if i == j else 0.0:.9g}" for i in range(6) for j in range(i, 6)]
+    (tmp_path / "like.csv").write_text(f"pose,{','.join(columns)}\nC01,{','.join(cells)}\n")
+    like = ("--like", tmp_path / "like.csv", "--candidates", listed)
+    code, said, complaint = call("recheck", exported, *like)
+    assert (code, complaint) == (0, "")
+    assert said.count("\nR") == len(plan.chosen)
+
+
+def spoil(tmp_path, session):
+    write_measured(tmp_path / "poses.csv", session)
+    return ("--measured", tmp_path / "poses.csv")
+
+
+FAULTS = {
+    "no noise": (lambda folder, session: (), "found no noise of an instrument that measures poses"),
+    "half of it": (lambda folder, session: ("--position-um", "4"), "alone, expected both"),
+    "no positions": (
+        lambda folder, session: (*NOISE_OPTIONS, *spoil(folder, session)),
+        "found no columns rho_1_mm to rho_6_mm",
+    ),
+    "no file": (lambda folder, session: (*NOISE_OPTIONS, "--measured", folder / "none.csv"), "no such file"),
+    "too little": (
+        lambda folder, session: (*NOISE_OPTIONS, "--shift-um", "0.5", "--share", "0.2"),
+        "a larger shift, more sessions",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_at_fault_is_one_line(fault, calibrated, exported, plan, call, tmp_path, rng):
+    make, expected = FAULTS[fault]
+    arguments = make(tmp_path, measure(calibrated, plan.actuators, rng))
+    code, said, complaint = call("recheck", exported, *arguments, "--out", tmp_path / "new.csv")
+    assert (code, said, complaint.count("\n")) == (2, "", 1), complaint
+    assert expected in complaint
+    assert not (tmp_path / "new.csv").exists()
+
+
+def test_a_posterior_that_did_not_converge_is_refused(calibrated, listed, call, tmp_path):
+    doubtful = replace(calibrated, source=replace(calibrated.source, problems=("R-hat 1.2",)))
+    export_machine(doubtful, tmp_path / "machine", "mechanism")
+    options = (*NOISE_OPTIONS, "--candidates", listed)
+    code, said, complaint = call("recheck", tmp_path / "machine", *options)
+    assert (code, said, complaint.count("\n")) == (2, "", 1)
+    assert "did not converge (R-hat 1.2)" in complaint
+    assert call("recheck", tmp_path / "machine", *options, "--force")[0] == 0

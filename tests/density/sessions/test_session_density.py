@@ -1,0 +1,112 @@
+"""Sessions in closed form: against brute force over all rows, and derivatives against differences."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from bayescal.density.posterior import ModelError
+from bayescal.density.sessions.linear import LinearSessions
+from bayescal.density.sessions.model import DAYS_IN_MONTH, Drift, Expansion, Part, SessionModel, walk_loadings
+
+N_LEGS, FREE, POSES = 3, 4, (2, 3, 2)
+
+
+def build_model(loadings: np.ndarray, parts: tuple = ()) -> SessionModel:
+    """Return three sessions of a made-up machine of five parameters, four of them free, two of which move."""
+    drift = Drift(loadings, np.array([0, 2]), np.array([0, 1]), ("p", "q"), 0.5)
+    expansion = Expansion("struts", np.array([1, 3]), 0.2, 0.1)
+    start, free = np.array([1.0, 2.0, 3.0, 4.0, 5.0]), np.array([0, 1, 3, 4])
+    mean, sd = np.array([1.1, 2.2, 3.9, 5.2]), np.array([0.5, 0.2, 0.3, 1.0])
+    return SessionModel(parts, start, free, mean, sd, drift, (expansion,), ModelError(1.0))
+
+
+LOADINGS = {"walk": walk_loadings(DAYS_IN_MONTH * np.array([0.0, 1.0, 5.0])), "machines": np.eye(3)}
+
+
+def make_linear(model: SessionModel, rng: np.random.Generator) -> LinearSessions:
+    shape = (sum(POSES), N_LEGS)
+    known = rng.normal(size=(*shape, N_LEGS))
+    known = known @ np.swapaxes(known, 1, 2) + 0.1 * np.eye(N_LEGS)
+    first = np.concatenate([[0], np.cumsum(POSES)[:-1]])
+    constant = np.full(shape[0], -0.5 * N_LEGS * np.log(2.0 * np.pi))
+    rows = rng.normal(size=(*shape, FREE + 2))
+    return LinearSessions(model, rows, known, rng.uniform(0.5, 2.0, shape), constant, first)
+
+
+def spread_rows(
+    linear: LinearSessions, tau: np.ndarray, scales: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return c, the derivative by the state, and the covariance of all rows, by finite differences of `split`."""
+    model, n = linear.model, linear.model.size
+    session = np.repeat(np.arange(3), POSES)
+
+    def see(z: np.ndarray) -> np.ndarray:
+        x, alpha = model.split(z, scales)
+        u = np.concatenate([x[session], np.tile(alpha - model.expansions[0].mean, (len(session), 1))], axis=1)
+        return (np.einsum("pij,pj->pi", linear.rows[..., :-1], u) + linear.rows[..., -1]).ravel()
+
+    c = see(np.zeros(n))
+    jacobian = np.stack([see(row) - c for row in np.eye(n)], axis=1)
+    blocks = linear.known + np.eye(N_LEGS) * (linear.weight * tau**2)[:, None, :]
+    covariance = np.zeros((len(c), len(c)))
+    for k, block in enumerate(blocks):
+        covariance[k * N_LEGS : (k + 1) * N_LEGS, k * N_LEGS : (k + 1) * N_LEGS] = block
+    return c, jacobian, covariance
+
+
+@pytest.mark.parametrize("hierarchy", LOADINGS)
+def test_states_are_integrated_as_brute_force_does(hierarchy, rng):
+    model = build_model(LOADINGS[hierarchy])
+    linear, tau, scales = make_linear(model, rng), np.array([0.3, 0.0, 0.7]), np.array([0.4, 0.9])
+    c, jacobian, covariance = spread_rows(linear, tau, scales)
+    found = linear.condition(tau, scales)
+    total = covariance + jacobian @ jacobian.T
+    assert found.log_marginal == pytest.approx(multivariate_normal(cov=total).logpdf(c), rel=1e-10)
+    gain = jacobian.T @ np.linalg.inv(total)
+    np.testing.assert_allclose(found.mean, -gain @ c, atol=1e-10)
+    spread = found.draw(np.eye(model.size)) - found.mean[:, None]
+    np.testing.assert_allclose(spread @ spread.T, np.eye(model.size) - gain @ jacobian, atol=1e-10)
+    z = rng.normal(size=model.size)
+    seen = multivariate_normal(cov=covariance).logpdf(c + jacobian @ z)
+    assert linear.log_likelihood(z, tau, scales) == pytest.approx(seen, rel=1e-10)
+
+
+def test_without_drift_all_sessions_share_their_parameters(rng):
+    model = build_model(LOADINGS["walk"]).keep([])
+    assert (model.size, model.drift.units) == (FREE + 1, ())
+    x, _ = model.split(rng.normal(size=(4, model.size)), np.empty((4, 0)))
+    np.testing.assert_array_equal(x[:, 0], x[:, 2])
+    linear = make_linear(model, rng)
+    c, jacobian, covariance = spread_rows(linear, np.zeros(3), np.empty(0))
+    marginal = linear.condition(np.zeros(3), np.empty(0)).log_marginal
+    assert marginal == pytest.approx(multivariate_normal(cov=covariance + jacobian @ jacobian.T).logpdf(c), rel=1e-10)
+
+
+def test_a_walk_spreads_with_the_root_of_time():
+    loadings = LOADINGS["walk"]
+    np.testing.assert_allclose(np.sum(loadings**2, axis=1), [0.0, 1.0, 5.0])
+    np.testing.assert_allclose((loadings @ loadings.T)[1, 2], 1.0)  # what came before is shared
+
+
+def test_units_are_kept_by_their_names():
+    kept = build_model(LOADINGS["walk"]).keep(["q"]).drift
+    assert (kept.units, list(kept.index), list(kept.unit)) == (("q",), [2], [0])
+
+
+def test_slopes_are_those_of_the_machine_at_its_temperature(rng):
+    model, step = build_model(LOADINGS["walk"]), 1e-6
+    part = Part(SimpleNamespace(), 1, 7.0)
+    x, alpha = rng.normal(size=(3, FREE)), np.array([0.03])
+    by_x, by_alpha = model.slopes(part, x, alpha)
+    here = model.theta(part, x, alpha)
+    assert here[1] == pytest.approx((model.mean[1] + x[1, 1]) * (1.0 + 0.03 * 7.0))
+    assert here[0] == pytest.approx(model.mean[0] + x[1, 0])
+    for k in range(FREE):
+        moved = x.copy()
+        moved[1, k] += step
+        np.testing.assert_allclose(by_x[:, k], (model.theta(part, moved, alpha) - here) / step, atol=1e-7)
+    np.testing.assert_allclose(by_alpha[:, 0], (model.theta(part, x, alpha + step) - here) / step, atol=1e-6)
