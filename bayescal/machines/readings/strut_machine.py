@@ -93,9 +93,11 @@ class StrutMachineConfig(Section):
 
 @dataclass(frozen=True, eq=False)
 class _Stand:
-    """Struts of a platform that stands: lengths l (..., 6), directions u and arms R b (..., 6, 3).
+    """Struts of a platform that stands.
 
-    ``centre`` is the arm R g_c, ``force`` the weight (..., 3); ``grasp`` (..., 6, 6) has the struts' screws as columns, ``tension`` (..., 6) in N, ``growth`` is 1 + ε_s ΔT.
+    Lengths l (..., 6), directions u and arms R b (..., 6, 3); ``centre`` is the arm R g_c, ``force`` the weight
+    (..., 3); ``grasp`` (..., 6, 6) has the struts' screws as columns, ``tension`` (..., 6) is in N, ``growth`` is
+    1 + ε_s ΔT.
     """
 
     length: Any
