@@ -3,9 +3,21 @@
 # The order of the imports is that of the help.
 # isort: off
 from bayescal.cli.app import app
-from bayescal.cli import run, data, machine, certificate, results, project
+from bayescal.cli import run, table, data, machine, certificate, results, project
 from bayescal.cli.main import OWN_FAULT, TRACEBACK, main
 
 # isort: on
 
-__all__ = ["OWN_FAULT", "TRACEBACK", "app", "certificate", "data", "machine", "main", "project", "results", "run"]
+__all__ = [
+    "OWN_FAULT",
+    "TRACEBACK",
+    "app",
+    "certificate",
+    "data",
+    "machine",
+    "main",
+    "project",
+    "results",
+    "run",
+    "table",
+]

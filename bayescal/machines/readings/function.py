@@ -148,7 +148,7 @@ class FunctionModel(ReadingModel):
     places: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Check the machine: its members, its function's values and derivatives; some of its sensors are checked with it."""
+        """Check the machine: its members, its function's values and derivatives; picked sensors were, with it."""
         if self.places is not None:
             return
         check_members(self.name, self.machine)

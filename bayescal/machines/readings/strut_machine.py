@@ -219,7 +219,7 @@ class StrutMachine(ReadingMachine):
             raise InputError(
                 f"pose {poses[k]!r}: {TEMPERATURE}: found {temperature[k]:g}, expected °C; kelvins perhaps"
             )
-        _check_told(ELEVATION, elevation, free, ("c", "sag_", "lift_"))
+        _check_told(ELEVATION, elevation, free, ("c[", "sag_", "lift_"))
         _check_told(TEMPERATURE, temperature, free, (*EXPANSIONS, "drift_"))
 
 
@@ -235,7 +235,7 @@ def _check_down(zenith: Sequence[float], horizon: Sequence[float]) -> tuple[Arra
 
 def _check_told(column: str, values: Array, free: Sequence[str], starts: tuple[str, ...]) -> None:
     """Raise InputError where a column is constant while something is free that only its changes tell."""
-    asked = [name for name in free if name.partition("[")[0] in starts or name.startswith(starts[1:])]
+    asked = [name for name in free if name.startswith(starts)]
     if asked and np.ptp(values) < LEAST_CHANGE[column]:
         raise InputError(
             f"{column}: found {values[0]:g} at every pose while {asked[0]} is free, expected more than one value, or "

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.density.calibration.elimination import RANK
-from bayescal.errors import InputError
+from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant, read_inputs
 from bayescal.experiments.calibration.schema import CalibrationConfig
 from bayescal.experiments.calibration.table.schema import LookupTableConfig
@@ -131,13 +131,15 @@ def _place(config: LookupTableConfig, calibration: CalibrationConfig, variant: V
 
 def _check_places(found: TableInputs) -> None:
     """Raise InputError for a place that the machine says cannot be, or where it does not stand as expected."""
-    rows = np.concatenate([found.cells, [[found.reference[name] for name in found.config.axes]]])
-    labels = [", ".join(f"{n} = {x:g}" for n, x in zip(found.config.axes, row, strict=True)) for row in rows]
-    given = found.given_at(rows)
-    found.variant.whole.check_given(labels, given, ())
-    read = found.variant.model.read(found.variant.posterior().centre, found.pose, given)
-    for k in np.flatnonzero(~np.isfinite(read).all(axis=-1))[:1]:
-        raise InputError(f"axes: found {labels[k]}, where the machine does not stand, expected where it does")
+    zero = np.array([[found.reference[name] for name in found.config.axes]])
+    for field, rows in (("axes", found.cells), ("reference", zero)):
+        labels = [", ".join(f"{n} = {x:g}" for n, x in zip(found.config.axes, row, strict=True)) for row in rows]
+        given = found.given_at(rows)
+        with name_faults(field):
+            found.variant.whole.check_given(labels, given, ())
+        read = found.variant.model.read(found.variant.posterior().centre, found.pose, given)
+        for k in np.flatnonzero(~np.isfinite(read).all(axis=-1))[:1]:
+            raise InputError(f"{field}: found {labels[k]}, where the machine does not stand, expected where it does")
 
 
 def _check_told(found: TableInputs) -> None:
