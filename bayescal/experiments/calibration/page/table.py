@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib import figure as mpl
 
 from bayescal.experiments.calibration.page.build import name_origin
-from bayescal.experiments.calibration.page.verdict import Row, list_rows
+from bayescal.experiments.calibration.page.verdict import list_rows
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 from bayescal.report.blocks import (
     Cell,
@@ -24,7 +24,7 @@ from bayescal.report.blocks import (
     make_section,
     make_table,
 )
-from bayescal.report.numbers import format_fixed, format_percent, format_plain, format_significant, join_words
+from bayescal.report.numbers import format_estimate, format_percent, format_plain, format_significant, join_words
 from bayescal.report.style import GREY, LEG_COLOURS
 from bayescal.report.symbols import quote
 
@@ -234,10 +234,7 @@ def _tabulate(corrections: pd.DataFrame, axes: list[str]) -> Table:
     columns += [Column(name, unit, symbolic=False) for name in names]
     rows: list[list[str | Cell]] = []
     for _, mine in corrections.groupby(axes, sort=False):
-        cells = [
-            f"{format_fixed(factor * row['mean'], 1)} ± {format_significant(factor * row['sd'], 2)}"
-            for row in list_rows(mine)
-        ]
+        cells = [format_estimate(factor * row["mean"], factor * row["sd"]) for row in list_rows(mine)]
         rows.append([*(format_plain(float(value)) for value in mine[axes].iloc[0]), *cells])
     caption = "Corrections, mean ± standard deviation"
     caption += f"; the first {FEW_ROWS} places of {len(rows)}." if len(rows) > FEW_ROWS else "."
@@ -251,7 +248,7 @@ def _show_terms(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Sec
     columns = [Column("Term", kind="text"), *(Column(name, unit) for name in names)]
     rows: list[list[str | Cell]] = []
     for term, mine in table.groupby("term", sort=False):
-        cells = [_estimate(factor, row) for row in list_rows(mine)]
+        cells = [format_estimate(factor * row["coefficient"], factor * row["sd"]) for row in list_rows(mine)]
         rows.append([str(term), *cells])
     misfit = [format_significant(factor * summary["actuators"][name]["polynomial_misfit"], 2) for name in names]
     rows.append(["misses the table by at most", *misfit])
@@ -262,13 +259,10 @@ def _show_terms(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Sec
     return make_section("In a few terms", text, (make_table("Coefficients, mean ± sd.", columns, rows),))
 
 
-def _estimate(factor: float, row: Row) -> str:
-    return f"{format_fixed(factor * row['coefficient'], 2)} ± {format_significant(factor * row['sd'], 2)}"
-
-
 def _show_plan(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Section:
     plan, unit = tables["plan"], _unit(summary)
     factor, shown = SHOWN.get(unit, (1.0, unit))
+    axes = list(summary["axes"])
     places = [name for name in plan.columns if not name.startswith(("order", "sd_", "largest_"))]
     columns = [Column(""), *(Column(_split(name)[0], _split(name)[1].strip()) for name in places)]
     columns += [Column("error then", shown), Column("the largest", shown), Column("at random", shown)]
@@ -277,11 +271,12 @@ def _show_plan(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Sect
         errors = [
             format_significant(factor * row[key], 3) for key in ("sd_after", "largest_sd_after", "sd_after_random")
         ]
-        rows.append([str(row["order"]), *(format_significant(row[name], 4) for name in places), *errors])
+        at = [format_plain(row[name]) if name in axes else format_significant(row[name], 4) for name in places]
+        rows.append([str(row["order"]), *at, *errors])
     drop = format_percent(1.0 - summary["sd_after_plan"] / summary["sd_before_plan"])
     text = (
         f"Poses and places chosen one by one out of random poses at every place of the table, each the one that lowers "
-        f"the table's mean squared error most (I-optimal); all together lower it by {drop}. Error: standard deviation "
+        f"the table's mean squared error most (I-optimal); all together lower the error by {drop}: the standard deviation "
         f"of a correction, rms over places and actuators; {_amount(summary['sd_before_plan'], unit)} beforehand.",
     )
     return make_section("Where to measure next", text, (make_table("Measurements, the best first.", columns, rows),))
