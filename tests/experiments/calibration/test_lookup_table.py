@@ -153,30 +153,67 @@ def test_tables_and_page_say_what_was_found(inputs, found):
     assert json.dumps(summary, allow_nan=False)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ('calibration = "study.toml"', 'calibration = "simulate.toml"', "expected 'calibration'"),
-        ("seed = 2026\n", 'seed = 2026\nvariant = "wieght"\n', "found 'wieght', expected one of weight_temperature"),
-        ("elevation_deg = [0.0, 45.0, 90.0]", "azimuth_deg = [0.0, 45.0]", "reference: found no azimuth_deg"),
-        ("elevation_deg = [0.0, 45.0, 90.0]", "elevation_deg = [0.0, 95.0]", "elevation_deg: found 95"),
-        ("elevation_deg = [0.0, 45.0, 90.0]", "elevation_deg = [0.0, 0.8, 1.5]", "radians perhaps"),
-        ("elevation_deg = [0.0, 45.0, 90.0]", "elevation_deg = [45.0, 0.0]", "found values that do not rise"),
-        ("elevation_deg = 60.0\n", "", "reference: found no elevation_deg"),
-        ("temperature_c = [0.0, 20.0]", "temperature_c = [270.0, 290.0]", "kelvins perhaps"),
-        ("[plan]", "[pose]\nw = 3.0\n\n[plan]", "pose: found 'w', expected some of x, y, z"),
-    ],
-)
-def test_a_bad_table_is_refused(folder, old, new, words):
-    text = (folder / "table.toml").read_text()
+def refuse(path, old, new):
+    """Return the line with which a changed config is refused; the config is put back."""
+    text = path.read_text()
     try:
-        path = change(folder / "table.toml", old, new)
+        change(path, old, new)
         with pytest.raises(InputError) as caught:
             read(path)
     finally:
-        (folder / "table.toml").write_text(text)
-    assert words in str(caught.value)
+        path.write_text(text)
     assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.fixture(scope="module")
+def rail(tmp_path_factory):
+    return lookup_tables.write_rail(tmp_path_factory.mktemp("rail"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('calibration = "study.toml"', 'calibration = "table.toml"', "expected 'calibration'"),
+        ("force = true", 'variant = "al"', "found 'al', expected one of all"),
+        ("elevation_deg = [0.0, 45.0, 90.0]", "azimuth_deg = [0.0, 45.0]", "reference: found no azimuth_deg"),
+        ("elevation_deg = [0.0, 45.0, 90.0]", "elevation_deg = [45.0, 0.0]", "found values that do not rise"),
+        (", temperature_c = 10.0 }", " }", "reference: found no temperature_c"),
+        ("force = true", "pose = { w = 3.0 }", "pose: found 'w', expected some of x"),
+        (
+            "temperature_c = 10.0 }",
+            "temperature_c = 10.0, wind = 3.0 }",
+            "found 'wind', expected some of elevation_deg",
+        ),
+    ],
+)
+def test_a_bad_table_is_refused(rail, old, new, words):
+    assert words in refuse(rail, old, new)
+
+
+def test_actuators_that_do_not_hold_the_platform_are_refused(rail):
+    study, text = rail.parent / "study.toml", (rail.parent / "study.toml").read_text()
+    try:
+        change(study, 'title = "All" }', 'title = "All", sensors = ["x"] }')
+        with pytest.raises(InputError, match="found 0 readings of the machine's own, which do not tell all 1"):
+            read(rail)
+    finally:
+        study.write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            "elevation_deg = [0.0, 45.0, 90.0]",
+            "elevation_deg = [0.0, 0.8, 1.5]",
+            "axes: elevation_deg: found none above",
+        ),
+        ("temperature_c = 10.0", "temperature_c = 283.0", "reference: pose 'elevation_deg = 60, temperature_c = 283'"),
+    ],
+)
+def test_places_that_cannot_be_are_refused(folder, old, new, words):
+    assert words in refuse(folder / "table.toml", old, new)
 
 
 def test_rows_without_elevation_are_refused(folder):

@@ -276,7 +276,8 @@ def _show_plan(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Sect
     drop = format_percent(1.0 - summary["sd_after_plan"] / summary["sd_before_plan"])
     text = (
         f"Poses and places chosen one by one out of random poses at every place of the table, each the one that lowers "
-        f"the table's mean squared error most (I-optimal); all together lower the error by {drop}: the standard deviation "
-        f"of a correction, rms over places and actuators; {_amount(summary['sd_before_plan'], unit)} beforehand.",
+        f"the table's mean squared error most (I-optimal); all together lower the error by {drop}: the standard "
+        f"deviation of a correction, rms over places and actuators, {_amount(summary['sd_before_plan'], unit)} "
+        "beforehand.",
     )
     return make_section("Where to measure next", text, (make_table("Measurements, the best first.", columns, rows),))
