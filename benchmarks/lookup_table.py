@@ -53,8 +53,10 @@ def judge_twin(shipped: TableInputs, seed: int) -> dict[str, float]:
     """Return which part of a twin's corrections and offsets lies in its 90 % intervals, and how sound these are."""
     rng = np.random.default_rng([seed, 1])
     inputs, truth = simulate_twin(shipped, rng)
-    posterior = inputs.variant.posterior().anchored()
-    mode = posterior.approach()
+    unanchored = inputs.variant.posterior()
+    mode, pose = unanchored.fit(np.zeros(unanchored.n_parameters), unanchored.likelihood.start)
+    anchored = unanchored.likelihood.anchored(pose, unanchored.theta(mode[None])[0])
+    posterior = replace(unanchored, likelihood=anchored)
     factor = np.linalg.cholesky(np.linalg.inv(-posterior.gradient(mode)[1]))
     white = rng.standard_normal((DRAWS, len(mode)))
     draws = mode + white @ factor.T
