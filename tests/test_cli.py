@@ -555,6 +555,9 @@ def test_every_shipped_experiment_is_run_here():
         "sliding_star/calibrations.toml",  # in self_calibration_study
         *(f"sliding_star/{name}.toml" for name in ("machine", "simulate", "study")),  # in reading_study
         *(f"hangprinter/{name}.toml" for name in ("machine", "hanging", "forces", "study")),  # in test_hangprinter
+        *(
+            f"m2_hexapod_table/{name}.toml" for name in ("machine", "simulate", "study", "table")
+        ),  # in test_lookup_table
         "camera_hexapod/simulate.toml",
         "m2_hexapod/simulate.toml",
         "m2_hexapod/next.toml",  # in next_pose/test_next_command.py

@@ -3,7 +3,7 @@
 # The order of the imports is that of the help.
 # isort: off
 from bayescal.cli.app import app
-from bayescal.cli import run, next_pose, data, machine, certificate, recheck, results, project
+from bayescal.cli import run, next_pose, table, data, machine, certificate, recheck, results, project
 from bayescal.cli.main import OWN_FAULT, TRACEBACK, main
 
 # isort: on
@@ -21,4 +21,5 @@ __all__ = [
     "recheck",
     "results",
     "run",
+    "table",
 ]

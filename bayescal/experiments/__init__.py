@@ -6,6 +6,7 @@ KINDS = {
     "calibration_audit": "bayescal.experiments.calibration.audit.kind:CalibrationAudit",
     "calibration_simulation": "bayescal.experiments.calibration.simulation_kind:CalibrationSimulation",
     "check": "bayescal.experiments.check.kind:Check",
+    "lookup_table": "bayescal.experiments.calibration.table.kind:LookupTable",
     "next_pose": "bayescal.experiments.next_pose.kind:NextPose",
     "pose_selection": "bayescal.experiments.pose_selection.kind:PoseSelection",
     "reading_simulation": "bayescal.experiments.self_calibration.simulation_kind:ReadingSimulation",

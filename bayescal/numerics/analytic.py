@@ -7,9 +7,12 @@ reals.
 
 from __future__ import annotations
 
+from math import factorial
 from typing import Any
 
 import numpy as np
+
+SERIES_TERMS = 16  # π³²/33! is less than rounding
 
 
 def sqrt(value: Any) -> Any:
@@ -42,3 +45,25 @@ def atan2(y: Any, x: Any) -> Any:
         return real
     square = np.real(x) ** 2 + np.real(y) ** 2
     return real + 1j * (np.real(x) * np.imag(y) - np.real(y) * np.imag(x)) / square
+
+
+def rotation_matrix(vector: Any) -> Any:
+    """Return the rotations of rotation vectors (..., 3), at most half a turn, shape (..., 3, 3).
+
+    R = 1 + A K + B K² with A = sin t / t and B = (1 - cos t) / t², both power series of t², which need no other branch
+    at t = 0 and keep what a complex step adds.
+    """
+    square = (vector**2).sum(axis=-1)
+    first, second = (_sum_series(square, start) for start in (1, 2))
+    x, y, z = (vector[..., k] for k in range(3))
+    zero = np.zeros_like(x)
+    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*vector.shape, 3)
+    return np.eye(3) + first[..., None, None] * skew + second[..., None, None] * (skew @ skew)
+
+
+def _sum_series(square: Any, start: int) -> Any:
+    """Return Σ (-t²)^k / (2k + start)!, by Horner's rule."""
+    found = np.zeros_like(square)
+    for k in reversed(range(SERIES_TERMS)):
+        found = 1.0 / factorial(2 * k + start) - square * found
+    return found

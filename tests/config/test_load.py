@@ -33,7 +33,10 @@ LOADERS = {
     "simulation": load_simulation,
     "audit": load_audit,
     "calibration": load_experiment,
+    "calibration_simulation": load_experiment,
     "line_machine": read_reading_model,
+    "lookup_table": load_experiment,
+    "strut_machine": read_reading_model,
     "sweep": load_experiment,
     "next_pose": load_experiment,
 }

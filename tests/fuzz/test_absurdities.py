@@ -20,6 +20,7 @@ from bayescal.experiments.frame.load import find_kind
 from bayescal.limits import LARGEST_SEED
 from bayescal.machines.readings.line_machine import LineMachineConfig
 from bayescal.machines.readings.schema import SlidingPlatformConfig
+from bayescal.machines.readings.strut_machine import StrutMachineConfig
 from bayescal.machines.schema import MechanismConfig
 
 AUDIT, STUDY, SELECTION = "audit/m2_hexapod.toml", "telescope/short.toml", "pose_selection/rr8096_figure14.toml"
@@ -140,7 +141,9 @@ def list_models(kind: Any) -> Iterator[type[BaseModel]]:
 SCHEMAS = [find_kind(name, None, None).schema for name in list_references("KINDS")]
 
 
-@pytest.mark.parametrize("schema", [*SCHEMAS, MechanismConfig, SlidingPlatformConfig, LineMachineConfig])
+@pytest.mark.parametrize(
+    "schema", [*SCHEMAS, MechanismConfig, SlidingPlatformConfig, LineMachineConfig, StrutMachineConfig]
+)
 def test_every_number_has_bounds(schema):
     found = {
         f"{model.__name__}.{name}: {kind.__name__} {sorted(bounds)}"

@@ -147,6 +147,7 @@ def _build(
         None if readings.correlation is None else readings.correlation[:, chosen][:, :, chosen],
     ).pick(rows)
     _check_noise(data, model)
+    model.check_given(data.poses, data.given, [one for name in priors for one in common.get(name, (name,))])
     noise = build_noise(config, section, whole, chosen)
     workspace = build_workspace(model, config.workspace, config.units)
     unplaced = Variant(

@@ -172,16 +172,28 @@ def name_tool(model: ReadingModel, n: int) -> tuple[tuple[str, ...], tuple[str, 
     return tuple(f"tool[{k + 1}]" for k in range(n)), ("mm",) * n
 
 
-def look(posterior: CalibrationPosterior, variant: Variant, y: Array, pose: Array, some: np.ndarray) -> View:
+def look(
+    posterior: CalibrationPosterior,
+    variant: Variant,
+    y: Array,
+    pose: Array,
+    some: np.ndarray,
+    given: Given | None = None,
+) -> View:
     """Return poses (W, q) seen by the channels of a mask (K,), with the noise stated for the first reading of each."""
-    return differentiate(posterior, variant, y, pose).seen_by(some)
+    return differentiate(posterior, variant, y, pose, given).seen_by(some)
 
 
-def differentiate(posterior: CalibrationPosterior, variant: Variant, y: Array, pose: Array) -> Slopes:
-    """Return what moves readings and tool at poses (W, q) of one machine, of which any channels make a `View`."""
+def differentiate(
+    posterior: CalibrationPosterior, variant: Variant, y: Array, pose: Array, given: Given | None = None
+) -> Slopes:
+    """Return what moves readings and tool at poses (W, q) of one machine, of which any channels make a `View`.
+
+    What the machine has to know of each pose is the median of the data's where nothing is given.
+    """
     theta, model = posterior.theta(y[None])[0], variant.model
     white = _typical_noise(posterior, variant, y, np.ones(len(model.channels), dtype=bool))
-    here = model.linearise(theta, pose, True, _typical_given(variant, len(pose)))
+    here = model.linearise(theta, pose, True, _typical_given(variant, len(pose)) if given is None else given)
     good = np.isfinite(here.by_pose).all(axis=(1, 2)) & np.isfinite(here.by_parameters).all(axis=(1, 2))
     pose = pose[good]
     _, by_pose, direct = model.tool(theta, pose)

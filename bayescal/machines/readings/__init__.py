@@ -5,7 +5,10 @@ from bayescal.machines.readings.function import FunctionModel, Parameters, Readi
 from bayescal.machines.readings.sliding_platform import SlidingPlatform
 from bayescal.machines.readings.spatial import SpatialMachine
 
-MACHINES = {"line_machine": "bayescal.machines.readings.line_machine:LineMachine"}
+MACHINES = {
+    "line_machine": "bayescal.machines.readings.line_machine:LineMachine",
+    "strut_machine": "bayescal.machines.readings.strut_machine:StrutMachine",
+}
 """Built-in machines of one function, by the ``kind`` of their files."""
 
 __all__ = [

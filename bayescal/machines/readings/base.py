@@ -9,7 +9,7 @@ of it, is one more reading, so that calibration with and without such an instrum
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -131,6 +131,19 @@ class ReadingModel(ABC):
         """What one of many is called: that ``l[2]`` is of leg, line, joint or belt 2."""
         return "leg"
 
+    def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
+        """Raise InputError where what `given` names cannot be so, or does not tell free parameters; by default nowhere.
+
+        Parameters
+        ----------
+        poses : sequence of str
+            Their names, P of them.
+        given : mapping of str to ndarray, shape (P,)
+        free : sequence of str
+            Names of the free parameters.
+        """
+        del poses, given, free
+
     @abstractmethod
     def frame_parameters(self) -> tuple[str, ...]:
         """Names of the parameters that define the frames of base and platform: given, where no instrument does it."""
@@ -239,6 +252,10 @@ class _Picked(ReadingModel):
     def member(self) -> str:
         """What the whole machine says."""
         return self.whole.member
+
+    def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
+        """Check as the whole machine does."""
+        self.whole.check_given(poses, given, free)
 
     def frame_parameters(self) -> tuple[str, ...]:
         """Return what the whole machine says."""

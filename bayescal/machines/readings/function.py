@@ -80,6 +80,10 @@ class ReadingMachine(ABC):
         del parameters, v, given
         return None
 
+    def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
+        """Raise InputError for data that cannot be; see `ReadingModel.check_given`. By default nothing is checked."""
+        del poses, given, free
+
     def tool(self, parameters: Parameters, v: Any) -> Any:
         """Return what has to be accurate, (..., m), in the machine's own coordinates: all of them by default."""
         del parameters
@@ -144,7 +148,9 @@ class FunctionModel(ReadingModel):
     places: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Check the machine: its members, its function's values and derivatives."""
+        """Check the machine: its members, its function's values and derivatives; picked sensors were, with it."""
+        if self.places is not None:
+            return
         check_members(self.name, self.machine)
         check_values(self)
         check_derivatives(self)
@@ -174,6 +180,10 @@ class FunctionModel(ReadingModel):
     def member(self) -> str:
         """What one of many is called."""
         return self.machine.member
+
+    def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
+        """Check as the machine does."""
+        self.machine.check_given(poses, given, free)
 
     def frame_parameters(self) -> tuple[str, ...]:
         """Return what the machine says of its frames."""

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import calibrations
+import lookup_tables
 import pytest
 import reading_studies
 import session_studies
@@ -72,6 +73,7 @@ MAKE = {
     "calibration_simulation": calibrations.write_simulation,
     "check": write_check,
     "hexapod_calibrations": take_tiny("hexapod/figure10"),
+    "lookup_table": lookup_tables.write_rail,
     "next_pose": write_next,
     "pose_methods": take_tiny("pose_extraction/figure5"),
     "pose_selection": write_selection,

@@ -58,28 +58,34 @@ def select_poses(config: CalibrationAuditConfig, variant: Variant, posterior: Ca
     every = np.ones(len(variant.model.channels), dtype=bool)
     tried = look(posterior, variant, expected, candidates, every)
     count = min(config.selection.count, len(tried.pose))
-    order, left = _add(tried.rows, weight, count, np.arange(len(tried.pose)))
+    order, left = add_poses(tried.rows, weight, count, np.arange(len(tried.pose)))
     curve = left
     if config.selection.method == "exchange":
         order, curve = _exchange_all(tried.rows, weight, count)
-        order, left = _add(tried.rows, weight, count, np.array(order, dtype=int))
+        order, left = add_poses(tried.rows, weight, count, np.array(order, dtype=int))
     rng = np.random.default_rng([config.seed, 10])
     orders = [rng.permutation(len(tried.pose))[:count] for _ in range(RANDOM_SETS)]
-    spread = [[rms(at.tool, one) for one in _learn_in_turn(tried.rows, some)] for some in orders]
+    spread = [[rms(at.tool, one) for one in learn_in_turn(tried.rows, some)] for some in orders]
     random = np.sqrt(np.mean(np.square(np.array(spread).reshape(RANDOM_SETS, count, -1)), axis=0))
     after, best = (np.array([rms(at.tool, one) for one in some]).reshape(count, -1) for some in (left, curve))
     return Selection(tried.pose[order], after, best, random)
 
 
-def _add(rows: Array, weight: Array, count: int, places: np.ndarray) -> tuple[list[int], list[Array]]:
-    """Return candidates, among those at some places, in the order in which they lower tr(W C) most, and each C then."""
-    covariance, free = np.eye(rows.shape[-1]), np.isin(np.arange(len(rows)), places)
+def add_poses(
+    rows: Array, weight: Array, count: int, places: np.ndarray, covariance: Array | None = None
+) -> tuple[list[int], list[Array]]:
+    """Return candidates, among those at some places, in the order in which they lower tr(W C) most, and each C then.
+
+    They start from a covariance C (m, m), that of the priors where none is given.
+    """
+    covariance = np.eye(rows.shape[-1]) if covariance is None else covariance
+    free = np.isin(np.arange(len(rows)), places)
     chosen, left = [], []
     for _ in range(count):
         gains = compute_gains(rows, covariance, weight)
         best = int(np.where(free, gains, -np.inf).argmax())
         free[best] = False
-        covariance = _learn(covariance, rows[best])
+        covariance = learn(covariance, rows[best])
         chosen.append(best)
         left.append(covariance)
     return chosen, left
@@ -122,15 +128,16 @@ def _know(rows: Array, chosen: list[int]) -> Array:
     return np.asarray(np.linalg.inv(np.eye(rows.shape[-1]) + some.T @ some))
 
 
-def _learn_in_turn(rows: Array, places: np.ndarray) -> list[Array]:
-    covariance, left = np.eye(rows.shape[-1]), []
+def learn_in_turn(rows: Array, places: np.ndarray, covariance: Array | None = None) -> list[Array]:
+    """Return what remains unknown after each of the candidates at some places, C (m, m), as in `add_poses`."""
+    covariance, left = np.eye(rows.shape[-1]) if covariance is None else covariance, []
     for place in places:
-        covariance = _learn(covariance, rows[place])
+        covariance = learn(covariance, rows[place])
         left.append(covariance)
     return left
 
 
-def _learn(covariance: Array, rows: Array) -> Array:
+def learn(covariance: Array, rows: Array) -> Array:
     """Return C - C Rᵀ (1 + R C Rᵀ)⁻¹ R C, what remains unknown after the readings of one pose, R (K, m)."""
     seen = rows @ covariance
     result = covariance - seen.T @ np.linalg.solve(np.eye(len(rows)) + seen @ rows.T, seen)

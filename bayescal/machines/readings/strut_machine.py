@@ -1,0 +1,289 @@
+"""A hexapod on six struts that its own weight bends and temperature stretches, as a telescope's secondary mirror has.
+
+Strut i runs from the base joint A_i to the platform joint B_i = p + R b_i. Its actuator reads q_i, and without load and
+at the reference temperature the strut is l_i + q_i long. Under its tension t_i, and warmer by ΔT, it is
+
+    |B_i - A_i| = (l_i + q_i)(1 + ε_s ΔT) + c_i t_i,
+
+with the expansion ε_s of the struts and their compliances c_i. The tensions are those of statics, for six struts do not
+ask for stiffnesses: with the struts' directions u_i, the weight W g and its arm R g_c from the platform's origin
+
+    Σ t_i u_i = W g(E),    Σ t_i (R b_i) × u_i = (R g_c) × W g(E),    g(E) = sin E g_zenith + cos E g_horizon,
+
+where E is the elevation to which the telescope points. Base and platform grow by ε_b ΔT and ε_p ΔT about their origins.
+
+What carries the base gives, too: the base is displaced by sag cos E + lift (1 - sin E) + drift ΔT, three lengths and
+three small angles each, zero at the zenith and at the reference temperature.
+
+The pose v is position and rotation vector of the platform in the frame of what the base is mounted to, which an
+instrument that stands there reads as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from bayescal.config.sections import Number, Positive, Section, Vector
+from bayescal.errors import InputError
+from bayescal.machines.parameters import ParameterBlock
+from bayescal.machines.readings.base import Channel, Coordinate
+from bayescal.machines.readings.function import Parameters, ReadingMachine
+from bayescal.numerics.analytic import norm, rotation_matrix
+from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, skew_matrix
+
+GRAVITY = 9.80665
+N_STRUTS = 6
+PER_MILLION = 1e-6
+NM = 1e-6  # in mm
+ELEVATION, TEMPERATURE = "elevation_deg", "temperature_c"
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+EXPANSIONS = ("e_s", "e_b", "e_p")
+UPRIGHT = 90.0  # elevation of the zenith, degrees
+LONGEST_RADIANS = 1.6  # a right angle and what rounding adds
+HOTTEST = 100.0  # °C on no telescope; kelvins are more
+LEAST_CHANGE = {ELEVATION: 0.5, TEMPERATURE: 0.05}  # deg and K, less of which is none
+
+type Points = Annotated[list[Vector], Field(min_length=N_STRUTS, max_length=N_STRUTS)]
+
+
+class StrutMachineConfig(Section):
+    """A hexapod on six struts with its weight, stiffness and expansion."""
+
+    base_mm: Points
+    """Joints of the base, its frame."""
+    platform_mm: Points
+    """Joints of the platform, its frame."""
+    home_mm: Vector
+    """Where the platform's origin is at home, base frame; the platform is parallel to the base there."""
+    reach_mm: Annotated[list[Positive], Field(min_length=3, max_length=3)]
+    """Half widths of the workspace in x, y and z."""
+    reach_deg: Annotated[list[Positive], Field(min_length=3, max_length=3)]
+    """Half widths of the workspace about x, y and z."""
+    mass_kg: Positive
+    """Mass that the struts carry."""
+    centre_of_gravity_mm: Vector
+    """Where its centre of gravity is, platform frame."""
+    down_at_zenith: Vector = Field(default=[0.0, 0.0, -1.0])
+    """Where gravity points when the telescope looks at the zenith, base frame; of any length."""
+    down_at_horizon: Vector = Field(default=[0.0, -1.0, 0.0])
+    """Where gravity points when the telescope looks at the horizon, base frame; at right angles to the former."""
+    stiffness_n_per_um: Positive
+    """Axial stiffness of a strut with its joints."""
+    strut_expansion_per_million: Number = 11.5
+    """Expansion of the struts, in millionths per K."""
+    base_expansion_per_million: Number = 11.5
+    """Expansion of the base, in millionths per K."""
+    platform_expansion_per_million: Number = 11.5
+    """Expansion of the platform, in millionths per K."""
+    reference_c: Annotated[float, Field(ge=-100.0, le=100.0)]
+    """Temperature at which lengths and joints are as stated."""
+
+    @field_validator("down_at_zenith", "down_at_horizon")
+    @classmethod
+    def _check_direction(cls, value: list[float]) -> list[float]:
+        if not any(value):
+            raise ValueError("found a zero vector, expected a direction")
+        return value
+
+
+@dataclass(frozen=True, eq=False)
+class _Stand:
+    """Struts of a platform that stands.
+
+    Lengths l (..., 6), directions u and arms R b (..., 6, 3); ``centre`` is the arm R g_c, ``force`` the weight
+    (..., 3); ``grasp`` (..., 6, 6) has the struts' screws as columns, ``tension`` (..., 6) is in N, ``growth`` is
+    1 + ε_s ΔT.
+    """
+
+    length: Any
+    directions: Any
+    arms: Any
+    centre: Any
+    force: Any
+    grasp: Any
+    tension: Any
+    growth: Any
+
+
+class StrutMachine(ReadingMachine):
+    """A hexapod on struts with encoders, seen or not by an instrument, at known elevations and temperatures."""
+
+    Config = StrutMachineConfig
+    member = "strut"
+    given = (ELEVATION, TEMPERATURE)
+
+    def __init__(self, config: StrutMachineConfig) -> None:
+        """Lay out parameters, coordinates and channels."""
+        base, platform, home = (np.array(one) for one in (config.base_mm, config.platform_mm, config.home_mm))
+        self.down = _check_down(config.down_at_zenith, config.down_at_horizon)
+        self.weight, self.reference = config.mass_kg * GRAVITY, config.reference_c
+        lengths = np.linalg.norm(home + platform - base, axis=1)
+        self.parameters = [
+            *(_spread(f"a_{axis}", one) for axis, one in zip("xyz", base.T, strict=True)),
+            *(_spread(f"b_{axis}", one) for axis, one in zip("xyz", platform.T, strict=True)),
+            _spread("l", lengths),
+            ParameterBlock("c", (1e3 / config.stiffness_n_per_um,) * N_STRUTS, "nm/N", lower=0.0),
+            *(_single(f"g_{axis}", one, "mm") for axis, one in zip("xyz", config.centre_of_gravity_mm, strict=True)),
+            _single("e_s", config.strut_expansion_per_million, "1e-6/K"),
+            _single("e_b", config.base_expansion_per_million, "1e-6/K"),
+            _single("e_p", config.platform_expansion_per_million, "1e-6/K"),
+            *(
+                _single(f"{what}_{axis}", 0.0, unit)
+                for what in ("sag", "lift")
+                for axis, unit in _list_axes("mm", "rad")
+            ),
+            *(_single(f"drift_{axis}", 0.0, unit) for axis, unit in _list_axes("um/K", "urad/K")),
+        ]
+        reach = [*config.reach_mm, *np.deg2rad(config.reach_deg)]
+        self.coordinates = [
+            Coordinate(axis, unit, float(at), float(half))
+            for (axis, unit), at, half in zip(_list_axes("mm", "rad"), [*home, 0.0, 0.0, 0.0], reach, strict=True)
+        ]
+        self.channels = [
+            *(Channel(f"q[{k}]", "mm") for k in range(1, N_STRUTS + 1)),
+            *(Channel(axis, "mm", external=True) for axis in AXES[:3]),
+            *(Channel(axis, "rad", external=True, rotation="r") for axis in AXES[3:]),
+        ]
+
+    def read(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> Any:
+        """Return what the six actuators read, then the pose."""
+        at = self._stand(parameters, v, given)
+        q = (at.length - NM * parameters["c"] * at.tension) / at.growth - parameters["l"]
+        shape = np.broadcast_shapes(q.shape[:-1], v.shape[:-1])
+        return np.concatenate([np.broadcast_to(one, (*shape, N_STRUTS)) for one in (q, v)], axis=-1)
+
+    def _stand(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> _Stand:
+        """Return lengths and tensions of the struts where the platform stands."""
+        warmer = np.asarray(given[TEMPERATURE]) - self.reference
+        elevation = np.deg2rad(np.asarray(given[ELEVATION]))
+        rotation = rotation_matrix(v[..., 3:])
+        arms = _turn(rotation, _grow(parameters, "b", "e_p", warmer))
+        span = v[..., None, :3] + arms - self._carry_base(parameters, elevation, warmer)
+        length = norm(span)
+        u = span / length[..., None]
+        zenith, horizon = self.down
+        force = self.weight * (np.sin(elevation)[..., None] * zenith + np.cos(elevation)[..., None] * horizon)
+        centre = np.stack([parameters[f"g_{axis}"] for axis in "xyz"], axis=-1)
+        centre = _turn(rotation, centre[..., None, :])[..., 0, :]
+        moment = _cross(centre, force)
+        wrench = np.concatenate([np.broadcast_to(force, moment.shape), moment], axis=-1)
+        grasp = np.swapaxes(np.concatenate([u, _cross(arms, u)], axis=-1), -1, -2)
+        tension = _solve(grasp, wrench[..., None])[..., 0]
+        growth = (1.0 + _expand(parameters["e_s"], warmer))[..., None]
+        return _Stand(length, u, arms, centre, force, grasp, tension, growth)
+
+    def _carry_base(self, parameters: Parameters, elevation: Any, warmer: Any) -> Any:
+        """Return the base's joints where what carries it has them, (..., 6, 3)."""
+        points = _grow(parameters, "a", "e_b", warmer)
+        across, up = np.cos(elevation)[..., None], (1.0 - np.sin(elevation))[..., None]
+        move = across * _six(parameters, "sag") + up * _six(parameters, "lift")
+        drift = PER_MILLION * warmer[..., None] * _six(parameters, "drift")
+        shift, turn = move[..., :3] + 1e3 * drift[..., :3], move[..., 3:] + drift[..., 3:]
+        return points + shift[..., None, :] + _cross(turn[..., None, :], points)
+
+    # --- by the pose ---------------------------------------------------------------------------------------------
+
+    def slopes(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> list[list[Any]]:
+        """Return ∂h/∂v in closed form: G ∂t/∂v = ∂w/∂v - (∂G/∂v) t for the tensions of G t = w."""
+        at = self._stand(parameters, v, given)
+        move = np.concatenate([np.broadcast_to(np.eye(3), (*at.arms.shape, 3)), -skew_matrix(at.arms)], axis=-1)
+        longer = np.einsum("...ki,...kij->...kj", at.directions, move)  # ∂l/∂(p, ω), ω turning in the base's frame
+        turned = (move - at.directions[..., None] * longer[..., None, :]) / at.length[..., None, None]
+        pull = at.tension[..., None, None]
+        force = -(pull * turned).sum(axis=-3)
+        moment = -(pull * (skew_matrix(at.arms) @ turned)).sum(axis=-3)
+        arms = pull * (skew_matrix(at.directions) @ skew_matrix(at.arms))
+        moment[..., 3:] += skew_matrix(at.force) @ skew_matrix(at.centre) - arms.sum(axis=-3)
+        tighter = _solve(at.grasp, np.concatenate([force, moment], axis=-2))
+        by_motion = (longer - NM * parameters["c"][..., None] * tighter) / at.growth[..., None]
+        by_vector = by_motion[..., 3:] @ np.linalg.inv(compute_left_inverse_jacobian(np.nan_to_num(v[..., 3:])))
+        every = np.concatenate([by_motion[..., :3], by_vector], axis=-1)
+        own = [[every[..., k, i] for i in range(6)] for k in range(N_STRUTS)]
+        return [*own, *([float(i == k) for i in range(6)] for k in range(6))]
+
+    # --- what is known of each pose --------------------------------------------------------------------------------
+
+    def check_given(self, poses: Sequence[str], given: Mapping[str, Array], free: Sequence[str]) -> None:
+        """Raise InputError for elevations and temperatures that are none, or that do not tell what is free."""
+        elevation, temperature = given[ELEVATION], given[TEMPERATURE]
+        if 0.0 < elevation.max(initial=0.0) <= LONGEST_RADIANS:
+            raise InputError(f"{ELEVATION}: found none above {elevation.max():g}, expected degrees; radians perhaps")
+        for k in np.flatnonzero(~((elevation >= 0.0) & (elevation <= UPRIGHT)))[:1]:
+            raise InputError(f"pose {poses[k]!r}: {ELEVATION}: found {elevation[k]:g}, expected 0 to 90 degrees")
+        for k in np.flatnonzero(~(np.abs(temperature) <= HOTTEST))[:1]:
+            raise InputError(
+                f"pose {poses[k]!r}: {TEMPERATURE}: found {temperature[k]:g}, expected °C; kelvins perhaps"
+            )
+        _check_told(ELEVATION, elevation, free, ("c[", "sag_", "lift_"))
+        _check_told(TEMPERATURE, temperature, free, (*EXPANSIONS, "drift_"))
+
+
+def _check_down(zenith: Sequence[float], horizon: Sequence[float]) -> tuple[Array, Array]:
+    """Return the two directions of gravity as unit vectors; InputError where they are not at right angles."""
+    one, other = (np.array(v) / np.linalg.norm(v) for v in (zenith, horizon))
+    if abs(one @ other) > 1e-6:
+        raise InputError(
+            f"down_at_horizon: found {np.degrees(np.arccos(one @ other)):.1f} degrees from down_at_zenith, expected 90"
+        )
+    return one, other
+
+
+def _check_told(column: str, values: Array, free: Sequence[str], starts: tuple[str, ...]) -> None:
+    """Raise InputError where a column is constant while something is free that only its changes tell."""
+    asked = [name for name in free if name.startswith(starts)]
+    if asked and np.ptp(values) < LEAST_CHANGE[column]:
+        raise InputError(
+            f"{column}: found {values[0]:g} at every pose while {asked[0]} is free, expected more than one value, or "
+            f"{asked[0]} fixed"
+        )
+
+
+def _spread(symbol: str, values: Array) -> ParameterBlock:
+    return ParameterBlock(symbol, tuple(float(one) for one in values))
+
+
+def _single(symbol: str, value: float, unit: str) -> ParameterBlock:
+    return ParameterBlock(symbol, (value,), unit, per_leg=False)
+
+
+def _list_axes(length: str, angle: str) -> list[tuple[str, str]]:
+    return [(axis, length if k < 3 else angle) for k, axis in enumerate(AXES)]
+
+
+def _six(parameters: Parameters, what: str) -> Any:
+    return np.stack([parameters[f"{what}_{axis}"] for axis in AXES], axis=-1)
+
+
+def _expand(per_million: Any, warmer: Any) -> Any:
+    return PER_MILLION * per_million * warmer
+
+
+def _grow(parameters: Parameters, symbol: str, expansion: str, warmer: Any) -> Any:
+    """Return the joints of base or platform as temperature has them, (..., 6, 3)."""
+    points = np.stack([parameters[f"{symbol}_{axis}"] for axis in "xyz"], axis=-1)
+    return points * (1.0 + _expand(parameters[expansion], warmer))[..., None, None]
+
+
+def _turn(rotation: Any, vectors: Any) -> Any:
+    """Return vectors (..., n, 3) turned by rotations (..., 3, 3)."""
+    return vectors @ np.swapaxes(rotation, -1, -2)
+
+
+def _cross(one: Any, other: Any) -> Any:
+    """Return the cross product of vectors (..., 3), which `numpy.cross` takes longer for."""
+    x, y, z = (one[..., k] for k in range(3))
+    u, v, w = (other[..., k] for k in range(3))
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
+
+
+def _solve(matrix: Any, columns: Any) -> Any:
+    """Return X of matrix (..., 6, 6) times X = columns (..., 6, n); NaN where any is singular."""
+    try:
+        return np.linalg.solve(matrix, columns)
+    except np.linalg.LinAlgError:
+        return np.full(np.broadcast_shapes(matrix.shape[:-2], columns.shape[:-2]) + columns.shape[-2:], np.nan)
