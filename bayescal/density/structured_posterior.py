@@ -52,12 +52,16 @@ class StructuredPosterior(Posterior):
     @property
     def _switches(self) -> slice:
         """Coordinates of the scales."""
-        return slice(self._taus.stop, None)
+        return slice(self._taus.stop, self._taus.stop + self.kernel_scale.n_parameters(self.likelihood.n_legs))
 
     @cached_property
     def n_parameters(self) -> int:
         """Number n of sampling coordinates: free parameters, model errors and scales."""
-        return self._taus.stop + self.kernel_scale.n_parameters(self.likelihood.n_legs)
+        return int(self._switches.stop)
+
+    @property
+    def _n_switches(self) -> int:
+        return int(self._switches.stop - self._switches.start)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -100,13 +104,12 @@ class StructuredPosterior(Posterior):
 
     def _log_prior(self, y: Array, theta: Array) -> Array:
         """Add that each switch is on or off with probability one half."""
-        n_switches = self.n_parameters - self._switches.start
-        return super()._log_prior(y, theta) - n_switches * np.log(2.0)
+        return super()._log_prior(y, theta) - self._n_switches * np.log(2.0)
 
     def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
         """Return draws of the prior in the coordinates, shape (n_draws, n); half of the switches are off."""
         y = super().draw_prior(n_draws, rng)
-        off = rng.random((n_draws, self.n_parameters - self._switches.start)) < 0.5
+        off = rng.random((n_draws, self._n_switches)) < 0.5
         y[:, self._switches] += np.where(off, OFF, 0.0)
         return y
 
@@ -147,7 +150,7 @@ class StructuredPosterior(Posterior):
         """Return the jumps of the geometry, and each structured error switched on or off."""
         found = super().jumps(y)
         first = self.likelihood.n_legs
-        for k in range(self._switches.start, self.n_parameters):
+        for k in range(self._switches.start, self._switches.stop):
             image = y.copy()
             image[k] = self.kernel_scale.flip(y[k])
             found.append((first + k, image))
