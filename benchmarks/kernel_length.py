@@ -2,12 +2,13 @@
 
     python benchmarks/kernel_length.py --density
     python benchmarks/kernel_length.py --speed
-    python benchmarks/kernel_length.py [--kernel smooth] [--median 2] [--spread 0.5] [--first 0] [--twins 1] [--evidence]
+    python benchmarks/kernel_length.py [--kernel smooth] [--median 2] [--spread 0.5] [--first 0] [--twins 1]
+                                       [--evidence]
 
-The telescope without deformation, 40 poses drawn from the actuators' ranges; a function drawn from the kernel's own prior, its
-length from the log-normal, added to what the actuators say. --density: largest difference of the log-density from that
-with the dense kernel at each length, over draws of the length's prior. --speed: time of the posterior density over that
-of τ per leg, in turns. Otherwise, twin by twin, the z-score and the rank of the true length's logarithm in its
+The telescope without deformation, 40 poses drawn from the actuators' ranges; a function drawn from the kernel's own
+prior, its length from the log-normal, added to what the actuators say. --density: largest difference of the log-density
+from that with the dense kernel at each length, over draws of the length's prior. --speed: time of the posterior density
+over that of τ per leg, in turns. Otherwise, twin by twin, z-score and rank of the true length's logarithm in its
 posterior, the posterior sd over the prior's, the share of geometry inside 90 % intervals; with --evidence the
 log-evidence with the length free, and the same integrated over posteriors with fixed lengths.
 """
@@ -20,7 +21,8 @@ import argparse
 import json
 from dataclasses import dataclass
 
-from telescope_problem import ACTUATOR_NOISE, LENGTH_SD, MODEL_ERROR_SCALE, POSE_NOISE, PRIOR_SD, TELESCOPE, time_interleaved
+from telescope_problem import ACTUATOR_NOISE, LENGTH_SD, MODEL_ERROR_SCALE, POSE_NOISE, PRIOR_SD, TELESCOPE  # first
+from telescope_problem import time_interleaved
 
 import numpy as np
 from scipy.special import logsumexp

@@ -98,26 +98,35 @@ class FreeLengthPosterior(StructuredPosterior):
 
     def _differentiate_at(self, y: Array, node: int) -> tuple[Array, Array]:
         """Return gradient and Hessian at the length of a node, without the prior of the length."""
-        fixed, n, known = self._fixed(node), self.likelihood.n_legs, y[:-1]
+        fixed, known = self._fixed(node), y[:-1]
         local = fixed._linearise(known)
         gradient, hessian = np.zeros(self.n_parameters), np.zeros((self.n_parameters, self.n_parameters))
         gradient[:-1], hessian[:-1, :-1] = fixed._differentiate(known, local)
-        if abs(y[-1]) >= REACH:
-            return gradient, hessian
-        errors, turn = fixed.model_errors_at(known), self._family.slope_at(node)
-        weight = fixed.likelihood.actuator_weight
-        scaled = local.precision * (weight[:, None, :n].mean(axis=0) * errors[n:] ** 2)  # A D, shape (P, N, N)
-        solved = (local.precision @ local.errors[..., None])[..., 0]
-        own, speed = np.diagonal(turn), self.lengths.spread
-        size = weight[:, :n].mean(axis=0) * errors[n:] ** 2
-        gradient[-1] = 0.5 * speed * (np.sum(turn * ((solved * size) @ solved.T)) - own @ np.trace(scaled, axis1=1, axis2=2))
-        flat, turned = scaled.reshape(len(own), -1), np.swapaxes(scaled, 1, 2).reshape(len(own), -1)
-        hessian[-1, -1] = -0.5 * speed**2 * np.sum(turn**2 * (flat @ turned.T))
-        by_leg = np.einsum("kij,kji->ki", scaled, local.precision)
-        by_errors = np.concatenate([by_leg, by_leg], axis=1) * weight
-        hessian[-1, self.n_geometry : -1] = -speed * fixed._moves(known) @ ((own @ by_errors) * errors)
-        hessian[self.n_geometry : -1, -1] = hessian[-1, self.n_geometry : -1]
+        if abs(y[-1]) < REACH:
+            inside, speed = slice(self.n_geometry, -1), self.lengths.spread
+            first, second, mixed = self._differentiate_by_length(local, fixed.model_errors_at(known), node)
+            gradient[-1], hessian[-1, -1] = speed * first, -(speed**2) * second
+            hessian[inside, -1] = hessian[-1, inside] = -speed * fixed._moves(known) @ mixed
         return gradient, hessian
+
+    def _differentiate_by_length(self, local: Local, model_errors: Array, node: int) -> tuple[float, float, Array]:
+        """Return the log-likelihood's derivative by log L at a node, and expected curvatures.
+
+        With A the precision of all combinations, α = A q, and E = Uᵀ K' U: d log p = ½ (αᵀ (E x D) α - tr A (E x D)),
+        D = diag(w s²). The curvatures are with log L itself and with the model errors (2 N,).
+        """
+        n, weight, turn = (
+            self.likelihood.n_legs,
+            self._family.at_node(node).actuator_weight,
+            self._family.slope_at(node),
+        )
+        size = weight[0, :n] * model_errors[n:] ** 2
+        solved = np.einsum("kij,kj->ki", local.precision, local.errors)
+        scaled, own = local.precision * size, np.diagonal(turn)
+        first = np.sum(turn * ((solved * size) @ solved.T)) - own @ np.trace(scaled, axis1=1, axis2=2)
+        both = np.einsum("kij,lji->kl", scaled, scaled, optimize=True)
+        seen = np.tile(np.einsum("kij,kji->ki", scaled, local.precision), 2)
+        return 0.5 * float(first), 0.5 * float(np.sum(turn**2 * both)), own @ (seen * weight) * model_errors
 
     # --- climbing and straightening ------------------------------------------------------------------------------
 

@@ -25,6 +25,7 @@ INDEPENDENT: Final = "independent"
 SCALE = "sigma_g"  # name of s among the free parameters
 LENGTH = "L_g"  # of the kernel's length, in units of the actuators' range
 type KernelName = Literal["independent", "linear", "quadratic", "smooth"]
+LENGTHY = ("quadratic", "smooth")  # kernels with a length
 
 OFF = -20.0  # where the switch of a scale stands when there is no structured error; when there is one, about zero
 BORDER = 0.5 * OFF
