@@ -189,9 +189,7 @@ class AuditConfig(ExperimentConfig):
                 raise ValueError("found no tolerance in [parameters], expected a normal or uniform prior of some")
         for field in NOT_STRUCTURED if self.structured_error is not None else ():
             if field in self.model_fields_set:
-                raise ValueError(
-                    f"found {field} beside [structured_error], expected none: that is of the geometry alone"
-                )
+                raise ValueError(f"found {field} beside [structured_error], expected none: it has independent errors")
         if self.requirements.model_fields_set and self.workspace is None:
             raise ValueError("found [requirements] without [workspace], expected both")
         return self
