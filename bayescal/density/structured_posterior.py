@@ -6,23 +6,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from bayescal.density.model_error import BORDER, OFF, KernelScale, KernelScalePrior
 from bayescal.density.posterior import Funnel, Local, Posterior
 from bayescal.density.priors import Prior
 from bayescal.density.structured import StructuredLikelihood, root_of
-from bayescal.machines.closing_coordinates import ClosingCoordinates
+from bayescal.machines.closing_coordinates import close_at_mean
 from bayescal.machines.coordinates import Coordinates
 from bayescal.numerics.geometry import Array
 
 ALIKE_LEVELS = 1.5
 NO_LEVEL = 1e-9
-
-
-def average_rotation(rotations: Array) -> Array:
-    """Return the rotation nearest to the mean of rotations (P, 3, 3)."""
-    return np.asarray(Rotation.from_matrix(rotations).mean().as_matrix())
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,8 +40,7 @@ class StructuredPosterior(Posterior):
         known, likelihood = super().coordinates, self.likelihood
         assert isinstance(likelihood, StructuredLikelihood)
         poses = likelihood.base.poses
-        where = poses.position.mean(axis=0), average_rotation(poses.rotation), poses.actuators.mean(axis=0)
-        return ClosingCoordinates.around(known, likelihood.machine, *(one[None] for one in where))
+        return close_at_mean(known, likelihood.machine, poses.position, poses.rotation, poses.actuators)
 
     @property
     def _switches(self) -> slice:

@@ -267,7 +267,7 @@ class StudyInputs:
             if self.config.blunders is not None:
                 raise InputError(
                     f"blunders: found them beside kernel {self.kernel_name(variant)!r}, by which poses depend on each "
-                    f"other, expected kernel {INDEPENDENT!r}"
+                    f"other, expected kernel {INDEPENDENT!r}, or deformation 'free_matrix' for linear errors"
                 )
             structured, scale = self._structure(likelihood, variant), self._kernel_scale
             lengths = self.kernel_lengths(variant)

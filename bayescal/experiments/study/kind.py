@@ -211,7 +211,8 @@ def _check_noise(posterior: Posterior, inputs: StudyInputs, variant: VariantConf
     if isinstance(posterior, StructuredPosterior):
         raise InputError(
             f"{path}: variant {variant.name!r}: found kernel {inputs.kernel_name(variant)!r} of its model error, "
-            f"expected {INDEPENDENT!r}: audits and checks have no errors that are functions of the pose"
+            f"expected {INDEPENDENT!r}, or deformation 'free_matrix' for linear errors: audits and checks of data have "
+            "no kernels"
         )
     if isinstance(posterior, RobustPosterior):
         raise InputError(f"{path}: found blunders, expected none: audits and checks have no poses that may be spoilt")
