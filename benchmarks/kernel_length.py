@@ -48,7 +48,7 @@ N_POSES = 40
 FREE = ("a_x", "a_y", "b_x", "b_y", "u_x", "l")
 SCALE = KernelScale(0.02, 0.3)
 DRAWS, KEPT = 6000, 2000
-QUADRATURE = np.linspace(-4.0, 4.0, 41)
+QUADRATURE = np.linspace(-4.0, 4.0, 21)
 
 
 @dataclass(frozen=True, eq=False)

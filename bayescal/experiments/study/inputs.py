@@ -269,11 +269,11 @@ class StudyInputs:
                     f"blunders: found them beside kernel {self.kernel_name(variant)!r}, by which poses depend on each "
                     f"other, expected kernel {INDEPENDENT!r}, or deformation 'free_matrix' for linear errors"
                 )
-            structured, scale = self._structure(likelihood, variant), self._kernel_scale
+            structured, kernel_scale = self._structure(likelihood, variant), self._kernel_scale
             lengths = self.kernel_lengths(variant)
             if lengths is not None:
-                return FreeLengthPosterior(structured, priors, error, fixed, kernel_scale=scale, lengths=lengths)
-            return StructuredPosterior(structured, priors, error, fixed, kernel_scale=scale)
+                return FreeLengthPosterior(structured, priors, error, fixed, kernel_scale=kernel_scale, lengths=lengths)
+            return StructuredPosterior(structured, priors, error, fixed, kernel_scale=kernel_scale)
         plain = Posterior(likelihood, priors, error, fixed)
         blunders = self.config.blunders
         return plain if blunders is None else build_robust(plain, blunders.expected_share)
