@@ -63,8 +63,8 @@ class ModelErrorConfig(Section):
     kernel_length: Positive = Field(default=5.0, exclude_if=lambda value: value == 5.0)
     """Over how far quadratic and smooth errors change [ranges of the actuators]."""
     kernel_length_spread: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Standard deviation of the logarithm of that length, which is then free about its median [1]; left out it is
-    known.
+    """Standard deviation of the logarithm of that length, free about its median; it is known where this is left out
+    [1].
     """
     kernel_per_leg: bool = Field(default=False, exclude_if=lambda value: value is False)
     """Whether every leg has a scale of its own."""
