@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.density.free_length import REACH, FreeLengthLikelihood
-from bayescal.density.model_error import LENGTH, LengthPrior
+from bayescal.density.model_error import LENGTH, Kernel, LengthPrior
 from bayescal.density.posterior import Local
 from bayescal.density.priors import Prior
 from bayescal.density.structured_posterior import StructuredPosterior
@@ -151,3 +151,8 @@ class FreeLengthPosterior(StructuredPosterior):
         levels = (1.0 - share)[:, None] * self._levels_by_node[lower] + share[:, None] * self._levels_by_node[lower + 1]
         square = self.tau(y)[..., None, :] ** 2 + levels[..., None] * self.scales(y)[..., None, :] ** 2
         return np.asarray(np.sqrt(square).reshape(len(y), -1))
+
+    def describe_function(self, natural: Array) -> tuple[Kernel, Array]:
+        """Return the kernel of the draws' median length, and the rms of each leg's scale over draws (S, n)."""
+        node = int(self._family.nearest(np.median(natural[:, -1:], axis=0)))
+        return self._family.at_node(node).kernel, super().describe_function(natural)[1]

@@ -239,6 +239,11 @@ class Posterior:
         """Return what the likelihood takes as model errors, shape (B, N) or (N,), mm."""
         return self.tau(y)
 
+    def mean_square_tau(self, natural: Array) -> float:
+        """Return the mean of τ² over draws in natural units (..., n) and over legs, mm²; zero without model error."""
+        tau = natural[..., self._taus]
+        return float(np.mean(tau**2)) if tau.shape[-1] else 0.0
+
     def model_errors_at(self, y: Array) -> Array:
         """Return `model_errors` at one vector y, shape (n,)."""
         return np.broadcast_to(self.model_errors(y[None]), (1, self.likelihood.n_model_errors))[0]

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayescal.density.model_error import BORDER, OFF, KernelScale, KernelScalePrior
+from bayescal.density.model_error import BORDER, OFF, Kernel, KernelScale, KernelScalePrior
 from bayescal.density.posterior import Funnel, Local, Posterior
 from bayescal.density.priors import Prior
 from bayescal.density.structured import StructuredLikelihood, root_of
@@ -199,6 +199,12 @@ class StructuredPosterior(Posterior):
             parts.reshape(size, m, m),
             scores.reshape(size, m),
         )
+
+    def describe_function(self, natural: Array) -> tuple[Kernel, Array]:
+        """Return the kernel, and the rms of each leg's scale over draws in natural units (S, n), shape (N,), mm."""
+        assert isinstance(self.likelihood, StructuredLikelihood)
+        scale = np.sqrt(np.mean(natural[:, self._switches] ** 2, axis=0))
+        return self.likelihood.kernel, np.broadcast_to(scale, self.likelihood.n_legs)
 
     def probability_of_error(self, y: Array) -> Array:
         """Return the share of draws (B, n) with a structured error, of each scale."""

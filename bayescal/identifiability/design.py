@@ -89,19 +89,19 @@ class Knowledge:
         return self.centre[: self.machine.layout.size]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FunctionOfPose:
     """An error of every leg that is a function of the actuators' travel.
 
     Attributes
     ----------
     kernel : Kernel
-    scale : float
+    scale : float, or ndarray, shape (N,)
         What one actuator at the end of its range makes a leg err by, one standard deviation, mm.
     """
 
     kernel: Kernel
-    scale: float
+    scale: float | Array
 
 
 @dataclass(frozen=True, eq=False)

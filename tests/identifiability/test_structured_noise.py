@@ -13,6 +13,8 @@ from bayescal.density.exact import ExactDensity
 from bayescal.density.likelihood import PoseLikelihood
 from bayescal.density.model_error import LinearKernel, SmoothKernel
 from bayescal.density.structured import StructuredLikelihood
+from bayescal.errors import InputError
+from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.identifiability.design import FunctionOfPose
@@ -98,11 +100,12 @@ def read_design(**changes):
     "change", [{"simulated_calibrations": 200}, {"requirements": {"x": 0.1}}, {"profiles": ["l[1]"]}], ids=str
 )
 def test_what_has_independent_errors_is_refused_beside_it(change):
-    with pytest.raises(ValueError, match=r"beside \[structured_error\], expected none"):
-        read_design(**change)
+    with pytest.raises(InputError, match="found it beside errors that are functions of the pose, expected none"):
+        read_inputs(read_design(**change), problems.DESIGNS)
 
 
 def test_design_reaches_the_plan():
-    assert read_design().structured_error.scale_um == 20.0
+    function = read_inputs(read_design(), problems.DESIGNS).plan.function
+    assert (function.kernel.name, function.scale) == ("linear", pytest.approx(0.02))
     with pytest.raises(ValueError, match="structured_error"):
         read_design(structured_error={"kernel": "cubic", "scale_um": 20.0})

@@ -10,7 +10,7 @@ import numpy as np
 from bayescal.data.actuators import read_moves
 from bayescal.density.model_error import build_kernel
 from bayescal.errors import InputError
-from bayescal.experiments.audit.from_study import Measured, draw_measured, read_measured
+from bayescal.experiments.audit.from_study import Measured, draw_measured, read_measured, refuse_independent
 from bayescal.experiments.audit.schema import (
     ActuatorPlanConfig,
     AuditConfig,
@@ -114,6 +114,8 @@ def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
     """
     if config.data is not None:
         return AuditDesign(config, folder, None, read_measured(config, folder))
+    if config.structured_error is not None:
+        refuse_independent(config)
     units = Units(config.units.length, config.units.angle)
     sensors = _read_sensors(config, folder)
     knowledge, plan = _plan_measurements(config, folder, units, sensors)

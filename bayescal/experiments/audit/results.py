@@ -77,8 +77,11 @@ def _summarise_plan(audit: Audit) -> dict[str, Any]:
 
 
 def _summarise_function(inputs: AuditInputs) -> dict[str, Any]:
-    config = inputs.config.structured_error
-    return {} if config is None else {"structured_error": config.model_dump(mode="json")}
+    function = inputs.plan.function
+    if function is None:
+        return {}
+    size = float(np.sqrt(np.mean(np.square(function.scale))))
+    return {"structured_error": {"kernel": function.kernel.name, "scale_um": 1e3 * size}}
 
 
 # --- parameters --------------------------------------------------------------------------------------------------

@@ -187,9 +187,6 @@ class AuditConfig(ExperimentConfig):
                     raise ValueError(f"found no {field}, expected it, or [data] with a study of measured poses")
             if all(isinstance(prior, FixedConfig) for prior in self.parameters.values()):
                 raise ValueError("found no tolerance in [parameters], expected a normal or uniform prior of some")
-        for field in NOT_STRUCTURED if self.structured_error is not None else ():
-            if field in self.model_fields_set:
-                raise ValueError(f"found {field} beside [structured_error], expected none: it has independent errors")
         if self.requirements.model_fields_set and self.workspace is None:
             raise ValueError("found [requirements] without [workspace], expected both")
         return self
