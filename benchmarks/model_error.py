@@ -2,12 +2,15 @@
 
     python benchmarks/model_error.py --speed
     python benchmarks/model_error.py [--first 0] [--twins 40] [--kernels independent linear] [--variants six_pus/none]
-                                     [--scale 20] [--spread 0.05] [--drawn]
+                                     [--scale 20] [--spread 0.05] [--length 5] [--length-spread 1] [--drawn]
+                                     [--blunders 2]
 
 Twins of the telescope are drawn from the priors of the telescope's study, deformed by eq. 4's matrix, or with --drawn
 by a matrix that is itself drawn from the kernel's prior (a scale from the log-normal, then normal entries), and
 surveyed; the variants `none`, which leaves the deformation out, and `matrix`, which is right, are fitted with τ alone
-and with a kernel beside it. Draws are those of the proposal of the mode search, weighted. Printed for every twin and at
+and with a kernel beside it; kernel ``explicit`` is that of the free matrix, whose entries are parameters. With
+--length-spread the length is free; with --blunders so many poses are ones whose actuators read 0.2 mm off, and every
+pose may be one. Draws are those of the proposal of the mode search, weighted. Printed for every twin and at
 the end: share of a, b and l inside their 90 % intervals, rms of their z-scores, mean sd, mean position error of the
 verification poses, Laplace's log-evidence, the efficiency of the weights, and of the kernel's scale: its median, the
 posterior sd of its logarithm over the prior's, and with --drawn its z-score. With --speed: time of the posterior
@@ -33,6 +36,7 @@ from bayescal.density.likelihood import BATCH, PoseLikelihood
 from bayescal.density.model_error import KernelScale, LinearKernel, SmoothKernel
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.prediction import replicate
+from bayescal.density.schema import BlundersConfig, NormalConfig
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.density.structured_prediction import predict_structured
@@ -40,8 +44,8 @@ from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import TargetMeasurement
-from bayescal.experiments.study.schema import StudyConfig
-from bayescal.inference.exploration import explore
+from bayescal.experiments.study.schema import StudyConfig, VariantConfig
+from bayescal.inference.exploration import MAX_PILOTS, explore
 from bayescal.inference.importance import resample
 from bayescal.machines.deformations import MatrixDeformation
 from bayescal.numerics.geometry import Array
@@ -49,6 +53,8 @@ from bayescal.numerics.geometry import Array
 TELESCOPE = Path(__file__).parents[1] / "experiments" / "telescope"
 JUDGED = ("a_x", "a_y", "b_x", "b_y", "l")
 DRAWS, KEPT, PREDICTIVE = 6000, 2000, 300
+EXPLICIT = "explicit"
+BLUNDER = 0.2  # mm
 VARIANTS = ("six_pus/none", "six_pus/matrix")
 
 
@@ -68,20 +74,39 @@ def draw_deformation(twin: Twin, scale: float, spread: float, seed: int) -> tupl
     return replace(twin, machine=replace(twin.machine, deformation=MatrixDeformation(matrix))), float(drawn)
 
 
-def survey(twin: Twin, config: StudyConfig, theta: Array, seed: int) -> StudyInputs:
-    """Return a study of a survey of a machine."""
+def survey(twin: Twin, config: StudyConfig, theta: Array, seed: int, n_blunders: int = 0) -> StudyInputs:
+    """Return a study of a survey of a machine, some of its calibration poses blunders."""
     measured = simulate_survey(twin, np.random.default_rng(seed), theta)
+    rng = np.random.default_rng([seed, 5])
+    spoilt = rng.choice(np.flatnonzero(~measured.verification), n_blunders, replace=False)
+    actuators = measured.actuators.copy()
+    actuators[spoilt] += BLUNDER * rng.standard_normal((n_blunders, twin.mechanism.n_legs))
+    measured = replace(measured, actuators=actuators)
     poses = extract_poses(measured, 1e-3 * config.data.target_noise_um)
     return StudyInputs(config, TELESCOPE, twin.mechanism, TargetMeasurement(measured, poses, "robust"))
+
+
+def choose(inputs: StudyInputs, name: str, kernel: str) -> tuple[StudyInputs, VariantConfig]:
+    """Return a variant with a kernel; in place of an explicit one, its deformation with all entries of K free."""
+    variant = inputs.variant(name)
+    if kernel != EXPLICIT:
+        return inputs, variant.model_copy(update={"model_error": kernel})
+    symbols = [f"K_{k + 1}" for k in range(inputs.mechanism.n_legs)]
+    sd = 1e-3 * inputs.config.model_error.kernel_scale_um / inputs.mechanism.actuator_range
+    entries = dict.fromkeys(symbols, NormalConfig(prior="normal", sd=sd))
+    config = inputs.config.model_copy(update={"parameters": {**inputs.config.parameters, **entries}})
+    variant = variant.model_copy(update={"deformation": "free_matrix", "free": [*variant.free, *symbols]})
+    return replace(inputs, config=config), variant
 
 
 def judge(
     inputs: StudyInputs, twin: Twin, theta: Array, name: str, kernel: str, seed: int, scale: float | None
 ) -> dict[str, float]:
     """Return the figures of one variant; the true scale, if there is one, in mm."""
-    variant = inputs.variant(name).model_copy(update={"model_error": kernel})
+    inputs, variant = choose(inputs, name, kernel)
     posterior = inputs.posterior(variant, with_model_error=True)
-    found = explore(posterior, np.random.SeedSequence(seed), max_pilots=0)
+    # slopes that are parameters are more than Laplace's approximation is good for
+    found = explore(posterior, np.random.SeedSequence(seed), max_pilots=MAX_PILOTS if kernel == EXPLICIT else 0)
     drawn = resample(found.straight.log_density, found.proposal, np.random.default_rng(seed), DRAWS, KEPT)
     y = found.straight.y_from_x(drawn.draws)
     names, truth = posterior.names[: posterior.n_geometry], dict(zip(twin.machine.layout.names, theta, strict=True))
@@ -150,6 +175,9 @@ def main() -> None:
     parser.add_argument("--kernels", nargs="+", default=("independent", "linear"))
     parser.add_argument("--scale", type=float, default=20.0)
     parser.add_argument("--spread", type=float, default=0.05)
+    parser.add_argument("--length", type=float, default=5.0)
+    parser.add_argument("--length-spread", type=float)
+    parser.add_argument("--blunders", type=int, default=0)
     parser.add_argument("--drawn", action="store_true")
     parser.add_argument("--variants", nargs="+", default=VARIANTS)
     parser.add_argument("--speed", action="store_true")
@@ -162,14 +190,17 @@ def main() -> None:
         load_experiment(TELESCOPE / "study.toml"),
     )
     prior = {"kernel_scale_um": arguments.scale, "kernel_spread": arguments.spread}
+    prior |= {"kernel_length": arguments.length, "kernel_length_spread": arguments.length_spread}
     config = config.model_copy(update={"model_error": config.model_error.model_copy(update=prior)})
+    if arguments.blunders:
+        config = config.model_copy(update={"blunders": BlundersConfig()})
     figures: dict[tuple[str, str], list[dict[str, float]]] = {}
     for seed in range(arguments.first, arguments.first + arguments.twins):
         one_twin, scale = twin, None
         if arguments.drawn:
             one_twin, scale = draw_deformation(twin, 1e-3 * arguments.scale, arguments.spread, seed)
         theta = draw_truth(one_twin, config, seed, JUDGED if arguments.drawn else (*JUDGED, "kappa"))
-        inputs = survey(one_twin, config, theta, seed)
+        inputs = survey(one_twin, config, theta, seed, arguments.blunders)
         for name in arguments.variants:
             for kernel in arguments.kernels:
                 one = judge(inputs, one_twin, theta, name, kernel, seed, scale)

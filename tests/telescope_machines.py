@@ -174,8 +174,8 @@ def model_cases(*n_legs: int) -> list[tuple[str, int]]:
 
 
 def deformation_names() -> list[str]:
-    """Return the names of all registered deformations."""
-    return list(DEFORMATIONS)
+    """Return the names of all registered deformations but the free matrix, which nominally is none."""
+    return [name for name in DEFORMATIONS if name != "free_matrix"]
 
 
 def build_model(name: str, mechanism: Mechanism) -> KinematicModel:

@@ -11,7 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayescal.machines.deformations import DEFORMATIONS, Deformation, MatrixDeformation, NoDeformation
+from bayescal.machines.deformations import (
+    DEFORMATIONS,
+    Deformation,
+    FreeMatrixDeformation,
+    MatrixDeformation,
+    NoDeformation,
+)
 from bayescal.machines.kinematics import Machine, build_machine
 from bayescal.machines.mechanism import BeamSection, Flexures
 from bayescal.machines.models import MODELS
@@ -32,6 +38,8 @@ def find_hindrance(machine: Machine) -> str:
     """
     if type(machine.model) not in MODELS.values() or type(machine.deformation) not in DEFORMATIONS.values():
         return "a model or deformation of one's own, whose parameters no mechanism's file holds, expected built-in ones"
+    if isinstance(machine.deformation, FreeMatrixDeformation):
+        return "deformation 'free_matrix', whose parameters no mechanism's file holds, expected 'matrix' or another"
     perfect = isinstance(machine.model, SixPus | SixUps)
     if machine.mechanism.n_legs != DEGREES_OF_FREEDOM and not perfect:
         return (

@@ -39,7 +39,6 @@ BATCH, FEW_POSES = 16, 128
 CLOSES = 1e-4
 """Newton step in mm and rad below which the derivatives are those at the predicted pose: to 0.001 nats of 40 poses."""
 STEPS = 5
-NOTHING = 1e-8  # share of the kernel's largest eigenvalue below which a direction is left out
 FAR = 1e4  # pose errors beyond it, mm or rad, are no machine's
 
 
@@ -105,19 +104,13 @@ class _Shared:
 class _Function:
     """A model error that is a function of the pose, of unit scale: columns W L_n F_nr e_i s_i add V Vᵀ."""
 
-    factor: Array  # (P, R)
+    likelihood: StructuredLikelihood
 
-    @classmethod
-    def from_likelihood(cls, likelihood: StructuredLikelihood) -> _Function:
-        """Return it without the directions that hold nothing."""
-        values = likelihood.eigenvalues
-        kept = values > NOTHING * values.max()
-        return cls(likelihood.combination[:, kept] * np.sqrt(values[kept]))
-
-    def columns(self, white: Array, here: _Here, scale: Array) -> Array:
-        """Return V, shape (B, P, N, R N), for whitening matrices (B, P, N, N) and scales (B, N)."""
-        legs = white @ here.legs * scale[:, None, None, :]
-        spread = self.factor[None, :, None, :, None] * legs[..., None, :]
+    def columns(self, white: Array, here: _Here, model_error: Array) -> Array:
+        """Return V, shape (B, P, N, R N), for whitening matrices (B, P, N, N) and model errors (B, 2 N or more)."""
+        n_legs = self.likelihood.n_legs
+        legs = white @ here.legs * model_error[:, None, None, n_legs : 2 * n_legs]
+        spread = self.likelihood.factor(model_error)[:, :, None, :, None] * legs[..., None, :]
         return np.asarray(spread.reshape(*legs.shape[:3], -1))
 
 
@@ -144,7 +137,7 @@ class ExactDensity:
     actuator_variance : ndarray, shape (P, N), optional
         v_ni, mm²: extra variance of each leg at each pose by itself.
     structured : StructuredLikelihood, optional
-        Of the same poses: model errors have 2 N entries then, τ of each leg and the scales s.
+        Of the same poses: model errors have its entries then, τ of each leg, the scales s, and a length that is free.
     """
 
     def __init__(
@@ -156,7 +149,7 @@ class ExactDensity:
         structured: StructuredLikelihood | None = None,
     ) -> None:
         self._likelihood, self._noise = likelihood, actuator_noise
-        self._function = None if structured is None else _Function.from_likelihood(structured)
+        self._function = None if structured is None else _Function(structured)
         self._variance = 0.0 if actuator_variance is None else actuator_variance
         self._shared = None if common is None else _Shared.from_errors(common)
         gain = likelihood.machine.basis(likelihood.poses.actuators).actuator_gain
@@ -170,7 +163,7 @@ class ExactDensity:
         theta : ndarray, shape (B, D)
             Parameter vectors.
         model_error : ndarray, shape (B, N) or (N,)
-            τ of each leg, mm; and s of each where there is a structured error.
+            τ of each leg, mm; and what else a structured error has.
         """
         result = np.empty(len(theta))
         model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
@@ -249,7 +242,7 @@ class ExactDensity:
         """Return V of all that poses have in common, shape (B, P, N, R), whitened; None where there is nothing."""
         parts = [] if self._shared is None else [self._shared.columns(white, here)]
         if self._function is not None:
-            parts.append(self._function.columns(white, here, model_error[:, self._likelihood.n_legs :]))
+            parts.append(self._function.columns(white, here, model_error))
         return np.concatenate(parts, axis=-1) if parts else None
 
     def _factorise(self, columns: Array) -> tuple[Array, Array]:

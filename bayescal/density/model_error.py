@@ -23,25 +23,34 @@ from bayescal.numerics.geometry import Array
 
 INDEPENDENT: Final = "independent"
 SCALE = "sigma_g"  # name of s among the free parameters
+LENGTH = "L_g"  # of the kernel's length, in units of the actuators' range
 type KernelName = Literal["independent", "linear", "quadratic", "smooth"]
+LENGTHY = ("quadratic", "smooth")  # kernels with a length
 
 OFF = -20.0  # where the switch of a scale stands when there is no structured error; when there is one, about zero
 BORDER = 0.5 * OFF
 
 
 def is_model_error(name: str) -> bool:
-    """Whether a free parameter's name is that of a model error, τ or the scale of a leg or of all."""
-    return name.split("[")[0] in ("tau", SCALE)
+    """Whether a free parameter's name is that of a model error: τ, or the scale or length of a structured one."""
+    return name.split("[")[0] in ("tau", SCALE, LENGTH)
 
 
 class Kernel(ABC):
-    """Covariance k of a function of the travel, in units of s², zero at home."""
+    """Covariance k of a function of the travel, in units of s², zero at home.
+
+    Lengths of shape (B, 1, 1) are taken all at once: then k is of shape (B, P, Q).
+    """
 
     name: str
 
     @abstractmethod
     def __call__(self, first: Array, second: Array) -> Array:
         """Return k of travels (P, N) and (Q, N) in units of the actuators' range, shape (P, Q)."""
+
+    @abstractmethod
+    def slope(self, first: Array, second: Array) -> Array:
+        """Return the derivative of k by the logarithm of its length, shape (P, Q)."""
 
 
 @dataclass(frozen=True)
@@ -54,18 +63,26 @@ class LinearKernel(Kernel):
         """Return k."""
         return first @ second.T
 
+    def slope(self, first: Array, second: Array) -> Array:
+        """Return zeros: there is no length."""
+        return np.zeros((len(first), len(second)))
+
 
 @dataclass(frozen=True)
 class QuadraticKernel(Kernel):
     """Linear and quadratic functions, k = z · z' + (z · z')² / (2 L²): the second is of relative size 1 / L."""
 
-    length: float
+    length: float | Array
     name = "quadratic"
 
     def __call__(self, first: Array, second: Array) -> Array:
         """Return k."""
         linear = first @ second.T
         return np.asarray(linear + 0.5 * (linear / self.length) ** 2)
+
+    def slope(self, first: Array, second: Array) -> Array:
+        """Return dk / d log L."""
+        return np.asarray(-((first @ second.T / self.length) ** 2))
 
 
 @dataclass(frozen=True)
@@ -75,24 +92,76 @@ class SmoothKernel(Kernel):
     k = L² (e(z - z') - e(z) - e(z') + 1) with e(d) = exp(-|d|² / (2 L²)).
     """
 
-    length: float
+    length: float | Array
     name = "smooth"
 
     def __call__(self, first: Array, second: Array) -> Array:
         """Return k."""
-        between = np.sum((first[:, None] - second[None]) ** 2, axis=-1)
-        own, other = (np.sum(z**2, axis=-1) for z in (first, second))
+        own, other, between = _square_distances(first, second)
         # 1 - e, which keeps its digits where L is large
         a, b, c = (-np.expm1(-0.5 * d / self.length**2) for d in (own, other, between))
-        return np.asarray(self.length**2 * (a[:, None] + b - c))
+        return np.asarray(self.length**2 * (a + b - c))
+
+    def slope(self, first: Array, second: Array) -> Array:
+        """Return dk / d log L."""
+        own, other, between = _square_distances(first, second)
+        a, b, c = (d * np.exp(-0.5 * d / self.length**2) for d in (own, other, between))
+        return np.asarray(2.0 * self(first, second) - a - b + c)
 
 
-def build_kernel(name: str, length: float) -> Kernel:
-    """Return the kernel of a name, its length in units of the actuators' range."""
+def _square_distances(first: Array, second: Array) -> tuple[Array, Array, Array]:
+    """Return the squared distances of travels (P, N) and (Q, N) from home, (P, 1) and (1, Q), and from each other."""
+    own, other = (np.sum(z**2, axis=-1) for z in (first, second))
+    return own[:, None], other[None], np.sum((first[:, None] - second[None]) ** 2, axis=-1)
+
+
+def build_kernel(name: str, length: float | Array) -> Kernel:
+    """Return the kernel of a name, its length, or lengths (B, 1, 1), in units of the actuators' range."""
     known: Mapping[str, Kernel] = {
         one.name: one for one in (LinearKernel(), QuadraticKernel(length), SmoothKernel(length))
     }
     return known[name]
+
+
+@dataclass(frozen=True)
+class LengthPrior(Prior):
+    """Of a kernel's length: log-normal, in units of the actuators' range.
+
+    Its sampling coordinate c is standard normal under the prior.
+    """
+
+    median: float
+    spread: float
+
+    def log_density(self, value: Array) -> Array:
+        """Return the log-normal log-density."""
+        return np.asarray(-0.5 * self.standardise(value) ** 2 - np.log(value * self.spread) - 0.5 * np.log(2.0 * np.pi))
+
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """Return n draws."""
+        return self.length(rng.standard_normal(n))
+
+    def standardise(self, value: Array) -> Array:
+        """Return c."""
+        return np.asarray(np.log(value / self.median) / self.spread)
+
+    def length(self, c: Array) -> Array:
+        """Return lengths of coordinates."""
+        return np.asarray(self.median * np.exp(self.spread * c))
+
+    def at_quantile(self, share: Array) -> Array:
+        """Return lengths by the prior's mass below them."""
+        return self.length(ndtri(share))
+
+    @property
+    def mean(self) -> float:
+        """Of the log-normal."""
+        return self.median * float(np.exp(0.5 * self.spread**2))
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation."""
+        return self.mean * float(np.sqrt(np.expm1(self.spread**2)))
 
 
 @dataclass(frozen=True)

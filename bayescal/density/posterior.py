@@ -11,10 +11,11 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import erfcinv, erfinv, ndtr
 
-from bayescal.density.likelihood import Likelihood
+from bayescal.density.likelihood import Likelihood, PoseLikelihood
 from bayescal.density.priors import HalfNormalPrior, Prior, UniformPrior
 from bayescal.errors import InputError
 from bayescal.limits import FAR_AWAY
+from bayescal.machines.closing_coordinates import close_at_mean
 from bayescal.machines.coordinates import Coordinates, mirror_direction
 from bayescal.machines.kinematics import compute_leg_lines
 from bayescal.machines.parameters import ParameterLayout
@@ -161,7 +162,15 @@ class Posterior:
         bounds = [(p.lower, p.upper) if isinstance(p, UniformPrior) else (-np.inf, np.inf) for p in ordered]
         lower, upper = np.array(bounds).reshape(-1, 2).T
         scale = np.array([p.sd for p in ordered])
-        return Coordinates(layout, start, free, scale, lines, lower, upper)
+        return self._close_lengths(Coordinates(layout, start, free, scale, lines, lower, upper))
+
+    def _close_lengths(self, known: Coordinates) -> Coordinates:
+        """Return coordinates whose lengths follow the joints where a deformation leaves these hardly known."""
+        likelihood = self.likelihood
+        if not (isinstance(likelihood, PoseLikelihood) and likelihood.machine.deformation.hides_joints):
+            return known
+        poses = likelihood.poses
+        return close_at_mean(known, likelihood.machine, poses.position, poses.rotation, poses.actuators)
 
     @cached_property
     def _ordered_priors(self) -> tuple[Prior, ...]:
@@ -229,6 +238,11 @@ class Posterior:
     def model_errors(self, y: Array) -> Array:
         """Return what the likelihood takes as model errors, shape (B, N) or (N,), mm."""
         return self.tau(y)
+
+    def mean_square_tau(self, natural: Array) -> float:
+        """Return the mean of τ² over draws in natural units (..., n) and over legs, mm²; zero without model error."""
+        tau = natural[..., self._taus]
+        return float(np.mean(tau**2)) if tau.shape[-1] else 0.0
 
     def model_errors_at(self, y: Array) -> Array:
         """Return `model_errors` at one vector y, shape (n,)."""

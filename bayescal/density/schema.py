@@ -53,15 +53,19 @@ class ModelErrorConfig(Section):
     per_leg: bool = True
     """Whether every leg has a model error of its own, or all share one."""
     kernel: KernelName = Field(default=INDEPENDENT, exclude_if=lambda value: value == INDEPENDENT)
-    """What is a function of the pose, for all variants that say nothing: `independent` (nothing is), `linear` or
-    `smooth`.
+    """What is a function of the pose, for all variants that say nothing: `independent` (nothing is), `linear`,
+    `quadratic` (linear and quadratic), or `smooth`.
     """
     kernel_scale_um: Positive = Field(default=20.0, exclude_if=lambda value: value == 20.0)
     """What one actuator at the end of its range makes a leg err by, one standard deviation."""
     kernel_spread: Positive = Field(default=0.05, exclude_if=lambda value: value == 0.05)
     """Standard deviation of the logarithm of that scale [1]."""
     kernel_length: Positive = Field(default=5.0, exclude_if=lambda value: value == 5.0)
-    """Over how far smooth errors change [ranges of the actuators]."""
+    """Over how far quadratic and smooth errors change [ranges of the actuators]."""
+    kernel_length_spread: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Standard deviation of the logarithm of that length, free about its median; it is known where this is left out
+    [1].
+    """
     kernel_per_leg: bool = Field(default=False, exclude_if=lambda value: value is False)
     """Whether every leg has a scale of its own."""
 

@@ -18,7 +18,8 @@ T_n in place of the legs. Where these differ by more than `ALIKE` the poses are 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from copy import copy
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.linalg import eigh
@@ -31,6 +32,7 @@ from bayescal.numerics.scratch import Scratch
 
 ALIKE = 0.25  # largest entry of T - 1
 FEWEST_POSES = 3
+NOTHING = 1e-8  # share of the kernel's largest eigenvalue below which a direction is left out
 
 
 class Conditional(NamedTuple):
@@ -62,6 +64,12 @@ def map_covariance(first: Array, second: Array) -> Array:
     return np.asarray(inverse @ middle @ inverse)
 
 
+def factor_kernel(values: Array, vectors: Array) -> Array:
+    """Return F, shape (B, P, R), from eigenvalues (B, P) and eigenvectors (B, P, P), R of which hold something."""
+    kept = (values > NOTHING * values.max(axis=1, keepdims=True)).any(axis=0)
+    return np.asarray(vectors[:, :, kept] * np.sqrt(values[:, None, kept]))
+
+
 class StructuredLikelihood(Likelihood):
     """Log-density of poses with a structured model error, in terms of independent combinations of the poses.
 
@@ -87,7 +95,7 @@ class StructuredLikelihood(Likelihood):
                 f"model_error.kernel: found {poses.n_poses} calibration poses, expected {FEWEST_POSES} or more"
             )
         # where the geometry is hardly known the mode's gradient needs more digits
-        self.base, self.kernel, self.travel = poses.refined(), kernel, travel
+        self.base, self.travel = poses.refined(), travel
         self.machine, self.layout = poses.machine, poses.layout
         known = poses.legs_known
         self._mean_known = known.mean(axis=0)
@@ -96,14 +104,30 @@ class StructuredLikelihood(Likelihood):
         self._legs_weight = poses.actuator_weight.mean(axis=0)
         inputs = self.inputs_of(poses)
         self._inputs = inputs
-        values, self.combination = eigh(kernel(inputs, inputs))
-        self.eigenvalues = np.maximum(values, 0.0)
+        self._take_kernel(kernel, *eigh(kernel(inputs, inputs)))
         if not self.eigenvalues.max() > 0.0:
             raise InputError("model_error.kernel: found all calibration poses at home, expected actuators that move")
-        own = np.broadcast_to(self._legs_weight, (poses.n_poses, poses.n_legs))
-        self.actuator_weight = np.concatenate([own, self.eigenvalues[:, None] * own], axis=1)
         self._log_constant = float(poses.log_constant.sum() - np.linalg.slogdet(self._map)[1].sum())
         self._scratch = Scratch()
+
+    def _take_kernel(self, kernel: Kernel, values: Array, combination: Array) -> None:
+        """Take a kernel, with the eigenvalues (P,) and eigenvectors (P, P) of its matrix over the poses."""
+        self.kernel, self.combination, self.eigenvalues = kernel, combination, np.maximum(values, 0.0)
+        own = np.broadcast_to(self._legs_weight, (self.n_poses, self.n_legs))
+        self.actuator_weight = np.concatenate([own, self.eigenvalues[:, None] * own], axis=1)
+
+    def with_kernel(self, kernel: Kernel, values: Array, combination: Array) -> Self:
+        """Return the density with another kernel, whose eigenvalues (P,) and eigenvectors (P, P) are known."""
+        other = copy(self)
+        other._take_kernel(kernel, values, combination)
+        return other
+
+    def factor(self, model_error: Array) -> Array:
+        """Return F with F Fᵀ the kernel's matrix over the poses, of model errors (B, ...): (1 or B, P, R).
+
+        Without the directions that hold nothing.
+        """
+        return factor_kernel(self.eigenvalues[None], self.combination[None])
 
     def _find_map(self, poses: PoseLikelihood) -> Array:
         """Return T of poses, shape (P, N, N)."""
@@ -203,13 +227,17 @@ class StructuredLikelihood(Likelihood):
         """
         model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
         precision, solved = self._solve(theta, model_error)
-        u = self.combination
-        alpha = np.einsum("pk,bki->bpi", u, solved)
-        own = np.einsum("pk,bkij->bpij", u**2, precision)
+        u = self._combinations(model_error)
+        alpha = np.einsum("...pk,...ki->...pi", u, solved)
+        own = np.einsum("...pk,...kij->...pij", u**2, precision)
         deviation = np.linalg.solve(own, alpha[..., None])[..., 0]
         _, log_det = np.linalg.slogdet(own)
         constant = self.base.log_constant - np.linalg.slogdet(self._map)[1]
         return np.asarray(constant + 0.5 * log_det - 0.5 * np.einsum("bpi,bpi->bp", alpha, deviation))
+
+    def _combinations(self, model_error: Array) -> Array:
+        """Return U, shape (P, P), or of each model error, (B, P, P)."""
+        return self.combination
 
     def _solve(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
         """Return the precisions of the combinations (B, P, N, N) and these times q, shape (B, P, N)."""
@@ -221,10 +249,10 @@ class StructuredLikelihood(Likelihood):
     def condition(self, poses: PoseLikelihood, theta: Array, model_error: Array) -> Conditional:
         """Return g at poses given the errors at the calibration poses, for vectors (B, D) and model errors (B, 2 N)."""
         mean, precision, seen, scale = self._transfer(poses, theta, model_error)
-        inputs, held = self.inputs_of(poses), self._find_map(poses)
-        taken = np.einsum("qk,bkij->bqij", seen**2, precision, optimize=True)
-        own = np.diagonal(self.kernel(inputs, inputs))
-        left = own[:, None, None] * (np.eye(self.n_legs) * scale[:, None, None, :])
+        held = self._find_map(poses)
+        taken = np.einsum("...qk,...kij->...qij", seen**2, precision, optimize=True)
+        own = np.diagonal(self._correlate(poses, model_error), axis1=-2, axis2=-1)
+        left = own[..., None, None] * (np.eye(self.n_legs) * scale[:, None, None, :])
         left = left - scale[:, None, :, None] * taken * scale[:, None, None, :]
         return Conditional(np.einsum("qij,bqj->bqi", held, mean), held @ left @ np.swapaxes(held, -1, -2))
 
@@ -239,11 +267,11 @@ class StructuredLikelihood(Likelihood):
         model_error : ndarray, shape (B, 2 N)
         """
         mean, precision, seen, scale = self._transfer(poses, theta, model_error)
-        inputs, held = self.inputs_of(poses), self._find_map(poses)
+        held = self._find_map(poses)
         n, n_poses = self.n_legs, poses.n_poses
-        taken = np.einsum("qk,bkij,rk->bqirj", seen, precision, seen, optimize=True)
+        taken = np.einsum("...qk,...kij,...rk->...qirj", seen, precision, seen, optimize=True)
         taken *= scale[:, None, :, None, None] * scale[:, None, None, None, :]
-        prior = np.einsum("qr,ij,bj->bqirj", self.kernel(inputs, inputs), np.eye(n), scale)
+        prior = np.einsum("...qr,ij,...j->...qirj", self._correlate(poses, model_error), np.eye(n), scale)
         noise = self._mean_known + np.eye(n) * (self._legs_weight * model_error[:, :n] ** 2)[:, None, :]
         total = prior - taken + np.einsum("qr,bij->bqirj", np.eye(n_poses), noise)
         errors = np.einsum("qij,bqj->bqi", np.linalg.inv(held), poses.leg_errors(theta)) - mean
@@ -253,13 +281,22 @@ class StructuredLikelihood(Likelihood):
         constant = poses.log_constant.sum() - np.linalg.slogdet(held)[1].sum()
         return np.asarray(constant - half_log_det - 0.5 * np.einsum("bi,bi->b", white, white))
 
+    def _correlate(self, poses: PoseLikelihood, model_error: Array) -> Array:
+        """Return the kernel at poses, shape (Q, Q), or of each model error, (B, Q, Q)."""
+        inputs = self.inputs_of(poses)
+        return self.kernel(inputs, inputs)
+
     def _transfer(self, poses: PoseLikelihood, theta: Array, model_error: Array) -> tuple[Array, Array, Array, Array]:
         """Return g's mean at poses (B, Q, N), the precisions, the kernel seen by combinations (Q, P), and w s²."""
         precision, solved = self._solve(theta, model_error)
-        seen = self.kernel(self.inputs_of(poses), self._inputs) @ self.combination
-        scale = self._legs_weight * model_error[:, self.n_legs :] ** 2
-        mean = scale[:, None, :] * np.einsum("qk,bki->bqi", seen, solved, optimize=True)
+        seen = self._see(poses, model_error)
+        scale = self._legs_weight * model_error[:, self.n_legs : 2 * self.n_legs] ** 2
+        mean = scale[:, None, :] * np.einsum("...qk,...ki->...qi", seen, solved, optimize=True)
         return mean, precision, seen, scale
+
+    def _see(self, poses: PoseLikelihood, model_error: Array) -> Array:
+        """Return the kernel of poses and combinations, shape (Q, P), or of each model error, (B, Q, P)."""
+        return self.kernel(self.inputs_of(poses), self._inputs) @ self.combination
 
     @property
     def per_actuator(self) -> Array:

@@ -6,23 +6,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from bayescal.density.model_error import BORDER, OFF, KernelScale, KernelScalePrior
+from bayescal.density.model_error import BORDER, OFF, Kernel, KernelScale, KernelScalePrior
 from bayescal.density.posterior import Funnel, Local, Posterior
 from bayescal.density.priors import Prior
 from bayescal.density.structured import StructuredLikelihood, root_of
-from bayescal.machines.closing_coordinates import ClosingCoordinates
+from bayescal.machines.closing_coordinates import close_at_mean
 from bayescal.machines.coordinates import Coordinates
 from bayescal.numerics.geometry import Array
 
 ALIKE_LEVELS = 1.5
 NO_LEVEL = 1e-9
-
-
-def average_rotation(rotations: Array) -> Array:
-    """Return the rotation nearest to the mean of rotations (P, 3, 3)."""
-    return np.asarray(Rotation.from_matrix(rotations).mean().as_matrix())
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,18 +40,21 @@ class StructuredPosterior(Posterior):
         known, likelihood = super().coordinates, self.likelihood
         assert isinstance(likelihood, StructuredLikelihood)
         poses = likelihood.base.poses
-        where = poses.position.mean(axis=0), average_rotation(poses.rotation), poses.actuators.mean(axis=0)
-        return ClosingCoordinates.around(known, likelihood.machine, *(one[None] for one in where))
+        return close_at_mean(known, likelihood.machine, poses.position, poses.rotation, poses.actuators)
 
     @property
     def _switches(self) -> slice:
         """Coordinates of the scales."""
-        return slice(self._taus.stop, None)
+        return slice(self._taus.stop, self._taus.stop + self.kernel_scale.n_parameters(self.likelihood.n_legs))
 
     @cached_property
     def n_parameters(self) -> int:
         """Number n of sampling coordinates: free parameters, model errors and scales."""
-        return self._taus.stop + self.kernel_scale.n_parameters(self.likelihood.n_legs)
+        return int(self._switches.stop)
+
+    @property
+    def _n_switches(self) -> int:
+        return int(self._switches.stop - self._switches.start)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -100,13 +97,12 @@ class StructuredPosterior(Posterior):
 
     def _log_prior(self, y: Array, theta: Array) -> Array:
         """Add that each switch is on or off with probability one half."""
-        n_switches = self.n_parameters - self._switches.start
-        return super()._log_prior(y, theta) - n_switches * np.log(2.0)
+        return super()._log_prior(y, theta) - self._n_switches * np.log(2.0)
 
     def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
         """Return draws of the prior in the coordinates, shape (n_draws, n); half of the switches are off."""
         y = super().draw_prior(n_draws, rng)
-        off = rng.random((n_draws, self.n_parameters - self._switches.start)) < 0.5
+        off = rng.random((n_draws, self._n_switches)) < 0.5
         y[:, self._switches] += np.where(off, OFF, 0.0)
         return y
 
@@ -147,7 +143,7 @@ class StructuredPosterior(Posterior):
         """Return the jumps of the geometry, and each structured error switched on or off."""
         found = super().jumps(y)
         first = self.likelihood.n_legs
-        for k in range(self._switches.start, self.n_parameters):
+        for k in range(self._switches.start, self._switches.stop):
             image = y.copy()
             image[k] = self.kernel_scale.flip(y[k])
             found.append((first + k, image))
@@ -203,6 +199,12 @@ class StructuredPosterior(Posterior):
             parts.reshape(size, m, m),
             scores.reshape(size, m),
         )
+
+    def describe_function(self, natural: Array) -> tuple[Kernel, Array]:
+        """Return the kernel, and the rms of each leg's scale over draws in natural units (S, n), shape (N,), mm."""
+        assert isinstance(self.likelihood, StructuredLikelihood)
+        scale = np.sqrt(np.mean(natural[:, self._switches] ** 2, axis=0))
+        return self.likelihood.kernel, np.broadcast_to(scale, self.likelihood.n_legs)
 
     def probability_of_error(self, y: Array) -> Array:
         """Return the share of draws (B, n) with a structured error, of each scale."""

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bayescal.density.model_error import Kernel
 from bayescal.errors import InputError
 from bayescal.machines.frames import FRAME_BLOCKS
 from bayescal.machines.kinematics import ForwardKinematics, Machine, solve_forward_kinematics
@@ -89,6 +90,21 @@ class Knowledge:
 
 
 @dataclass(frozen=True, eq=False)
+class FunctionOfPose:
+    """An error of every leg that is a function of the actuators' travel.
+
+    Attributes
+    ----------
+    kernel : Kernel
+    scale : float, or ndarray, shape (N,)
+        What one actuator at the end of its range makes a leg err by, one standard deviation, mm.
+    """
+
+    kernel: Kernel
+    scale: float | Array
+
+
+@dataclass(frozen=True, eq=False)
 class Plan:
     """A plan of measurement.
 
@@ -104,6 +120,8 @@ class Plan:
         On the sensors' noise.
     pose_information : ndarray, shape (P, 6, 6), optional
         What is known of each measured pose, in place of the sensors', where poses have been measured already.
+    function : FunctionOfPose, optional
+        Error of the legs beside τ.
     """
 
     actuators: Array
@@ -112,6 +130,7 @@ class Plan:
     model_error: float = 0.0
     noise_factor: float = 1.0
     pose_information: Array | None = None
+    function: FunctionOfPose | None = None
 
     @property
     def n_poses(self) -> int:

@@ -47,12 +47,6 @@ class Draws:
         """Posterior mean of the parameters, shape (m,)."""
         return np.asarray(self.values.mean(axis=0))
 
-    @property
-    def model_error_variance(self) -> float:
-        """Posterior mean of τ², over all legs, mm²; zero without model error."""
-        tau = self.natural[..., self.n_geometry :]
-        return float(np.mean(tau**2)) if tau.shape[-1] else 0.0
-
     def thin(self, n: int) -> Array:
         """Return the parameters of at most n draws, evenly taken, shape (n', m)."""
         return self.values[np.linspace(0, len(self.values) - 1, min(n, len(self.values))).astype(int)]

@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from bayescal.machines.coordinates import Coordinates
 from bayescal.machines.kinematics import Machine
@@ -104,3 +105,16 @@ class ClosingCoordinates(Coordinates):
             slope[:, index] = 0.0
             change[index] -= (slope @ change[: self.machine.layout.size]) / self._slope[:, None]
         return change
+
+
+def close_at_mean(
+    known: Coordinates, machine: Machine, position: Array, rotation: Array, actuators: Array
+) -> ClosingCoordinates:
+    """Return coordinates whose lengths close the legs at the mean of poses (P, 3), (P, 3, 3) and actuators (P, N)."""
+    where = position.mean(axis=0), average_rotation(rotation), actuators.mean(axis=0)
+    return ClosingCoordinates.around(known, machine, *(one[None] for one in where))
+
+
+def average_rotation(rotations: Array) -> Array:
+    """Return the rotation nearest to the mean of rotations (P, 3, 3)."""
+    return np.asarray(Rotation.from_matrix(rotations).mean().as_matrix())

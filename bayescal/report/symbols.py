@@ -8,6 +8,8 @@ from bayescal.report.numbers import MICROMETRES, PER_MILLE
 
 MODEL_ERROR = "tau"
 KERNEL_SCALE = "sigma_g"
+KERNEL_LENGTH = "L_g"
+OF_KERNELS = (KERNEL_SCALE, KERNEL_LENGTH)
 GREEK = {
     **{"alpha": "α", "beta": "β", "eta": "η", "kappa": "κ", "xi": "ξ"},
     **{"rho": "ρ", "tau": "τ", "phi": "φ", "psi": "ψ", "sigma": "σ"},
@@ -21,8 +23,8 @@ def split_name(name: str) -> tuple[str, int]:
 
 
 def is_model_error(symbol: str) -> bool:
-    """Whether a symbol is a model error τ or the scale of a structured one, which are no parameters of the machine."""
-    return symbol in (MODEL_ERROR, KERNEL_SCALE)
+    """Whether a symbol is a model error τ, or scale or length of a structured one: no parameters of the machine."""
+    return symbol in (MODEL_ERROR, *OF_KERNELS)
 
 
 def split_symbol(symbol: str) -> tuple[str, str, str]:
@@ -73,6 +75,6 @@ def name_parameter(name: str) -> str:
 
 def scale_of(symbol: str, unit: str) -> tuple[float, str]:
     """Return the factor and the unit in which a parameter's offsets are shown."""
-    if is_model_error(symbol):
+    if is_model_error(symbol) and symbol != KERNEL_LENGTH:
         return MICROMETRES, "µm"
     return {"1": (PER_MILLE, "10⁻³"), "rad": (PER_MILLE, "mrad")}.get(unit, (1.0, unit))

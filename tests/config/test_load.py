@@ -154,6 +154,7 @@ def test_misspelt_key_of_a_simulation(study, old, new, field):
         ("per_leg = false", "per_leg = 0", "model_error.per_leg", "0"),
         ("per_leg = false", 'kernel = "cubic"', "model_error.kernel", "'cubic'"),
         ("per_leg = false", "kernel_length = 0", "model_error.kernel_length", "0"),
+        ("per_leg = false", "kernel_length_spread = 0", "model_error.kernel_length_spread", "0"),
         ("per_leg = false", "kernel_scale_um = -1.0", "model_error.kernel_scale_um", "-1.0"),
         ('free = ["l"]', 'free = ["l"]\nmodel_error = "smoth"', "variants.0.model_error", "'smoth'"),
         ("ensembles = 4", "ensembles = 3", "sampler.ensembles", "3"),

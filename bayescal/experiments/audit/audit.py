@@ -11,13 +11,14 @@ from bayescal.experiments.audit.changes import ChangeEffect, SweepPoint, check_c
 from bayescal.experiments.audit.inputs import AuditInputs
 from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability.directions import Direction, find_directions
-from bayescal.identifiability.information import Information, information_of_rows
+from bayescal.identifiability.information import Information
 from bayescal.identifiability.reduced import ReducedSet, judge_reduced
 from bayescal.identifiability.requirements import Forecast, Outlook
 from bayescal.identifiability.ridges import Ridge, describe_ridges
 from bayescal.identifiability.selection import Selection, select_parameters
 from bayescal.identifiability.sensitivity import compute_sensitivity
 from bayescal.identifiability.structure import Structure, find_structural_rank
+from bayescal.identifiability.structured_noise import inform
 from bayescal.identifiability.verdicts import Verdict, judge_parameters
 from bayescal.limits import NINETY_FIVE
 from bayescal.machines.frames import FRAME_BLOCKS
@@ -96,7 +97,7 @@ def analyse(inputs: AuditInputs) -> Analysis:
     """Return what the plan tells of the parameters."""
     knowledge, plan = inputs.knowledge, inputs.plan
     structure = find_structural_rank(knowledge, plan, np.random.default_rng([inputs.config.seed, 2]))
-    information = information_of_rows(compute_sensitivity(knowledge, plan.actuators).rows(plan), knowledge.sd)
+    information = inform(knowledge, plan)
     selection = select_parameters(information, knowledge.symbols, FRAME_SYMBOLS)
     frames = tuple(k for k, symbol in enumerate(knowledge.symbols) if symbol in FRAME_SYMBOLS)
     directions = find_directions(information, structure.null_space, selection.fixed, frames)

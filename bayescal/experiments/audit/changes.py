@@ -14,9 +14,9 @@ from bayescal.experiments.audit.schema import ActuatorPlanConfig, WhatIfConfig
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.design import choose_sensors
 from bayescal.identifiability.design import Plan
-from bayescal.identifiability.information import Information, information_of_rows
+from bayescal.identifiability.information import Information
 from bayescal.identifiability.requirements import Forecast, Requirement
-from bayescal.identifiability.sensitivity import compute_sensitivity
+from bayescal.identifiability.structured_noise import inform
 from bayescal.numerics.geometry import Array
 
 MOST_POSES = 10_000
@@ -130,10 +130,9 @@ def evaluate_plan(inputs: AuditInputs, proposed: ProposedPlan, forecast: Forecas
     moved = np.abs(plan.actuators - mechanism.initial_actuator_positions)
     beyond = bool(np.any(moved > mechanism.actuator_range * (1 + 1e-9)))
     try:
-        rows = compute_sensitivity(knowledge, plan.actuators).rows(plan)
+        information = inform(knowledge, plan)
     except InputError:
         return ChangeEffect(proposed.name, plan.n_poses, None, beyond, {})
-    information = information_of_rows(rows, knowledge.sd)
     return ChangeEffect(
         proposed.name, plan.n_poses, information, beyond, _required(forecast, plan, information, inputs.requirements)
     )
@@ -183,7 +182,15 @@ def evaluate_changes(inputs: AuditInputs, forecast: Forecast, run: Run) -> tuple
     found = list(run.map("other plans", _evaluate, (inputs, forecast), tasks, (ChangeEffect,)).values())
     what_ifs, swept = found[: len(changes) + 1], found[len(changes) + 1 :]
     sweeps = [SweepPoint(sweep, value, one) for (sweep, value, _), one in zip(points, swept, strict=True) if one]
-    return [one for one in what_ifs if one is not None], sweeps
+    return [*_leave_function_out(inputs, forecast), *(one for one in what_ifs if one is not None)], sweeps
+
+
+def _leave_function_out(inputs: AuditInputs, forecast: Forecast) -> list[ChangeEffect]:
+    """Return what the plan would tell if legs did not err by a function of the pose; nothing where they do not."""
+    if inputs.plan.function is None:
+        return []
+    plan = ProposedPlan("no error that is a function of the pose", replace(inputs.plan, function=None))
+    return [evaluate_plan(inputs, plan, forecast)]
 
 
 def _evaluate(shared: tuple[AuditInputs, Forecast], change: WhatIfConfig | None) -> ChangeEffect | None:

@@ -71,6 +71,8 @@ def _tabulate_joints(inputs: AuditInputs) -> pd.DataFrame:
 
 def choose_profiles(audit: Audit) -> list[str]:
     """Return the design's profiles; where it names none, a known parameter and some that ridges are named after."""
+    if audit.inputs.plan.function is not None:
+        return []  # their deviance has independent errors
     if audit.inputs.config.profiles:
         return list(audit.inputs.config.profiles)
     names, chosen = audit.inputs.knowledge.names, dict[str, str]()

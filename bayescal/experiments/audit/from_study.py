@@ -18,12 +18,13 @@ import numpy as np
 
 from bayescal.config.classes import label_class
 from bayescal.density.posterior import Posterior
+from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.errors import InputError
-from bayescal.experiments.audit.schema import AuditConfig
+from bayescal.experiments.audit.schema import NOT_STRUCTURED, AuditConfig
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.measured import MeasuredVariant, Measuring, VariantChoice
-from bayescal.identifiability.design import Knowledge, Plan
+from bayescal.identifiability.design import FunctionOfPose, Knowledge, Plan
 from bayescal.identifiability.draws import Draws, draw_posterior
 from bayescal.inference.mode import find_modes
 from bayescal.inference.schema import DrawsConfig
@@ -76,6 +77,8 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredVariant:
         label_class(config.variant.model), label_class(config.variant.deformation), config.data.variant
     )
     found = experiment.measure(study, where, choice, config.data.with_model_error)
+    if isinstance(found.posterior, StructuredPosterior):
+        refuse_independent(config)
     free = config.variant.free
     if free is not None and set(free) != set(found.free):
         raise InputError(
@@ -90,21 +93,36 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredVariant:
     return found
 
 
+def refuse_independent(config: AuditConfig) -> None:
+    """Raise InputError for what a design wants that has no errors that are functions of the pose."""
+    for field in NOT_STRUCTURED:
+        if field in config.model_fields_set:
+            raise InputError(
+                f"{field}: found it beside errors that are functions of the pose, expected none, or deformation "
+                "'free_matrix' in place of linear ones"
+            )
+
+
 def draw_measured(config: AuditConfig, found: MeasuredVariant, run: Run) -> Measured:
     """Return what is known of a measured machine: by its posterior's draws, or its mode where none are wanted."""
     wanted = DRAWS_WITH_DATA if config.posterior.draws is None else config.posterior.draws
-    draws = None
+    draws, posterior = None, found.posterior
     if wanted:
-        draws = run.once("posterior", draw, (found.posterior, config.posterior, wanted, config.seed), (Draws,))
-        values, variance = draws.mean, draws.model_error_variance
+        draws = run.once("posterior", draw, (posterior, config.posterior, wanted, config.seed), (Draws,))
+        values, natural = draws.mean, draws.natural.reshape(-1, posterior.n_parameters)
     else:
-        values, variance = _find_mode(found.posterior)
-    names = found.posterior.names[: found.posterior.n_geometry]
+        natural = posterior.natural(find_modes(posterior)[0].y[None])
+        values = natural[0, : posterior.n_geometry]
+    names = posterior.names[: posterior.n_geometry]
     centre = dict(zip(names, values.tolist(), strict=True))
     knowledge = Knowledge(found.machine, {name: found.priors[name].sd for name in names}, {**found.fixed, **centre})
+    variance = posterior.mean_square_tau(natural)
     model_error = float(np.sqrt(variance + found.left_variance))
     information = np.linalg.inv(found.poses.covariance)
-    plan = Plan(found.poses.actuators, (), found.actuator_noise, model_error, pose_information=information)
+    function = _find_function(posterior, natural)
+    plan = Plan(
+        found.poses.actuators, (), found.actuator_noise, model_error, pose_information=information, function=function
+    )
     return Measured(found.origin, knowledge, plan, found.posterior, draws)
 
 
@@ -114,8 +132,9 @@ def draw(task: tuple[Posterior, DrawsConfig, int, int]) -> Draws:
     return draw_posterior(posterior, effort, wanted, np.random.SeedSequence([seed, SEED]))
 
 
-def _find_mode(posterior: Posterior) -> tuple[Array, float]:
-    """Return the most probable parameters (m,), and the mean of τ² there, mm²."""
-    natural = posterior.natural(find_modes(posterior)[0].y[None])[0]
-    values, tau = natural[: posterior.n_geometry], natural[posterior.n_geometry :]
-    return values, float(np.mean(tau**2)) if tau.size else 0.0
+def _find_function(posterior: Posterior, natural: Array) -> FunctionOfPose | None:
+    """Return what the legs err by as a function of the pose, of draws in natural units (S, n); None where nothing."""
+    if not isinstance(posterior, StructuredPosterior):
+        return None
+    kernel, scale = posterior.describe_function(natural)
+    return FunctionOfPose(kernel, scale) if scale.any() else None

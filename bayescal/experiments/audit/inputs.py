@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from bayescal.data.actuators import read_moves
+from bayescal.density.model_error import build_kernel
 from bayescal.errors import InputError
-from bayescal.experiments.audit.from_study import Measured, draw_measured, read_measured
+from bayescal.experiments.audit.from_study import Measured, draw_measured, read_measured, refuse_independent
 from bayescal.experiments.audit.schema import (
     ActuatorPlanConfig,
     AuditConfig,
     FilePlanConfig,
     PlanConfig,
+    StructuredErrorConfig,
     WorkspacePlanConfig,
 )
 from bayescal.experiments.frame.parallel import Run
@@ -29,7 +31,7 @@ from bayescal.experiments.shared.design import (
 )
 from bayescal.experiments.shared.measured import MeasuredVariant
 from bayescal.experiments.shared.schema import FramesConfig
-from bayescal.identifiability.design import Knowledge, Plan, predict_poses
+from bayescal.identifiability.design import FunctionOfPose, Knowledge, Plan, predict_poses
 from bayescal.identifiability.pose_volume import PoseVolume, draw_displacements, find_workspace_actuators
 from bayescal.identifiability.profile import check_profiles
 from bayescal.identifiability.requirements import Requirement
@@ -39,6 +41,7 @@ from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.sensors import Sensor
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
+from bayescal.numerics.units import MICROMETRE
 
 SLACK = 1e-9
 
@@ -111,6 +114,8 @@ def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
     """
     if config.data is not None:
         return AuditDesign(config, folder, None, read_measured(config, folder))
+    if config.structured_error is not None:
+        refuse_independent(config)
     units = Units(config.units.length, config.units.angle)
     sensors = _read_sensors(config, folder)
     knowledge, plan = _plan_measurements(config, folder, units, sensors)
@@ -159,7 +164,14 @@ def _plan_measurements(
     knowledge = Knowledge(machine, priors | _read_frames(config.frames, units), fixed)
     actuators = plan_actuators(config, folder, knowledge, read_workspace(config.workspace), config.poses)
     _check_range(machine.mechanism, actuators)
-    return knowledge, plan_sensors(actuators, sensors, config.measured_by, config.noise)
+    plan = plan_sensors(actuators, sensors, config.measured_by, config.noise)
+    return knowledge, replace(plan, function=_read_function(config.structured_error))
+
+
+def _read_function(config: StructuredErrorConfig | None) -> FunctionOfPose | None:
+    if config is None:
+        return None
+    return FunctionOfPose(build_kernel(config.kernel, config.length), MICROMETRE * config.scale_um)
 
 
 def _read_frames(frames: FramesConfig, units: Units) -> dict[str, float]:

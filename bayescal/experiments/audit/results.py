@@ -10,6 +10,7 @@ import pandas as pd
 from bayescal.config.classes import label_class
 from bayescal.experiments.audit.audit import Audit
 from bayescal.experiments.audit.changes import ChangeEffect, contraction_along, contraction_of_symbols
+from bayescal.experiments.audit.inputs import AuditInputs
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import nats_from_contraction
 from bayescal.identifiability.reduced import ReducedSet
@@ -68,10 +69,19 @@ def _summarise_plan(audit: Audit) -> dict[str, Any]:
         "sensors": list(inputs.config.measured_by),
         "actuator_noise_um": 1e3 * plan.actuator_noise,
         "model_error_um": 1e3 * plan.model_error,
+        **_summarise_function(inputs),
         "largest_displacement_mm": float(moved.max()),
         "actuator_range_mm": mechanism.actuator_range,
         "workspace": None if workspace is None else workspace.model_dump(mode="json"),
     }
+
+
+def _summarise_function(inputs: AuditInputs) -> dict[str, Any]:
+    function = inputs.plan.function
+    if function is None:
+        return {}
+    size = float(np.sqrt(np.mean(np.square(function.scale))))
+    return {"structured_error": {"kernel": function.kernel.name, "scale_um": 1e3 * size}}
 
 
 # --- parameters --------------------------------------------------------------------------------------------------

@@ -112,6 +112,22 @@ class AuditDataConfig(Section):
     """Whether the posterior has a model error."""
 
 
+class StructuredErrorConfig(Section):
+    """What the legs err by as a function of the pose, beside what is drawn anew at every pose."""
+
+    kernel: Literal["linear", "quadratic", "smooth"]
+    """Kind of function of the actuators' travel: `linear`, `quadratic` (linear and quadratic), or `smooth`."""
+    scale_um: Positive
+    """What one actuator at the end of its range makes a leg err by, one standard deviation."""
+    length: Positive = 5.0
+    """Over how far quadratic and smooth errors change [ranges of the actuators]."""
+
+
+OF_PLANS = ("noise", "structured_error", "poses", "measured_by", "parameters")
+NOT_STRUCTURED = ("requirements", "profiles", "simulated_calibrations", "expected_over_draws")
+"""What an audit does not have of errors that are functions of the pose."""
+
+
 class AuditConfig(ExperimentConfig):
     """An audit."""
 
@@ -131,6 +147,8 @@ class AuditConfig(ExperimentConfig):
     """Frames that the calibration has to find."""
     noise: ActuatorNoiseConfig | None = None
     """Noise of the actuators and model error."""
+    structured_error: StructuredErrorConfig | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Error of the legs that is a function of the pose."""
     sensors: dict[str, SensorConfig] = Field(default={})
     """Instruments by name."""
     measured_by: Names = Field(default=[])
@@ -160,7 +178,7 @@ class AuditConfig(ExperimentConfig):
     def _check_plan(self) -> Self:
         check_once([one.name for one in self.what_if])
         if self.data is not None:
-            for field in ("noise", "poses", "measured_by", "parameters", "deformation", "frames"):
+            for field in (*OF_PLANS, "deformation", "frames"):
                 if field in self.model_fields_set:
                     raise ValueError(f"found {field} beside [data], expected none, since the study has its own")
         else:

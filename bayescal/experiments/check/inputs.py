@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.check.schema import CheckConfig
 from bayescal.experiments.check.subject import Subject
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.shared.measured import Measuring
+from bayescal.experiments.shared.measured import MeasuredVariant, Measuring
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,5 +53,18 @@ def read_check(config: CheckConfig, folder: Path) -> CheckInputs:
             raise InputError(f"{path}: variant {name!r}: unknown here, expected one of {', '.join(known)}")
     chosen = {name: known[name] for name in config.variants or known}
     measured = {name: experiment.measure(study, path, choice, True) for name, choice in chosen.items()}
+    for name, one in measured.items():
+        _refuse_function(one, f"{path}: variant {name!r}")
     origin = next(iter(measured.values())).origin.partition(": study ")[0]
     return CheckInputs(config, origin, {name: Subject(one) for name, one in measured.items()})
+
+
+def _refuse_function(measured: MeasuredVariant, where: str) -> None:
+    """Raise InputError where legs err by a function of the pose."""
+    posterior = measured.posterior
+    if isinstance(posterior, StructuredPosterior):
+        kernel, _ = posterior.describe_function(posterior.natural(np.zeros((1, posterior.n_parameters))))
+        raise InputError(
+            f"{where}: found kernel {kernel.name!r} of its model error, expected 'independent', or deformation "
+            "'free_matrix' for linear errors: checks have no errors that are functions of the pose"
+        )

@@ -20,8 +20,10 @@ from bayescal.data.photogrammetry.joint_deflection import (
     measure_joint_deflection,
 )
 from bayescal.density.exact import CommonErrors, ExactDensity
+from bayescal.density.free_length import FreeLengthLikelihood, count_nodes
+from bayescal.density.free_length_posterior import FreeLengthPosterior
 from bayescal.density.likelihood import BATCH, Likelihood, PoseLikelihood
-from bayescal.density.model_error import INDEPENDENT, KernelScale, build_kernel
+from bayescal.density.model_error import INDEPENDENT, LENGTHY, KernelScale, LengthPrior, build_kernel
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.robust import RobustPosterior, build_robust
@@ -265,10 +267,13 @@ class StudyInputs:
             if self.config.blunders is not None:
                 raise InputError(
                     f"blunders: found them beside kernel {self.kernel_name(variant)!r}, by which poses depend on each "
-                    f"other, expected kernel {INDEPENDENT!r}"
+                    f"other, expected kernel {INDEPENDENT!r}, or deformation 'free_matrix' for linear errors"
                 )
-            structured = self._structure(likelihood, variant)
-            return StructuredPosterior(structured, priors, error, fixed, kernel_scale=self._kernel_scale)
+            structured, kernel_scale = self._structure(likelihood, variant), self._kernel_scale
+            lengths = self.kernel_lengths(variant)
+            if lengths is not None:
+                return FreeLengthPosterior(structured, priors, error, fixed, kernel_scale=kernel_scale, lengths=lengths)
+            return StructuredPosterior(structured, priors, error, fixed, kernel_scale=kernel_scale)
         plain = Posterior(likelihood, priors, error, fixed)
         blunders = self.config.blunders
         return plain if blunders is None else build_robust(plain, blunders.expected_share)
@@ -290,9 +295,24 @@ class StudyInputs:
                 f"model_error.kernel: found {kernel!r} with poses measured in part, points, or frames to be found, "
                 f"expected whole poses in known frames, or kernel {INDEPENDENT!r}"
             )
-        check_memory(_estimate_kernel(likelihood.n_poses, likelihood.n_legs), 1)
-        length = variant.kernel_length or self.config.model_error.kernel_length
-        return StructuredLikelihood(likelihood, build_kernel(kernel, length), self.mechanism.actuator_range)
+        lengths, travel = self.kernel_lengths(variant), self.mechanism.actuator_range
+        check_memory(_estimate_kernel(likelihood.n_poses, likelihood.n_legs, lengths is not None), 1)
+        if lengths is not None:
+            return FreeLengthLikelihood(likelihood, kernel, lengths, travel)
+        return StructuredLikelihood(likelihood, build_kernel(kernel, self.kernel_length(variant)), travel)
+
+    def kernel_length(self, variant: VariantConfig) -> float:
+        """Return the length of a variant's kernel, or the median of its prior, in ranges of the actuators."""
+        return variant.kernel_length or self.config.model_error.kernel_length
+
+    def kernel_lengths(self, variant: VariantConfig) -> LengthPrior | None:
+        """Return the prior of the length of a variant's kernel; None where there is none, or it is known."""
+        spread = variant.kernel_length_spread
+        if spread is None and variant.kernel_length is None:
+            spread = self.config.model_error.kernel_length_spread
+        if spread is None or self.kernel_name(variant) not in LENGTHY:
+            return None
+        return LengthPrior(self.kernel_length(variant), spread)
 
     @property
     def _kernel_scale(self) -> KernelScale:
@@ -326,10 +346,14 @@ class StudyInputs:
         return priors | self.measured.frame_priors(factor), fixed
 
 
-def _estimate_kernel(n_poses: int, n_legs: int) -> Need:
-    """Return what a kernel takes: matrices of all poses by all, and the hot loop over all poses at once."""
+def _estimate_kernel(n_poses: int, n_legs: int, free_length: bool) -> Need:
+    """Return what a kernel takes: matrices of all poses by all, and the hot loop over all poses at once.
+
+    Where the length is free there is a matrix for every length at which the density is found, and for every vector.
+    """
+    matrices = 6.0 + (count_nodes(n_poses) + BATCH if free_length else 0.0)
     return Need(
-        each=8.0 * (6.0 * n_poses**2 + 6.0 * BATCH * n_poses * n_legs),
+        each=8.0 * (matrices * n_poses**2 + 6.0 * BATCH * n_poses * n_legs),
         sizes=f"{n_poses} calibration poses with a kernel of the model error",
         remedy=f"fewer poses or kernel {INDEPENDENT!r}",
     )

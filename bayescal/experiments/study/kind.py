@@ -14,10 +14,8 @@ from rich.console import Console
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.config.classes import label_class
 from bayescal.config.registry import find_class
-from bayescal.density.model_error import INDEPENDENT
 from bayescal.density.posterior import Posterior
 from bayescal.density.robust import RobustPosterior
-from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.memory import Need
@@ -113,7 +111,7 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
                 "known frames, since audits and checks of data start from these"
             )
         posterior = inputs.posterior(chosen, with_model_error)
-        _check_noise(posterior, inputs, chosen, path)
+        _check_noise(posterior, path)
         left = inputs.matrix_variance(chosen, verification=False)
         priors, fixed = inputs.priors(chosen)
         return MeasuredVariant(
@@ -206,12 +204,7 @@ def _describe_variant(results: str, name: str, fit: Mapping[str, Any]) -> dict[s
     }
 
 
-def _check_noise(posterior: Posterior, inputs: StudyInputs, variant: VariantConfig, path: Path) -> None:
-    """Raise InputError for errors of poses that audits and checks do not have: functions of the pose, and blunders."""
-    if isinstance(posterior, StructuredPosterior):
-        raise InputError(
-            f"{path}: variant {variant.name!r}: found kernel {inputs.kernel_name(variant)!r} of its model error, "
-            f"expected {INDEPENDENT!r}: audits and checks have no errors that are functions of the pose"
-        )
+def _check_noise(posterior: Posterior, path: Path) -> None:
+    """Raise InputError for poses that may be blunders, which audits and checks do not have."""
     if isinstance(posterior, RobustPosterior):
         raise InputError(f"{path}: found blunders, expected none: audits and checks have no poses that may be spoilt")

@@ -129,7 +129,7 @@ class VariantConfig(Section):
 
     Without a name of its own a variant is called after model and deformation, ``six_pus/none``; several free sets of
     one model and deformation, or several kernels of the model error, need names. A name has no slash, so that nobody
-    takes it for the other kind. Kernels of several lengths are variants, too: their evidences weigh the lengths.
+    takes it for the other kind. Kernels of several known lengths are variants, too: their evidences weigh the lengths.
     """
 
     model: Annotated[str, ClassMark("MODELS")]
@@ -143,9 +143,13 @@ class VariantConfig(Section):
     published: InputFile | None = None
     """CSV file of printed values to compare with."""
     model_error: KernelName | None = Field(default=None, exclude_if=lambda value: value is None)
-    """What is a function of the pose in this variant: `independent`, `linear` or `smooth`."""
+    """What is a function of the pose in this variant: `independent`, `linear`, `quadratic` or `smooth`."""
     kernel_length: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Over how far smooth errors change in this variant, in place of that of the study [ranges of the actuators]."""
+    """Over how far quadratic and smooth errors change in this variant, in place of what the study says: a known length
+    unless a spread is stated, too [ranges of the actuators].
+    """
+    kernel_length_spread: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Standard deviation of the logarithm of that length, which is then free about its median [1]."""
 
     @property
     def has_own_name(self) -> bool:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches
-from bayescal.density.model_error import SCALE, LinearKernel, is_model_error
+from bayescal.density.model_error import LENGTH, LENGTHY, SCALE, is_model_error
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.density.structured_prediction import pointwise_given, predict_structured
@@ -46,7 +46,8 @@ def evaluate_structured(
         more["calibration_density"] = likelihood(theta, errors)
         more["structured_size"] = error.size
         more["structured_slopes"] = error.slopes
-        more["structured_present"] = (errors[:, likelihood.n_legs :] > 0.0).mean(axis=0)
+        scales = slice(likelihood.n_legs, 2 * likelihood.n_legs)
+        more["structured_present"] = (errors[:, scales] > 0.0).mean(axis=0)
     by_pose = {f"structured_{name}": getattr(error, name) for name in ("mean", "low", "high")}
     misfit = made.misfit.astype(np.float32).swapaxes(0, 1)
     return {"log_likelihood": pointwise.T, "misfit": misfit, **vars(made.summarise()), **by_pose}, more
@@ -73,6 +74,7 @@ def describe_structured(
             "q95": np.quantile(size, 0.95, axis=0).tolist(),
         },
         "scale": _describe_scales(inputs, names, arrays["draws"]),
+        **_describe_length(inputs, variant, names, arrays["draws"]),
         "slope_um": (1e3 * slopes).tolist(),
         "slope_sd_um": (1e3 * sd).tolist(),
         "linear_share": _share(mean, travel @ slopes.T),
@@ -84,8 +86,22 @@ def describe_structured(
 def _name_kernel(inputs: StudyInputs, variant: str) -> str:
     """Return a variant's kernel with its length, if it has one."""
     config = inputs.variant(variant)
-    name, length = inputs.kernel_name(config), config.kernel_length or inputs.config.model_error.kernel_length
-    return name if name == LinearKernel.name else f"{name}, length {length:g}"
+    name = inputs.kernel_name(config)
+    if name not in LENGTHY:
+        return name
+    return f"{name}, length {'free' if inputs.kernel_lengths(config) else f'{inputs.kernel_length(config):g}'}"
+
+
+def _describe_length(inputs: StudyInputs, variant: str, names: Sequence[str], draws: Array) -> dict[str, Any]:
+    """Return a length that is free, in ranges of the actuators, as `_describe_scales` has the scales."""
+    prior = inputs.kernel_lengths(inputs.variant(variant))
+    scale, length = (draws[..., [k for k, name in enumerate(names) if name.startswith(one)]] for one in (SCALE, LENGTH))
+    there = length[..., 0][(scale > 0.0).any(axis=-1)] if prior else np.empty(0)
+    if prior is None or len(there) < FEWEST_DRAWS:
+        return {}
+    low, middle, high = (float(x) for x in np.quantile(there, [0.05, 0.5, 0.95]))
+    left = float(np.log(there).std() / prior.spread)
+    return {"length": {"median": middle, "q05": low, "q95": high, "prior_sd_left": left}}
 
 
 def _describe_scales(inputs: StudyInputs, names: Sequence[str], draws: Array) -> list[dict[str, float]]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bayescal.density.model_error import LENGTH
 from bayescal.density.prediction import Prediction, compute_elpd, compute_joint_elpd
 from bayescal.experiments.study.fit import Arrays, read_left_out, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
@@ -143,7 +144,7 @@ def _summarise_parameters(
     return {
         name: {
             "nominal": float(nominal.get(name, 0.0)),
-            "unit": units.get(name, "mm"),
+            "unit": units.get(name, "1" if name == LENGTH else "mm"),
             "mean": float(arrays["mean"][k]),
             "sd": float(arrays["sd"][k]),
             "q05": float(arrays["q05"][k]),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import studies
 
 from bayescal.errors import InputError
-from bayescal.experiments.audit.audit import run_audit
+from bayescal.experiments.audit.audit import analyse, run_audit
 from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.kind import Audit
 from bayescal.experiments.audit.load import load_audit
@@ -160,7 +162,11 @@ def test_designs_at_fault_are_told_in_one_line(old, new, said, design):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("[model_error]", '[model_error]\nkernel = "linear"', "found kernel 'linear' of its model error, expected"),
+        (
+            "[model_error]",
+            '[model_error]\nkernel = "linear"',
+            "requirements: found it beside errors that are functions",
+        ),
         ("[model_error]", "[blunders]\n[model_error]", "found blunders, expected none"),
     ],
 )
@@ -170,6 +176,34 @@ def test_errors_that_an_audit_does_not_have_are_refused(old, new, said, design):
         _read(design)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("length", ["", "kernel_length_spread = 0.5\n"], ids=["known", "free"])
+def test_errors_that_are_functions_of_the_pose_come_from_the_posterior(length, design):
+    text = design.read_text()
+    design.write_text(text[: text.index("[requirements]")])
+    kernel = f'[model_error]\nkernel = "smooth"\nkernel_spread = 0.5\n{length}'
+    studies.edit(design.parent / "tiny" / "study.toml", "[model_error]", kernel)
+    study = design.parent / "tiny" / "study.toml"
+    studies.edit(study, 'deformation = "matrix"\nfree = ["l", "kappa"]', 'deformation = "linear"\nfree = ["l"]')
+    studies.edit(design, 'deformation = "matrix"', 'deformation = "linear"')
+    inputs = _read(design)
+    draws, posterior = inputs.measured.draws.natural.reshape(-1, inputs.measured.posterior.n_parameters), None
+    posterior = inputs.measured.posterior
+    scale = draws[:, posterior.names.index("sigma_g")]
+    assert (scale > 0.0).mean() > 0.9
+    assert inputs.plan.function.scale == pytest.approx(np.full(6, np.sqrt(np.mean(scale**2))))
+    tau = draws[:, posterior.names.index("tau")]
+    assert inputs.plan.model_error == pytest.approx(np.sqrt(np.mean(tau**2)))
+    if length:
+        median = np.median(draws[:, -1])
+        assert inputs.plan.function.kernel.length == pytest.approx(median, rel=0.01)
+    found = analyse(inputs).information
+    alone = analyse(replace(inputs, plan=replace(inputs.plan, function=None))).information
+    assert (found.contraction < alone.contraction).all()
+    # foretold as the draws have it: the same machine, the same noise
+    left = draws[:, : posterior.n_geometry].std(axis=0) / inputs.knowledge.sd
+    assert np.abs(np.sqrt(1.0 - found.contraction) / left - 1.0).max() < 0.15
 
 
 def test_the_studys_own_mechanism_may_be_named(design):

@@ -80,6 +80,10 @@ def _describe_plan(audit: AuditResults) -> str:
     sensors = join_words([str(name).replace("_", " ") for name in plan["sensors"]])
     seen = f", seen by {sensors}" if sensors else ""
     beside = f", model error {model_error} µm" if plan["model_error_um"] else ""
+    function = plan.get("structured_error")
+    if function is not None:
+        size = format_plain(function["scale_um"], 3)
+        beside += f", and errors that are {function['kernel']} functions of the pose, {size} µm at the range's end"
     kind = "calibration" if audit.is_measured else "planned"
     return (
         f"{audit.n_poses} {kind} poses{seen}; displacements up to {moved} mm of {most} mm; "

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.experiments.study.schema import stem_of
-from bayescal.report.symbols import KERNEL_SCALE
+from bayescal.report.symbols import OF_KERNELS
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
@@ -45,8 +45,8 @@ def _read_draws(path: Path) -> dict[str, Array]:
     try:
         with h5py.File(path, "r") as file:
             for symbol, values in file["posterior"].items():
-                if values.ndim < 2 or symbol == KERNEL_SCALE:
-                    continue  # coordinates; the scale of an error, not of the machine
+                if values.ndim < 2 or symbol in OF_KERNELS:
+                    continue  # coordinates; scale and length of an error, not of the machine
                 flat = np.asarray(values, dtype=np.float64).reshape(values.shape[0] * values.shape[1], -1)
                 single = values.ndim == 2
                 draws |= {symbol if single else f"{symbol}[{k + 1}]": flat[:, k] for k in range(flat.shape[1])}

@@ -19,7 +19,7 @@ from bayescal.experiments.shared.joints import COLUMNS as JOINT_COLUMNS
 from bayescal.experiments.study.page.posterior_files import Replicates, read_posteriors, read_replicates
 from bayescal.experiments.study.page.publication import Publication, read_publication
 from bayescal.report.reading import NUMBER, Kinds, check_keys
-from bayescal.report.symbols import KERNEL_SCALE, split_name
+from bayescal.report.symbols import OF_KERNELS, split_name
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
@@ -248,7 +248,7 @@ class StudyResults:
     @property
     def parameters(self) -> pd.DataFrame:
         """One row per posterior and parameter of the machine; ``leg`` is zero where a parameter belongs to none."""
-        return self._all_parameters[~self._of_frames & (self._all_parameters["symbol"] != KERNEL_SCALE)]
+        return self._all_parameters[~self._of_frames & ~self._all_parameters["symbol"].isin(OF_KERNELS)]
 
     @property
     def frames(self) -> pd.DataFrame:

@@ -72,7 +72,8 @@ def _tabulate(study: StudyResults, found: dict[str, Any]) -> Table:
     rows = []
     for name, one in found.items():
         told = _describe(one, known) if is_there(one) else [NOTHING] * (4 + len(known))
-        rows.append([label_variant(study, name), one["kernel"], format_fixed(100.0 * max(one["present"]), 1), *told])
+        kernel = one["kernel"] + _format_length(one)
+        rows.append([label_variant(study, name), kernel, format_fixed(100.0 * max(one["present"]), 1), *told])
     return make_table("Structured errors.", columns, rows, [Statement(NOTE)], style="wide")
 
 
@@ -91,6 +92,14 @@ def _describe(one: dict[str, Any], known: list[str]) -> list[str]:
 def _format_scale(scale: dict[str, float]) -> str:
     low, middle, high = (format_fixed(scale[key], 1) for key in ("q05_um", "median_um", "q95_um"))
     return f"{middle} [{low}, {high}]"
+
+
+def _format_length(one: dict[str, Any]) -> str:
+    """Return a free length with its interval in ranges of the actuators; nothing of one that is known."""
+    if "length" not in one:
+        return ""
+    low, middle, high = (format_significant(one["length"][key], 2) for key in ("q05", "median", "q95"))
+    return f": {middle} [{low}, {high}]"
 
 
 def _format_slope(surest: dict[str, float]) -> str:
@@ -125,7 +134,7 @@ def state_structured(study: StudyResults, name: str, one: dict[str, Any]) -> Sta
         f"{_format_slope(surest)} µm; {format_fixed(100.0 * one['linear_share'], 0)} % of the error is linear in the "
         "travel. "
     )
-    return Statement(text + _say_explained(one["explained"]) + _say_scale(one["scale"]))
+    return Statement(text + _say_explained(one["explained"]) + _say_length(one) + _say_scale(one["scale"]))
 
 
 def _say_explained(shares: dict[str, float]) -> str:
@@ -138,6 +147,17 @@ def _say_explained(shares: dict[str, float]) -> str:
     best = max(shares, key=lambda name: shares[name])
     end = f": try {best}" if shares[best] >= EXPLAINED else ": no known deformation explains it"
     return f"Of what is known of its linear part, {' and '.join(words)}{end}. "
+
+
+def _say_length(one: dict[str, Any]) -> str:
+    """Say over how far an error changes whose length is free."""
+    if "length" not in one:
+        return ""
+    left = format_fixed(100.0 * one["length"]["prior_sd_left"], 0)
+    return (
+        f"It changes over {_format_length(one)[2:]} ranges of the actuators; {left} % of the standard deviation that "
+        "the length's logarithm has under its prior is left. "
+    )
 
 
 def _say_scale(scales: list[dict[str, float]]) -> str:

@@ -69,6 +69,14 @@ def test_says_whether_the_scale_is_measured(left, said, make_results):
     assert said in texts(section)[1]
 
 
+def test_a_free_length_is_told(make_results):
+    length = {"median": 4.1, "q05": 2.9, "q95": 6.3, "prior_sd_left": 0.47}
+    section, _ = read_section(make_results, kernel="smooth, length free", length=length)
+    assert "It changes over 4.1 [2.9, 6.3] ranges of the actuators; 47 % of the standard deviation" in texts(section)[1]
+    table = next(block for block in section.blocks if isinstance(block, Table))
+    assert table.rows[1][1].text == "smooth, length free: 4.1 [2.9, 6.3]"
+
+
 def test_what_no_deformation_explains_is_said(make_results):
     section, _ = read_section(make_results, explained={"linear": 0.5})
     assert "explains 50 % of it: no known deformation explains it" in texts(section)[1]

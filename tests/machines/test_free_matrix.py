@@ -1,0 +1,108 @@
+"""The free matrix: the matrix deformation whose entries are parameters."""
+
+import numpy as np
+import pytest
+import telescope_machines as machines
+
+from bayescal.calibrated.settle import find_hindrance
+from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.model_error import KernelScale, LinearKernel
+from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.priors import NormalPrior
+from bayescal.density.robust import build_robust
+from bayescal.density.structured import StructuredLikelihood
+from bayescal.density.structured_posterior import StructuredPosterior
+from bayescal.machines.closing_coordinates import ClosingCoordinates
+from bayescal.machines.kinematics import solve_forward_kinematics
+
+SD = 0.02 / machines.ACTUATOR_RANGE
+
+
+@pytest.fixture(scope="module")
+def machine():
+    return machines.build_machine("free_matrix")
+
+
+def fill(machine, theta, matrix):
+    """Return a machine's parameters with the entries of K."""
+    theta = theta.copy()
+    for j in range(6):
+        theta[machine.layout.index[f"K_{j + 1}"]] = matrix[:, j]
+    return theta
+
+
+def test_is_the_matrix_deformation_with_its_entries(machine):
+    known, actuators = machines.build_machine("matrix"), machines.table_3_actuators()[:5]
+    theta = machines.telescope_truth(known)
+    matrix = machines.TELESCOPE_MATRIX.copy()
+    np.fill_diagonal(matrix, theta[known.layout.index["kappa"]])
+    own = np.concatenate([theta[: machines.build_machine("none").layout.size], np.zeros(36)])
+    expected = solve_forward_kinematics(known, theta, actuators)
+    found = solve_forward_kinematics(machine, fill(machine, own, matrix), actuators)
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-9)
+    rigid = solve_forward_kinematics(machine, own, actuators)
+    assert np.abs(rigid.position - expected.position).max() > 1e-3
+
+
+@pytest.fixture(scope="module")
+def likelihood(machine):
+    actuators = machines.table_3_actuators()[:14]
+    theta = machines.telescope_truth(machine)
+    found = machines.simulate_poses(machine, theta, actuators, np.full(6, 2e-3), np.random.default_rng(1))
+    return PoseLikelihood(machine, found, machines.ACTUATOR_NOISE)
+
+
+def build_priors(likelihood):
+    layout = likelihood.layout
+    symbols = (*machines.FREE_SYMBOLS["none"], *(f"K_{j + 1}" for j in range(6)))
+    sd = dict(machines.PRIOR_SD) | dict.fromkeys((f"K_{j + 1}" for j in range(6)), SD)
+    return {
+        name: NormalPrior(value, sd.get(name.split("[")[0], 2.0))
+        for name, value in zip(layout.names, layout.nominal, strict=True)
+        if name.split("[")[0] in symbols
+    }
+
+
+def test_derivatives_by_the_entries(likelihood):
+    plain = Posterior(likelihood, build_priors(likelihood), ModelError(0.01))
+    assert isinstance(plain.coordinates, ClosingCoordinates)
+    y = plain.polish(plain.approach())
+    y += np.random.default_rng(3).standard_normal(len(y)) / np.sqrt(-np.diag(plain.gradient(y)[1]))
+    gradient, hessian = plain.gradient(y)
+    expected = machines.stencil_derivative(plain.log_density, y, np.full(len(y), 1e-3))
+    off = (gradient - expected) / np.sqrt(-np.diag(hessian))
+    assert np.abs(off).max() < 0.02
+
+
+def find_sds(posterior, y):
+    """Return the sds of the free parameters to first order, in their own units."""
+    change = posterior.coordinates.jacobian(posterior.theta(y[None])[0])[posterior.coordinates.free]
+    return np.sqrt(np.diagonal(change @ np.linalg.inv(sum(posterior.information(y))) @ change.T))
+
+
+def test_explicit_entries_leave_of_the_geometry_what_the_linear_kernel_leaves(likelihood):
+    """The information on the geometry with the entries marginalised, against that of the kernel of the same scale."""
+    machine, priors = machines.build_machine("none"), build_priors(likelihood)
+    plain = Posterior(likelihood, priors, ModelError(0.01))
+    y = plain.polish(plain.approach())
+    poses = PoseLikelihood(machine, likelihood.poses, machines.ACTUATOR_NOISE)
+    kernel = StructuredLikelihood(poses, LinearKernel(), machines.ACTUATOR_RANGE)
+    rest = {name: prior for name, prior in priors.items() if not name.startswith("K_")}
+    other = StructuredPosterior(kernel, rest, ModelError(0.01), kernel_scale=KernelScale(0.02, 0.05))
+    start = np.concatenate([other.polish(other.approach())[: len(rest)], y[len(priors) :], [0.0]])
+    expected = find_sds(other, start)
+    assert np.abs(find_sds(plain, y)[: len(rest)] / expected - 1.0).max() < 0.02
+    assert (expected / find_sds(Posterior(poses, rest, ModelError(0.01)), start[:-1])).max() > 2.0
+
+
+def test_stands_beside_blunders(likelihood):
+    plain = Posterior(likelihood, build_priors(likelihood), ModelError(0.01))
+    robust = build_robust(plain, 0.02)
+    assert isinstance(robust.coordinates, ClosingCoordinates)
+    y = robust.polish(robust.approach())
+    assert np.isfinite(robust.log_density(y[None])).all()
+
+
+def test_no_file_of_a_machine_holds_it(machine):
+    assert "free_matrix" in find_hindrance(machine)
+    assert "K_1" in machine.layout.symbols
