@@ -7,10 +7,12 @@ import sys
 import numpy as np
 import pytest
 import telescope_machines as machines
+from matplotlib import rc_context, rcdefaults, rcParams
 
 from bayescal import cli
 from bayescal.errors import InputError
-from bayescal.report.pictures import Picture
+from bayescal.report.pictures import Picture, render_picture
+from bayescal.report.style import RC
 
 
 @pytest.fixture
@@ -43,6 +45,28 @@ def call(monkeypatch, capsys):
         return int(exit_info.value.code or 0), *capsys.readouterr()
 
     return call_main
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _render_seldom():
+    """Let figures of pages be built, by this package's code, and not be rendered, which takes most of their time."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("bayescal.report.page.render_picture", _build)
+        yield
+
+
+def _build(draw):
+    with rc_context():
+        rcdefaults()
+        rcParams.update(RC)
+        draw()
+    return Picture(b"not drawn")
+
+
+@pytest.fixture
+def pictures(monkeypatch):
+    """Let pages have their figures as they are: for tests of what is in them."""
+    monkeypatch.setattr("bayescal.report.page.render_picture", render_picture)
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayescal.inference.rank_diagnostics import judge_draws
 from bayescal.limits import (
     EFFECTIVE_LIMIT,
     ESS_BULK_LIMIT,
@@ -50,14 +51,8 @@ def diagnose(draws: Array) -> Diagnostics:
     by walker: then the autocorrelation along the chain is that of the walkers in time. A parameter that is the same in
     all draws, a scale that is zero, has nothing to mix, unless all others stand still as well.
     """
-    from arviz_stats.base import array_stats  # seconds to import, for those who sample
-
-    n_ensembles, n_walkers, n_steps, _ = draws.shape
-    walker_by_walker = np.moveaxis(draws.reshape(n_ensembles, n_walkers * n_steps, -1), -1, 0)
-    step_by_step = np.moveaxis(np.swapaxes(draws, 1, 2).reshape(n_ensembles, n_walkers * n_steps, -1), -1, 0)
-    rhat = np.asarray(array_stats.rhat(step_by_step), dtype=np.float64)
-    bulk = np.asarray(array_stats.ess(walker_by_walker), dtype=np.float64)
-    tail = np.asarray(array_stats.ess(walker_by_walker, method="tail", prob=(0.05, 0.95)), dtype=np.float64)
+    rhat, bulk, tail = judge_draws(draws)
+    walker_by_walker = np.moveaxis(draws.reshape(len(draws), -1, draws.shape[-1]), -1, 0)
     still = np.ptp(walker_by_walker, axis=(1, 2)) == 0.0
     if still.any() and not still.all():
         rhat[still], bulk[still], tail[still] = 1.0, *[float(walker_by_walker[0].size)] * 2

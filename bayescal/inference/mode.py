@@ -65,25 +65,42 @@ def find_modes(posterior: Target, rng: np.random.Generator | None = None) -> lis
     their modes give a mass that matters. A mode that holds none is dropped. With random numbers the search begins anew
     from draws of the prior, too: where least squares lead all of them to known modes, it costs no climb.
     """
-    best, others = _follow_jumps(posterior, _climb(posterior, posterior.approach()))
+    climber = Climber(posterior)
+    best, others = _follow_jumps(climber, _climb(posterior, posterior.approach()))
     first = _characterise(posterior, *best)
-    if rng is not None and (found := _climb_scattered(posterior, [best, *others], first, rng)):
-        best, others = _follow_jumps(
-            posterior, max([best, *found], key=lambda climb: climb[1]), [best, *others, *found]
-        )
+    if rng is not None and (found := _climb_scattered(climber, [best, *others], first, rng)):
+        best, others = _follow_jumps(climber, max([best, *found], key=lambda climb: climb[1]), [best, *others, *found])
         first = _characterise(posterior, *best)
     worth = [other for other in others if other[1] > best[1] - 2 * WORTH_KEEPING]
     modes = [_characterise(posterior, *other) for other in worth]
     modes = [m for m in modes if m.converged and m.log_evidence > first.log_evidence - WORTH_KEEPING]
-    return [first, *modes, *_combine(posterior, first, modes)]
+    return [first, *modes, *_combine(climber, first, modes)]
 
 
-def _combine(posterior: Target, first: Mode, modes: list[Mode]) -> list[Mode]:
+class Climber:
+    """Climbs to modes of one posterior; a climb that comes again, from a jump that was followed, is not made again."""
+
+    def __init__(self, posterior: Target) -> None:
+        self.posterior = posterior
+        self._known: dict[tuple[bytes, float], Climb | None] = {}
+
+    def climb(self, start: Array, floor: float = -np.inf) -> Climb | None:
+        """Return where a climb ends; None where no machine is to start from, or the climb leaves all machines."""
+        key = start.tobytes(), floor
+        if key not in self._known:
+            try:
+                self._known[key] = _climb(self.posterior, start, floor)
+            except NumericalError:
+                self._known[key] = None
+        return self._known[key]
+
+
+def _combine(climber: Climber, first: Mode, modes: list[Mode]) -> list[Mode]:
     """Return modes where several coordinates are those of other modes at once, as they differ from the first.
 
     Jumps of different coordinates hardly know of each other: their masses multiply.
     """
-    singles = _match_jumps(posterior, first, modes)
+    posterior, singles = climber.posterior, _match_jumps(climber, first, modes)
     found: dict[tuple[int, ...], Mode] = {(jump,): mode for jump, mode in singles.items()}
     lost = {jump: first.log_evidence - mode.log_evidence for jump, mode in singles.items()}
     sets = [c for size in range(2, len(lost) + 1) for c in combinations(sorted(lost, key=lambda j: lost[j]), size)]
@@ -93,7 +110,7 @@ def _combine(posterior: Target, first: Mode, modes: list[Mode]) -> list[Mode]:
         for last in chosen:  # from the others' mode on, whichever leads there
             parent = found.get(tuple(jump for jump in chosen if jump != last))
             start = None if parent is None else dict(posterior.jumps(parent.y)).get(last)
-            end = None if start is None else _climb_if_possible(posterior, start, first.log_density - HOPELESS)
+            end = None if start is None else climber.climb(start, first.log_density - HOPELESS)
             if end is None or any(np.allclose(end[0], mode.y, rtol=0.0, atol=SAME) for mode in known):
                 continue
             found[chosen] = _characterise(posterior, *end)
@@ -103,33 +120,26 @@ def _combine(posterior: Target, first: Mode, modes: list[Mode]) -> list[Mode]:
     return [m for m in new if m.converged and m.log_evidence > first.log_evidence - WORTH_KEEPING]
 
 
-def _match_jumps(posterior: Target, first: Mode, modes: list[Mode]) -> dict[int, Mode]:
+def _match_jumps(climber: Climber, first: Mode, modes: list[Mode]) -> dict[int, Mode]:
     """Return of jumps from the first mode which of other modes they lead to; one alone has no other to combine with."""
     if len(modes) < 2:
         return {}
     matched: dict[int, Mode] = {}
-    for jump, start in posterior.jumps(first.y):
-        end = _climb_if_possible(posterior, start, first.log_density - HOPELESS)
+    for jump, start in climber.posterior.jumps(first.y):
+        end = climber.climb(start, first.log_density - HOPELESS)
         for mode in modes:
             if end is not None and np.allclose(mode.y, end[0], rtol=0.0, atol=SAME):
                 matched[jump] = mode
     return matched
 
 
-def _climb_if_possible(posterior: Target, start: Array, floor: float) -> Climb | None:
-    """Return where a climb ends; None where there is no machine to start from, or the climb leaves all machines."""
-    try:
-        return _climb(posterior, start, floor)
-    except NumericalError:
-        return None
-
-
-def _climb_scattered(posterior: Target, known: list[Climb], first: Mode, rng: np.random.Generator) -> list[Climb]:
+def _climb_scattered(climber: Climber, known: list[Climb], first: Mode, rng: np.random.Generator) -> list[Climb]:
     """Return where climbs from draws of the prior end that least squares do not lead to known modes.
 
     The draw's own model errors come first, large as they may be: a mode may need them to be in reach.
     """
     found: list[Climb] = []
+    posterior = climber.posterior
     n, sd = posterior.n_geometry, np.sqrt(np.diag(first.covariance))
     for start in posterior.draw_prior(N_SCATTERED, rng):
         if not (np.isfinite(start).all() and np.isfinite(posterior.log_density(start[None])[0])):
@@ -140,23 +150,23 @@ def _climb_scattered(posterior: Target, known: list[Climb], first: Mode, rng: np
             continue
         if posterior.log_density(y[None])[0] < first.log_density - LOST:
             continue
-        end = _climb_if_possible(posterior, y, first.log_density - HOPELESS)
+        end = climber.climb(y, first.log_density - HOPELESS)
         if end is None or any(np.allclose(end[0], mode[0], rtol=0.0, atol=SAME) for mode in (*known, *found)):
             continue
         found.append(end)
     return found
 
 
-def _follow_jumps(posterior: Target, best: Climb, known: Sequence[Climb] = ()) -> tuple[Climb, list[Climb]]:
+def _follow_jumps(climber: Climber, best: Climb, known: Sequence[Climb] = ()) -> tuple[Climb, list[Climb]]:
     """Return the best mode that jumps reach from one that was found, and the others known or seen on the way."""
     others = [climb for climb in known if climb is not best]
     came_from = -1
     while True:
         improved = False
-        for jump, start in posterior.jumps(best[0]):
+        for jump, start in climber.posterior.jumps(best[0]):
             if jump == came_from:
                 continue  # leads back
-            other = _climb_if_possible(posterior, start, best[1] - HOPELESS)
+            other = climber.climb(start, best[1] - HOPELESS)
             if other is None or any(np.allclose(other[0], known[0], rtol=0.0, atol=SAME) for known in (best, *others)):
                 continue
             if other[1] > best[1]:
@@ -175,8 +185,9 @@ def revisit_modes(posterior: Target, starts: Sequence[Array]) -> list[Mode]:
         Where no start leads to a mode.
     """
     found: list[Mode] = []
+    climber = Climber(posterior)
     for start in starts:
-        end = _climb_if_possible(posterior, start, -np.inf)
+        end = climber.climb(start)
         if end is None or any(np.allclose(end[0], mode.y, rtol=0.0, atol=SAME) for mode in found):
             continue
         found.append(_characterise(posterior, *end))

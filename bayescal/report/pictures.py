@@ -52,8 +52,8 @@ def render_picture(draw: Callable[[], Figure]) -> Picture:
         rcdefaults()  # whatever somebody's matplotlibrc says
         rcParams.update(RC)  # type: ignore[arg-type]  # its keys are a literal type of three hundred names
         figure = draw()
+        _lay_out(figure)
         png = _save(figure, "png", DPI)
-        figure.set_layout_engine("none")  # it stays where it is
         width, height = figure.get_size_inches() * DPI
         alt, tips = describe_figure(figure), mark_points(figure)
         drawn = tidy_svg(_save(figure, "svg", POINTS).decode(), tips)
@@ -63,6 +63,16 @@ def render_picture(draw: Callable[[], Figure]) -> Picture:
             return Picture(png, Markup(f'<img {size} src="data:image/png;base64,{source}" alt="{escape(alt)}">'))
         box = f"0 0 {width * POINTS / DPI:g} {height * POINTS / DPI:g}"
     return Picture(png, Markup(f'<svg {size} viewBox="{box}" role="img" aria-label="{escape(alt)}">{drawn}</svg>'))
+
+
+def _lay_out(figure: Figure) -> None:
+    """Give a figure's panels their places for good; saving it would draw it once more to do so."""
+    engine, dpi = figure.get_layout_engine(), figure.dpi
+    if engine is not None:
+        figure.set_dpi(DPI)
+        engine.execute(figure)
+        figure.set_dpi(dpi)
+        figure.set_layout_engine("none")
 
 
 def _save(figure: Figure, kind: str, dpi: float) -> bytes:

@@ -10,7 +10,7 @@ from bayescal.report.blocks import Cell, Column, Figure, Fold, Page, Section, Si
 from bayescal.report.page import write_page
 from bayescal.report.scene import Scene, SceneLine, ScenePoint
 
-pytestmark = pytest.mark.slow  # a browser takes its time
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("pictures")]  # a browser takes its time
 
 NUMBERS = ("−3.5", "1,200", "2.0 ± 0.1", "3.3·10⁴", "–", "10⁻²", "7 %", "0", "<1", "12 / 14")
 ORDER = ["−3.5", "0", "10⁻²", "<1", "2.0 ± 0.1", "7 %", "12 / 14", "1,200", "3.3·10⁴", "–"]

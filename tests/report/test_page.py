@@ -42,6 +42,8 @@ from bayescal.report.pictures import render_picture
 from bayescal.report.provenance import format_config, show_provenance
 from bayescal.report.scene import Scene, SceneLine, ScenePoint, choose_magnification
 
+pytestmark = pytest.mark.usefixtures("pictures")
+
 WICKED = "<script>alert(1)</script> & O1 at 3 µm"
 ESCAPED = "&lt;script&gt;alert(1)&lt;/script&gt; &amp; O1 at 3"
 COLUMNS = (Column("O1", group="published"), Column("O1", group="found"))

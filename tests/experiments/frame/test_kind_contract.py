@@ -175,7 +175,7 @@ def test_an_interrupted_run_is_taken_up_by_another_number_of_workers(finished, m
     assert read_all(again) == read_all(out)
 
 
-def test_the_page_is_written_again_from_files_alone(finished, tmp_path):
+def test_the_page_is_written_again_from_files_alone(finished, tmp_path, pictures):
     """With its pictures, which the first one has not: all are drawn from the files of the results."""
     _, _, out = finished
     shutil.copytree(out, tmp_path / "moved")

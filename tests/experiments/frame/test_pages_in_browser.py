@@ -16,7 +16,7 @@ def browser():
 
 
 @pytest.mark.parametrize("kind", sorted(set(MAKE) - set(WITHOUT_TASKS)))
-def test_the_page_of_every_kind(kind, browser, tmp_path, search_little):
+def test_the_page_of_every_kind(kind, browser, tmp_path, search_little, pictures):
     run(MAKE[kind](tmp_path), tmp_path / "out")
     path = tmp_path / "out" / "report.html"
     for width in SIZES:

@@ -86,7 +86,7 @@ def test_figure_shows_the_means(comparison):
     np.testing.assert_allclose(line.get_ydata(), expected)
 
 
-def test_shipped_experiment_runs_tiny(tmp_path):
+def test_shipped_experiment_runs_tiny(tmp_path, pictures):
     """Tables as computed, the means in the summary, and a page with the figure, from the files alone."""
     path = studies.copy_small(studies.EXPERIMENTS / "pose_extraction" / "figure5.toml", tmp_path / "in")
     config, out = load_experiment(path), tmp_path / "out"

@@ -55,7 +55,7 @@ def test_shipped_experiment_runs_tiny(tiny):
     assert not re.search(r"\bnan\b", re.sub(r"base64,[^\"]*", "", (out / "report.html").read_text()))
 
 
-def test_page_comes_from_the_files_alone(tiny):
+def test_page_comes_from_the_files_alone(tiny, pictures):
     """With its pictures, which the first one has not."""
     out = tiny[2]
     before = leave_out_pictures(studies.snapshot(out))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import h5py  # type: ignore[import-untyped]  # ships no types
+import h5py
 import numpy as np
 
 from bayescal.errors import InputError

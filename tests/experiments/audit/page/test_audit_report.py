@@ -114,7 +114,7 @@ def check_page(page: Path, n_pictures: int) -> None:
     assert not list(page.parent.glob("*.tmp"))
 
 
-def test_the_same_audit_gives_the_same_bytes(tmp_path):
+def test_the_same_audit_gives_the_same_bytes(tmp_path, pictures):
     pages = [write_audit_report(write_audit_results(tmp_path, checks=True, name=name)) for name in ("one", "other")]
     assert pages[0].read_bytes() == pages[1].read_bytes()
     check_page(pages[0], n_pictures=8)
@@ -149,7 +149,7 @@ def test_without_requirements_and_changes_the_page_says_so(tmp_path, no_pictures
     assert "whether the accuracy suffices is not told" in text
 
 
-def test_text_from_the_design_is_escaped(tmp_path):
+def test_text_from_the_design_is_escaped(tmp_path, pictures):
     attack = "<script>alert('x')</script> & \"$_^{ $\" <b>"
 
     def change(summary):

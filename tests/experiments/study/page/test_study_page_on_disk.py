@@ -11,7 +11,7 @@ from made_up_results import PUBLICATION, TWELVE, edit_config, render_text, write
 from bayescal.errors import InputError
 
 
-def test_page_is_self_contained_well_formed_and_has_the_same_bytes_again(make_results):
+def test_page_is_self_contained_well_formed_and_has_the_same_bytes_again(make_results, pictures):
     page, other = (write_report(make_results(name=name)) for name in ("one", "other"))
     images, others = (sorted((one.parent / "figures").iterdir()) for one in (page, other))
     assert page.read_bytes() == other.read_bytes()
@@ -36,7 +36,7 @@ def test_page_is_self_contained_well_formed_and_has_the_same_bytes_again(make_re
     }
 
 
-def test_text_from_the_results_is_escaped(make_results):
+def test_text_from_the_results_is_escaped(make_results, pictures):
     attack = "<script>alert('x')</script> & \"$_^{ $\" <b>"
 
     def change(summary):
@@ -71,7 +71,7 @@ def test_without_draws_and_ring_the_report_says_what_is_left_out(make_results, n
     assert (folder / "figures" / "parameters.png").is_file()
 
 
-def test_without_verification_poses_the_figures_are_drawn(make_results):
+def test_without_verification_poses_the_figures_are_drawn(make_results, pictures):
     folder = make_results(verification=False)
     text = write_report(folder).read_text(encoding="utf-8")
     assert Reader(text).pictures == 13
