@@ -44,6 +44,7 @@ COMMANDS = (
     "certificate",
     "recheck",
 )
+SESSIONS = ("sessions", "january", "february", "march", "april", "may", "june")
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 
@@ -560,6 +561,7 @@ def test_every_shipped_experiment_is_run_here():
         ),  # in test_lookup_table
         "camera_hexapod/simulate.toml",
         "m2_hexapod/simulate.toml",
+        *(f"m2_hexapod_sessions/{name}.toml" for name in SESSIONS),  # in sessions/test_*.py
         "m2_hexapod/next.toml",  # in next_pose/test_next_command.py
         *(f"hexaglide/{name}.toml" for name in ("mechanism", "simulate", "audit")),  # in test_hexaglide
         "telescope/mechanism.toml",
