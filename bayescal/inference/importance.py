@@ -16,6 +16,7 @@ from bayescal.numerics.geometry import Array
 type LogDensity = Callable[[Array], Array]
 
 BATCH = 256
+FEWEST_WEIGHTS = 25  # a fifth of them is a tail that a distribution can be fitted to
 NO_PARETO = 1000.0  # beyond every limit, and a number in every file
 WORTH_ANOTHER = 0.05  # efficiency below which another proposal is tried
 
@@ -60,15 +61,18 @@ def evaluate_in_batches(log_density: LogDensity, y: Array) -> Array:
 def smooth_weights(log_weights: Array) -> tuple[Array, float]:
     """Return Pareto-smoothed log-weights (B,), normalised, and the shape k of their tail; all are finite.
 
-    Where no Pareto distribution fits so heavy a tail in floats, they are as they were and k is as large as `NO_PARETO`.
+    Where they are few, or no Pareto distribution fits so heavy a tail in floats, they are as they were and k is
+    `NO_PARETO`.
     """
     from arviz_stats.base import array_stats  # seconds to import, for those who sample
 
-    with np.errstate(all="ignore"):
-        smoothed, pareto_k = array_stats.psislw(-log_weights)  # takes minus them, as log-likelihoods for LOO
-    if not (np.isfinite(pareto_k) and np.isfinite(smoothed).all()):
-        smoothed, pareto_k = log_weights, NO_PARETO
-    return np.asarray(smoothed - logsumexp(smoothed)), float(pareto_k)
+    smoothed, pareto_k = log_weights, NO_PARETO
+    if len(log_weights) >= FEWEST_WEIGHTS:
+        with np.errstate(all="ignore"):
+            found, k = array_stats.psislw(-log_weights)  # takes minus them, as log-likelihoods for LOO
+        if np.isfinite(k) and np.isfinite(found).all():
+            smoothed, pareto_k = found, float(k)
+    return np.asarray(smoothed - logsumexp(smoothed)), pareto_k
 
 
 def estimate_by_importance(

@@ -249,6 +249,13 @@ def test_a_tail_too_heavy_for_floats_is_said_without_a_warning(spread):
     assert np.exp(smoothed).sum() == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("n", [1, 24, 100])
+def test_few_weights_are_said_to_have_no_tail(n):
+    smoothed, pareto_k = smooth_weights(np.random.default_rng(2).normal(size=n))
+    assert (pareto_k > 0.7) == (n < 25)
+    assert np.exp(smoothed).sum() == pytest.approx(1.0)
+
+
 def test_a_component_without_weight_adds_nothing():
     two = MixtureProposal(np.array([1.0, 0.0]), np.array([[0.0], [5.0]]), np.ones((2, 1, 1)), 50.0)
     one = MixtureProposal(np.ones(1), np.zeros((1, 1)), np.ones((1, 1, 1)), 50.0)
