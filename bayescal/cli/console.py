@@ -30,6 +30,8 @@ def check_out(out: Path | None) -> None:
     if out is not None:
         if out.is_dir():
             raise InputError(f"{out}: is a directory, expected a file name")
+        if out.is_symlink() and not out.exists():
+            raise InputError(f"{out}: is a link that leads nowhere, expected a file name")
         check_writable(out.parent)
 
 

@@ -39,6 +39,7 @@ LOADERS = {
     "strut_machine": read_reading_model,
     "sweep": load_experiment,
     "next_pose": load_experiment,
+    "sessions": load_experiment,
 }
 SHIPPED = sorted(studies.EXPERIMENTS.rglob("*.toml"))
 
@@ -65,7 +66,7 @@ def fail(loader, path: Path) -> str:
 def test_every_shipped_config_loads(path):
     text = path.read_text()
     found = re.search(r'^kind = "(\w+)"', text, flags=re.MULTILINE)
-    default = load_audit if text.startswith("extends") or "\nextends" in text else load_mechanism
+    default = load_experiment if text.startswith("extends") or "\nextends" in text else load_mechanism
     config = (LOADERS[found[1]] if found else default)(path)
     assert config.name
 

@@ -69,9 +69,9 @@ class StrutMachineConfig(Section):
     centre_of_gravity_mm: Vector
     """Where its centre of gravity is, platform frame."""
     down_at_zenith: Vector = Field(default=[0.0, 0.0, -1.0])
-    """Where gravity points when the telescope looks at the zenith, base frame; of any length."""
+    """Where gravity points when the telescope looks at the zenith, base frame; of any length [1]."""
     down_at_horizon: Vector = Field(default=[0.0, -1.0, 0.0])
-    """Where gravity points when the telescope looks at the horizon, base frame; at right angles to the former."""
+    """Where gravity points when the telescope looks at the horizon, base frame; at right angles to the former [1]."""
     stiffness_n_per_um: Positive
     """Axial stiffness of a strut with its joints."""
     strut_expansion_per_million: Number = 11.5
@@ -81,7 +81,7 @@ class StrutMachineConfig(Section):
     platform_expansion_per_million: Number = 11.5
     """Expansion of the platform, in millionths per K."""
     reference_c: Annotated[float, Field(ge=-100.0, le=100.0)]
-    """Temperature at which lengths and joints are as stated."""
+    """Temperature at which lengths and joints are as stated [°C]."""
 
     @field_validator("down_at_zenith", "down_at_horizon")
     @classmethod

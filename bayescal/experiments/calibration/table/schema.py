@@ -39,12 +39,12 @@ class LookupTableConfig(ExperimentConfig):
     variant: str = ""
     """Its variant; needed where it has several."""
     axes: Annotated[dict[str, Axis], Field(min_length=1, max_length=2)]
-    """By column of the data, such as `elevation_deg`: the values of the table."""
+    """By column of the data, such as `elevation_deg`: the values of the table [as in the data]."""
     reference: Annotated[dict[str, Number], Field(min_length=1)]
-    """By column: where the table is zero."""
+    """By column: where the table is zero [as in the data]."""
     pose: dict[str, Number] = Field(default={})
-    """By coordinate: the commanded pose, in the calibration's [units]; the middle of the workspace where nothing is
-    said.
+    """By coordinate: the commanded pose, in the units that the calibration states; the middle of the
+    workspace where nothing is said [the calibration's].
     """
     plan: TablePlanConfig = TablePlanConfig()
     """Where to measure next."""
