@@ -4,13 +4,14 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: study real audits test test-browser test-dask test-slow check docs dist data picture benchmark soak clean help
+.PHONY: study real audits test test-runs test-browser test-dask test-slow check docs dist data picture benchmark soak clean help
 
 help:
 	@echo "make study      the telescope study: environment, run, ranking, report (three to four minutes on two cores)"
 	@echo "make real       a real machine, really measured: the Hangprinter HP4 (about two minutes)"
 	@echo "make audits     all shipped identifiability audits"
-	@echo "make test       environment and the test suite"
+	@echo "make test       environment and the quick tests"
+	@echo "make test-runs  whole small experiments, seconds each"
 	@echo "make test-slow  the slow statistical suites"
 	@echo "make test-dask  schedulers and workers of dask, killed and late (installs dask.distributed)"
 	@echo "make test-browser  every kind's page in the system's Chromium (installs playwright, no browser)"
@@ -35,6 +36,9 @@ audits: $(STAMP)
 
 test: $(STAMP)
 	$(THREADS) $(BIN)/python -m pytest -q -n 2 --dist loadfile
+
+test-runs: $(STAMP)
+	$(THREADS) $(BIN)/python -m pytest -q -n 2 --dist loadfile -m "runs and not slow"
 
 test-dask: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dask]"

@@ -201,6 +201,7 @@ def test_kind_of_another_command(refuse, study):
     assert "kind: found 'pose_methods', expected 'study'" in refuse("poses-from-targets", figure5)
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("out", ["study.toml", "study.toml/x", ".", "data", "/"])
 def test_out_where_no_results_may_go(refuse, study, out):
     refuse("run", study, "--out", out)
@@ -233,6 +234,7 @@ def test_full_disk_is_one_line(call, study, monkeypatch, quick):
     assert "No space left on device" in err
 
 
+@pytest.mark.runs
 def test_results_of_another_config(refuse, study, finished):
     shutil.copytree(finished, "out")
     assert "holds results of another config" in refuse("run", study, "--out", "out", "--seed", 3)
@@ -243,6 +245,7 @@ def test_results_of_another_config(refuse, study, finished):
 # --- run -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.runs
 def test_not_converged_is_3_with_the_results_written(call, study, quick, search_little):
     code, out, err = call("run", study, "--out", "out", "--workers", 1)
     assert code == 3
@@ -256,6 +259,7 @@ def test_not_converged_is_3_with_the_results_written(call, study, quick, search_
     assert not list(Path().glob("*.partial"))
 
 
+@pytest.mark.runs
 def test_quiet_prints_nothing_but_the_error_and_results_have_a_place_of_their_own(call, study, quick, search_little):
     code, out, err = call("run", study, "--seed", 5, "--workers", 1, "--quiet")
     assert (code, out) == (3, "")
@@ -271,6 +275,7 @@ def keep_first_variant(path: Path) -> None:
     path.write_text(text.replace('kappa = { prior = "normal", sd = 0.01 }\n', ""))  # nobody else frees it
 
 
+@pytest.mark.runs
 def test_converged_is_0_without_errors(call, study, quick):
     path = Path(study)
     keep_first_variant(path)
@@ -283,6 +288,7 @@ def test_converged_is_0_without_errors(call, study, quick):
     assert "report: out/report.html" in out
 
 
+@pytest.mark.runs
 def test_numerical_failure_is_3_in_one_line(call, study, quick, monkeypatch):
     def fail(inputs, task):
         raise NumericalError("as if")
@@ -296,6 +302,7 @@ def test_numerical_failure_is_3_in_one_line(call, study, quick, monkeypatch):
     assert not Path("out").exists()
 
 
+@pytest.mark.runs
 def test_a_narrow_uniform_prior_is_no_failure(call, study, quick):
     """Bounds that the measurements contradict squeeze the posterior against them; that is a result."""
     keep_first_variant(Path(study))
@@ -327,6 +334,7 @@ def test_interrupt_is_130_and_resume_completes(call, study, tmp_path, quick):
     assert numbers_only(Path("out/summary.json")).replace(", renamed", "") == numbers_only(Path("whole/summary.json"))
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("seconds", [0.2, pytest.param(0.6, marks=pytest.mark.slow)])
 def test_process_in_a_pipe_can_be_interrupted(study, tmp_path, seconds):
     studies.edit(Path(study), "steps = 10", "steps = 3000")
@@ -389,6 +397,7 @@ def test_simulate_writes_the_survey(call, study):
     assert Path("other/targets.csv").read_text() != Path("new/data/targets.csv").read_text()
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("folder", ["telescope", "m2_hexapod"])
 def test_shipped_data_come_from_the_shipped_config(call, tmp_path, folder):
     shipped = studies.EXPERIMENTS / folder
@@ -470,6 +479,7 @@ def test_report_of_results_that_no_experiment_wrote(refuse, tmp_path, provenance
     assert expected in refuse("report", tmp_path)
 
 
+@pytest.mark.runs
 def test_report_is_written_anew(call, study, finished, no_pictures):
     shutil.copytree(finished, "out")
     assert not Path("out/report.html").exists()
@@ -479,6 +489,7 @@ def test_report_is_written_anew(call, study, finished, no_pictures):
     assert "six_pus/matrix" in Path("out/report.html").read_text()
 
 
+@pytest.mark.runs
 def test_compare_ranks_studies_of_the_same_data(call, refuse, study, finished, quick):
     shutil.copytree(finished, "first")
     call("run", study, "--out", "second", "--workers", 1, "--seed", 12)
@@ -499,6 +510,7 @@ def test_compare_ranks_studies_of_the_same_data(call, refuse, study, finished, q
 # --- every experiment runs -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.runs
 def test_shipped_pose_extraction_runs_tiny(call, tmp_path):
     path = studies.copy_small(studies.EXPERIMENTS / "pose_extraction" / "figure5.toml", tmp_path / "copy")
     code, out, err = call("run", path, "--out", tmp_path / "out", "--workers", 1)
@@ -524,6 +536,7 @@ STUDIES = [
 ]
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize(("name", "n_variants"), STUDIES)
 def test_shipped_study_runs_tiny(call, tmp_path, quick, search_little, name, n_variants):
     path = studies.copy_small(studies.EXPERIMENTS / f"{name}.toml", tmp_path / "copy")

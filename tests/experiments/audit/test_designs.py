@@ -15,6 +15,8 @@ from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.audit.schema import SweepConfig
 
+pytestmark = pytest.mark.runs
+
 NULLS = {"six_pus": 6, "beam": 6, "jacobian": {"none": 24, "linear": 30, "matrix": 30}}
 HEXAPODS = {"camera_hexapod": (42, 42), "m2_hexapod": (42, 42), "camera_hexapod_frames": (54, 42)}
 KEYS = {"contraction", "nats", "kind", "loadings", "sentence"}

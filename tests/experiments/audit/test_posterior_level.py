@@ -19,6 +19,8 @@ from bayescal.identifiability.information import Information, information_of_row
 from bayescal.identifiability.requirements import Requirement
 from bayescal.identifiability.sensitivity import compute_sensitivity
 
+pytestmark = pytest.mark.runs
+
 TELESCOPE = problems.DESIGNS / "telescope_six_pus_none.toml"
 MEASURED = problems.DESIGNS / "telescope_posterior.toml"
 BEND = 3e-5  # of a tolerance squared, that even these ridges bend into what is known a thousand times better

@@ -19,6 +19,8 @@ from bayescal.identifiability.ridge_laws import LAWS, Leg, LevelLine, find_legs
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import compute_pose_error
 
+pytestmark = pytest.mark.runs
+
 LENGTHS, GAIN = "the distance of the joints along the leg", "the gain of the actuator along the leg"
 DIRECTION, JOINT = "the direction of the actuator against the leg", "the place of the joint at home"
 STRUT = "the length between the joints of the strut"

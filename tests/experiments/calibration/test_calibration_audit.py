@@ -15,6 +15,8 @@ from bayescal.experiments.frame.run import run_experiment
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import resample
 
+pytestmark = pytest.mark.runs
+
 POSES = 'file = "poses.csv"'
 
 

@@ -19,6 +19,8 @@ from bayescal.experiments.calibration.table.responses import differentiate_corre
 from bayescal.experiments.calibration.table.tables import summarise, tabulate
 from bayescal.experiments.frame.load import load
 
+pytestmark = pytest.mark.runs
+
 DRAWS = 40
 
 

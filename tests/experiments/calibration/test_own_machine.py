@@ -13,6 +13,8 @@ from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.report.pictures import Picture
 
+pytestmark = pytest.mark.runs
+
 
 def run(*arguments, folder):
     command = [sys.executable, "-m", "bayescal.cli", *map(str, arguments)]

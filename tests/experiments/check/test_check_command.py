@@ -15,6 +15,8 @@ from bayescal.experiments.check.faults.finding import Finding
 from bayescal.experiments.check.kind import configure_check
 from bayescal.experiments.frame.run import run_experiment
 
+pytestmark = pytest.mark.runs
+
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):

@@ -24,6 +24,8 @@ from bayescal.experiments.frame.run import run_experiment, write_report
 from bayescal.experiments.frame.store import Store
 from bayescal.report.pictures import Picture
 
+pytestmark = pytest.mark.runs
+
 AUDIT = 'extends = "camera_hexapod.toml"\nname = "small"\nsimulated_calibrations = 4\nprofiles = ["l[1]"]\n'
 AUDIT += 'expected_over_draws = 3\n[poses]\ncount = 12\n[[what_if]]\nname = "twice"\nposes_factor = 2.0\n'
 AUDIT += "[workspace]\nposes = 20\n[posterior]\ndraws = 200\n[sweep]\nnoise = [1.0]\nposes = [40]\nworkspace = [1.0]\n"

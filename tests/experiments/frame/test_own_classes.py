@@ -27,6 +27,8 @@ from bayescal.experiments.pose_selection.inputs import read_selection
 from bayescal.experiments.study.inputs import load_inputs
 from bayescal.machines.read import load_mechanism
 
+pytestmark = pytest.mark.runs
+
 AUDIT = """
 extends = "base.toml"
 measured_by = ["own"]

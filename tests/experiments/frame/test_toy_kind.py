@@ -15,6 +15,8 @@ import toys
 
 from bayescal.experiments.frame import run as frame
 
+pytestmark = pytest.mark.runs
+
 SLOW = "count = 6\npause = 0.3\n"
 
 

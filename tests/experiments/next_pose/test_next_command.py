@@ -14,6 +14,8 @@ from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import compute_experiment
 
+pytestmark = pytest.mark.runs
+
 NEXT = """
 kind = "next_pose"
 name = "tiny_next"

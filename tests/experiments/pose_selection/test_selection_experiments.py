@@ -32,6 +32,8 @@ from bayescal.experiments.pose_selection.verdict import Tables
 from bayescal.identifiability.requirements import find_limits
 from bayescal.identifiability.sensitivity import compute_sensitivity
 
+pytestmark = pytest.mark.runs
+
 FOLDER = studies.EXPERIMENTS / "pose_selection"
 SHIPPED = ("yu2023_table1", "rr8096_figure14", "hexapod_i_optimal")
 DETERMINISTIC = ("selections", "selection_summary", "poses", "traces", "random_sets", "published", "errors")

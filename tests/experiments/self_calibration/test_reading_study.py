@@ -34,6 +34,8 @@ from bayescal.experiments.self_calibration.tool import assess_tool, predict_tool
 from bayescal.experiments.shared.reading_trees import build_reading_tree
 from bayescal.experiments.shared.trees import write_tree
 
+pytestmark = pytest.mark.runs
+
 RESULTS = Path(__file__).parents[3] / "results" / "sliding_star"
 TABLES = {"variants", "parameters", "identifiability", "ridges", "predictions", "residuals"}
 

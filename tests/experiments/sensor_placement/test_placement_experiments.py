@@ -22,6 +22,8 @@ from bayescal.experiments.sensor_placement.inputs import Choice, read_placement
 from bayescal.experiments.sensor_placement.page.figures import write_sensors
 from bayescal.experiments.sensor_placement.tables import describe_kinds, describe_pattern, find_front
 
+pytestmark = pytest.mark.runs
+
 RESULTS = Path(__file__).parents[3] / "results"
 TIMED = ("timing.csv", "report.html")
 

@@ -15,6 +15,8 @@ from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.report.pictures import Picture
 
+pytestmark = pytest.mark.runs
+
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):

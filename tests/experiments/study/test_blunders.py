@@ -10,6 +10,8 @@ from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import run_experiment, write_report
 
+pytestmark = pytest.mark.runs
+
 OFF = 0.3  # mm
 SWITCH = "[model_error]\n"
 

@@ -20,6 +20,8 @@ from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.read import load_mechanism
 from bayescal.numerics.geometry import rotation_vector_from_matrix
 
+pytestmark = pytest.mark.runs
+
 COMMITTED = Path(__file__).parents[3] / "results"
 VARIANT = "six_pus/matrix"
 

@@ -16,6 +16,8 @@ from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import Finished
 from bayescal.experiments.study.fit import Task, run_task
 
+pytestmark = pytest.mark.runs
+
 JOINTS = """
 [[variants]]
 model = "six_pus"

@@ -16,6 +16,8 @@ from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.report.pictures import Picture
 
+pytestmark = pytest.mark.runs
+
 
 @pytest.fixture(scope="module", params=hexapods.LIMITS)
 def folder(request, tmp_path_factory) -> Path:

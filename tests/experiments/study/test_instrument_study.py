@@ -16,6 +16,8 @@ from bayescal.files.csv_tables import read_table
 from bayescal.inference.mode import find_modes
 from bayescal.machines.kinematics import solve_forward_kinematics
 
+pytestmark = pytest.mark.runs
+
 FRAMES = "[frames]\nbase = { position = 0.5, rotation = 0.05 }\ntool = { position = 0.5, rotation = 0.05 }\n\n"
 TARGETS = """targets = "data/targets.csv"
 actuators = "data/actuators.csv"

@@ -26,6 +26,8 @@ from bayescal.experiments.study import compute
 from bayescal.experiments.study.fit import list_tasks, run_task
 from bayescal.limits import MOVED_LIMIT, PARETO_K_LIMIT
 
+pytestmark = pytest.mark.runs
+
 VARIANTS = {"six_pus/none": 7, "six_pus/matrix": 13}
 NUMBERS = (
     *("log_evidence", "log_evidence_se", "elpd_loo", "elpd_loo_se", "rhat_max", "ess_bulk_min", "wall_seconds"),

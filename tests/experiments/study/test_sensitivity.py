@@ -17,6 +17,8 @@ from bayescal.experiments.study.fit import list_tasks, run_task
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.prior_widths import list_width_tasks, move_modes, tabulate_sensitivity
 
+pytestmark = pytest.mark.runs
+
 UNIFORM = 'kappa = { prior = "uniform", half_width = 0.01 }'
 NORMAL = 'kappa = { prior = "normal", sd = 0.01 }'
 EFFORT = ("draws = 1000\nmax_draws = 1000", "draws = 4000\nmax_draws = 4000")

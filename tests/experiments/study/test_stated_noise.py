@@ -21,6 +21,8 @@ from bayescal.experiments.study.page.soundness import ChiSquare
 from bayescal.experiments.study.soundness import measure_misfit, measure_pulls
 from bayescal.inference.exploration import explore
 
+pytestmark = pytest.mark.runs
+
 VARIANT = "six_pus/matrix"
 LENGTHS = 'l = { prior = "normal", sd = 2.0 }'
 

@@ -18,6 +18,8 @@ from bayescal.experiments.frame.store import Store
 from bayescal.experiments.sweep.answers import find_answers
 from bayescal.experiments.sweep.keys import change, look_up, write_toml
 
+pytestmark = pytest.mark.runs
+
 SHIPPED = tiny_experiments.SHIPPED / "audit" / "m2_hexapod_tracker.toml"
 
 

@@ -17,6 +17,8 @@ from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import run_experiment, write_report
 from bayescal.report.pictures import Picture
 
+pytestmark = pytest.mark.runs
+
 TABLES = {
     "table4": {"table4", "best", "noise_draws", "workspaces"},
     "table8": {"table8", "ratios", "reductions", "repeats"},

@@ -45,6 +45,8 @@ from bayescal.experiments.frame.results import read_results, write_results
 from bayescal.report.page import make_prose, write_page
 from bayescal.report.pictures import render_picture
 
+pytestmark = pytest.mark.runs
+
 SECTIONS = (
     *("verdict", "parameters", "ridges", "selection", "requirements", "changes", "sweeps", "profiles", "draws"),
     *("simulated", "method"),

@@ -19,6 +19,8 @@ from bayescal.experiments.study.page.styles import DEFORMATION_COLOURS, assign_s
 from bayescal.report.pictures import render_picture
 from bayescal.report.style import RC
 
+pytestmark = pytest.mark.runs
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):

@@ -16,6 +16,8 @@ from bayescal.experiments.study.page.soundness import ChiSquare, has_doubts, jud
 from bayescal.experiments.study.page.verdict import state_verdict
 from bayescal.experiments.study.terminal import show_doubts
 
+pytestmark = pytest.mark.runs
+
 BEST = "stiffness/matrix"
 
 

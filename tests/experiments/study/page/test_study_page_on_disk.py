@@ -10,6 +10,8 @@ from made_up_results import PUBLICATION, TWELVE, edit_config, render_text, write
 
 from bayescal.errors import InputError
 
+pytestmark = pytest.mark.runs
+
 
 def test_page_is_self_contained_well_formed_and_has_the_same_bytes_again(make_results, pictures):
     page, other = (write_report(make_results(name=name)) for name in ("one", "other"))
