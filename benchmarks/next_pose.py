@@ -1,7 +1,7 @@
 """Twins of the M2 hexapod calibrated pose by pose, beside the plan of 40 poses: how many are enough, is the stop true.
 
-    python benchmarks/next_pose.py --first 0 --twins 25 --poses 24 --out /tmp/a.npz [--model-error] [--range 10.5]
-    python benchmarks/next_pose.py --summarise /tmp/a*.npz [--name next_pose]
+    python benchmarks/next_pose.py --first 0 --twins 25 --poses 24 --out a.npz [--model-error] [--range 10.5]
+    python benchmarks/next_pose.py --summarise a*.npz [--name next_pose]
 
 Each twin is a machine drawn from the tolerances of experiments/m2_hexapod/study.toml, with --model-error its model
 errors too, drawn from the study's prior; otherwise there are none and the posterior knows. It is measured at the plan's
