@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayescal.experiments.shared.netcdf import pack_netcdf
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
@@ -157,7 +156,7 @@ def _write(build: Callable[[], xr.DataTree], path: Path) -> None:
 
 def pack_tree(tree: xr.DataTree) -> np.ndarray:
     """Return the bytes of a netCDF file; the same for the same tree."""
-    return np.frombuffer(pack_netcdf(tree), dtype=np.uint8)
+    return np.frombuffer(tree.to_netcdf(engine="h5netcdf"), dtype=np.uint8)
 
 
 def write_packed(packed: np.ndarray, path: Path) -> None:
