@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib import figure as mpl
 
 from bayescal.calibrated.uncertainty import ACTUATORS, GEOMETRY, MATRIX, MODEL
-from bayescal.experiments.shared.certify import AGREED, AXES, BOUND, Certificate
+from bayescal.experiments.shared.certify import AGREED, AXES, BOUND, SCALE, Certificate
 from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import (
     Cell,
@@ -26,7 +26,6 @@ from bayescal.report.style import LEG_COLOURS
 
 KIND = "Certificate"
 UNITS = ("µm", "µm", "µm", "µrad", "µrad", "µrad")
-SCALE = np.array([1e3, 1e3, 1e3, 1e6, 1e6, 1e6])  # from mm and rad
 SOURCES = {
     GEOMETRY: "geometry (the posterior of the calibration)",
     ACTUATORS: "noise of the actuators, as stated",

@@ -38,6 +38,7 @@ AGREED = 0.02
 """How far the expanded uncertainty k u may be from that of the draws before the latter is stated."""
 BOUND = 0.95  # share of machines of the posterior whose figure of merit is not larger
 AXES = ("x", "y", "z", "rx", "ry", "rz")
+SCALE = np.array([1e3, 1e3, 1e3, 1e6, 1e6, 1e6])  # to µm and µrad, from mm and rad
 N_CHECKED = 64  # poses that draws go through
 
 
@@ -117,7 +118,6 @@ class Certificate:
 
     def list_figures(self) -> dict[str, Any]:
         """Return what is stated as numbers for files: µm and µrad, root mean squares over the workspace."""
-        scale = np.array([1e3, 1e3, 1e3, 1e6, 1e6, 1e6])
 
         def name(values: Array) -> dict[str, float]:
             return dict(zip(AXES, (float(f"{one:.6g}") for one in values), strict=True))
@@ -131,14 +131,14 @@ class Certificate:
             "poses": len(self.budget.actuators),
             "unit": {"x, y, z": "µm", "rx, ry, rz": "µrad"},
             "standard_uncertainty": {
-                **{source: name(_rms(self.budget.sd(source)) * scale) for source in self.budget.parts},
-                "combined": name(_rms(self.budget.sd()) * scale),
+                **{source: name(_rms(self.budget.sd(source)) * SCALE) for source in self.budget.parts},
+                "combined": name(_rms(self.budget.sd()) * SCALE),
             },
             "coverage_factor": float(f"{self.factor:.6g}"),
             "expanded_uncertainty": {
-                "stated": name(_rms(self.expanded) * scale),
-                "largest": name(self.expanded.max(axis=0) * scale),
-                "monte_carlo": name(_rms(self.spread.half_width) * scale),
+                "stated": name(_rms(self.expanded) * SCALE),
+                "largest": name(self.expanded.max(axis=0) * SCALE),
+                "monte_carlo": name(_rms(self.spread.half_width) * SCALE),
                 "propagated_over_monte_carlo": name(self.ratios),
                 "method": "k u" if self.agrees else "Monte Carlo",
             },
