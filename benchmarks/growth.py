@@ -76,7 +76,7 @@ def describe_machine(n_legs: int) -> str:
     return (
         f'name = "struts"\n[base]\npoints_mm = {base.round(3).tolist()}\n[platform]\n'
         f"points_mm = {platform.round(3).tolist()}\n[home]\nposition_mm = [0.0, 0.0, 1300.0]\n"
-        '[legs]\ndrive = "strut"\nactuator_range_mm = 100.0\n'
+        '[legs]\ndrive = "strut"\nactuator_range_mm = 150.0\n'
     )
 
 
