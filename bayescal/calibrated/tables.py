@@ -12,7 +12,8 @@ from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.predict import Command, PosePrediction
 from bayescal.data.actuators import check_range, name_actuators
 from bayescal.data.instruments.poses import COORDINATES
-from bayescal.data.instruments.read_poses import DEVIATIONS, MICRORADIAN, VALUES
+from bayescal.data.instruments.read_poses import DEVIATIONS, MICRORADIAN, POSITION, VALUES
+from bayescal.data.instruments.rotations import OTHER_COLUMNS, VECTOR, read_rotation_vectors
 from bayescal.data.instruments.tables import name_covariances
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import Table, format_table, read_table
@@ -36,7 +37,7 @@ class Commanded:
 
 
 def read_commanded(path: Path, n_legs: int) -> Commanded:
-    """Return the poses of a table, position in mm and rotation vector in degrees; what else is measured is passed over.
+    """Return the poses of a table: position in mm, rotation in any form; what else is measured is passed over.
 
     Raises
     ------
@@ -45,11 +46,13 @@ def read_commanded(path: Path, n_legs: int) -> Commanded:
     """
     upper, lower = name_covariances(COORDINATES)
     others = ("use", *DEVIATIONS, *upper, *lower, *name_actuators(n_legs))
-    table = read_table(path, ("pose", *VALUES), others)
+    table = read_table(path, ("pose", *POSITION), (*VECTOR, *OTHER_COLUMNS, *others))
     names = _read_names(table)
-    values = table.numbers(VALUES)
-    rotation = matrix_from_rotation_vector(np.radians(values[:, 3:]))
-    return Commanded(table, names, values[:, :3], rotation)
+    turn = read_rotation_vectors(table)
+    if not np.isfinite(turn).all():
+        row = int(np.argmax(~np.isfinite(turn).all(axis=1)))
+        raise InputError(f"{table.where(row)}: found no whole rotation, expected {', '.join(VECTOR)}")
+    return Commanded(table, names, table.numbers(POSITION), matrix_from_rotation_vector(turn))
 
 
 def read_positions(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str, ...], Array]:

@@ -1,7 +1,8 @@
 """A table of measured poses, whole or in part, with their covariances.
 
-One row a pose: position in mm and rotation vector in degrees, as `bayescal poses-from-targets` writes them, covariance
-in µm and µrad, or standard deviations. What was not measured is a column that is missing or a cell that is empty.
+One row a pose: position in mm and rotation vector in degrees, as `bayescal poses-from-targets` writes them, or another
+form of rotation that `rotations` knows; covariance in µm and µrad, or standard deviations. What was not measured is a
+column that is missing or a cell that is empty.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 
 from bayescal.data.actuators import name_actuators
 from bayescal.data.instruments.poses import COORDINATES, PoseReadings
+from bayescal.data.instruments.rotations import OTHER_COLUMNS, VECTOR, read_rotation_vectors
 from bayescal.data.instruments.tables import (
     Taken,
     check_positive,
@@ -26,7 +28,8 @@ from bayescal.files.csv_tables import Table, read_table
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
-VALUES = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+POSITION = ("x_mm", "y_mm", "z_mm")
+VALUES = (*POSITION, *VECTOR)
 DEVIATIONS = ("sd_x_um", "sd_y_um", "sd_z_um", "sd_rx_urad", "sd_ry_urad", "sd_rz_urad")
 MICRORADIAN = 1e-6
 UNITS = np.array([MICROMETRE] * 3 + [MICRORADIAN] * 3)
@@ -56,7 +59,8 @@ def read_poses(path: Path, actuators: Path | None, noise: PoseNoise, n_legs: int
         twice or not at all, and what `read_taken` refuses.
     """
     upper, lower = name_covariances(COORDINATES)
-    table = read_table(path, ("pose",), ("use", *VALUES, *DEVIATIONS, *upper, *lower, *name_actuators(n_legs)))
+    optional = ("use", *VALUES, *DEVIATIONS, *upper, *lower, *name_actuators(n_legs), *OTHER_COLUMNS)
+    table = read_table(path, ("pose",), optional)
     taken = read_taken(table, actuators, n_legs)
     values = _read_values(table)
     covariance = _read_noise(table, noise, np.isfinite(values))
@@ -66,21 +70,17 @@ def read_poses(path: Path, actuators: Path | None, noise: PoseNoise, n_legs: int
 
 def _read_values(table: Table) -> Array:
     """Return positions (mm) and rotation vectors (rad), shape (P, 6), NaN where not measured."""
-    values = np.full((len(table.rows), len(VALUES)), np.nan)
-    there = [k for k, name in enumerate(VALUES) if name in table.columns]
-    if not there:
+    position = np.full((len(table.rows), len(POSITION)), np.nan)
+    there = [k for k, name in enumerate(POSITION) if name in table.columns]
+    if not there and not any(name in table.columns for name in (*VECTOR, *OTHER_COLUMNS)):
         raise InputError(f"{table.path}: found no coordinate, expected some of the columns {', '.join(VALUES)}")
-    values[:, there] = table.numbers([VALUES[k] for k in there], gaps=True)
+    if there:
+        position[:, there] = table.numbers([POSITION[k] for k in there], gaps=True)
+    values = np.concatenate([position, read_rotation_vectors(table)], axis=1)
     for row, one in enumerate(np.isfinite(values)):
         if not one.any():
             raise InputError(f"{table.where(row)}: found no coordinate, expected one at least")
-    largest = np.nanmax(np.abs(values[:, 3:]), axis=1, initial=0.0)
-    if (largest > 180.0).any():
-        row = int(np.argmax(largest > 180.0))
-        raise InputError(
-            f"{table.where(row)}: found a rotation vector of {largest[row]:g} deg, expected at most 180 deg"
-        )
-    return np.concatenate([values[:, :3], np.radians(values[:, 3:])], axis=1)
+    return values
 
 
 def _read_noise(table: Table, noise: PoseNoise, measured: np.ndarray) -> Array:
