@@ -20,7 +20,7 @@ _HOMES = {
     "MeasuredPoses": "bayescal.data.measured_poses",
     "Mechanism": "bayescal.machines.mechanism",
     "ParameterBlock": "bayescal.machines.parameters",
-    "PoseLikelihood": "bayescal.density.likelihood",
+    "PoseLikelihood": "bayescal.density.pose_likelihood",
     "Posterior": "bayescal.density.posterior",
     "ReadingMachine": "bayescal.machines.readings",
     "Section": "bayescal.config.sections",

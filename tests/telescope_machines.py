@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.machines.deformations import DEFORMATIONS, Deformation, NominalDeformation

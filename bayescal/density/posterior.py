@@ -11,7 +11,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import erfcinv, erfinv, ndtr
 
-from bayescal.density.likelihood import Likelihood, PoseLikelihood
+from bayescal.density.likelihood import Likelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import HalfNormalPrior, Prior, UniformPrior
 from bayescal.errors import InputError
 from bayescal.limits import FAR_AWAY

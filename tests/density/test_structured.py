@@ -5,7 +5,6 @@ import pytest
 import telescope_machines as machines
 from scipy.stats import multivariate_normal
 
-from bayescal.density.likelihood import PoseLikelihood
 from bayescal.density.model_error import (
     OFF,
     KernelScale,
@@ -15,6 +14,7 @@ from bayescal.density.model_error import (
     SmoothKernel,
     build_kernel,
 )
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.density.structured import StructuredLikelihood, map_covariance

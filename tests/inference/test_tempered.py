@@ -10,7 +10,7 @@ import telescope_machines as machines
 from scipy import stats
 from scipy.special import logsumexp
 
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import NumericalError

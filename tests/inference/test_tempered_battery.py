@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.inference.importance import evaluate_in_batches

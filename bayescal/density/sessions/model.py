@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import ModelError
 from bayescal.numerics.geometry import Array
 

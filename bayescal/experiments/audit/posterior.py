@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import subspace_angles
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.schema import UniformConfig

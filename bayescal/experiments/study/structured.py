@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches
+from bayescal.density.batches import batches
+from bayescal.density.likelihood import Likelihood
 from bayescal.density.model_error import LENGTH, LENGTHY, SCALE, is_model_error
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.density.structured_prediction import pointwise_given, predict_structured

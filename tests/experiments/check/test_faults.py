@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.experiments.check.faults import modes
 from bayescal.experiments.check.faults.derivatives import check_derivatives

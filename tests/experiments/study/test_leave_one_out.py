@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import studies
 
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.study.correct import draw_to_correct
 from bayescal.experiments.study.inputs import load_inputs

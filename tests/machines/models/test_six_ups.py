@@ -13,7 +13,7 @@ from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from bayescal.density.least_squares import identify
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError
