@@ -23,10 +23,11 @@ from bayescal.density.batches import BATCH
 from bayescal.density.exact import CommonErrors, ExactDensity
 from bayescal.density.free_length import FreeLengthLikelihood, count_nodes
 from bayescal.density.free_length_posterior import FreeLengthPosterior
+from bayescal.density.independent_error import ModelError
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.model_error import INDEPENDENT, LENGTHY, KernelScale, LengthPrior, build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.robust import RobustPosterior, build_robust
 from bayescal.density.schema import FixedConfig, NormalConfig
