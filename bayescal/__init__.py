@@ -37,7 +37,7 @@ _HOMES = {
     "load_audit": "bayescal.experiments.audit.load",
     "load_calibrated": "bayescal.experiments.shared.calibrating",
     "load_experiment": "bayescal.experiments.frame.load",
-    "load_inputs": "bayescal.experiments.study.inputs",
+    "load_inputs": "bayescal.experiments.study.load",
     "load_results": "bayescal.loaded",
     "load_mechanism": "bayescal.machines.read",
     "load_simulation": "bayescal.experiments.simulation.load",
