@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr, ndtri
 
-from bayescal.density.likelihood import REFINEMENTS
+from bayescal.density.pose_likelihood import REFINEMENTS
 from bayescal.density.posterior import Posterior
 from bayescal.density.structured_posterior import StructuredPosterior
 

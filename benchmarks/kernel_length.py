@@ -30,9 +30,11 @@ from scipy.special import logsumexp
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.free_length import FreeLengthLikelihood
 from bayescal.density.free_length_posterior import FreeLengthPosterior
-from bayescal.density.likelihood import BATCH, PoseLikelihood
+from bayescal.density.batches import BATCH
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.model_error import KernelScale, LengthPrior, build_kernel
-from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.independent_error import ModelError
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_posterior import StructuredPosterior

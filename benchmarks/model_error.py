@@ -32,9 +32,11 @@ import numpy as np
 
 from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.data.simulation import Twin, build_twin, simulate_survey
-from bayescal.density.likelihood import BATCH, PoseLikelihood
+from bayescal.density.batches import BATCH
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.model_error import KernelScale, LinearKernel, SmoothKernel
-from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.independent_error import ModelError
+from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import replicate
 from bayescal.density.schema import BlundersConfig, NormalConfig
 from bayescal.density.structured import StructuredLikelihood

@@ -27,7 +27,7 @@ import numpy as np
 
 from bayescal.data.actuators import read_moves
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.next_pose.inputs import NextInputs, read_next

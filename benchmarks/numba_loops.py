@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from bayescal.density.likelihood import REFINEMENTS
+from bayescal.density.pose_likelihood import REFINEMENTS
 from bayescal.numerics.geometry import Array
 
 LANES = 32

@@ -39,7 +39,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import ndtri
 
-from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.independent_error import ModelError
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.machines.kinematics import solve_forward_kinematics

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal.density.model_error import KernelScale, LinearKernel
-from bayescal.density.posterior import ModelError
+from bayescal.density.independent_error import ModelError
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.machines.deformations import NoDeformation

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.sessions.model import DAYS_IN_MONTH, Drift, Part, SessionModel, walk_loadings
 from bayescal.experiments.check.subject import Subject
 from bayescal.experiments.frame.load import load

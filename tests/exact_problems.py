@@ -12,8 +12,9 @@ import numpy as np
 import telescope_machines as machines
 
 from bayescal.density.exact import CommonErrors, ExactDensity
-from bayescal.density.likelihood import PoseLikelihood
-from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.independent_error import ModelError
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.experiments.study.correct import correct_evidence
 from bayescal.inference.exploration import explore

@@ -12,7 +12,8 @@ import numpy as np
 from bayescal.data.simulation import build_twin, format_survey, simulate_survey
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.simulation.load import load_simulation
-from bayescal.experiments.study.inputs import StudyInputs, load_inputs
+from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.load import load_inputs
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 TELESCOPE = EXPERIMENTS / "telescope"

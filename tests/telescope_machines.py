@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.likelihood import PoseLikelihood
-from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.independent_error import ModelError
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.machines.deformations import DEFORMATIONS, Deformation, NominalDeformation
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics

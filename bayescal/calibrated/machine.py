@@ -68,7 +68,7 @@ class LegErrors(ABC):
 
 @dataclass(frozen=True, eq=False)
 class IndependentErrors(LegErrors):
-    """Errors of mean zero, independent from pose to pose: those of a pose's density (see `density.likelihood`).
+    """Errors of mean zero, independent from pose to pose: those of a pose's density (see `density.pose_likelihood`).
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 """The density of measured poses with the covariance of the very machine whose density it is: nothing is frozen.
 
-The likelihood's hot path takes C_n at the nominal machine (`bayescal.density.likelihood`). Here the closure's
+The likelihood's hot path takes C_n at the nominal machine (`bayescal.density.pose_likelihood`). Here the closure's
 derivatives by the pose, A_n(θ), by the actuators, B_n(θ), and by the joints' deflections, Z_n(θ), are those of machine
 θ at the pose that it predicts. In terms of the closure r_n = A_n e_n, with e_n measured minus predicted pose,
 
@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.models.base import Linearisation, newton_step

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayescal.density.likelihood import PoseLikelihood, factor_by_columns
+from bayescal.density.columns import factor_by_columns
 from bayescal.density.model_error import Kernel, LengthPrior, build_kernel
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.structured import StructuredLikelihood, factor_kernel
 from bayescal.numerics.geometry import Array
 

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.density.free_length import REACH, FreeLengthLikelihood
+from bayescal.density.local import Local
 from bayescal.density.model_error import LENGTH, Kernel, LengthPrior
-from bayescal.density.posterior import Local
 from bayescal.density.priors import Prior
 from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.numerics.geometry import Array

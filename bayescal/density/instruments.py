@@ -6,8 +6,8 @@ differ from what it should have read by
     z_n ~ N(0, R_n + W_n D_n W_nᵀ),   W_n = (∂z/∂T) G,
 
 R_n the noise of the rows, D_n = diag(σ_ρ² + τ_i² + v_ni) in terms of the legs and G the pose per leg, as in
-`bayescal.density.likelihood`. W_n is taken once, at the nominal machine and frames, so that the covariance does not
-depend on the parameters. Rows are only what was measured: axes or points that are missing are not there at all.
+`bayescal.density.pose_likelihood`. W_n is taken once, at the nominal machine and frames, so that the covariance does
+not depend on the parameters. Rows are only what was measured: axes or points that are missing are not there at all.
 
 The predicted pose is exact. From the nominal machine's pose the bound closure leads to the pose of a machine within the
 tolerances but for second orders, a micrometre or so; one Newton step of the whole closure there leaves 10 pm and
@@ -20,7 +20,8 @@ import numpy as np
 
 from bayescal.data.instruments.base import Instrument
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.likelihood import Likelihood, PoseLikelihood
+from bayescal.density.likelihood import Likelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
 from bayescal.machines.frames import frame_blocks, measured_pose_slopes, move_frames
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics

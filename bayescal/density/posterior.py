@@ -5,94 +5,27 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.special import erfcinv, erfinv, ndtr
 
-from bayescal.density.likelihood import Likelihood, PoseLikelihood
-from bayescal.density.priors import HalfNormalPrior, Prior, UniformPrior
+from bayescal.density.geometry_fit import fit_geometry
+from bayescal.density.geometry_prior import GeometryPrior, build_coordinates, check_bounds
+from bayescal.density.independent_error import ModelError
+from bayescal.density.leg_parameters import find_curved_ridges, find_legs, mirror_lone_components
+from bayescal.density.likelihood import Likelihood
+from bayescal.density.local import Funnel, Local
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.priors import HalfNormalPrior, Prior
 from bayescal.errors import InputError
-from bayescal.limits import FAR_AWAY
 from bayescal.machines.closing_coordinates import close_at_mean
-from bayescal.machines.coordinates import Coordinates, mirror_direction
+from bayescal.machines.coordinates import Coordinates
 from bayescal.machines.kinematics import compute_leg_lines
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
 APPROACH = (1.0, 0.1)  # model errors in mm with which the search for the mode begins
 HALF_LOG_TWO_PI = 0.5 * np.log(2 * np.pi)
-
-
-@dataclass(frozen=True)
-class ModelError:
-    """The model error τ per leg: free with a half-normal prior of the given scale in mm, or none at all (scale None).
-
-    Its sampling coordinate ζ is standard normal under the prior: Φ(ζ) is the prior probability of a smaller τ.
-    """
-
-    scale: float | None
-    shared: bool = False
-
-    def n_parameters(self, n_legs: int) -> int:
-        """Return the number of free model errors."""
-        if self.scale is None:
-            return 0
-        return 1 if self.shared else n_legs
-
-    def names(self, n_legs: int) -> tuple[str, ...]:
-        """Names of the free model errors."""
-        if self.n_parameters(n_legs) == 1:
-            return ("tau",)
-        return tuple(f"tau[{leg}]" for leg in range(1, self.n_parameters(n_legs) + 1))
-
-    def tau_from_zeta(self, zeta: Array) -> Array:
-        """Return τ in mm."""
-        assert self.scale is not None
-        return self.scale * np.sqrt(2.0) * np.where(zeta > 0, erfcinv(ndtr(-zeta)), erfinv(ndtr(zeta)))
-
-    def slope(self, zeta: Array, tau: Array) -> Array:
-        """Return dτ/dζ in mm."""
-        assert self.scale is not None
-        return 0.5 * self.scale * np.exp(0.5 * ((tau / self.scale) ** 2 - zeta**2))
-
-
-class Local(NamedTuple):
-    """A posterior's likelihood around a point.
-
-    Attributes
-    ----------
-    theta : ndarray, shape (D,)
-    errors, slope : ndarray, shapes (P, K), (P, K, m)
-        r and dr/dy.
-    precision : ndarray, shape (P, K, K)
-        Of r, as far as each pose counts.
-    change : ndarray, shape (D, m)
-        dθ/dy.
-    counts, blunder : ndarray, shape (P,), optional
-        How much each pose counts, and how probably it is a blunder; None where all count in full.
-    """
-
-    theta: Array
-    errors: Array
-    slope: Array
-    precision: Array
-    change: Array
-    counts: Array | None = None
-    blunder: Array | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Funnel:
-    """How the geometry depends on the model errors around a point; see `bayescal.inference.target.Funnel`."""
-
-    information: Array
-    prior: Array
-    rest: Array
-    tau: Array
-    parts: Array | None = None
-    scores: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,19 +60,7 @@ class Posterior:
         """Raise InputError where the priors' centres, or the ends of a uniform prior, are no machine's parameters."""
         centre = self.coordinates.start
         self._layout.check(centre)
-        bounded = self.coordinates.free[self.coordinates.bounded]
-        lower, upper = self._layout.limits
-        for k, low, high in zip(
-            bounded,
-            self.coordinates.lower[self.coordinates.bounded],
-            self.coordinates.upper[self.coordinates.bounded],
-            strict=True,
-        ):
-            if low < lower[k] or high > upper[k]:
-                raise InputError(
-                    f"parameter {self._layout.names[k]}: found a prior from {low:g} to {high:g}, "
-                    f"expected it between {lower[k]:g} and {upper[k]:g}"
-                )
+        check_bounds(self.coordinates)
         if not np.isfinite(self.likelihood.errors(centre[None])).all():
             raise InputError("found no machine at the priors' centres, expected unit directions and a home pose")
 
@@ -150,19 +71,8 @@ class Posterior:
     @cached_property
     def coordinates(self) -> Coordinates:
         """Coordinates of the geometry."""
-        layout = self._layout
-        start = layout.nominal.copy()
-        position = {name: k for k, name in enumerate(layout.names)}
-        for name, value in self.fixed.items():
-            start[position[name]] = value
-        free = np.array(sorted(position[name] for name in self.priors), dtype=int)
-        ordered = [self.priors[layout.names[k]] for k in free]
-        start[free] = [prior.mean for prior in ordered]
         lines = compute_leg_lines(self.likelihood.machine)
-        bounds = [(p.lower, p.upper) if isinstance(p, UniformPrior) else (-np.inf, np.inf) for p in ordered]
-        lower, upper = np.array(bounds).reshape(-1, 2).T
-        scale = np.array([p.sd for p in ordered])
-        return self._close_lengths(Coordinates(layout, start, free, scale, lines, lower, upper))
+        return self._close_lengths(build_coordinates(self._layout, lines, self.priors, self.fixed))
 
     def _close_lengths(self, known: Coordinates) -> Coordinates:
         """Return coordinates whose lengths follow the joints where a deformation leaves these hardly known."""
@@ -173,15 +83,8 @@ class Posterior:
         return close_at_mean(known, likelihood.machine, poses.position, poses.rotation, poses.actuators)
 
     @cached_property
-    def _ordered_priors(self) -> tuple[Prior, ...]:
-        return tuple(self.priors[self._layout.names[k]] for k in self.coordinates.free)
-
-    @cached_property
-    def _normal(self) -> tuple[np.ndarray, Array, Array]:
-        """Which free parameters have a normal prior, and its centres and scales."""
-        which = ~self.coordinates.standard
-        chosen = [prior for prior, normal in zip(self._ordered_priors, which, strict=True) if normal]
-        return which, np.array([p.mean for p in chosen]), np.array([p.sd for p in chosen])
+    def _prior(self) -> GeometryPrior:
+        return GeometryPrior(self.coordinates, self.priors)
 
     @cached_property
     def _standard(self) -> np.ndarray:
@@ -211,7 +114,7 @@ class Posterior:
 
     def _name_priors(self, names: Sequence[str]) -> dict[str, Prior]:
         """Return the priors of the geometry, then of the model errors τ, of these names."""
-        result = dict(zip(names, self._ordered_priors, strict=False))
+        result = dict(zip(names, self._prior.ordered, strict=False))
         for name in names[self.n_geometry :]:
             assert self.model_error.scale is not None
             result[name] = HalfNormalPrior(self.model_error.scale)
@@ -263,7 +166,7 @@ class Posterior:
 
     def _log_prior(self, y: Array, theta: Array) -> Array:
         """Add the normal priors to the coordinates that are standard normal themselves: bounded ones, model errors."""
-        normal, centre, scale = self._normal
+        normal, centre, scale = self._prior.normal
         z = (theta[..., self.coordinates.free[normal]] - centre) / scale
         standard = self._deviations(y)
         total = -0.5 * (np.einsum("...i,...i->...", z, z) + np.einsum("...i,...i->...", standard, standard))
@@ -273,11 +176,7 @@ class Posterior:
     def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
         """Return draws of the prior in the coordinates, shape (n_draws, n); NaN where they are no coordinates."""
         y = rng.standard_normal((n_draws, self.n_parameters))
-        theta = np.tile(self.coordinates.start, (n_draws, 1))
-        for k, (place, prior) in enumerate(zip(self.coordinates.free, self._ordered_priors, strict=True)):
-            theta[:, place] = prior.at_quantile(ndtr(y[:, k]))
-        with np.errstate(invalid="ignore"):
-            y[:, : self.n_geometry] = self.coordinates.y_from_theta(theta)
+        y[:, : self.n_geometry] = self._prior.draw(y)
         return y
 
     def _deviations(self, y: Array) -> Array:
@@ -330,17 +229,11 @@ class Posterior:
 
     def prior_residual(self, y: Array, theta: Array) -> Array:
         """Return the geometry's prior as residuals of unit variance, shape (m,), at coordinates (m,) and θ (D,)."""
-        normal, centre, scale = self._normal
-        residual = y[: self.n_geometry].copy()
-        residual[normal] = (theta[self.coordinates.free[normal]] - centre) / scale
-        return residual
+        return self._prior.residual(y[: self.n_geometry], theta)
 
     def _prior_slope(self, change: Array) -> Array:
         """Return the derivative of `prior_residual` by the coordinates, shape (m, m), from dθ/dy."""
-        normal, _, scale = self._normal
-        rows = np.eye(self.n_geometry)
-        rows[normal] = change[self.coordinates.free[normal]] / scale[:, None]
-        return rows
+        return self._prior.slope(change)
 
     def residual_slope(self, theta: Array) -> tuple[Array, Array]:
         """Return dr/dy, shape (P, K, m), and the derivative of `prior_residual`, shape (m, m), at θ, shape (D,)."""
@@ -361,10 +254,7 @@ class Posterior:
 
     def _legs(self) -> list[np.ndarray]:
         """Return which geometric coordinates belong to each leg."""
-        layout, free = self._layout, self.coordinates.free
-        per_leg = [block.symbol for block in layout.blocks if block.per_leg]
-        legs = [[layout.index[s][leg] for s in per_leg] for leg in range(self.likelihood.n_legs)]
-        return [np.flatnonzero(np.isin(free, leg)) for leg in legs]
+        return find_legs(self._layout, self.coordinates.free, self.likelihood.n_legs)
 
     def _linearise(self, y: Array) -> Local:
         """Return the likelihood around y, shape (n,)."""
@@ -446,24 +336,11 @@ class Posterior:
 
         A ``weight``, shape (P,), says how much each pose counts.
         """
-        n = self.n_geometry
         whitening = np.linalg.inv(np.linalg.cholesky(self.likelihood.error_covariance(tau)))
         if weight is not None:
             whitening *= np.sqrt(weight)[:, None, None]
-
-        def residual(y: Array) -> Array:
-            theta = self.coordinates.theta_from_y(y[None])
-            errors = self.likelihood.errors(theta)[0]
-            white = np.einsum("pij,pj->pi", whitening, errors).ravel()
-            value = np.concatenate([white, self.prior_residual(y, theta[0])])
-            return np.where(np.isfinite(value) & self._layout.inside(theta)[0], value, FAR_AWAY)
-
-        def jacobian(y: Array) -> Array:
-            slope, prior_slope = self.residual_slope(self.coordinates.theta_from_y(y[None])[0])
-            return np.concatenate([np.einsum("pij,pjk->pik", whitening, slope).reshape(-1, n), prior_slope])
-
         found = start.copy()
-        found[:n] = least_squares(residual, start[:n], jacobian, method="lm", xtol=1e-10, ftol=1e-10).x
+        found[: self.n_geometry] = fit_geometry(self, start[: self.n_geometry], whitening)
         return found
 
     def jumps(self, y: Array) -> list[tuple[int, Array]]:
@@ -472,37 +349,15 @@ class Posterior:
         With one component of u free and κ fixed the actuator's gain along the leg, z · u, has two solutions in every
         leg. With both components free a circle of equal gain joins the two.
         """
-        coordinates, layout = self.coordinates, self._layout
-        images = []
-        for leg, component in self._lone_components():
-            theta = coordinates.theta_from_y(y[None, : self.n_geometry])[0]
-            mirrored = mirror_direction(layout, theta, leg, component, coordinates.legs[leg], coordinates.free)
-            if mirrored is None:
-                continue
-            image = y.copy()
-            image[: self.n_geometry] = coordinates.y_from_theta(mirrored)
-            images.append((leg, image))
-        return images
-
-    def _lone_components(self) -> list[tuple[int, int]]:
-        """Return the legs of which one component of u is free and κ is not, with that component, 0 or 1."""
-        layout, free = self._layout, self.coordinates.free
-        if not layout.direction_symbols:
-            return []
-        components = np.stack([np.isin(layout.index[symbol], free) for symbol in layout.direction_symbols])
-        alone = components.sum(axis=0) == 1
-        if "kappa" in layout.index:
-            alone &= ~np.isin(layout.index["kappa"], free)
-        return [(int(leg), int(np.argmax(components[:, leg]))) for leg in np.flatnonzero(alone)]
+        images = mirror_lone_components(self.coordinates, y[: self.n_geometry])
+        return [(leg, np.concatenate([image, y[self.n_geometry :]])) for leg, image in images]
 
     def curved_ridges(self) -> list[tuple[int, np.ndarray]]:
         """Return the coordinates of free directions' components, each with the other coordinates of its leg.
 
         Where κ is fixed the actuator gain is a quadratic of u_x that the other parameters of the leg have to follow.
         """
-        components = tuple(f"{symbol}[" for symbol in self._layout.direction_symbols)
-        tilted = np.array([name.startswith(components) for name in self.names], dtype=bool)
-        return [(int(k), index[~tilted[index]]) for index in self._legs() for k in index[tilted[index]]]
+        return find_curved_ridges(self._layout, self.coordinates.free, self._legs())
 
     def funnel(self, y: Array) -> Funnel | None:
         """Return how the geometry depends on the model errors at y, shape (n,); None where there are none.

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from bayescal.density.likelihood import Likelihood, batches
+from bayescal.density.batches import batches
+from bayescal.density.likelihood import Likelihood
 from bayescal.numerics.geometry import Array
 
 INTERVAL = 0.90

@@ -21,8 +21,11 @@ from functools import cached_property
 import numpy as np
 from scipy.special import gammaln, log_ndtr, ndtri_exp
 
-from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches
-from bayescal.density.posterior import APPROACH, HALF_LOG_TWO_PI, Local, Posterior
+from bayescal.density.batches import batches
+from bayescal.density.likelihood import Likelihood
+from bayescal.density.local import Local
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import APPROACH, HALF_LOG_TWO_PI, Posterior
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array

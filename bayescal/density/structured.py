@@ -24,8 +24,11 @@ from typing import NamedTuple, Self
 import numpy as np
 from scipy.linalg import eigh
 
-from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches, factor_by_columns
+from bayescal.density.batches import batches
+from bayescal.density.columns import factor_by_columns
+from bayescal.density.likelihood import Likelihood
 from bayescal.density.model_error import Kernel
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.scratch import Scratch

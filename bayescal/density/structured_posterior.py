@@ -7,8 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
+from bayescal.density.local import Funnel, Local
 from bayescal.density.model_error import BORDER, OFF, Kernel, KernelScale, KernelScalePrior
-from bayescal.density.posterior import Funnel, Local, Posterior
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
 from bayescal.density.structured import StructuredLikelihood, root_of
 from bayescal.machines.closing_coordinates import close_at_mean

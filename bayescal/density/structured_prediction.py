@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.density.likelihood import PoseLikelihood, batches
+from bayescal.density.batches import batches
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.prediction import Replicates
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.numerics.geometry import Array

@@ -11,7 +11,7 @@ import telescope_machines as machines
 
 from bayescal.calibrated.machine import IndependentErrors, LegErrors, build_calibrated
 from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import solve_inverse_kinematics
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector

@@ -7,9 +7,9 @@ import telescope_machines as machines
 from bayescal.density.exact import ExactDensity
 from bayescal.density.free_length import REACH, FreeLengthLikelihood, count_nodes
 from bayescal.density.free_length_posterior import FreeLengthPosterior
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.independent_error import ModelError
 from bayescal.density.model_error import LENGTH, KernelScale, LengthPrior, QuadraticKernel, SmoothKernel, build_kernel
-from bayescal.density.posterior import ModelError
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_posterior import StructuredPosterior

@@ -8,9 +8,10 @@ from scipy.stats import multivariate_normal
 
 from bayescal.data.instruments.points import PointReadings
 from bayescal.data.instruments.poses import PoseReadings
+from bayescal.density.independent_error import ModelError
 from bayescal.density.instruments import InstrumentLikelihood
-from bayescal.density.likelihood import PoseLikelihood
-from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.machines.frames import move_frames
 from bayescal.machines.kinematics import solve_forward_kinematics

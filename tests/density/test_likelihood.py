@@ -10,8 +10,8 @@ import telescope_machines as machines
 from scipy.stats import multivariate_normal
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density import likelihood as likelihood_module
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.batches import BATCH
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics
 from bayescal.numerics.geometry import compute_pose_error
 from bayescal.numerics.units import MICROMETRE
@@ -184,7 +184,7 @@ def test_batches_do_not_mix(rng):
 
 
 def test_more_vectors_than_a_batch(rng):
-    n = 2 * likelihood_module.BATCH + 5
+    n = 2 * BATCH + 5
     likelihood, theta = build("matrix", 5e-3, rng, batch=n)
     tau = rng.uniform(0, 8, (n, 6)) * MICROMETRE
     for model_error, pick in ((tau, lambda k: tau[k]), (tau[0], lambda k: tau[0])):

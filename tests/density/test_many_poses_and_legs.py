@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density import likelihood as likelihood_module
+from bayescal.density import pose_likelihood as likelihood_module
+from bayescal.density.columns import factor_by_columns
 from bayescal.density.exact import ExactDensity
-from bayescal.density.likelihood import PoseLikelihood, factor_by_columns
 from bayescal.density.low_rank import find_low_rank
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.machines.deformations.none import NoDeformation
 from bayescal.machines.kinematics import Machine, solve_inverse_kinematics
 from bayescal.machines.models.six_ups import SixUps

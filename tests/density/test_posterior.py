@@ -7,7 +7,8 @@ import pytest
 import telescope_machines as machines
 from scipy import stats
 
-from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.independent_error import ModelError
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import HalfNormalPrior, NormalPrior, UniformPrior
 from bayescal.errors import InputError
 from bayescal.inference.mode import find_mode

@@ -9,8 +9,8 @@ import pytest
 import telescope_machines as machines
 from scipy import stats
 
-from bayescal.density.likelihood import PoseLikelihood
-from bayescal.density.posterior import ModelError
+from bayescal.density.independent_error import ModelError
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.robust import FREEDOM, SHARE, WIDER, SharePrior, build_robust, compare_blunder
 from bayescal.inference.mode import find_modes
 

@@ -5,7 +5,7 @@ import pytest
 import telescope_machines as machines
 from scipy.stats import multivariate_normal
 
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.independent_error import ModelError
 from bayescal.density.model_error import (
     OFF,
     KernelScale,
@@ -15,7 +15,8 @@ from bayescal.density.model_error import (
     SmoothKernel,
     build_kernel,
 )
-from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.density.structured import StructuredLikelihood, map_covariance
 from bayescal.density.structured_posterior import StructuredPosterior

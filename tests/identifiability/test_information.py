@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import judge_parameters
 from bayescal.identifiability.design import Plan

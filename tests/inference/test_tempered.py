@@ -10,8 +10,9 @@ import telescope_machines as machines
 from scipy import stats
 from scipy.special import logsumexp
 
-from bayescal.density.likelihood import PoseLikelihood
-from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.independent_error import ModelError
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import NumericalError
 from bayescal.inference.clusters import fit_mixture

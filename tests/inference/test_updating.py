@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import studies
 
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.inference import updating
 from bayescal.inference.mode import find_modes

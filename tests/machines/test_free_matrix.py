@@ -5,9 +5,10 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.calibrated.settle import find_hindrance
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.independent_error import ModelError
 from bayescal.density.model_error import KernelScale, LinearKernel
-from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.density.robust import build_robust
 from bayescal.density.structured import StructuredLikelihood

@@ -17,7 +17,7 @@ from bayescal.density.calibration.elimination import half_log_volume, invert, le
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
 from bayescal.density.calibration.noise import NoiseModel
 from bayescal.density.calibration.whitening import Whitening
-from bayescal.density.posterior import Funnel
+from bayescal.density.local import Funnel
 from bayescal.density.priors import Prior, UniformPrior
 from bayescal.density.readings.left_over import LeftOver
 from bayescal.errors import InputError, NumericalError

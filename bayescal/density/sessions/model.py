@@ -14,8 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
-from bayescal.density.likelihood import PoseLikelihood
-from bayescal.density.posterior import ModelError
+from bayescal.density.independent_error import ModelError
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.numerics.geometry import Array
 
 

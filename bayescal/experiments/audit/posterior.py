@@ -22,8 +22,9 @@ import numpy as np
 from scipy.linalg import subspace_angles
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.likelihood import PoseLikelihood
-from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.independent_error import ModelError
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.schema import UniformConfig
 from bayescal.errors import InputError

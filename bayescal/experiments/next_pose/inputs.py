@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.data.actuators import read_moves
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior
 from bayescal.density.sessions.model import Drift, Expansion, Part, SessionModel, walk_loadings
 from bayescal.errors import InputError, name_faults

@@ -25,7 +25,8 @@ from bayescal.experiments.frame.identity import identify
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.per_leg import spread_over_legs
-from bayescal.experiments.study.inputs import StudyInputs, load_inputs
+from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.load import load_inputs
 from bayescal.experiments.study.schema import StudyConfig, VariantConfig, stem_of
 from bayescal.files.csv_tables import read_matrix
 from bayescal.machines.deformations import NominalDeformation

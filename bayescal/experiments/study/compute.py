@@ -19,6 +19,7 @@ from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task
 from bayescal.experiments.study.held_out import compare_variants, describe_stacking, tabulate_left_out
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.kernels import has_kernels
 from bayescal.experiments.study.prior_widths import list_width_tasks, tabulate_sensitivity, weigh_widths
 from bayescal.experiments.study.schema import StudyConfig
 from bayescal.experiments.study.slips import find_study_slip
@@ -76,7 +77,7 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
         "deformation": tabulate_deformation(inputs),
         "joints": tabulate_joints(inputs.mechanism, inputs.measured.actuators, inputs.names),
     }
-    if inputs.has_kernels:
+    if has_kernels(inputs.config):
         tables["structured"] = tabulate_structured(inputs, posteriors)
     if claims is not None:
         tables["claims"] = run.once("claims", _judge, (claims, inputs, summary, identified))

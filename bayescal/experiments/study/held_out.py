@@ -11,7 +11,7 @@ import pandas as pd
 from arviz_stats.base import array_stats
 from scipy.special import logsumexp
 
-from bayescal.density.likelihood import POSES
+from bayescal.density.batches import POSES
 from bayescal.density.prediction import measure_length, summarise_misfit
 from bayescal.experiments.shared.trees import SAVED_DRAWS, spread
 from bayescal.experiments.study.fit import Arrays, Task, read_left_out, read_prediction

@@ -27,7 +27,8 @@ from bayescal.experiments.shared.measured import MeasuredVariant, Measuring, Var
 from bayescal.experiments.study.calibrated import calibrate_study, load_same
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.compute import compute_study
-from bayescal.experiments.study.inputs import StudyInputs, load_inputs
+from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.load import load_inputs
 from bayescal.experiments.study.memory import estimate_study
 from bayescal.experiments.study.page.build import build_page
 from bayescal.experiments.study.schema import StudyConfig, VariantConfig, name_variant

@@ -20,7 +20,8 @@ from bayescal.data.photogrammetry.exchanged import check_exchanged, check_pad_pl
 from bayescal.data.photogrammetry.poses import PoseExtraction, extract_poses
 from bayescal.data.photogrammetry.survey import Survey, read_survey
 from bayescal.density.instruments import InstrumentLikelihood
-from bayescal.density.likelihood import Likelihood, PoseLikelihood
+from bayescal.density.likelihood import Likelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.errors import name_faults
 from bayescal.experiments.shared.schema import FramesConfig

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from bayescal.density.likelihood import BATCH, POSES, PoseLikelihood
+from bayescal.density.batches import BATCH, POSES
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.experiments.frame.memory import Need

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches
+from bayescal.density.batches import batches
+from bayescal.density.likelihood import Likelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import replicate
 from bayescal.density.robust import RobustPosterior

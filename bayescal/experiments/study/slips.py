@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from bayescal.density.instruments import InstrumentLikelihood
-from bayescal.density.likelihood import Likelihood, PoseLikelihood
+from bayescal.density.likelihood import Likelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.experiments.shared.slips import SUSPECT, FoundSlip, find_slip, weigh
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import InstrumentMeasurement

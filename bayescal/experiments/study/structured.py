@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayescal.density.likelihood import Likelihood, PoseLikelihood, batches
+from bayescal.density.batches import batches
+from bayescal.density.likelihood import Likelihood
 from bayescal.density.model_error import LENGTH, LENGTHY, SCALE, is_model_error
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.density.structured_prediction import pointwise_given, predict_structured
+from bayescal.experiments.study.kernels import kernel_length, kernel_lengths, name_kernel
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
@@ -86,15 +89,16 @@ def describe_structured(
 def _name_kernel(inputs: StudyInputs, variant: str) -> str:
     """Return a variant's kernel with its length, if it has one."""
     config = inputs.variant(variant)
-    name = inputs.kernel_name(config)
+    name = name_kernel(inputs.config, config)
     if name not in LENGTHY:
         return name
-    return f"{name}, length {'free' if inputs.kernel_lengths(config) else f'{inputs.kernel_length(config):g}'}"
+    length = "free" if kernel_lengths(inputs.config, config) else f"{kernel_length(inputs.config, config):g}"
+    return f"{name}, length {length}"
 
 
 def _describe_length(inputs: StudyInputs, variant: str, names: Sequence[str], draws: Array) -> dict[str, Any]:
     """Return a length that is free, in ranges of the actuators, as `_describe_scales` has the scales."""
-    prior = inputs.kernel_lengths(inputs.variant(variant))
+    prior = kernel_lengths(inputs.config, inputs.variant(variant))
     scale, length = (draws[..., [k for k, name in enumerate(names) if name.startswith(one)]] for one in (SCALE, LENGTH))
     there = length[..., 0][(scale > 0.0).any(axis=-1)] if prior else np.empty(0)
     if prior is None or len(there) < FEWEST_DRAWS:

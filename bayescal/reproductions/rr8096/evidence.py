@@ -10,7 +10,7 @@ import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.least_squares import LeastSquaresFit
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.published import read_published

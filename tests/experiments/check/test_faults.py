@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.likelihood import PoseLikelihood
-from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.independent_error import ModelError
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import Posterior
 from bayescal.experiments.check.faults import modes
 from bayescal.experiments.check.faults.derivatives import check_derivatives
 from bayescal.experiments.check.faults.modes import check_modes, list_starts

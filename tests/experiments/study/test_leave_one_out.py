@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import studies
 
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.study.correct import draw_to_correct
-from bayescal.experiments.study.inputs import load_inputs
 from bayescal.experiments.study.leave_one_out import (
     MAX_REFITS,
     LeftOut,
@@ -20,6 +19,7 @@ from bayescal.experiments.study.leave_one_out import (
     refit_doubtful,
     refit_without,
 )
+from bayescal.experiments.study.load import load_inputs
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.sampling import sample_posterior

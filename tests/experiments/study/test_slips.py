@@ -15,7 +15,7 @@ from bayescal.data.simulation import build_twin, format_survey, simulate_survey
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.simulation.load import load_simulation
-from bayescal.experiments.study.inputs import load_inputs
+from bayescal.experiments.study.load import load_inputs
 from bayescal.experiments.study.slips import find_study_slip
 
 type Rows = list[list[str]]

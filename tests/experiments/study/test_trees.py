@@ -14,7 +14,8 @@ from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.shared.trees import choose_draws, write_tree
 from bayescal.experiments.study.fit import Arrays, Task, read_left_out, run_task
 from bayescal.experiments.study.held_out import compute_pits
-from bayescal.experiments.study.inputs import StudyInputs, load_inputs
+from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.load import load_inputs
 from bayescal.experiments.study.trees import build_study_tree
 
 TASKS = [Task("six_pus/matrix", True), Task("six_pus/matrix", False)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.likelihood import PoseLikelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics
 from bayescal.machines.models.home import solve_home
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector

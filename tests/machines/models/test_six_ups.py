@@ -12,9 +12,10 @@ import telescope_machines as machines
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
+from bayescal.density.independent_error import ModelError
 from bayescal.density.least_squares import identify
-from bayescal.density.likelihood import PoseLikelihood
-from bayescal.density.posterior import ModelError, Posterior
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError
 from bayescal.inference.mode import find_modes

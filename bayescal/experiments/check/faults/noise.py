@@ -6,8 +6,8 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
+from bayescal.density.independent_error import ModelError
 from bayescal.density.likelihood import Likelihood
-from bayescal.density.posterior import ModelError
 from bayescal.experiments.check.faults.finding import Finding
 from bayescal.experiments.check.subject import Subject
 from bayescal.inference.mode import Mode

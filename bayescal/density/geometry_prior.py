@@ -1,0 +1,107 @@
+"""The prior of a machine's free parameters, and the sampling coordinates that it gives them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import ndtr
+
+from bayescal.density.priors import Prior, UniformPrior
+from bayescal.errors import InputError
+from bayescal.machines.coordinates import Coordinates
+from bayescal.machines.parameters import ParameterLayout
+from bayescal.numerics.geometry import Array
+
+
+def build_coordinates(
+    layout: ParameterLayout, lines: Array, priors: Mapping[str, Prior], fixed: Mapping[str, float]
+) -> Coordinates:
+    """Return the coordinates of the free parameters.
+
+    Parameters
+    ----------
+    layout : ParameterLayout
+    lines : ndarray, shape (N, 3)
+        Along the nominal legs, base frame.
+    priors : mapping of parameter name to Prior
+        Of the free parameters.
+    fixed : mapping of parameter name to float
+        Values of fixed parameters that are not nominal.
+    """
+    start = layout.nominal.copy()
+    position = {name: k for k, name in enumerate(layout.names)}
+    for name, value in fixed.items():
+        start[position[name]] = value
+    free = np.array(sorted(position[name] for name in priors), dtype=int)
+    ordered = [priors[layout.names[k]] for k in free]
+    start[free] = [prior.mean for prior in ordered]
+    bounds = [(p.lower, p.upper) if isinstance(p, UniformPrior) else (-np.inf, np.inf) for p in ordered]
+    lower, upper = np.array(bounds).reshape(-1, 2).T
+    scale = np.array([p.sd for p in ordered])
+    return Coordinates(layout, start, free, scale, lines, lower, upper)
+
+
+def check_bounds(coordinates: Coordinates) -> None:
+    """Raise InputError where the ends of a uniform prior are no machine's parameters."""
+    layout, bounded = coordinates.layout, coordinates.bounded
+    lowest, highest = layout.limits
+    for k, low, high in zip(
+        coordinates.free[bounded], coordinates.lower[bounded], coordinates.upper[bounded], strict=True
+    ):
+        if low < lowest[k] or high > highest[k]:
+            raise InputError(
+                f"parameter {layout.names[k]}: found a prior from {low:g} to {high:g}, "
+                f"expected it between {lowest[k]:g} and {highest[k]:g}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class GeometryPrior:
+    """Prior of the free parameters in their sampling coordinates.
+
+    Attributes
+    ----------
+    coordinates : Coordinates
+    priors : mapping of parameter name to Prior
+        Of the m free parameters.
+    """
+
+    coordinates: Coordinates
+    priors: Mapping[str, Prior]
+
+    @cached_property
+    def ordered(self) -> tuple[Prior, ...]:
+        """Priors of the free parameters, in order."""
+        return tuple(self.priors[self.coordinates.layout.names[k]] for k in self.coordinates.free)
+
+    @cached_property
+    def normal(self) -> tuple[np.ndarray, Array, Array]:
+        """Which free parameters have a normal prior, and its centres and scales."""
+        which = ~self.coordinates.standard
+        chosen = [prior for prior, normal in zip(self.ordered, which, strict=True) if normal]
+        return which, np.array([p.mean for p in chosen]), np.array([p.sd for p in chosen])
+
+    def draw(self, standard: Array) -> Array:
+        """Return draws in the coordinates, (S, m), from standard normal numbers (S, >= m); NaN where there are none."""
+        theta = np.tile(self.coordinates.start, (len(standard), 1))
+        for k, (place, prior) in enumerate(zip(self.coordinates.free, self.ordered, strict=True)):
+            theta[:, place] = prior.at_quantile(ndtr(standard[:, k]))
+        with np.errstate(invalid="ignore"):
+            return self.coordinates.y_from_theta(theta)
+
+    def residual(self, y: Array, theta: Array) -> Array:
+        """Return the prior as residuals of unit variance, shape (m,), at coordinates (m,) and θ (D,)."""
+        normal, centre, scale = self.normal
+        residual = y.copy()
+        residual[normal] = (theta[self.coordinates.free[normal]] - centre) / scale
+        return residual
+
+    def slope(self, change: Array) -> Array:
+        """Return the derivative of `residual` by the coordinates, shape (m, m), from dθ/dy, shape (D, m)."""
+        normal, _, scale = self.normal
+        rows = np.eye(len(self.priors))
+        rows[normal] = change[self.coordinates.free[normal]] / scale[:, None]
+        return rows

@@ -1,0 +1,45 @@
+"""A posterior around a point: what the search for its mode, and the straightening of its coordinates, go by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from bayescal.numerics.geometry import Array
+
+
+class Local(NamedTuple):
+    """A posterior's likelihood around a point.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (D,)
+    errors, slope : ndarray, shapes (P, K), (P, K, m)
+        r and dr/dy.
+    precision : ndarray, shape (P, K, K)
+        Of r, as far as each pose counts.
+    change : ndarray, shape (D, m)
+        dθ/dy.
+    counts, blunder : ndarray, shape (P,), optional
+        How much each pose counts, and how probably it is a blunder; None where all count in full.
+    """
+
+    theta: Array
+    errors: Array
+    slope: Array
+    precision: Array
+    change: Array
+    counts: Array | None = None
+    blunder: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Funnel:
+    """How the geometry depends on the model errors around a point; see `bayescal.inference.target.Funnel`."""
+
+    information: Array
+    prior: Array
+    rest: Array
+    tau: Array
+    parts: Array | None = None
+    scores: Array | None = None

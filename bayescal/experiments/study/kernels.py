@@ -1,0 +1,98 @@
+"""The kernels of a study's variants: model errors that are a function of the pose."""
+
+from __future__ import annotations
+
+from bayescal.density.batches import BATCH
+from bayescal.density.free_length import FreeLengthLikelihood, count_nodes
+from bayescal.density.free_length_posterior import FreeLengthPosterior
+from bayescal.density.likelihood import Likelihood
+from bayescal.density.model_error import INDEPENDENT, LENGTHY, KernelScale, LengthPrior, build_kernel
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import Posterior
+from bayescal.density.structured import StructuredLikelihood
+from bayescal.density.structured_posterior import StructuredPosterior
+from bayescal.errors import InputError
+from bayescal.experiments.frame.memory import Need, check_memory
+from bayescal.experiments.study.schema import StudyConfig, VariantConfig
+from bayescal.numerics.units import MICROMETRE
+
+
+def name_kernel(config: StudyConfig, variant: VariantConfig) -> str:
+    """Return the kernel of a variant's model error: its own, or that of all."""
+    return variant.model_error or config.model_error.kernel
+
+
+def has_kernels(config: StudyConfig) -> bool:
+    """Return whether any variant has a structured model error."""
+    return any(name_kernel(config, variant) != INDEPENDENT for variant in config.variants)
+
+
+def kernel_length(config: StudyConfig, variant: VariantConfig) -> float:
+    """Return the length of a variant's kernel, or the median of its prior, in ranges of the actuators."""
+    return variant.kernel_length or config.model_error.kernel_length
+
+
+def kernel_lengths(config: StudyConfig, variant: VariantConfig) -> LengthPrior | None:
+    """Return the prior of the length of a variant's kernel; None where there is none, or it is known."""
+    spread = variant.kernel_length_spread
+    if spread is None and variant.kernel_length is None:
+        spread = config.model_error.kernel_length_spread
+    if spread is None or name_kernel(config, variant) not in LENGTHY:
+        return None
+    return LengthPrior(kernel_length(config, variant), spread)
+
+
+def give_kernel(
+    plain: Posterior, config: StudyConfig, variant: VariantConfig, actuator_range: float
+) -> StructuredPosterior:
+    """Return a posterior with the structured model error of a variant beside its own.
+
+    Raises
+    ------
+    InputError
+        Beside blunders, for measurements that are not whole poses, and for more poses than there is memory for.
+    """
+    if config.blunders is not None:
+        raise InputError(
+            f"blunders: found them beside kernel {name_kernel(config, variant)!r}, by which poses depend on each "
+            f"other, expected kernel {INDEPENDENT!r}, or deformation 'free_matrix' for linear errors"
+        )
+    structured = _structure(plain.likelihood, config, variant, actuator_range)
+    known, lengths = (structured, plain.priors, plain.model_error, plain.fixed), kernel_lengths(config, variant)
+    if lengths is not None:
+        return FreeLengthPosterior(*known, kernel_scale=_scale_kernels(config), lengths=lengths)
+    return StructuredPosterior(*known, kernel_scale=_scale_kernels(config))
+
+
+def _structure(
+    likelihood: Likelihood, config: StudyConfig, variant: VariantConfig, travel: float
+) -> StructuredLikelihood:
+    """Return the density of the calibration poses with a variant's structured model error."""
+    kernel, lengths = name_kernel(config, variant), kernel_lengths(config, variant)
+    if not isinstance(likelihood, PoseLikelihood):
+        raise InputError(
+            f"model_error.kernel: found {kernel!r} with poses measured in part, points, or frames to be found, "
+            f"expected whole poses in known frames, or kernel {INDEPENDENT!r}"
+        )
+    check_memory(_estimate_kernel(likelihood.n_poses, likelihood.n_legs, lengths is not None), 1)
+    if lengths is not None:
+        return FreeLengthLikelihood(likelihood, kernel, lengths, travel)
+    return StructuredLikelihood(likelihood, build_kernel(kernel, kernel_length(config, variant)), travel)
+
+
+def _scale_kernels(config: StudyConfig) -> KernelScale:
+    error = config.model_error
+    return KernelScale(error.kernel_scale_um * MICROMETRE, error.kernel_spread, not error.kernel_per_leg)
+
+
+def _estimate_kernel(n_poses: int, n_legs: int, free_length: bool) -> Need:
+    """Return what a kernel takes: matrices of all poses by all, and the hot loop over all poses at once.
+
+    Where the length is free there is a matrix for every length at which the density is found, and for every vector.
+    """
+    matrices = 6.0 + (count_nodes(n_poses) + BATCH if free_length else 0.0)
+    return Need(
+        each=8.0 * (matrices * n_poses**2 + 6.0 * BATCH * n_poses * n_legs),
+        sizes=f"{n_poses} calibration poses with a kernel of the model error",
+        remedy=f"fewer poses or kernel {INDEPENDENT!r}",
+    )
