@@ -66,7 +66,9 @@ def read_rotation_vectors(table: Table) -> Array:
     there = np.isfinite(values)
     if (there.any(axis=1) & ~there.all(axis=1)).any():
         row = int(np.argmax(there.any(axis=1) & ~there.all(axis=1)))
-        raise InputError(f"{table.where(row)}: found a rotation in part, expected {', '.join(found[0])} or none of them")
+        raise InputError(
+            f"{table.where(row)}: found a rotation in part, expected {', '.join(found[0])} or none of them"
+        )
     whole = there.all(axis=1)
     result = np.full((len(values), 3), np.nan)
     if found[0] == QUATERNION:

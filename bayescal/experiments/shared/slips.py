@@ -7,7 +7,7 @@ tolerances and what the first order leaves; slipped ones are off by as much as t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -18,13 +18,13 @@ from bayescal.errors import BayescalError
 from bayescal.machines.coordinates import Coordinates
 from bayescal.numerics.geometry import Array
 
-UNIT, LEGS, ROWS = "unit", "legs", "rows"
+UNIT, LEGS, ROWS, POSES = "unit", "legs", "rows", "poses"
 CLEARLY = 20.0  # nats by which a slip has to explain the data better
 ERRORS = np.geomspace(1e-4, 1e2, 25)  # mm, of every leg
 BETTER = 3.0
 """Factor by which the legs' errors have to fall for a slip to be named."""
 SUSPECT = 10.0
-"""Legs' errors in units of what was stated, below which nothing is tried."""
+"""Legs' errors in units of what was stated, below which no slip of the actuators is tried."""
 SCALES = {
     "1000 times too large (µm for mm)": 1e-3,
     "in metres, 1000 times too small": 1e3,
@@ -36,6 +36,9 @@ SCALES = {
     "in mm where inches are stated": 1.0 / 25.4,
     "of the other sign": -1.0,
 }
+
+
+type LikelihoodOf = Callable[[Array, np.ndarray], Likelihood]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,13 +113,14 @@ def list_moves(actuators: Array, start: Array) -> Iterator[Moved]:
 
 
 def find_slip(
-    likelihood_of: Callable[[Array, np.ndarray], Likelihood],
+    likelihood_of: LikelihoodOf,
     coordinates: Coordinates,
     actuators: Array,
     start: Array,
     stated: float,
+    rereads: Iterable[tuple[str, LikelihoodOf]] = (),
 ) -> FoundSlip | None:
-    """Return the slip of actuator positions that explains the data best; None where the data fit, or none helps.
+    """Return the slip that explains the data best; None where the data fit, or none helps.
 
     Parameters
     ----------
@@ -130,24 +134,30 @@ def find_slip(
         Initial positions, mm.
     stated : float
         Error of a leg that noise and model error let expect, mm.
+    rereads : iterable of (str, callable)
+        What may have happened to what was measured, in words, and the density without it. They are tried from a misfit
+        on that one of them could mend: angles taken for rotation vectors are off by little where tilts are small.
     """
     every = np.arange(len(actuators))
     base = weigh(likelihood_of, coordinates, actuators, every)
-    if base.error < SUSPECT * stated:
-        return None
     found: list[FoundSlip] = []
-    for moved in list_moves(actuators, start):
-        beside = base if len(moved.chosen) == len(every) else None
-        beside = beside or weigh(likelihood_of, coordinates, actuators[moved.chosen], moved.chosen)
-        one = weigh(likelihood_of, coordinates, moved.actuators, moved.chosen)
+
+    def judge(fault: str, text: str, beside: Weight, one: Weight) -> None:
         gain, factor = one.log_density - beside.log_density, beside.error / max(one.error, stated)
         if gain > CLEARLY and factor > BETTER:
-            found.append(FoundSlip(moved.fault, moved.text, gain, factor))
+            found.append(FoundSlip(fault, text, gain, factor))
+
+    for moved in list_moves(actuators, start) if base.error >= SUSPECT * stated else ():
+        beside = base if len(moved.chosen) == len(every) else None
+        beside = beside or weigh(likelihood_of, coordinates, actuators[moved.chosen], moved.chosen)
+        judge(moved.fault, moved.text, beside, weigh(likelihood_of, coordinates, moved.actuators, moved.chosen))
+    for text, other in rereads if base.error >= BETTER * stated else ():
+        judge(POSES, text, base, weigh(other, coordinates, actuators, every))
     return max(found, key=lambda one: one.gain, default=None)
 
 
 def weigh(
-    likelihood_of: Callable[[Array, np.ndarray], Likelihood],
+    likelihood_of: LikelihoodOf,
     coordinates: Coordinates,
     actuators: Array,
     chosen: np.ndarray,

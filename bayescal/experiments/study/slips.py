@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.experiments.shared.slips import SUSPECT, FoundSlip, find_slip, weigh
+from bayescal.experiments.shared.pose_slips import list_rereads
+from bayescal.experiments.shared.slips import BETTER, FoundSlip, LikelihoodOf, find_slip, weigh
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import InstrumentMeasurement
 from bayescal.experiments.study.schema import VariantConfig
@@ -35,8 +39,18 @@ class _Suspect:
         if isinstance(measured, InstrumentMeasurement) and not measured.has_poses:
             instrument: Any = replace(measured.instrument.select(chosen), actuators=actuators)
             return InstrumentLikelihood(self.machine, instrument, self.noise)
-        poses = replace(measured.poses.select(chosen), actuators=actuators)
-        return PoseLikelihood(self.machine, poses, self.noise)
+        return self.of_poses(measured.poses, actuators, chosen)
+
+    def of_poses(self, poses: MeasuredPoses, actuators: Array, chosen: np.ndarray) -> Likelihood:
+        """Return the density of some of these poses as if they had been taken at other actuator positions."""
+        return PoseLikelihood(self.machine, replace(poses.select(chosen), actuators=actuators), self.noise)
+
+    def rereads(self) -> Iterator[tuple[str, LikelihoodOf]]:
+        """Yield what may have happened to poses that an instrument handed out, and the density without it."""
+        measured = self.inputs.measured
+        if isinstance(measured, InstrumentMeasurement) and measured.has_poses:
+            for text, poses in list_rereads(measured.poses):
+                yield text, partial(self.of_poses, poses)
 
 
 def find_study_slip(inputs: StudyInputs) -> FoundSlip | None:
@@ -45,12 +59,11 @@ def find_study_slip(inputs: StudyInputs) -> FoundSlip | None:
     suspects = []
     for variant in inputs.config.variants:
         suspects.append(_Suspect(inputs, _without_measured_matrix(inputs, variant)))
-        if suspects[-1].weight.error < SUSPECT * stated:
+        if suspects[-1].weight.error < BETTER * stated:
             return None
     best = max(suspects, key=lambda one: one.weight.log_density)
-    return find_slip(
-        best.likelihood, best.coordinates, best.actuators, inputs.mechanism.initial_actuator_positions, stated
-    )
+    start = inputs.mechanism.initial_actuator_positions
+    return find_slip(best.likelihood, best.coordinates, best.actuators, start, stated, best.rereads())
 
 
 def _without_measured_matrix(inputs: StudyInputs, variant: VariantConfig) -> VariantConfig:

@@ -1,0 +1,113 @@
+"""Slips of measured poses planted in a study by poses: the cause is found by trying it, clean ones pass."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import studies
+from scipy.spatial.transform import Rotation
+
+from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.shared.pose_slips import list_rereads
+from bayescal.experiments.study.load import load_inputs
+from bayescal.experiments.study.slips import find_study_slip
+from bayescal.experiments.study.tables import format_poses
+from bayescal.files.csv_tables import read_table
+
+TARGETS = """targets = "data/targets.csv"
+actuators = "data/actuators.csv"
+reference = "data/target_reference.csv"
+target_noise_um = 3.0
+"""
+POSES = """measurement = "poses"
+poses = "data/poses.csv"
+actuators = "data/actuators.csv"
+"""
+
+
+@pytest.fixture(scope="module")
+def fed(tmp_path_factory):
+    """Return a folder with a tiny study by poses, and its table's columns."""
+    folder = tmp_path_factory.mktemp("pose_slips")
+    config = studies.write_tiny_study(folder)
+    studies.edit(config, 'deformation = "matrix"', 'deformation = "linear"')
+    (folder / "data" / "poses.csv").write_text(format_poses(studies.load_study(config)))
+    config.write_text(config.read_text().replace(TARGETS, POSES))
+    return folder
+
+
+def look(folder, change=None):
+    """Return the slip that is found where a change was made to named columns of the poses."""
+    path = folder / "data" / "poses.csv"
+    original = path.read_text()
+    if change is not None:
+        table = read_table(path, None)
+        columns = {name: table.text(name) for name in table.columns}
+        columns = change(columns)
+        rows = zip(*columns.values(), strict=True)
+        path.write_text("\n".join(",".join(row) for row in [tuple(columns), *rows]) + "\n")
+    try:
+        return find_study_slip(load_inputs(load_experiment(folder / "study.toml"), folder))
+    finally:
+        path.write_text(original)
+
+
+def turn_back(columns):
+    return columns | {name: [str(-float(x)) for x in columns[name]] for name in ("rx_deg", "ry_deg", "rz_deg")}
+
+
+def flip_z(columns):
+    return columns | {"z_mm": [str(-float(x)) for x in columns["z_mm"]]}
+
+
+def exchange(columns):
+    return columns | {"x_mm": columns["y_mm"], "y_mm": columns["x_mm"]}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (turn_back, "the other way round"),
+        (flip_z, "z_mm seems to be of the other sign"),
+        (exchange, "x_mm and y_mm seem to be exchanged"),
+    ],
+)
+def test_likely_cause_is_found(fed, change, said):
+    slip = look(fed, change)
+    assert slip is not None
+    assert slip.fault == "poses"
+    assert said in slip.text
+
+
+def test_clean_poses_are_not_suspected(fed):
+    assert look(fed) is None
+
+
+def make_poses(rotation):
+    n = len(rotation)
+    position = np.arange(3.0 * n).reshape(n, 3) + 200.0
+    return MeasuredPoses(tuple("abcdefgh"[:n]), position, rotation, np.tile(np.eye(6), (n, 1, 1)), np.zeros((n, 6)))
+
+
+@pytest.mark.parametrize("axes", ["xyz", "zyx", "yxz"])
+def test_angles_that_were_read_as_vectors_become_the_rotations_they_are(axes, rng):
+    angles = rng.uniform(-0.3, 0.3, (4, 3))
+    truth = Rotation.from_euler(axes, angles[:, ["xyz".index(axis) for axis in axes]]).as_matrix()
+    read = make_poses(Rotation.from_rotvec(angles).as_matrix())
+    found = {text: poses.rotation for text, poses in list_rereads(read)}
+    (right,) = [text for text, rotation in found.items() if np.allclose(rotation, truth, atol=1e-12)]
+    assert f"the fixed axes {', '.join(axes)} one after the other" in right
+
+
+def test_poses_of_the_base_are_turned_round_into_those_of_the_platform():
+    turned = Rotation.from_rotvec([[0.1, 0.2, 0.3], [0.0, -0.4, 0.2]]).as_matrix()
+    poses = make_poses(turned)
+    back = replace(
+        poses,
+        position=-np.einsum("pji,pj->pi", turned, poses.position),
+        rotation=np.swapaxes(turned, 1, 2),
+    )
+    (found,) = [p for text, p in list_rereads(back) if "those of the base in the platform's frame" in text]
+    np.testing.assert_allclose(found.position, poses.position, atol=1e-12)
+    np.testing.assert_allclose(found.rotation, poses.rotation, atol=1e-12)
