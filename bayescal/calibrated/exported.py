@@ -13,6 +13,7 @@ from bayescal.calibrated.mechanism_file import format_mechanism, format_value
 from bayescal.calibrated.settle import find_hindrance
 from bayescal.config.load import check_section, read_toml
 from bayescal.config.sections import InputFile, NotNegative, Section
+from bayescal.data.actuators import name_actuators
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_matrix, read_table
 from bayescal.machines.deformations import MatrixDeformation, NominalDeformation
@@ -23,7 +24,7 @@ from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
 CALIBRATED, MECHANISM, MATRIX = "calibrated.toml", "mechanism.toml", "deformation_matrix.csv"
-PARAMETERS, COVARIANCE, DRAWS = "parameters.csv", "covariance.csv", "draws.nc"
+PARAMETERS, COVARIANCE, DRAWS, MEASURED = "parameters.csv", "covariance.csv", "draws.nc", "measured.csv"
 MATRIX_COVARIANCE = "deformation_matrix_covariance.csv"
 PER_MILLE = 1e-3  # of K in files
 
@@ -55,6 +56,7 @@ class ExportedConfig(Section):
     matrix: InputFile | None = None
     covariance: InputFile | None = None
     draws: InputFile | None = None
+    measured: InputFile | None = None
     source: SourceConfig
     errors: ErrorsConfig
 
@@ -77,7 +79,21 @@ def list_machine_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
         MECHANISM: format_mechanism(machine.mechanism, calibrated.source.describe()),
         **format_matrices(machine.deformation, calibrated.errors),
     }
+    if calibrated.measured is not None:
+        texts[MEASURED] = format_measured(calibrated.measured)
     return {name: text.encode() for name, text in texts.items()}
+
+
+def format_measured(actuators: Array) -> str:
+    """Return the actuator positions (P, N) in mm of the poses that calibrated a machine."""
+    comments = ["Actuator positions of the poses that calibrated the machine: where it is known, not extrapolated"]
+    return format_table(comments, name_actuators(actuators.shape[1]), [[f"{x:.6f}" for x in row] for row in actuators])
+
+
+def read_measured(path: Path, n_legs: int) -> Array:
+    """Return what `format_measured` wrote, shape (P, N)."""
+    columns = name_actuators(n_legs)
+    return read_table(path, columns).numbers(columns)
 
 
 def format_matrices(deformation: object, errors: object) -> dict[str, str]:
@@ -126,6 +142,8 @@ def _format_calibrated(calibrated: CalibratedMachine) -> str:
         lines += [f'covariance = "{COVARIANCE}"']
     if calibrated.draws is not None:
         lines += [f'draws = "{DRAWS}"']
+    if calibrated.measured is not None:
+        lines += [f'measured = "{MEASURED}"']
     lines += ["", "[source]", *(f"{key} = {format_value(value)}" for key, value in vars(source).items())]
     model_error = np.sqrt(errors.model_variance) / MICROMETRE
     lines += ["", "[errors]", f"actuator_um = {format_value(errors.actuator_noise / MICROMETRE)}"]
@@ -208,6 +226,7 @@ def read_exported(folder: Path) -> CalibratedMachine:
         draws,
         _read_errors(config.errors, folder, mechanism),
         Source(source.experiment, source.variant, source.data, tuple(source.problems)),
+        None if config.measured is None else read_measured(folder / config.measured, n_legs),
     )
 
 

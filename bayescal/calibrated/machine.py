@@ -120,6 +120,8 @@ class CalibratedMachine:
         Of the posterior.
     errors : LegErrors
     source : Source
+    measured : ndarray, shape (P, N), or None
+        Actuator positions of the poses that calibrated it, mm; None where they are not known.
     """
 
     machine: Machine
@@ -129,6 +131,7 @@ class CalibratedMachine:
     draws: Array | None
     errors: LegErrors
     source: Source
+    measured: Array | None = None
 
     @property
     def n_legs(self) -> int:
@@ -155,7 +158,12 @@ class CalibratedMachine:
 
 
 def build_calibrated(
-    machine: Machine, theta: Array, draws: Array | None, errors: LegErrors, source: Source
+    machine: Machine,
+    theta: Array,
+    draws: Array | None,
+    errors: LegErrors,
+    source: Source,
+    measured: Array | None = None,
 ) -> CalibratedMachine:
     """Return a calibrated machine from its posterior, settled where drawings hold its kinematics.
 
@@ -168,13 +176,15 @@ def build_calibrated(
     draws : ndarray, shape (S, D), or None
     errors : LegErrors
     source : Source
+    measured : ndarray, shape (P, N), or None
+        Actuator positions of the poses that calibrated it, mm.
     """
     if not find_hindrance(machine):
         settled = settle_machine(machine, theta)
         draws = None if draws is None else express_parameters(machine, settled, draws)
         machine, theta = settled, settled.layout.nominal
     if draws is None:
-        return CalibratedMachine(machine, theta, np.empty(0, dtype=int), None, None, errors, source)
+        return CalibratedMachine(machine, theta, np.empty(0, dtype=int), None, None, errors, source, measured)
     free = np.flatnonzero(np.ptp(draws, axis=0) > LEAST_SPREAD * (1.0 + np.abs(theta)))
     covariance = np.atleast_2d(np.cov(draws[:, free], rowvar=False))
-    return CalibratedMachine(machine, theta, free, covariance, draws[:, free], errors, source)
+    return CalibratedMachine(machine, theta, free, covariance, draws[:, free], errors, source, measured)

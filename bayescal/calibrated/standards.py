@@ -70,8 +70,16 @@ def judge_axis(deviations: Array) -> AxisFigures:
     return AxisFigures(span, np.ptp(mean, axis=-1), (4.0 * sd).max(axis=-1))
 
 
-def fit_cube(calibrated: CalibratedMachine, centre: Array, rotation: Array) -> float:
+def fit_cube(calibrated: CalibratedMachine, centre: Array, rotation: Array, most: float = np.inf) -> float:
     """Return the edge in mm, two digits of it, of the largest cube about a position all of whose corners are in reach.
+
+    Parameters
+    ----------
+    calibrated : CalibratedMachine
+    centre, rotation : ndarray, shapes (3,) and (3, 3)
+        Where it stands, base frame, mm, and how the platform is turned there.
+    most : float
+        Edge that it has at most, mm.
 
     Raises
     ------
@@ -91,6 +99,7 @@ def fit_cube(calibrated: CalibratedMachine, centre: Array, rotation: Array) -> f
     for _ in range(SHRINKS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if reaches(middle) else (low, middle)
+    low = min(low, most)
     step = 10.0 ** (np.floor(np.log10(low)) - 1.0)
     return float(np.floor(low / step) * step)
 

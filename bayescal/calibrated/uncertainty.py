@@ -11,12 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import norm, qmc
+from scipy.stats import norm
 
 from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors
 from bayescal.calibrated.predict import PosePrediction, draw_poses, predict_poses
 from bayescal.errors import InputError
-from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import Array
 
 GEOMETRY, ACTUATORS, MODEL, MATRIX = "geometry", "actuator noise", "model error", "deformation matrix"
@@ -69,23 +68,6 @@ class Spread:
     half_width: Array
     radius: Array
     n_draws: int
-
-
-def sample_workspace(calibrated: CalibratedMachine, n: int, seed: int) -> Array:
-    """Return actuator positions (about n, N), mm, all over the actuators' range, that have a pose.
-
-    Raises
-    ------
-    InputError
-        Where none has.
-    """
-    mechanism = calibrated.machine.mechanism
-    share = qmc.Sobol(calibrated.n_legs, rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(n))))
-    actuators = mechanism.initial_actuator_positions + mechanism.actuator_range * (2.0 * share[:n] - 1.0)
-    found = solve_forward_kinematics(calibrated.machine, calibrated.theta, actuators, check=False)
-    if not found.converged.any():
-        raise InputError(f"mechanism {mechanism.name!r}: found no pose within the actuators' range")
-    return actuators[found.converged]
 
 
 def compute_budget(calibrated: CalibratedMachine, actuators: Array) -> Budget:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +13,9 @@ from bayescal.cli.console import check_out, put
 from bayescal.cli.machine import Calibrated, Config, Force, Variant
 from bayescal.errors import InputError
 from bayescal.limits import LARGEST_SEED
+
+if TYPE_CHECKING:
+    from bayescal.calibrated.region import Region
 
 
 @app.command(epilog="Example: bayescal certificate results/m2_hexapod --out certificate.html")
@@ -26,6 +29,16 @@ def certificate(
     cube: Annotated[
         float | None, typer.Option(min=1e-3, max=1e5, help="Edge of ISO 9283's cube, mm; default the largest.")
     ] = None,
+    position_mm: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(help="Half extents about home in x, y, z; default the box of the measured poses."),
+    ] = None,
+    rotation_deg: Annotated[
+        tuple[float, float, float] | None, typer.Option(help="Half extents of the rotation vector, with --position-mm.")
+    ] = None,
+    whole_range: Annotated[
+        bool, typer.Option("--whole-range", help="All over the actuators' range, measured or not.")
+    ] = False,
     poses: Annotated[int, typer.Option(min=16, max=100_000, help="Poses of the workspace.")] = 512,
     seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED - 2, help="Of poses and draws.")] = 0,
     experiment: Config = None,
@@ -43,9 +56,35 @@ def certificate(
         raise InputError(f"--out: found {out.name!r}, expected a name that ends with .html; the numbers go beside it")
     where = out or Path(f"certificate-{calibrated.source.stem}.html")
     check_out(where)
-    found = certify(calibrated, results, Wishes(coverage, poses, cube_mm=cube, seed=seed))
+    region = _read_region(position_mm, rotation_deg, whole_range)
+    wishes = Wishes(coverage, poses, cube_mm=cube, seed=seed, region=region, whole_range=whole_range)
+    found = certify(calibrated, results, wishes)
     typer.echo(state_headline(found))
     page = build_certificate(found)
     pictures = {figure.name: render_picture(figure.draw) for figure in page.figures() if figure.draw is not None}
     put(render_page(page, pictures), where)
     put(json.dumps(found.list_figures(), indent=1, ensure_ascii=False) + "\n", where.with_suffix(".json"))
+
+
+def _read_region(
+    position_mm: tuple[float, float, float] | None,
+    rotation_deg: tuple[float, float, float] | None,
+    whole_range: bool,
+) -> Region | None:
+    """Return the box that the options state; None for the default, or for the actuators' range."""
+    from math import isfinite, radians
+
+    from bayescal.calibrated.region import box_about_home
+
+    if whole_range and (position_mm or rotation_deg):
+        raise InputError("--whole-range: found beside --position-mm or --rotation-deg, expected either")
+    if position_mm is None:
+        if rotation_deg is not None:
+            raise InputError("--rotation-deg: found without --position-mm, expected both")
+        return None
+    turned = rotation_deg or (0.0, 0.0, 0.0)
+    for name, values in (("--position-mm", position_mm), ("--rotation-deg", turned)):
+        if not all(isfinite(value) and value >= 0.0 for value in values):
+            raise InputError(f"{name}: found {' '.join(f'{v:g}' for v in values)}, expected half extents of 0 or more")
+    x, y, z = (radians(value) for value in turned)
+    return box_about_home(position_mm, (x, y, z))

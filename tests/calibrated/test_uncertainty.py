@@ -11,6 +11,7 @@ import telescope_machines as machines
 
 from bayescal.calibrated.machine import IndependentErrors
 from bayescal.calibrated.predict import draw_poses, predict_poses
+from bayescal.calibrated.region import sample_range
 from bayescal.calibrated.standards import (
     draw_cycles,
     fit_cube,
@@ -26,7 +27,6 @@ from bayescal.calibrated.uncertainty import (
     compute_budget,
     coverage_factor,
     propagate,
-    sample_workspace,
 )
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import check_home_pose
@@ -41,7 +41,7 @@ def calibrated():
 @pytest.fixture(scope="module")
 def workspace(calibrated):
     """Return actuator positions of its workspace."""
-    return sample_workspace(calibrated, 32, 0)
+    return sample_range(calibrated, 32, 0)
 
 
 def test_the_workspace_is_within_reach_and_the_same_for_a_seed(calibrated, workspace):
@@ -49,7 +49,7 @@ def test_the_workspace_is_within_reach_and_the_same_for_a_seed(calibrated, works
     apart = workspace - mechanism.initial_actuator_positions
     assert np.all(np.abs(apart) <= mechanism.actuator_range)
     assert np.ptp(apart, axis=0).min() > 1.8 * mechanism.actuator_range
-    np.testing.assert_array_equal(workspace, sample_workspace(calibrated, 32, 0))
+    np.testing.assert_array_equal(workspace, sample_range(calibrated, 32, 0))
 
 
 def test_the_parts_of_a_budget_make_up_its_whole(calibrated, workspace):

@@ -35,6 +35,8 @@ SOURCES = {
 COLOURS = dict(zip(SOURCES, (LEG_COLOURS[4], LEG_COLOURS[1], LEG_COLOURS[0], LEG_COLOURS[3]), strict=True))
 HELD_BACK = "from the data's held-back poses"
 PREDICTED = "predicted"
+MUCH_BEYOND = 0.05
+"""Share of poses beyond those that calibrated the machine from which on it is said."""
 
 
 def build_certificate(found: Certificate) -> Page:
@@ -66,7 +68,7 @@ def state_headline(found: Certificate) -> str:
     each = ", ".join(f"{axis} {_micro(value)}" for axis, value in zip(AXES[:3], typical, strict=False))
     coverage = format_percent(found.wishes.coverage)
     return (
-        f"Position within ±({each}) µm with {coverage}, root mean square over the workspace; at its worst pose within "
+        f"Position within ±({each}) µm with {coverage}, root mean square {found.where}; at its worst pose within "
         f"±{_micro(largest[:3].max())} µm."
     )
 
@@ -99,7 +101,21 @@ def _state_verdict(found: Certificate) -> list[Statement]:
         if found.agrees
         else Statement(f"{said}: what is stated is that of Monte Carlo.", "warning", "Checked"),
     ]
-    return statements + _state_held_back(found)
+    return _state_beyond(found) + statements + _state_held_back(found)
+
+
+def _state_beyond(found: Certificate) -> list[Statement]:
+    if found.beyond <= MUCH_BEYOND:
+        return []
+    return [
+        Statement(
+            f"{format_percent(found.beyond)} of the poses lie outside of the box of the poses that calibrated the "
+            "machine: there the uncertainty is extrapolated by the model, and mostly larger. Certify the region that "
+            "was measured (leave out --whole-range, --position-mm and --rotation-deg), or measure poses there.",
+            "warning",
+            "Extrapolated",
+        )
+    ]
 
 
 def _begin(words: str) -> str:
@@ -137,7 +153,7 @@ def _tabulate_subject(found: Certificate) -> Table:
         ("Machine", f"{mechanism.name}, {mechanism.n_legs} legs, actuators ±{mechanism.actuator_range:g} mm"),
         ("Model", f"{calibrated.source.variant} of experiment {calibrated.source.experiment}"),
         ("Uncertain parameters", str(len(calibrated.free))),
-        ("Workspace", f"{len(found.budget.actuators)} poses all over the actuators' range: {span} mm"),
+        ("Workspace", f"{len(found.budget.actuators)} poses {found.where}: {span} mm"),
         ("Data", calibrated.source.data),
     ]
     return make_table("", [Column("What", kind="text"), Column("", kind="text")], rows)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayescal.calibrated.machine import CalibratedMachine
+from bayescal.calibrated.region import Region, enclose_measured, measure_beyond, sample_range, sample_region
 from bayescal.calibrated.standards import (
     AXIS_CYCLES,
     CYCLES,
@@ -27,7 +28,6 @@ from bayescal.calibrated.uncertainty import (
     compute_budget,
     coverage_factor,
     propagate,
-    sample_workspace,
 )
 from bayescal.experiments.frame.results import PROVENANCE_FILE, SUMMARY_FILE
 from bayescal.files.atomic import read_json
@@ -55,8 +55,12 @@ class Wishes:
     n_draws : int
         Of the posterior, at most.
     cube_mm : float or None
-        Edge of the cube of ISO 9283; the largest within reach by default.
+        Edge of the cube of ISO 9283; by default the largest about home that is within reach and within the region.
     seed : int
+    region : Region or None
+        Where; by default that of the poses that calibrated the machine, where they are known.
+    whole_range : bool
+        All over the actuators' range instead.
     """
 
     coverage: float = 0.95
@@ -64,6 +68,8 @@ class Wishes:
     n_draws: int = 2000
     cube_mm: float | None = None
     seed: int = 0
+    region: Region | None = None
+    whole_range: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +92,10 @@ class Certificate:
         ISO 230-2 along x, y and z, of each machine (S,).
     summary, provenance : dict
         Of the results; empty for a machine that was exported.
+    region : Region or None
+        Where; None for all over the actuators' range.
+    beyond : float
+        Share of its poses outside of the box of those that calibrated the machine.
     """
 
     calibrated: CalibratedMachine
@@ -98,6 +108,13 @@ class Certificate:
     axes: tuple[AxisFigures, ...]
     summary: dict[str, Any]
     provenance: dict[str, Any]
+    region: Region | None = None
+    beyond: float = 0.0
+
+    @property
+    def where(self) -> str:
+        """What is certified, in words."""
+        return "all over the actuators' range" if self.region is None else f"over {self.region.words}"
 
     @property
     def ratios(self) -> Array:
@@ -129,6 +146,8 @@ class Certificate:
             "problems": list(self.calibrated.source.problems),
             "coverage": self.wishes.coverage,
             "poses": len(self.budget.actuators),
+            "workspace": self.where,
+            "share_extrapolated": float(f"{self.beyond:.4g}"),
             "unit": {"x, y, z": "µm", "rx, ry, rz": "µrad"},
             "standard_uncertainty": {
                 **{source: name(_rms(self.budget.sd(source)) * SCALE) for source in self.budget.parts},
@@ -157,12 +176,17 @@ def certify(calibrated: CalibratedMachine, path: Path, wishes: Wishes) -> Certif
     InputError
         Without draws of the posterior, or where the cube is out of reach.
     """
-    actuators = sample_workspace(calibrated, wishes.n_poses, wishes.seed)
+    region = None if wishes.whole_range else wishes.region or enclose_measured(calibrated)
+    if region is None:
+        actuators = sample_range(calibrated, wishes.n_poses, wishes.seed)
+    else:
+        actuators = sample_region(calibrated, region, wishes.n_poses, wishes.seed)
     budget = compute_budget(calibrated, actuators)
     spread = propagate(calibrated, actuators[:N_CHECKED], wishes.coverage, wishes.n_draws, wishes.seed + 1)
     home = check_home_pose(calibrated.machine)
     position, rotation = home.position, home.rotation
-    cube = wishes.cube_mm or fit_cube(calibrated, position, rotation)
+    within = np.inf if region is None or region.cube == 0.0 else region.cube
+    cube = wishes.cube_mm or fit_cube(calibrated, position, rotation, within)
     effort = (wishes.n_draws, wishes.seed + 2)
     visited = draw_cycles(calibrated, list_cube_poses(position, cube), rotation, CYCLES, *effort)
     axes = []
@@ -180,6 +204,8 @@ def certify(calibrated: CalibratedMachine, path: Path, wishes: Wishes) -> Certif
         tuple(axes),
         _read(path / SUMMARY_FILE),
         _read(path / PROVENANCE_FILE),
+        region,
+        measure_beyond(calibrated, budget.position),
     )
 
 

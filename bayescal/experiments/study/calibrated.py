@@ -10,11 +10,14 @@ import numpy as np
 from bayescal.calibrated.exported import (
     MATRIX,
     MATRIX_COVARIANCE,
+    MEASURED,
     MECHANISM,
     PER_MILLE,
     format_matrix,
     format_matrix_covariance,
+    format_measured,
     read_matrix_covariance,
+    read_measured,
 )
 from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors, Source, build_calibrated
 from bayescal.calibrated.mechanism_file import format_mechanism
@@ -44,7 +47,10 @@ TAU = "tau"
 def describe_nominal(inputs: StudyInputs) -> dict[str, str]:
     """Return the files of the nominal machine that a study's results keep, by name."""
     comments = [f"Nominal mechanism of study {inputs.config.name}; what calibrated it stands in the results"]
-    texts = {MECHANISM: format_mechanism(inputs.mechanism, comments)}
+    texts = {
+        MECHANISM: format_mechanism(inputs.mechanism, comments),
+        MEASURED: format_measured(inputs.measured.actuators[~inputs.verification]),
+    }
     if any(inputs.machine(variant).deformation.uses_matrix for variant in inputs.config.variants):
         texts[MATRIX] = format_matrix(inputs.matrix)
         covariance = find_matrix_covariance(inputs)
@@ -78,7 +84,8 @@ def calibrate_study(
         config.data.actuator_noise_um * MICROMETRE, _find_model_variance(fit["parameters"], machine), covariance
     )
     source = Source(config.name, name, config.data.origin, tuple(fit["problems"]))
-    return build_calibrated(machine, theta, _read_draws(results, name, machine.layout, theta), errors, source)
+    draws = _read_draws(results, name, machine.layout, theta)
+    return build_calibrated(machine, theta, draws, errors, source, _read_measured(results, machine))
 
 
 def load_same(results: Results, path: Path) -> StudyConfig:
@@ -138,6 +145,13 @@ def _load_nominal(config: StudyConfig, variant: VariantConfig, folder: Path) -> 
     inputs = load_inputs(config, folder)
     machine = inputs.machine(variant)
     return machine, find_matrix_covariance(inputs) if machine.deformation.uses_matrix else None
+
+
+def _read_measured(results: Results, machine: Machine) -> Array | None:
+    """Return the actuator positions of the calibration's poses; None of results of earlier versions."""
+    assert results.folder is not None
+    path = results.folder / NOMINAL / MEASURED
+    return read_measured(path, machine.mechanism.n_legs) if path.is_file() else None
 
 
 # --- the posterior -----------------------------------------------------------------------------------------------

@@ -236,6 +236,9 @@ def test_a_certificate_states_a_budget_and_how_it_was_checked(study, call):
     for said in ("noise of the actuators", "ISO 9283 pose accuracy AP", "ISO 230-2 accuracy A of z", "predicted"):
         assert said in page
     assert "targets.csv" in page  # the files that it goes back to
+    n_measured = len(Path("out/machine/measured.csv").read_text().splitlines()) - 2
+    assert figures["workspace"] == f"over the box of the {n_measured} poses that calibrated the machine"
+    assert figures["share_extrapolated"] == 0.0
     parts = figures["standard_uncertainty"]
     combined = sum(parts[source]["x"] ** 2 for source in ("geometry", "actuator noise", "model error"))
     assert parts["combined"]["x"] ** 2 == pytest.approx(
@@ -255,6 +258,10 @@ def test_a_certificate_states_a_budget_and_how_it_was_checked(study, call):
 def test_a_certificate_is_refused_in_a_line(study, refuse):
     assert "expected a name that ends with .html" in refuse("certificate", "out", "--out", "machine.pdf")
     assert "cube: found a pose out of reach" in refuse("certificate", "out", "--cube", 500, "--poses", 16)
+    found = refuse("certificate", "out", "--whole-range", "--position-mm", 1, 1, 1)
+    assert "--whole-range: found beside --position-mm" in found
+    assert "--rotation-deg: found without --position-mm" in refuse("certificate", "out", "--rotation-deg", 1, 1, 1)
+    assert "expected half extents of 0 or more" in refuse("certificate", "out", "--position-mm", -1, 1, 1)
     shutil.rmtree("out/posterior")
     assert "found no draws of its posterior, expected some" in refuse("certificate", "out")
 
