@@ -1,4 +1,4 @@
-"""Where a calibrated machine is judged: at poses like those that calibrated it, in a box about home, or in all its range.
+"""Where a calibrated machine is judged: at poses like those that calibrated it, in a box about home, or in all reach.
 
 What lies outside of the measured poses is extrapolated: there uncertainty is larger, and rests on the model alone.
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 
 from rich.console import Console, RenderableType
@@ -71,9 +72,8 @@ def _tabulate_symbols(audit: AuditResults) -> Printed:
     )
     rows = []
     for symbol, group in audit.parameters.groupby("symbol", sort=False):
-        counts = group["verdict"].value_counts()
-        several = len(counts) > 1
-        verdicts = [f"{n} {name_verdict(str(v))}" if several else name_verdict(str(v)) for v, n in counts.items()]
+        counts = Counter(name_verdict(row) for _, row in group.iterrows()).most_common()
+        verdicts = [f"{n} {verdict}" if len(counts) > 1 else verdict for verdict, n in counts]
         rows.append(
             (
                 write_symbol(str(symbol)),

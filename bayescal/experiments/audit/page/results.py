@@ -9,12 +9,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
 from bayescal.experiments.audit.page.checks import REQUIREMENT_KEYS, check_summary
 from bayescal.experiments.frame.results import SUMMARY_FILE, Results
 from bayescal.experiments.shared.joints import COLUMNS as JOINT_COLUMNS
+from bayescal.limits import DEAD, INFORMED
 from bayescal.report.symbols import split_name
 
 TABLES = "tables"  # where they stand in the results directory
@@ -30,6 +32,8 @@ TABLE_COLUMNS = {
 }
 TEXT_COLUMNS = ("pose", "joint", "sweep", "symbol", "requirement", "unit", "parameter", "other", "other_unit", "source")
 REQUIRED = ("spectrum",)
+TOLD_LIMITS = (math.sqrt(DEAD / (1.0 - DEAD)), math.sqrt(INFORMED / (1.0 - INFORMED)))
+"""Tolerance over what the noise alone would leave of a combination: below, hardly anything is learnt; above, enough."""
 
 
 @dataclass(frozen=True)
@@ -215,6 +219,12 @@ class AuditResults:
     def n_identifiable(self) -> int:
         """How many parameters are determined."""
         return int((self.parameters["verdict"] == "identifiable").sum())
+
+    def count_hidden(self) -> tuple[int, int]:
+        """Return how many independent combinations are learnt in part, and how many hardly or never."""
+        planned = self.tables["spectrum"]["planned"].to_numpy(dtype=float)
+        low, high = TOLD_LIMITS
+        return int(np.sum((planned >= low) & (planned < high))), int(np.sum(planned < low))
 
 
 def _make_ridge(number: int, content: Mapping[str, Any]) -> Ridge:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 
 import pandas as pd
 
@@ -22,11 +23,13 @@ from bayescal.experiments.audit.page.wording import (
     name_requirement,
     name_unit,
 )
-from bayescal.limits import INFORMED
+from bayescal.limits import DEAD, INFORMED
 from bayescal.report.blocks import Cell, Column, Level, Statement, Table, make_table
 from bayescal.report.numbers import NOTHING, format_fixed, format_plain
 from bayescal.report.symbols import split_name
 
+TOGETHER, NEVER = "only with others", "not identifiable"
+VERDICTS = ("identifiable", "weak", TOGETHER, NEVER)
 LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad"}
 EFFECT_LEVELS: dict[str, Level] = {"harmless": "good", "noticeable": "warning", "harmful": "bad", "unknown": "plain"}
 
@@ -77,17 +80,22 @@ def _remaining(group: pd.DataFrame) -> list[float]:
 
 
 def _summarise_verdicts(group: pd.DataFrame) -> Cell:
-    counts = group["verdict"].value_counts()
+    badges = [_mark(row) for _, row in group.iterrows()]
+    counts = Counter(badge.text for badge in badges)
     if len(counts) == 1:
-        verdict = str(counts.index[0])
-        return Cell(name_verdict(verdict), LEVELS[verdict], badge=True)
-    words = [f"{counts[verdict]} {name_verdict(verdict)}" for verdict in LEVELS if verdict in counts]
-    return Cell(", ".join(words), "warning", badge=True)
+        return badges[0]
+    return Cell(", ".join(f"{counts[name]} {name}" for name in VERDICTS if name in counts), "warning", badge=True)
 
 
-def name_verdict(verdict: str) -> str:
-    """Return a verdict in words."""
-    return "not identifiable" if verdict == "not" else verdict
+def _mark(parameter: pd.Series) -> Cell:
+    return Cell(name_verdict(parameter), LEVELS[parameter["verdict"]], badge=True)
+
+
+def name_verdict(parameter: pd.Series) -> str:
+    """Return a parameter's verdict in words; one that loses something of its tolerance is known beside others."""
+    if parameter["verdict"] != "not":
+        return str(parameter["verdict"])
+    return TOGETHER if parameter["contraction"] >= DEAD else NEVER
 
 
 def list_legs(names: pd.Index) -> str:
@@ -122,7 +130,7 @@ def tabulate_parameters(results: AuditResults) -> Table:
                 format_share(row["posterior_sd"] / row["prior_sd"]),
                 format_contraction(row["contraction"]),
                 format_fixed(row["nats"], 2),
-                Cell(name_verdict(row["verdict"]), LEVELS[row["verdict"]], badge=True),
+                _mark(row),
                 row["why"],
             ]
         )

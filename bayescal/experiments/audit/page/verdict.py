@@ -16,7 +16,6 @@ from bayescal.experiments.audit.page.wording import (
     say,
     say_most,
 )
-from bayescal.limits import DEAD
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_fixed, format_significant, join_words
 
@@ -45,16 +44,16 @@ def describe_determined(results: AuditResults) -> str:
     if known == n:
         text = f"{poses[0].upper()}{poses[1:]} determine all {count(n, 'parameter')}"
     structural = [r for r in results.ridges if r.kind == "structural"]
-    practical = [r for r in results.ridges if r.kind == "practical"]
-    dead = sum(r.contraction < DEAD for r in practical)
+    in_part, dead = results.count_hidden()
+    dead = max(0, dead - len(structural))
     these = "these" if results.is_measured else "the planned ones"
     parts = []
     if structural:
         parts.append(f"{count(len(structural), 'combination')} can never be told by any measurement of this kind")
     if dead:
         parts.append(f"{_more(dead, bool(parts))} hardly touched by {these}")
-    if len(practical) > dead:
-        parts.append(f"{_more(len(practical) - dead, bool(parts))} learnt only in part")
+    if in_part:
+        parts.append(f"{_more(in_part, bool(parts))} learnt only in part")
     return f"{text}{'; ' if parts else ''}{join_words(parts)}."
 
 

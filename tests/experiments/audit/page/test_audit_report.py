@@ -53,12 +53,12 @@ SECTIONS = (
 )
 
 
-def make(change=None) -> AuditResults:
-    """Return a made-up audit without its tables."""
+def make(change=None, planned=(9.0, 9.0, 9.0, 0.2, 0.0, 0.0, 0.0)) -> AuditResults:
+    """Return a made-up audit; of its tables only what the plan tells of each combination."""
     summary = describe_audit()
     if change is not None:
         change(summary)
-    return AuditResults(summary, {})
+    return AuditResults(summary, {"spectrum": pd.DataFrame({"planned": planned})})
 
 
 def write_audit_report(folder: Path) -> Path:
@@ -201,7 +201,7 @@ def test_the_headline_counts_what_is_determined():
         for parameter in summary["parameters"].values():
             parameter["verdict"] = "identifiable"
 
-    assert describe_determined(make(know_all)) == "The 40 planned poses determine all 7 parameters."
+    assert describe_determined(make(know_all, [9.0] * 7)) == "The 40 planned poses determine all 7 parameters."
 
     def know_nothing(summary):
         summary["plan"]["sensors"] = []
@@ -209,7 +209,7 @@ def test_the_headline_counts_what_is_determined():
         for parameter in summary["parameters"].values():
             parameter["verdict"] = "weak"
 
-    assert describe_determined(make(know_nothing)) == (
+    assert describe_determined(make(know_nothing, [9.0, 9.0, 9.0, 1.0, 0.0, 0.0, 0.0])) == (
         "Of 7 parameters the 40 calibration poses determine none on its own; 3 combinations can never be told by any "
         "measurement of this kind and 1 more is learnt only in part."
     )

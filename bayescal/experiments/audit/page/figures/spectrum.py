@@ -7,6 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from bayescal.experiments.audit.page.results import TOLD_LIMITS
 from bayescal.limits import DEAD, INFORMED
 from bayescal.report.numbers import format_plain
 from bayescal.report.style import GREY, INK, RED
@@ -63,7 +64,7 @@ def _draw_structure(axes: Axes, spectrum: pd.DataFrame) -> None:
 def _draw_plan(axes: Axes, spectrum: pd.DataFrame) -> None:
     planned = spectrum["planned"].to_numpy(dtype=float)
     number = spectrum["number"].to_numpy()
-    low, high = (float(np.sqrt(c / (1.0 - c))) for c in (DEAD, INFORMED))
+    low, high = TOLD_LIMITS
     shown = np.maximum(planned, FLOOR * low)
     groups = (
         (planned >= high, BLUE, "o", "determined"),
