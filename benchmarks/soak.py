@@ -49,7 +49,7 @@ EXPERIMENTS = (
 )
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 TIMED = re.compile(rb'^ *"(wall_)?(seconds|time|started|finished)[a-z_]*": .*$', re.MULTILINE)
-CODES = {0, 2, 3, 130, -signal.SIGKILL}
+CODES = {0, 2, 3, 130, -signal.SIGKILL, -signal.SIGTERM}  # the last before the program listens for it
 WORKERS = "1"
 KILLS = 6  # of one run, at most
 PATIENCE = 600  # s

@@ -16,7 +16,7 @@ from bayescal.report.numbers import MICROMETRES, NOTHING, format_significant
 from bayescal.report.variant_names import describe_deformation
 
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
-REQUIREMENTS = "Accuracy requirements: not stated."
+REQUIREMENTS = "Accuracy requirements: not stated; an audit of this study judges them."
 
 
 def state_headline(results: StudyResults) -> str:
@@ -47,13 +47,15 @@ def _count(number: int) -> str:
 
 
 def _state_accuracy(results: StudyResults) -> str:
-    """Return the chosen variant's largest error, and what of it the measurement itself may be."""
+    """Return the chosen variant's largest and mean error, and what the measurement itself may be."""
     use = "verification" if results.n_verification else "calibration"
     n = int(results.summary["n_poses"][use])
     fit, words = results.fit(choose_variant(results), "free"), "held-back" if results.n_verification else "fitted"
-    largest = format_significant(MICROMETRES * get_number(fit[use]["position_error_mm"], "max"), 2)
+    largest, mean = (
+        format_significant(MICROMETRES * get_number(fit[use]["position_error_mm"], key), 2) for key in ("max", "mean")
+    )
     if largest == NOTHING:
         return f"no position was measured whole on its {n} {words} poses"
     noise = results.summary.get("measurement_noise_um", {}).get(use)
-    measured = "" if noise is None else f", of which measurement noise {format_significant(noise, 2)} µm (rms)"
-    return f"largest error on {n} {words} pose{'s' if n != 1 else ''} {largest} µm{measured}"
+    measured = "" if noise is None else f"; the measurement's own noise is {format_significant(noise, 2)} µm rms"
+    return f"largest error on {n} {words} pose{'s' if n != 1 else ''} {largest} µm, mean {mean} µm{measured}"

@@ -52,10 +52,10 @@ def test_the_headline_says_what_to_use_and_how_good_it_is(make_results):
     results = read_study(make_results(variants=TWELVE))
     assert state_headline(results) == (
         "Use 6-PUS with the matrix deformation, the simplest of three equals; largest error on 2 held-back poses 9.0 "
-        "µm. Accuracy requirements: not stated."
+        "µm, mean 4.0 µm. Accuracy requirements: not stated; an audit of this study judges them."
     )
     told = make_results(lambda s: s.update(measurement_noise_um={"verification": 7.04}), variants=TWELVE, name="told")
-    assert "9.0 µm, of which measurement noise 7.0 µm (rms)" in state_headline(read_study(told))
+    assert "mean 4.0 µm; the measurement's own noise is 7.0 µm rms." in state_headline(read_study(told))
 
     def simplify(summary):
         summary["variants"]["stiffness/matrix"]["n_parameters"] = 12

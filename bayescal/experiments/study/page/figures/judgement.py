@@ -20,6 +20,9 @@ from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE, RED
 
 KOLMOGOROV = 1.358  # 95 % of the largest distance of an ECDF, times the root of the number of draws
 SIMULATIONS = 500
+MOST_NAMED = 80  # poses with a name below the axis
+MANY = 600
+"""Values from which on a band is not simulated."""
 GRID = np.linspace(0.0, 1.0, 101)
 
 
@@ -53,13 +56,26 @@ def draw_pits(pits: Mapping[str, Array]) -> Figure:
     figure = Figure(figsize=(4.6 * len(pits), 2.6))
     panels = figure.subplots(1, len(pits), squeeze=False, sharey=True)[0]
     for axes, (title, values) in zip(panels, pits.items(), strict=True):
-        points, share, low, high = ecdf_pit(values, 0.95, SIMULATIONS)
+        points, share, low, high = _band(values)
         _shade(axes, points, low - points, high - points)
         axes.plot(points, share - points, color=INK, linewidth=1.1)
         axes.set_title(title)
         axes.set_xlabel("Where the measured value lies in its prediction (LOO-PIT)")
     panels[0].set_ylabel("share below − expected")
     return figure
+
+
+def _band(values: Array) -> tuple[Array, Array, Array, Array]:
+    """Return points, the share of values (n,) below them, and the band that holds that of uniform numbers.
+
+    By simulation, whose time grows with n²; Kolmogorov's, which many values reach, beyond.
+    """
+    if len(values) <= MANY:
+        points, share, low, high = ecdf_pit(values, 0.95, SIMULATIONS)
+        return points, share, low, high
+    share = np.searchsorted(np.sort(values), GRID, side="right") / len(values)
+    width = KOLMOGOROV / np.sqrt(len(values))
+    return GRID, share, np.clip(GRID - width, 0.0, 1.0), np.clip(GRID + width, 0.0, 1.0)
 
 
 def _shade(axes: Axes, points: Array, low: Array, high: Array) -> None:
@@ -126,7 +142,8 @@ def draw_pareto_k(left_out: pd.DataFrame, variants: list[str], styles: Styles) -
             linewidths=0.7,
         )
     axes.axhline(PARETO_K_LIMIT, color=RED, linewidth=0.8)
-    axes.set_xticks(range(len(poses)), poses, rotation=90 if len(poses) > 12 else 0)
+    step = -(-len(poses) // MOST_NAMED)
+    axes.set_xticks(range(0, len(poses), step), poses[::step], rotation=90 if len(poses) > 12 else 0)
     axes.tick_params(axis="x", labelsize=7)
     axes.set_xlim(-0.7, len(poses) - 0.3)
     axes.set_ylabel("Pareto k")
