@@ -27,6 +27,7 @@ from bayescal.experiments.shared.reading_machine import (
     tolerance_of,
     workspace_volume,
 )
+from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
 from bayescal.machines.readings.schema import PlanarPosesConfig
@@ -167,6 +168,7 @@ def _build_variant(
             )
     except InputError as error:
         raise InputError(f"variant {section.name!r}: {error}") from error
+    check_readings(len(table.poses), len(sensors.chosen), len(free.places), sensors.n_coordinates)
     where = folder / config.data.readings
     starts = list_starts(model, config.workspace)
     pose = find_reading_poses(sensors, plain, table.values[:, sensors.chosen], starts, table.poses, where)
