@@ -14,6 +14,7 @@ from bayescal.experiments.next_pose.compute import MOST_ERRORS, compute_next
 from bayescal.experiments.next_pose.inputs import NextInputs, estimate_candidates, read_next
 from bayescal.experiments.next_pose.page import build_page
 from bayescal.experiments.next_pose.schema import NextConfig
+from bayescal.experiments.shared.measured_slips import find_measured_slip
 from bayescal.experiments.shared.search_memory import list_search
 from bayescal.report.blocks import Page
 
@@ -58,6 +59,11 @@ class NextPose(Experiment[NextConfig, NextInputs]):
             ],
             "fewer candidates or draws",
         )
+
+    def doubt(self, inputs: NextInputs) -> list[str]:
+        """Return what would explain the poses measured so far many times better than they stand."""
+        slip = find_measured_slip(inputs.variants.values())
+        return [] if slip is None else [slip.say()]
 
     def compute(self, inputs: NextInputs, run: Run) -> Results:
         """Return what to do; it is over in seconds, and nothing is kept on the way."""

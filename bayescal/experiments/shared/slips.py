@@ -7,16 +7,19 @@ tolerances and what the first order leaves; slipped ones are off by as much as t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Protocol
 
 import numpy as np
 
 from bayescal.density.likelihood import Likelihood
 from bayescal.errors import BayescalError
-from bayescal.machines.coordinates import Coordinates
 from bayescal.numerics.geometry import Array
+
+type LikelihoodOf = Callable[[Array, np.ndarray], Likelihood]
+"""Returns the density of some of the poses (Q,) at other actuator positions (Q, N)."""
 
 UNIT, LEGS, ROWS = "unit", "legs", "rows"
 CLEARLY = 20.0  # nats by which a slip has to explain the data better
@@ -36,6 +39,55 @@ SCALES = {
     "in mm where inches are stated": 1.0 / 25.4,
     "of the other sign": -1.0,
 }
+
+
+class Tolerances(Protocol):
+    """What is free about which machine, and how far: as of `bayescal.machines.coordinates.Coordinates`.
+
+    Attributes
+    ----------
+    start : ndarray, shape (D,)
+    free : ndarray of int, shape (n,)
+    scale : ndarray, shape (n,)
+    """
+
+    @property
+    def start(self) -> Array: ...  # noqa: D102
+
+    @property
+    def free(self) -> np.ndarray: ...  # noqa: D102
+
+    @property
+    def scale(self) -> Array: ...  # noqa: D102
+
+
+@dataclass(frozen=True, eq=False)
+class Suspect:
+    """Measured poses under one machine, for whose actuator positions slips are tried.
+
+    Attributes
+    ----------
+    likelihood_of : LikelihoodOf
+    tolerances : Tolerances
+    actuators : ndarray, shape (P, N)
+        As they stand, mm.
+    """
+
+    likelihood_of: LikelihoodOf
+    tolerances: Tolerances
+    actuators: Array
+
+    def weigh(self, actuators: Array, chosen: np.ndarray) -> Weight:
+        """Return how well some poses (Q,) at actuator positions (Q, N) fit under the priors to first order."""
+        try:
+            with np.errstate(all="ignore"):
+                return weigh_likelihood(self.likelihood_of(actuators, chosen), self.tolerances)
+        except (BayescalError, np.linalg.LinAlgError):
+            return NOTHING
+
+    def weigh_all(self) -> Weight:
+        """Return how well the poses fit as they stand."""
+        return self.weigh(self.actuators, np.arange(len(self.actuators)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +135,10 @@ class FoundSlip:
     gain: float
     factor: float
 
+    def say(self) -> str:
+        """Return it in words."""
+        return f"the data fit {self.factor:.2g} times better if one mends: {self.text}"
+
 
 def list_moves(actuators: Array, start: Array) -> Iterator[Moved]:
     """Yield what may have happened to actuator positions (P, N), mm, of a machine whose initial ones are ``start``."""
@@ -109,67 +165,45 @@ def list_moves(actuators: Array, start: Array) -> Iterator[Moved]:
             yield Moved(ROWS, text, actuators[there - step], there)
 
 
-def find_slip(
-    likelihood_of: Callable[[Array, np.ndarray], Likelihood],
-    coordinates: Coordinates,
-    actuators: Array,
-    start: Array,
-    stated: float,
-) -> FoundSlip | None:
-    """Return the slip of actuator positions that explains the data best; None where the data fit, or none helps.
+def find_slip(suspects: Iterable[Suspect], start: Array, stated: float) -> FoundSlip | None:
+    """Return the slip of actuator positions that explains the data best; None where some machine fits, or none helps.
 
     Parameters
     ----------
-    likelihood_of : callable
-        Returns the density of some of the poses (Q,) at other actuator positions (Q, N).
-    coordinates : Coordinates
-        Of the posterior: what is free, and how far.
-    actuators : ndarray, shape (P, N)
-        As they stand, mm.
+    suspects : iterable of Suspect
+        The same poses under machines one of which may be right.
     start : ndarray, shape (N,)
         Initial positions, mm.
     stated : float
         Error of a leg that noise and model error let expect, mm.
     """
-    every = np.arange(len(actuators))
-    base = weigh(likelihood_of, coordinates, actuators, every)
-    if base.error < SUSPECT * stated:
-        return None
+    weighed: list[tuple[Weight, Suspect]] = []
+    for one in suspects:
+        weighed.append((one.weigh_all(), one))
+        if weighed[-1][0].error < SUSPECT * stated:
+            return None
+    base, best = max(weighed, key=lambda pair: pair[0].log_density)
     found: list[FoundSlip] = []
-    for moved in list_moves(actuators, start):
-        beside = base if len(moved.chosen) == len(every) else None
-        beside = beside or weigh(likelihood_of, coordinates, actuators[moved.chosen], moved.chosen)
-        one = weigh(likelihood_of, coordinates, moved.actuators, moved.chosen)
-        gain, factor = one.log_density - beside.log_density, beside.error / max(one.error, stated)
+    for moved in list_moves(best.actuators, start):
+        whole = len(moved.chosen) == len(best.actuators)
+        beside = base if whole else best.weigh(best.actuators[moved.chosen], moved.chosen)
+        mended = best.weigh(moved.actuators, moved.chosen)
+        gain, factor = mended.log_density - beside.log_density, beside.error / max(mended.error, stated)
         if gain > CLEARLY and factor > BETTER:
             found.append(FoundSlip(moved.fault, moved.text, gain, factor))
     return max(found, key=lambda one: one.gain, default=None)
 
 
-def weigh(
-    likelihood_of: Callable[[Array, np.ndarray], Likelihood],
-    coordinates: Coordinates,
-    actuators: Array,
-    chosen: np.ndarray,
-) -> Weight:
-    """Return how well poses fit under the priors to first order; arguments as those of `find_slip`."""
-    try:
-        with np.errstate(all="ignore"):
-            return weigh_likelihood(likelihood_of(actuators, chosen), coordinates)
-    except (BayescalError, np.linalg.LinAlgError):
-        return NOTHING
-
-
 NOTHING = Weight(-np.inf, float(ERRORS[-1]))
 
 
-def weigh_likelihood(likelihood: Likelihood, coordinates: Coordinates) -> Weight:
+def weigh_likelihood(likelihood: Likelihood, tolerances: Tolerances) -> Weight:
     """Return the log-density of the poses under the priors to first order, at the best error of the legs, and it.
 
     The covariance C + S Sᵀ, S the slope by the parameters in tolerances, by the determinant lemma.
     """
-    errors, slope = likelihood.error_jacobian(coordinates.start)
-    slope = slope[..., coordinates.free] * coordinates.scale
+    errors, slope = likelihood.error_jacobian(tolerances.start)
+    slope = slope[..., tolerances.free] * tolerances.scale
     if not (np.isfinite(errors).all() and np.isfinite(slope).all()):
         return NOTHING
     sizes = {
