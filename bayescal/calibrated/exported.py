@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +15,7 @@ from bayescal.config.sections import InputFile, NotNegative, Section
 from bayescal.data.actuators import name_actuators
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_matrix, read_table
+from bayescal.files.netcdf import read_netcdf
 from bayescal.machines.deformations import MatrixDeformation, NominalDeformation
 from bayescal.machines.kinematics import check_home_pose
 from bayescal.machines.mechanism import Mechanism
@@ -267,13 +267,10 @@ def _find_names(known: tuple[str, ...], names: tuple[str, ...], path: Path) -> n
 
 
 def _read_draws(path: Path, names: tuple[str, ...]) -> Array:
-    import xarray as xr
-
     if not path.is_file():
         raise InputError(f"{path}: no such file, expected draws as netCDF")
     try:
-        with xr.load_dataset(io.BytesIO(path.read_bytes()), engine="h5netcdf") as content:
-            draws = content["draws"].sel(parameter=list(names)).transpose("draw", "parameter")
-            return np.asarray(draws.to_numpy(), dtype=np.float64)
+        draws = read_netcdf(path)["draws"].sel(parameter=list(names)).transpose("draw", "parameter")
+        return np.asarray(draws.to_numpy(), dtype=np.float64)
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path}: cannot be read as draws ({' '.join(str(error).split())})") from error

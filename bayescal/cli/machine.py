@@ -22,6 +22,8 @@ Config = Annotated[
     Path | None, typer.Option("--experiment", help="Config of results that do not hold the nominal machine.")
 ]
 Force = Annotated[bool, typer.Option("--force", help="Take a posterior that did not converge; files say so.")]
+DEGREES, COPIES, OF_A_DRAW = 6, 6, 120
+"""Doubles of a pose's covariance, how often it is there, text among it, and doubles of a draw's pose and its text."""
 Table = Annotated[Path | None, typer.Option(help="CSV file; default standard output.")]
 
 
@@ -65,6 +67,7 @@ def command(
     calibrated = load_calibrated(results, variant, experiment, force)
     check_out(out)
     commanded = read_commanded(poses, calibrated.n_legs)
+    _check_many(len(commanded.names), 1, calibrated)
     found = command_poses(calibrated, commanded.position, commanded.rotation)
     if not mark:
         check_reached(commanded, found)
@@ -94,6 +97,7 @@ def predict(
     check_out(out)
     check_out(draws)
     names, positions = read_positions(actuators, calibrated)
+    _check_many(len(names), 1 if draws is None else n_draws, calibrated)
     found = predict_poses(calibrated, positions)
     check_found(actuators, names, found)
     if draws is not None:
@@ -101,6 +105,15 @@ def predict(
         put(format_draws(calibrated, names, *drawn), draws)
     put(format_prediction(calibrated, names, found), out)
     _tell_missing(results, calibrated)
+
+
+def _check_many(n_poses: int, n_draws: int, calibrated: CalibratedMachine) -> None:
+    """Raise InputError where there is no memory for so many poses by draws, and the text that is made of them."""
+    from bayescal.experiments.frame.memory import check_arrays
+
+    numbers = COPIES * max(DEGREES, calibrated.n_legs) ** 2
+    counts = {"poses": n_poses} | ({"draws": n_draws} if n_draws > 1 else {})
+    check_arrays(counts, [(n_poses, numbers), (n_draws, n_poses, OF_A_DRAW)], "fewer of them")
 
 
 def _tell_missing(results: Path, calibrated: CalibratedMachine) -> None:

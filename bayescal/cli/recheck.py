@@ -83,10 +83,13 @@ def _judge(
     from bayescal.calibrated.recheck.judge import judge_recheck
     from bayescal.calibrated.recheck.tables import describe_recheck, has_noise, read_session
     from bayescal.data.instruments.read_poses import PoseNoise
+    from bayescal.experiments.shared.measured_slips import find_recheck_slip
 
     noise = [PoseNoise() if has_noise(path) or stated is None else PoseNoise(*stated) for path in measured]
     read = [read_session(path, actuators, one, calibrated) for path, one in zip(measured, noise, strict=True)]
-    lines = describe_recheck(judge_recheck(calibrated, read, false_alarm, sessions))
+    slips = ((path, find_recheck_slip(calibrated, one)) for path, one in zip(measured, read, strict=True))
+    lines = [f"{path}: {slip.say()}; what else is said rests on it" for path, slip in slips if slip is not None]
+    lines += describe_recheck(judge_recheck(calibrated, read, false_alarm, sessions))
     return "".join(f"{line}\n" for line in lines)
 
 

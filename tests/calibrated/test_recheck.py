@@ -20,6 +20,7 @@ from bayescal.calibrated.recheck.tables import build_covariance
 from bayescal.data.actuators import name_actuators
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.errors import InputError
+from bayescal.experiments.shared.measured_slips import find_recheck_slip
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import build_machine, solve_forward_kinematics
 from bayescal.machines.models.six_pus import SixPus
@@ -221,6 +222,21 @@ def test_an_operator_takes_the_plan_and_brings_poses_back(calibrated, exported, 
     both = ("--measured", tmp_path / "poses.csv", "--measured", tmp_path / "whole.csv")
     write_measured(tmp_path / "poses.csv", measure(calibrated, plan.actuators, rng, 0.08, 3), True)
     assert "leg 4 moved by +" in call("recheck", exported, *NOISE_OPTIONS, *both)[1]
+
+
+@pytest.mark.parametrize(
+    ("mend", "said"),
+    [
+        (lambda rho: np.roll(rho, 1, axis=0), "rows seem to be shifted by one"),
+        (lambda rho: rho[:, [0, 2, 1, 3, 4, 5]], "legs 2 and 3 seem to be exchanged"),
+    ],
+)
+def test_a_slip_is_said_before_any_leg_is_accused(mend, said, calibrated, candidates):
+    rng = np.random.default_rng(3)
+    session = measure(calibrated, candidates[rng.choice(len(candidates), 5, replace=False)], rng, 0.3, 3)
+    assert find_recheck_slip(calibrated, session) is None
+    found = find_recheck_slip(calibrated, replace(session, actuators=mend(session.actuators)))
+    assert said in found.say()
 
 
 def test_the_noise_may_come_from_a_table_of_poses(exported, listed, plan, call, tmp_path):

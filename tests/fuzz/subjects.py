@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import shutil
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import calibrations
+import lookup_tables
+import session_studies
+import sweeps
 from fuzz.hostile import dump_toml
 from tiny_experiments import copy_tiny
 
@@ -31,11 +35,15 @@ QUICK = (
     "pose_extraction/figure5.toml",
     "pose_selection/rr8096_figure14.toml",
     "pose_selection/yu2023_table1.toml",
+    "rail/study.toml",
+    "rail/table.toml",
+    "sessions/sessions.toml",
     "sliding_star/calibrations.toml",
     "sliding_star/m2_hexapod_sensors.toml",
     "sliding_star/sensors.toml",
     "sliding_star/short.toml",
     "sliding_star/simulate.toml",
+    "sweep/sweep.toml",
     "telescope/check.toml",
     "telescope/next.toml",
     "telescope/short.toml",
@@ -53,10 +61,17 @@ CHEAP = (
     "sliding_star/calibrations.toml",
     "sliding_star/sensors.toml",
     "sliding_star/simulate.toml",
+    "sweep/sweep.toml",
     "telescope/simulate.toml",
 )
 """Those that are computed within seconds."""
 POSES = ("C01", "C02", "C03", "C04", "C05", "C06", "C07", "C08", "C09", "C10", "C11", "C12", "V01", "V02")
+NEWEST: dict[str, Callable[[Path], Path]] = {
+    "rail": lookup_tables.write_rail,
+    "sessions": session_studies.write_sessions,
+    "sweep": sweeps.write_apart,
+}
+"""Folders of their own, and what writes them."""
 SHORT: dict[str, dict[str, Any]] = {
     "telescope": {"sensitivity": {"factor": [1.0]}},
     "m2_hexapod": {"sensitivity": {"factor": [1.0]}},
@@ -98,6 +113,9 @@ def write_subjects(folder: Path) -> list[Path]:
         study |= sections | {"variants": study["variants"][:1]}
         study.get("parameters", {}).pop("kappa", None)  # the first variants have no deformation
         (root / name / "short.toml").write_text(dump_toml(study), encoding="utf-8")
+    for name, write in NEWEST.items():
+        (root / name).mkdir()
+        write(root / name)
     (root / "telescope" / "check.toml").write_text(CHECK, encoding="utf-8")
     (root / "telescope" / "next.toml").write_text(NEXT, encoding="utf-8")
     for name in ("targets.csv", "actuators.csv"):

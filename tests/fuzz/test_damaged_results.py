@@ -33,7 +33,7 @@ MADE = (
     "telescope/short.toml",
 )
 """Experiments of the other kinds, run for the slow tests."""
-COMMANDS = ("report", "compare", "export", "predict", "report", "compare")
+COMMANDS = ("report", "compare", "export", "predict", "report", "compare", "certificate", "recheck")
 NOTE = "no draws of the posterior"  # what the committed results do not hold is said beside success
 N_QUICK, N_SLOW, AT_A_TIME = 48, 1040, 24
 
@@ -68,6 +68,8 @@ def try_damaged(number: int, whole: Sequence[Path], folder: Path) -> str:
     more: list[object] = {
         "compare": [source],
         "export": ["--out", folder / "machines", "--force"],
+        "certificate": ["--out", folder / "certificate.html", "--poses", 16],
+        "recheck": ["--measured", source / "none.csv"],
         "predict": [source / "none.csv", "--out", folder / "predicted.csv"],
     }.get(command, [])
     outcome = judge_call([command, found, *more], folder)

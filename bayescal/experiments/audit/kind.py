@@ -15,7 +15,7 @@ from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.audit.terminal import show_audit
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.memory import Need
+from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
@@ -62,8 +62,8 @@ class Audit(Experiment[AuditConfig, AuditDesign]):
             return Need()
         n_poses, n_parameters = inputs.planned.plan.n_poses, len(inputs.planned.knowledge.names)
         n_rows = n_poses * max(DEGREES_OF_FREEDOM, inputs.planned.knowledge.machine.mechanism.n_legs)
-        sizes = f"{n_poses} planned poses and {n_parameters} parameters"
-        return Need(each=8.0 * DERIVATIVES * n_rows * n_parameters, sizes=sizes, remedy="fewer poses")
+        counts = {"planned poses": n_poses, "parameters": n_parameters}
+        return estimate_arrays(counts, [(DERIVATIVES, n_rows, n_parameters)], "fewer poses")
 
     def compute(self, inputs: AuditDesign, run: Run) -> Results:
         """Return everything the audit says."""

@@ -20,6 +20,7 @@ from bayescal.experiments.calibration.priors import choose_priors
 from bayescal.experiments.calibration.reading_tables import PoseReadings, read_tables
 from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
 from bayescal.experiments.calibration.workspace import Workspace, build_workspace, find_starts
+from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
@@ -163,6 +164,7 @@ def _build(
         np.zeros((data.n_poses, len(model.coordinates))),
         workspace,
     )
+    check_readings(data.n_poses, len(chosen), len(priors), len(model.coordinates))
     start = find_starts(unplaced.posterior(np.ones(data.n_poses, dtype=bool)), workspace, config.seed)
     return Variant(**{**vars(unplaced), "start": start})
 

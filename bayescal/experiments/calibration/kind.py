@@ -9,8 +9,10 @@ from rich.console import Console
 from bayescal.experiments.calibration.compute import compute_calibration
 from bayescal.experiments.calibration.inputs import CalibrationInputs, list_machines, read_inputs
 from bayescal.experiments.calibration.machine_kind import MachineExperiment
+from bayescal.experiments.calibration.memory import estimate_calibration
 from bayescal.experiments.calibration.page.build import build_page, list_variants
 from bayescal.experiments.calibration.schema import CalibrationConfig
+from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.report.blocks import Page
@@ -28,6 +30,10 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs]):
     def read(self, config: CalibrationConfig, folder: Path) -> CalibrationInputs:
         """Return machine, readings and variants."""
         return read_inputs(config, folder)
+
+    def estimate_memory(self, inputs: CalibrationInputs) -> Need:
+        """Return what the largest variant's posterior takes, and all that is kept of each."""
+        return estimate_calibration(inputs)
 
     def compute(self, inputs: CalibrationInputs, run: Run) -> Results:
         """Return the posteriors of all variants and what they predict."""

@@ -28,6 +28,10 @@ class CalibrationSimulation(
         """Return machine, noise and workspace."""
         return read_simulation(config, folder)
 
+    def count(self, inputs: SimulationInputs) -> tuple[int, int]:
+        """Return the number of poses and of channels."""
+        return inputs.config.n_poses + inputs.config.verification_poses, len(inputs.model.channels)
+
     def seed(self, inputs: SimulationInputs) -> int:
         """Return the config's seed."""
         return inputs.config.seed

@@ -11,9 +11,14 @@ from bayescal.experiments.check.page import build_page
 from bayescal.experiments.check.schema import CheckConfig
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.search_memory import list_search
 from bayescal.report.blocks import Page
+
+DRAWS, RANKS = 6, 4
+"""Arrays of all draws of a posterior, and of all ranks."""
 
 
 class Check(Experiment[CheckConfig, CheckInputs]):
@@ -37,6 +42,17 @@ class Check(Experiment[CheckConfig, CheckInputs]):
     def read(self, config: CheckConfig, folder: Path) -> CheckInputs:
         """Return the study's variants."""
         return read_check(config, folder)
+
+    def estimate_memory(self, inputs: CheckInputs) -> Need:
+        """Return what one data set's posterior takes, two data sets in one where the truth is of the posterior."""
+        posterior = max((one.posterior for one in inputs.subjects.values()), key=lambda one: one.n_parameters)
+        n, config, n_poses = posterior.n_parameters, inputs.config, posterior.likelihood.n_poses
+        return estimate_arrays(
+            {"poses": n_poses, "parameters": n, "draws": config.draws, "data sets": 2 * config.data_sets},
+            [(DRAWS, config.draws, n), *((2, *one) for one in list_search(posterior))],
+            "fewer poses or draws",
+            kept=[(RANKS, 2 * config.data_sets, n)],
+        )
 
     def compute(self, inputs: CheckInputs, run: Run) -> Results:
         """Return what was found."""

@@ -31,6 +31,7 @@ NAMES = {
     "model error": "the model misses something",
     "unit": "a unit or a sign has slipped",
     "legs": "two legs are exchanged",
+    "rows": "rows are shifted",
     "mode": "a mode is missed",
     "derivative": "a derivative is wrong",
     "prior": "a tolerance is too tight",

@@ -41,10 +41,15 @@ class Subject:
         """How many poses were measured."""
         return self.measured.poses.n_poses
 
-    def likelihood(self, poses: MeasuredPoses) -> PoseLikelihood:
-        """Return the density of other poses of the plan, once or twice over; the first may have other noise."""
+    def likelihood(self, poses: MeasuredPoses, chosen: np.ndarray | None = None) -> PoseLikelihood:
+        """Return the density of other poses of the plan, once or twice over; the first may have other noise.
+
+        With ``chosen``, shape (Q,), they are those of the plan's poses alone.
+        """
         variance = self.measured.actuator_variance
-        if variance is not None:
+        if variance is not None and chosen is not None:
+            variance = variance[chosen]
+        elif variance is not None:
             variance = np.tile(variance, (poses.n_poses // self.n_poses, 1))
         return PoseLikelihood(self.measured.machine, poses, self.measured.actuator_noise, variance)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from bayescal.config.registry import find_class, list_references
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
 from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.memory import check_tables
 
 type AnyExperiment = Experiment[Any, Any]
 
@@ -36,6 +38,21 @@ def load(path: Path) -> tuple[AnyExperiment, ExperimentConfig]:
         raise InputError(f"{path}: kind: found {_describe(content)}, expected one of {names}")
     experiment = find_kind(kind, path, path.parent)
     return experiment, check_section(experiment.schema, content, path, text)
+
+
+def read_inputs(experiment: AnyExperiment, config: ExperimentConfig, folder: Path) -> Any:
+    """Return what an experiment computes with, read if there is memory for its files.
+
+    Raises
+    ------
+    InputError
+        For anything at fault in the config or its files.
+    """
+    names: list[str] = []
+    with contextlib.suppress(InputError):  # reading says it better
+        names = experiment.files(config, folder)
+    check_tables(folder / name for name in names)
+    return experiment.read(config, folder)
 
 
 def _describe(content: Mapping[str, Any]) -> str:

@@ -7,13 +7,18 @@ experiment will hold at once it estimates itself (`Experiment.estimate_memory`);
 from __future__ import annotations
 
 import contextlib
+import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from bayescal.errors import InputError
+from bayescal.report.numbers import join_words
 
+DOUBLE = 8.0  # bytes
+READING = 15.0
+"""Bytes that a table's text, its cells and their numbers take for each byte of its file, as measured."""
 GIB = 2.0**30
 PROCESS = 0.25 * GIB
 """What Python and the libraries take in every process."""
@@ -53,6 +58,51 @@ class Need:
         """Return the bytes of all processes, the first of which computes itself where it is alone."""
         collecting = PROCESS if workers > 1 else 0.0
         return self.shared + collecting + workers * (self.each + PROCESS)
+
+
+def estimate_arrays(
+    counts: Mapping[str, int],
+    held: Iterable[Sequence[float]],
+    remedy: str,
+    kept: Iterable[Sequence[float]] = (),
+) -> Need:
+    """Return the need of an experiment from the sizes of its arrays of doubles.
+
+    Parameters
+    ----------
+    counts : mapping of str to int
+        What there is many of, in words, and how many.
+    held : iterable of sequences of float
+        Of arrays that every process has: how many alike, then their shape.
+    remedy : str
+        What would take less.
+    kept : iterable of sequences of float, optional
+        The same of the process that collects the results.
+    """
+    sizes = join_words([f"{number} {what}" for what, number in counts.items()])
+    return Need(_count_bytes(kept), _count_bytes(held), sizes, remedy)
+
+
+def check_arrays(counts: Mapping[str, int], held: Iterable[Sequence[float]], remedy: str) -> None:
+    """Raise InputError where this process has no memory for arrays; arguments as those of `estimate_arrays`.
+
+    For what reading itself takes, before an experiment is there that its need could be asked of.
+    """
+    check_memory(estimate_arrays(counts, (), remedy, held), 0)
+
+
+def _count_bytes(arrays: Iterable[Sequence[float]]) -> float:
+    return DOUBLE * sum(math.prod(map(float, one)) for one in arrays)
+
+
+def check_tables(files: Iterable[Path]) -> None:
+    """Raise InputError where there is no memory to read files, before the first of them is."""
+    sizes = {path: path.stat().st_size for path in files if path.is_file()}
+    if not sizes:
+        return
+    largest = max(sizes, key=sizes.__getitem__)
+    what = f"{sum(sizes.values()) / 1e6:.0f} MB of files ({largest.name} is the largest)"
+    check_memory(Need(shared=READING * sum(sizes.values()), sizes=what, remedy="shorter tables"), 0)
 
 
 def check_memory(need: Need, workers: int) -> None:

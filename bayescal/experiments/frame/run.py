@@ -16,7 +16,7 @@ from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
 from bayescal.experiments.frame.engine import Processes, open_engine
 from bayescal.experiments.frame.identity import describe_provenance, identify
-from bayescal.experiments.frame.load import AnyExperiment, find_kind
+from bayescal.experiments.frame.load import AnyExperiment, find_kind, read_inputs
 from bayescal.experiments.frame.lock import hold_lock
 from bayescal.experiments.frame.memory import check_memory
 from bayescal.experiments.frame.parallel import Run
@@ -117,7 +117,7 @@ def run_experiment(
     """
     experiment, store = find_kind(config.kind, folder, folder), Store(out)
     with threadpool_limits(1):
-        inputs = experiment.read(config, folder)
+        inputs = read_inputs(experiment, config, folder)
         check_memory(experiment.estimate_memory(inputs), workers if scheduler is None else 0)
         modules = hash_modules([type(experiment)]) | experiment.modules(config, folder)
         identity = identify(config, folder, _list_files(experiment, config, folder), modules)
@@ -145,7 +145,7 @@ def check_experiment(config: ExperimentConfig, folder: Path) -> tuple[list[str],
     """
     experiment = find_kind(config.kind, folder, folder)
     with threadpool_limits(1):
-        doubts = experiment.doubt(experiment.read(config, folder))
+        doubts = experiment.doubt(read_inputs(experiment, config, folder))
     files = sorted(set(_list_files(experiment, config, folder)))
     identify(config, folder, files)
     return files, doubts
@@ -161,7 +161,7 @@ def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1)
     """Return what an experiment finds, without writing anything."""
     experiment = find_kind(config.kind, folder, folder)
     with threadpool_limits(1), np.errstate(all="ignore"):
-        inputs = experiment.read(config, folder)
+        inputs = read_inputs(experiment, config, folder)
         check_memory(experiment.estimate_memory(inputs), workers)
         return experiment.compute(inputs, Run(Processes(workers)))
 

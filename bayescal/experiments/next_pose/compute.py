@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any
 
@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.next_pose.inputs import NextInputs, take_poses
 from bayescal.experiments.next_pose.state import State, find_state
+from bayescal.experiments.shared.measured_slips import find_measured_slip
 from bayescal.identifiability.remaining import Standing
 from bayescal.identifiability.sensitivity import Sensitivity
 from bayescal.limits import PARETO_K_LIMIT
@@ -65,7 +66,9 @@ def compute_next(inputs: NextInputs) -> Results:
                 }
             ),
         }
-        return Results(_summarise(inputs, state, best, float(probabilities.max()), ahead), tables)
+        summary = _summarise(inputs, state, best, float(probabilities.max()), ahead)
+        slip = find_measured_slip(inputs.variants.values())
+        return Results(summary if slip is None else summary | {"slip": asdict(slip)}, tables)
 
 
 # --- what is known -----------------------------------------------------------------------------------------------

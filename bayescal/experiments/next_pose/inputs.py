@@ -12,6 +12,7 @@ from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.memory import check_arrays
 from bayescal.experiments.next_pose.schema import NextConfig
 from bayescal.experiments.shared.design import find_actuators, read_requirements, read_workspace
 from bayescal.experiments.shared.measured import MeasuredVariant, Measuring
@@ -30,6 +31,8 @@ from bayescal.pose_selection import (
 )
 
 CANDIDATES = 31  # of the seeds
+SEEN = 10
+"""Arrays of all candidates by legs and parameters where they are placed and seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,10 +129,24 @@ def _take_first(measured: MeasuredVariant, n: int | None, path: Path) -> Measure
 # --- candidates --------------------------------------------------------------------------------------------------
 
 
+def estimate_candidates(n: int, n_legs: int, n_parameters: int, n_variants: int) -> list[tuple[float, ...]]:
+    """Return the arrays of candidates; see `estimate_arrays`."""
+    return [(SEEN, n, n_legs, n_parameters + n_legs), (4 * n_variants, n, DEGREES_OF_FREEDOM, n_parameters)]
+
+
+def _check_candidates(n: int, knowledge: Knowledge) -> None:
+    """Raise InputError where there is no memory to place so many candidates."""
+    machine = knowledge.machine
+    held = estimate_candidates(n, machine.mechanism.n_legs, machine.layout.size, 1)
+    check_arrays({"candidates": n}, held, "fewer candidates")
+
+
 def read_candidates(config: NextConfig, folder: Path, knowledge: Knowledge, volume: PoseVolume | None) -> Candidates:
     """Return the poses that may be measured."""
     section, mechanism = config.candidates, knowledge.machine.mechanism
     rng = np.random.default_rng([config.seed, CANDIDATES])
+    if section.configurations is None:
+        _check_candidates(section.count, knowledge)
     redundant, half = mechanism.n_legs != DEGREES_OF_FREEDOM, section.half
     if redundant and half is None:
         half = None if volume is None else volume.half
@@ -143,6 +160,7 @@ def read_candidates(config: NextConfig, folder: Path, knowledge: Knowledge, volu
     domain = ActuatorBox(knowledge)
     if section.configurations is not None:
         moves = read_moves(folder / section.configurations, section.unit_mm, mechanism.n_legs)
+        _check_candidates(len(moves), knowledge)
         return candidates_at_actuators(domain, mechanism.initial_actuator_positions + moves)
     reach = mechanism.actuator_range if section.range_mm is None else section.range_mm
     if reach > mechanism.actuator_range:

@@ -7,13 +7,19 @@ from pathlib import Path
 
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.next_pose.compute import compute_next
-from bayescal.experiments.next_pose.inputs import NextInputs, read_next
+from bayescal.experiments.next_pose.compute import MOST_ERRORS, compute_next
+from bayescal.experiments.next_pose.inputs import NextInputs, estimate_candidates, read_next
 from bayescal.experiments.next_pose.page import build_page
 from bayescal.experiments.next_pose.schema import NextConfig
+from bayescal.experiments.shared.measured_slips import find_measured_slip
+from bayescal.experiments.shared.search_memory import list_search
 from bayescal.report.blocks import Page
+
+DRAWS = 8
+"""Arrays of all draws by parameters, and by requirements at every pose of the workspace."""
 
 
 class NextPose(Experiment[NextConfig, NextInputs]):
@@ -36,6 +42,28 @@ class NextPose(Experiment[NextConfig, NextInputs]):
     def read(self, config: NextConfig, folder: Path) -> NextInputs:
         """Return the study's variants with the poses measured so far."""
         return read_next(config, folder)
+
+    def estimate_memory(self, inputs: NextInputs) -> Need:
+        """Return what candidates take, seen by every variant, and draws over the workspace."""
+        first = next(iter(inputs.variants.values()))
+        n, n_draws = first.posterior.n_parameters, inputs.config.draws
+        n_candidates, n_legs = inputs.candidates.shape
+        return estimate_arrays(
+            {"poses": first.poses.n_poses, "candidates": n_candidates, "parameters": n, "draws": n_draws},
+            [
+                *estimate_candidates(n_candidates, n_legs, first.machine.layout.size, len(inputs.variants)),
+                *list_search(first.posterior),
+                (DRAWS, n_draws, n),
+                (DRAWS, len(inputs.workspace), n_legs, n),
+                (DRAWS, MOST_ERRORS),
+            ],
+            "fewer candidates or draws",
+        )
+
+    def doubt(self, inputs: NextInputs) -> list[str]:
+        """Return what would explain the poses measured so far many times better than they stand."""
+        slip = find_measured_slip(inputs.variants.values())
+        return [] if slip is None else [slip.say()]
 
     def compute(self, inputs: NextInputs, run: Run) -> Results:
         """Return what to do; it is over in seconds, and nothing is kept on the way."""

@@ -11,6 +11,7 @@ from matplotlib import figure as mpl
 from matplotlib.axes import Axes
 
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.slip_statement import state_slip
 from bayescal.report.blocks import (
     Block,
     Cell,
@@ -77,7 +78,7 @@ def build_page(results: Results) -> Page:
             ("Poses measured", str(summary["n_poses"])),
             ("Poses to choose from", str(summary["n_candidates"])),
         ),
-        doubtful=summary["decision"] != "stop",
+        doubtful=summary["decision"] != "stop" or "slip" in summary,
     )
 
 
@@ -115,7 +116,8 @@ def _count(n: int) -> str:
 
 
 def _state_all(results: Results) -> list[Statement]:
-    summary, said = results.summary, []
+    summary = results.summary
+    said = state_slip(summary)
     if summary["decision"] != "hopeless":
         said.append(_state_pose(results))
     if summary["requirements"] is not None:

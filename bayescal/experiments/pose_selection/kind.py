@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from bayescal.experiments.frame.experiment import Experiment
-from bayescal.experiments.frame.memory import Need
+from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.pose_selection.compute import compute_selections
@@ -37,10 +37,12 @@ class PoseSelection(Experiment[SelectionConfig, SelectionInputs]):
         """Return what the rows of all candidates take."""
         n, n_parameters = inputs.config.candidates.count, len(inputs.knowledge.names)
         n_rows = max(DEGREES_OF_FREEDOM, inputs.knowledge.machine.mechanism.n_legs)
-        each = 8.0 * n_rows * (COPIES * n * n_parameters + DERIVATIVES * min(n, AT_ONCE) * (n_parameters + n_rows))
-        each += 8.0 * PLACING * n * n_rows**2
-        sizes = f"{n} candidates and {n_parameters} parameters"
-        return Need(each=each, sizes=sizes, remedy="fewer candidates")
+        held = [
+            (COPIES, n, n_rows, n_parameters),
+            (DERIVATIVES, min(n, AT_ONCE), n_rows, n_parameters + n_rows),
+            (PLACING, n, n_rows, n_rows),
+        ]
+        return estimate_arrays({"candidates": n, "parameters": n_parameters}, held, "fewer candidates")
 
     def compute(self, inputs: SelectionInputs, run: Run) -> Results:
         """Return the selections and what they are worth."""

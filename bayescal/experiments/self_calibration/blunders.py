@@ -17,7 +17,7 @@ from bayescal.density.readings.likelihood import ReadingLikelihood
 from bayescal.density.readings.poses import null_basis
 from bayescal.density.readings.posterior import SelfCalibrationPosterior
 from bayescal.errors import InputError
-from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
+from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant, find_cause, list_starts
 from bayescal.numerics.geometry import Array
 
 DOUBT = 5.0  # standard deviations of χ² beyond which readings are not explained
@@ -38,11 +38,23 @@ def check_readings(inputs: ReadingInputs, where: Path) -> None:
             suspect = _find_suspect(posterior, mode)
             if suspect is not None:
                 _complain(where, variant, str(names[~held][suspect[0]]), suspect[1], find_limit(posterior))
+            _refuse_slip(inputs, variant, where)
             continue
         if held.any():
             off = measure_misfits(posterior, mode, inputs.likelihood(variant, verification=True))
             for k in np.flatnonzero(~(off <= find_limit(posterior)))[:1]:
                 _complain(where, variant, str(names[held][k]), float(off[k]), find_limit(posterior))
+
+
+def _refuse_slip(inputs: ReadingInputs, variant: Variant, where: Path) -> None:
+    """Raise InputError where a slip explains what no machine within the tolerances does."""
+    sensors, starts = variant.sensors, list_starts(inputs.model, inputs.config.workspace)
+    cause = find_cause(sensors, variant.free, inputs.table.values[:, sensors.chosen], starts)
+    if cause:
+        raise InputError(
+            f"{where}: found readings of {', '.join(sensors.names)} that no machine within the tolerances has, "
+            f"expected this machine's{cause}"
+        )
 
 
 def find_limit(posterior: SelfCalibrationPosterior) -> float:

@@ -27,6 +27,8 @@ from bayescal.experiments.shared.reading_machine import (
     tolerance_of,
     workspace_volume,
 )
+from bayescal.experiments.shared.reading_slips import find_reading_slip
+from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
 from bayescal.machines.readings.schema import PlanarPosesConfig
@@ -167,6 +169,7 @@ def _build_variant(
             )
     except InputError as error:
         raise InputError(f"variant {section.name!r}: {error}") from error
+    check_readings(len(table.poses), len(sensors.chosen), len(free.places), sensors.n_coordinates)
     where = folder / config.data.readings
     starts = list_starts(model, config.workspace)
     pose = find_reading_poses(sensors, plain, table.values[:, sensors.chosen], starts, table.poses, where)
@@ -246,23 +249,62 @@ def find_reading_poses(
     InputError
         Where there is no pose, or where the readings lie farther from any pose than tolerances and noise allow.
     """
-    tried = find_poses(sensors, free.centre, measured, starts[:, None], check=False)
-    square = np.where(tried.converged, np.einsum("spk,spk->sp", tried.error, tried.error), np.inf)
-    # the first start that does as well as any, home before all: readings of few sensors may have several poses
-    best = np.argmax(square <= (1.0 + SAME) * square.min(axis=0) + SAME, axis=0), np.arange(len(measured))
-    fit = PoseFit(tried.pose[best], tried.error[best], tried.converged[best], tried.n_iterations)
+    fit = _try_starts(sensors, free, measured, starts)
     for k in np.flatnonzero(~fit.converged)[:1]:
         raise InputError(
             f"{where}: pose {names[k]!r}: found readings of {', '.join(sensors.names)} that no pose has, "
-            "expected readings of this machine"
+            f"expected readings of this machine{find_cause(sensors, free, measured, starts)}"
         )
     off = measure_misfit(sensors, free, fit)
     for k in np.flatnonzero(~(off <= EXPLAINED))[:1]:
         raise InputError(
             f"{where}: pose {names[k]!r}: found readings {off[k]:.3g} times as far from any pose as tolerances and "
-            f"noise allow, expected at most {EXPLAINED:g}"
+            f"noise allow, expected at most {EXPLAINED:g}{find_cause(sensors, free, measured, starts)}"
         )
     return fit.pose
+
+
+def _try_starts(sensors: SensorSet, free: FreeParameters, measured: Array, starts: Array) -> PoseFit:
+    """Return where readings (P, K) are explained best, from the first start of all that do as well."""
+    tried = find_poses(sensors, free.centre, measured, starts[:, None], check=False)
+    square = np.where(tried.converged, np.einsum("spk,spk->sp", tried.error, tried.error), np.inf)
+    # the first start that does as well as any, home before all: readings of few sensors may have several poses
+    best = np.argmax(square <= (1.0 + SAME) * square.min(axis=0) + SAME, axis=0), np.arange(len(measured))
+    return PoseFit(tried.pose[best], tried.error[best], tried.converged[best], tried.n_iterations)
+
+
+def _fit_together(sensors: SensorSet, free: FreeParameters, fit: PoseFit) -> Array:
+    """Return the rms of what no pose explains beside the best machine to first order, in the noise's, shape (P,).
+
+    Infinite for poses that are not found.
+    """
+    found = np.where(fit.converged)[0]
+    here = sensors.linearise(free.centre, fit.pose[found])
+    basis = null_basis(here.by_pose)
+    rest = np.einsum("pzk,pk->pz", basis, fit.error[found])
+    slope = basis @ here.by_parameters[..., free.places] * free.scale
+    told = np.einsum("pzn,pz->n", slope, rest)
+    moved = np.linalg.solve(np.eye(slope.shape[-1]) + np.einsum("pzn,pzm->nm", slope, slope), told)
+    result = np.full(len(fit.pose), np.inf)
+    result[found] = np.sqrt(np.mean((rest - slope @ moved) ** 2, axis=1))
+    return result
+
+
+def find_cause(sensors: SensorSet, free: FreeParameters, measured: Array, starts: Array) -> str:
+    """Return the end of a sentence: the slip that explains readings that the machine cannot have, if there is one.
+
+    Arguments are those of `find_reading_poses`; poses are looked for from the first start alone. They are judged
+    together: tolerances are those of one machine.
+    """
+    if sensors.redundancy < 1:
+        return ""
+
+    def judge(values: Array) -> Array:
+        return _fit_together(sensors, free, _try_starts(sensors, free, values, starts[:1]))
+
+    units = [sensors.model.channels[k].unit for k in sensors.chosen]
+    said = find_reading_slip(judge, sensors.names, units, measured)
+    return "" if said is None else f"; {said}"
 
 
 def measure_misfit(sensors: SensorSet, free: FreeParameters, fit: PoseFit) -> Array:

@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.self_calibration.blunders import check_readings
@@ -14,6 +15,7 @@ from bayescal.experiments.self_calibration.compute import compute_self_calibrati
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, read_inputs
 from bayescal.experiments.self_calibration.page.pages import build_page, list_variants
 from bayescal.experiments.self_calibration.schema import SelfCalibrationConfig
+from bayescal.experiments.shared.search_memory import list_readings, list_sampling
 from bayescal.report.blocks import Page
 
 
@@ -27,6 +29,19 @@ class SelfCalibration(Experiment[SelfCalibrationConfig, ReadingInputs]):
         inputs = read_inputs(config, folder)
         check_readings(inputs, folder / config.data.readings)
         return inputs
+
+    def estimate_memory(self, inputs: ReadingInputs) -> Need:
+        """Return what the largest variant's posterior takes, and all that is kept of each."""
+        n_poses, config = len(inputs.table.poses), inputs.config
+        largest = max(inputs.variants.values(), key=lambda one: len(one.free.places))
+        n_parameters, sensors = len(largest.free.places), largest.sensors
+        held = list_readings(n_poses, len(sensors.chosen), n_parameters, sensors.n_coordinates)
+        return estimate_arrays(
+            {"poses": n_poses, "parameters": n_parameters, "variants": len(inputs.variants)},
+            [*held, *list_sampling(config.sampler, config.evidence, n_parameters)],
+            "fewer poses or variants",
+            kept=[(len(inputs.variants), *held[-1])],
+        )
 
     def compute(self, inputs: ReadingInputs, run: Run) -> Results:
         """Return the posteriors of all variants and what they say of the tool."""

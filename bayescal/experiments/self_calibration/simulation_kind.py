@@ -28,6 +28,11 @@ class ReadingSimulation(SimulatedData[ReadingSimulationConfig, Inputs]):
         given = None if config.truth is None else read_true_parameters(folder / config.truth.parameters, model.layout)
         return config, model, given
 
+    def count(self, inputs: Inputs) -> tuple[int, int]:
+        """Return the number of poses and of sensors."""
+        config, model, _ = inputs
+        return config.poses.n_poses + config.verification_poses, len(model.channels)
+
     def seed(self, inputs: Inputs) -> int:
         """Return the config's seed."""
         return inputs[0].seed

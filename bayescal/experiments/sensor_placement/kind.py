@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.sensor_placement.compute import compute_placement
@@ -12,6 +13,9 @@ from bayescal.experiments.sensor_placement.inputs import PlacementInputs, read_p
 from bayescal.experiments.sensor_placement.page.pages import build_page
 from bayescal.experiments.sensor_placement.schema import PlacementConfig
 from bayescal.report.blocks import Page
+
+DERIVATIVES, READINGS, AT_ONCE = 8, 12, 16
+"""Arrays of all readings by all parameters, of simulated machines' readings, and machines calibrated at a time."""
 
 
 class SensorPlacement(Experiment[PlacementConfig, PlacementInputs]):
@@ -23,6 +27,23 @@ class SensorPlacement(Experiment[PlacementConfig, PlacementInputs]):
     def read(self, config: PlacementConfig, folder: Path) -> PlacementInputs:
         """Return machine, choices, poses and workspace."""
         return read_placement(config, folder)
+
+    def estimate_memory(self, inputs: PlacementInputs) -> Need:
+        """Return what derivatives at all poses take, and machines that are calibrated side by side."""
+        config, n, n_readings = inputs.config, len(inputs.free), len(inputs.sensors.chosen)
+        places, n_sets = len(inputs.pose) + len(inputs.workspace), 2 ** len(inputs.optional)
+        machines = config.machines if config.simulated_sets else 0
+        slopes = n + inputs.pose.shape[1]
+        return estimate_arrays(
+            {"poses": len(inputs.pose), "sets of sensors": n_sets, "simulated machines": machines},
+            [
+                (DERIVATIVES, 1 + min(machines, AT_ONCE), places, n_readings, slopes),
+                (READINGS, machines, len(inputs.workspace), n_readings, 1 + inputs.pose.shape[1]),
+                (READINGS, machines, len(inputs.pose), n_readings),
+            ],
+            "fewer poses or machines",
+            kept=[(4, n_sets, len(inputs.choices))],
+        )
 
     def compute(self, inputs: PlacementInputs, run: Run) -> Results:
         """Return how good every set is."""

@@ -18,6 +18,7 @@ from bayescal.experiments.frame.load import load
 from bayescal.experiments.sessions.same_machine import check_same_machine
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig, ThermalConfig
 from bayescal.experiments.shared.measured import MeasuredVariant, Measuring
+from bayescal.experiments.shared.measured_slips import find_measured_slip
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
@@ -59,6 +60,8 @@ def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
     """
     measured = [_measure(config, one, folder) for one in config.sessions]
     first = measured[0]
+    for session, one in zip(config.sessions, measured, strict=True):
+        _refuse_slip(session, one)
     _check_apart(config, [one.poses for one in measured])
     warmth = [_read_temperatures(one, it.poses, folder) for one, it in zip(config.sessions, measured, strict=True)]
     parts = [part for k, it in enumerate(measured) for part in _split(config, k, it, warmth[k])]
@@ -105,6 +108,16 @@ def _place(study: Any, session: SessionConfig, folder: Path, path: Path) -> Any:
             raise InputError(f"found {key}, expected nothing of it, as {path} is a study of {data.measurement}")
     moved = {key: os.path.relpath(folder / name, path.parent) for key, name in named.items()}
     return study.model_copy(update={"data": data.model_copy(update=moved)})
+
+
+def _refuse_slip(session: SessionConfig, measured: MeasuredVariant) -> None:
+    """Raise InputError where a slip explains a session many times better: joined to others it would pass for drift."""
+    slip = find_measured_slip([measured])
+    if slip is not None:
+        raise InputError(
+            f"session {session.label!r}: found poses that no machine within the tolerances comes near, expected this "
+            f"machine's; {slip.say()}"
+        )
 
 
 def _check_apart(config: SessionsConfig, poses: list[MeasuredPoses]) -> None:

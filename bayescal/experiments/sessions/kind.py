@@ -9,6 +9,7 @@ import numpy as np
 
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.sessions.compute import compute_sessions
@@ -16,6 +17,9 @@ from bayescal.experiments.sessions.inputs import SessionsInputs, read_sessions
 from bayescal.experiments.sessions.page import build_page
 from bayescal.experiments.sessions.schema import SessionsConfig
 from bayescal.report.blocks import Page
+
+JOINT, ROWS, DRAWS = 12, 8, 6
+"""Arrays of all unknowns by each other, of all rows by one session's, and of draws by all unknowns."""
 
 
 class Sessions(Experiment[SessionsConfig, SessionsInputs]):
@@ -45,6 +49,22 @@ class Sessions(Experiment[SessionsConfig, SessionsInputs]):
         if inputs.config.thermal is not None or not np.isfinite(inputs.temperature).any():
             return []
         return ["sessions state temperatures, and there is no [thermal]: what they do counts as drift"]
+
+    def estimate_memory(self, inputs: SessionsInputs) -> Need:
+        """Return what the joint model of all sessions takes."""
+        model, draws = inputs.model, inputs.config.draws
+        n_parameters, n_poses = len(model.free), int(inputs.n_poses.sum())
+        n_legs = model.parts[0].likelihood.n_legs
+        unknowns = n_parameters * (1 + model.n_sessions)
+        return estimate_arrays(
+            {"sessions": model.n_sessions, "poses": n_poses, "parameters": n_parameters, "draws": draws},
+            [
+                (JOINT, unknowns, unknowns),
+                (ROWS, n_poses, n_legs, n_parameters + n_legs),
+                (DRAWS, draws, unknowns),
+            ],
+            "fewer sessions, poses or draws",
+        )
 
     def compute(self, inputs: SessionsInputs, run: Run) -> Results:
         """Return what moved."""

@@ -11,12 +11,15 @@ import pandas as pd
 from bayescal.config.sections import ExperimentConfig
 from bayescal.data.truth import round_as_written
 from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.report.blocks import Column, Page, Section, Statement, make_table
 from bayescal.report.numbers import format_count, format_fixed
 
 KIND = "Simulation"
+TEXT = 60
+"""Doubles that a simulated number takes, with the text of its line."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +53,16 @@ class SimulatedData[C: ExperimentConfig, I](Experiment[C, I]):
     @abstractmethod
     def simulate(self, inputs: I, rng: np.random.Generator) -> Simulated:
         """Return the data and the truth behind them."""
+
+    @abstractmethod
+    def count(self, inputs: I) -> tuple[int, int]:
+        """Return the number of poses, and how many numbers are simulated of each."""
+
+    def estimate_memory(self, inputs: I) -> Need:
+        """Return what the data and their texts take."""
+        n_poses, each = self.count(inputs)
+        counts = {"poses": n_poses, "readings of each": each}
+        return estimate_arrays(counts, [(TEXT, n_poses, each)], "fewer poses or targets")
 
     @abstractmethod
     def seed(self, inputs: I) -> int:

@@ -8,15 +8,18 @@ tolerances and what the first order leaves; slipped ones are off by as much as t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Protocol
 
 import numpy as np
 
 from bayescal.density.likelihood import Likelihood
 from bayescal.errors import BayescalError
-from bayescal.machines.coordinates import Coordinates
 from bayescal.numerics.geometry import Array
+
+type LikelihoodOf = Callable[[Array, np.ndarray], Likelihood]
+"""Returns the density of some of the poses (Q,) at other actuator positions (Q, N)."""
 
 UNIT, LEGS, ROWS, POSES = "unit", "legs", "rows", "poses"
 CLEARLY = 20.0  # nats by which a slip has to explain the data better
@@ -38,7 +41,57 @@ SCALES = {
 }
 
 
-type LikelihoodOf = Callable[[Array, np.ndarray], Likelihood]
+class Tolerances(Protocol):
+    """What is free about which machine, and how far: as of `bayescal.machines.coordinates.Coordinates`.
+
+    Attributes
+    ----------
+    start : ndarray, shape (D,)
+    free : ndarray of int, shape (n,)
+    scale : ndarray, shape (n,)
+    """
+
+    @property
+    def start(self) -> Array: ...  # noqa: D102
+
+    @property
+    def free(self) -> np.ndarray: ...  # noqa: D102
+
+    @property
+    def scale(self) -> Array: ...  # noqa: D102
+
+
+@dataclass(frozen=True, eq=False)
+class Suspect:
+    """Measured poses under one machine, for whose actuator positions slips are tried.
+
+    Attributes
+    ----------
+    likelihood_of : LikelihoodOf
+    tolerances : Tolerances
+    actuators : ndarray, shape (P, N)
+        As they stand, mm.
+    rereads : tuple of (str, LikelihoodOf)
+        What may have happened to what was measured, in words, and the density without it. They are tried from a misfit
+        on that one of them could mend: angles taken for rotation vectors are off by little where tilts are small.
+    """
+
+    likelihood_of: LikelihoodOf
+    tolerances: Tolerances
+    actuators: Array
+    rereads: tuple[tuple[str, LikelihoodOf], ...] = ()
+
+    def weigh(self, actuators: Array, chosen: np.ndarray) -> Weight:
+        """Return how well some poses (Q,) at actuator positions (Q, N) fit under the priors to first order."""
+        try:
+            with np.errstate(all="ignore"):
+                return weigh_likelihood(self.likelihood_of(actuators, chosen), self.tolerances)
+        except (BayescalError, np.linalg.LinAlgError):
+            return NOTHING
+
+    def weigh_all(self) -> Weight:
+        """Return how well the poses fit as they stand."""
+        return self.weigh(self.actuators, np.arange(len(self.actuators)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +139,10 @@ class FoundSlip:
     gain: float
     factor: float
 
+    def say(self) -> str:
+        """Return it in words."""
+        return f"the data fit {self.factor:.2g} times better if one mends: {self.text}"
+
 
 def list_moves(actuators: Array, start: Array) -> Iterator[Moved]:
     """Yield what may have happened to actuator positions (P, N), mm, of a machine whose initial ones are ``start``."""
@@ -112,74 +169,50 @@ def list_moves(actuators: Array, start: Array) -> Iterator[Moved]:
             yield Moved(ROWS, text, actuators[there - step], there)
 
 
-def find_slip(
-    likelihood_of: LikelihoodOf,
-    coordinates: Coordinates,
-    actuators: Array,
-    start: Array,
-    stated: float,
-    rereads: Iterable[tuple[str, LikelihoodOf]] = (),
-) -> FoundSlip | None:
-    """Return the slip that explains the data best; None where the data fit, or none helps.
+def find_slip(suspects: Iterable[Suspect], start: Array, stated: float) -> FoundSlip | None:
+    """Return the slip that explains the data best; None where some machine fits, or none helps.
 
     Parameters
     ----------
-    likelihood_of : callable
-        Returns the density of some of the poses (Q,) at other actuator positions (Q, N).
-    coordinates : Coordinates
-        Of the posterior: what is free, and how far.
-    actuators : ndarray, shape (P, N)
-        As they stand, mm.
+    suspects : iterable of Suspect
+        The same poses under machines one of which may be right.
     start : ndarray, shape (N,)
         Initial positions, mm.
     stated : float
         Error of a leg that noise and model error let expect, mm.
-    rereads : iterable of (str, callable)
-        What may have happened to what was measured, in words, and the density without it. They are tried from a misfit
-        on that one of them could mend: angles taken for rotation vectors are off by little where tilts are small.
     """
-    every = np.arange(len(actuators))
-    base = weigh(likelihood_of, coordinates, actuators, every)
+    weighed: list[tuple[Weight, Suspect]] = []
+    for one in suspects:
+        weighed.append((one.weigh_all(), one))
+        if weighed[-1][0].error < BETTER * stated:
+            return None
+    base, best = max(weighed, key=lambda pair: pair[0].log_density)
     found: list[FoundSlip] = []
 
-    def judge(fault: str, text: str, beside: Weight, one: Weight) -> None:
-        gain, factor = one.log_density - beside.log_density, beside.error / max(one.error, stated)
+    def judge(fault: str, text: str, beside: Weight, mended: Weight) -> None:
+        gain, factor = mended.log_density - beside.log_density, beside.error / max(mended.error, stated)
         if gain > CLEARLY and factor > BETTER:
             found.append(FoundSlip(fault, text, gain, factor))
 
-    for moved in list_moves(actuators, start) if base.error >= SUSPECT * stated else ():
-        beside = base if len(moved.chosen) == len(every) else None
-        beside = beside or weigh(likelihood_of, coordinates, actuators[moved.chosen], moved.chosen)
-        judge(moved.fault, moved.text, beside, weigh(likelihood_of, coordinates, moved.actuators, moved.chosen))
-    for text, other in rereads if base.error >= BETTER * stated else ():
-        judge(POSES, text, base, weigh(other, coordinates, actuators, every))
+    for moved in list_moves(best.actuators, start) if base.error >= SUSPECT * stated else ():
+        whole = len(moved.chosen) == len(best.actuators)
+        beside = base if whole else best.weigh(best.actuators[moved.chosen], moved.chosen)
+        judge(moved.fault, moved.text, beside, best.weigh(moved.actuators, moved.chosen))
+    for text, other in best.rereads:
+        judge(POSES, text, base, replace(best, likelihood_of=other).weigh_all())
     return max(found, key=lambda one: one.gain, default=None)
-
-
-def weigh(
-    likelihood_of: LikelihoodOf,
-    coordinates: Coordinates,
-    actuators: Array,
-    chosen: np.ndarray,
-) -> Weight:
-    """Return how well poses fit under the priors to first order; arguments as those of `find_slip`."""
-    try:
-        with np.errstate(all="ignore"):
-            return weigh_likelihood(likelihood_of(actuators, chosen), coordinates)
-    except (BayescalError, np.linalg.LinAlgError):
-        return NOTHING
 
 
 NOTHING = Weight(-np.inf, float(ERRORS[-1]))
 
 
-def weigh_likelihood(likelihood: Likelihood, coordinates: Coordinates) -> Weight:
+def weigh_likelihood(likelihood: Likelihood, tolerances: Tolerances) -> Weight:
     """Return the log-density of the poses under the priors to first order, at the best error of the legs, and it.
 
     The covariance C + S Sᵀ, S the slope by the parameters in tolerances, by the determinant lemma.
     """
-    errors, slope = likelihood.error_jacobian(coordinates.start)
-    slope = slope[..., coordinates.free] * coordinates.scale
+    errors, slope = likelihood.error_jacobian(tolerances.start)
+    slope = slope[..., tolerances.free] * tolerances.scale
     if not (np.isfinite(errors).all() and np.isfinite(slope).all()):
         return NOTHING
     sizes = {

@@ -12,6 +12,7 @@ from bayescal.data.schema import SimulationConfig
 from bayescal.data.simulation import Twin, build_twin, format_survey, format_truth, name_poses, survey_twin
 from bayescal.experiments.shared.simulated_data import Simulated, SimulatedData, tabulate_truth
 from bayescal.machines.frames import frame_blocks
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +33,15 @@ class Simulation(SimulatedData[SimulationConfig, PlacedTwin]):
         if config.instrument is not None:
             true_frames(config.instrument, count_stations(config.instrument, folder))
         return PlacedTwin(build_twin(config, folder), folder)
+
+    def count(self, inputs: PlacedTwin) -> tuple[int, int]:
+        """Return the number of poses, and how many coordinates of targets or of the platform are seen at each."""
+        twin, targets = inputs.twin, inputs.twin.config.targets
+        n_poses, n_legs = len(twin.calibration) + len(twin.verification), twin.machine.mechanism.n_legs
+        if targets is None:
+            return n_poses, n_legs * DEGREES_OF_FREEDOM
+        n_targets = sum(ring.count for ring in (*targets.base, *targets.platform)) + n_legs * targets.per_pad
+        return n_poses, n_legs + 3 * n_targets
 
     def seed(self, inputs: PlacedTwin) -> int:
         """Return the config's seed."""

@@ -32,6 +32,7 @@ from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
 from bayescal.experiments.study.schema import StudyConfig, VariantConfig, stem_of
 from bayescal.files.csv_tables import read_matrix
+from bayescal.files.netcdf import read_netcdf
 from bayescal.machines.deformations import NominalDeformation
 from bayescal.machines.kinematics import Machine
 from bayescal.machines.parameters import ParameterLayout
@@ -196,17 +197,12 @@ def _read_draws(results: Results, variant: str, layout: ParameterLayout, theta: 
 
 def _read_posterior(path: Path) -> dict[str, Array]:
     """Return the draws of each parameter by its name, shapes (S,)."""
-    import xarray as xr  # takes a second, for those who need it
-
     values: dict[str, Array] = {}
     try:
-        with xr.open_dataset(path, engine="h5netcdf", group="posterior") as posterior:
-            for symbol, found in posterior.data_vars.items():
-                flat = found.to_numpy().reshape(found.sizes["chain"] * found.sizes["draw"], -1)
-                names = (
-                    [str(symbol)] if "leg" not in found.dims else [f"{symbol}[{leg}]" for leg in found["leg"].values]
-                )
-                values |= dict(zip(names, flat.T, strict=True))
+        for symbol, found in read_netcdf(path, "posterior").data_vars.items():
+            flat = found.to_numpy().reshape(found.sizes["chain"] * found.sizes["draw"], -1)
+            names = [str(symbol)] if "leg" not in found.dims else [f"{symbol}[{leg}]" for leg in found["leg"].values]
+            values |= dict(zip(names, flat.T, strict=True))
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path}: cannot be read as a posterior ({' '.join(str(error).split())})") from error
     return values

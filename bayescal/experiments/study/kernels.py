@@ -12,7 +12,7 @@ from bayescal.density.posterior import Posterior
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.errors import InputError
-from bayescal.experiments.frame.memory import Need, check_memory
+from bayescal.experiments.frame.memory import check_arrays
 from bayescal.experiments.study.schema import StudyConfig, VariantConfig
 from bayescal.numerics.units import MICROMETRE
 
@@ -74,7 +74,7 @@ def _structure(
             f"model_error.kernel: found {kernel!r} with poses measured in part, points, or frames to be found, "
             f"expected whole poses in known frames, or kernel {INDEPENDENT!r}"
         )
-    check_memory(_estimate_kernel(likelihood.n_poses, likelihood.n_legs, lengths is not None), 1)
+    _check_kernel(likelihood.n_poses, likelihood.n_legs, lengths is not None)
     if lengths is not None:
         return FreeLengthLikelihood(likelihood, kernel, lengths, travel)
     return StructuredLikelihood(likelihood, build_kernel(kernel, kernel_length(config, variant)), travel)
@@ -85,14 +85,14 @@ def _scale_kernels(config: StudyConfig) -> KernelScale:
     return KernelScale(error.kernel_scale_um * MICROMETRE, error.kernel_spread, not error.kernel_per_leg)
 
 
-def _estimate_kernel(n_poses: int, n_legs: int, free_length: bool) -> Need:
-    """Return what a kernel takes: matrices of all poses by all, and the hot loop over all poses at once.
+def _check_kernel(n_poses: int, n_legs: int, free_length: bool) -> None:
+    """Raise InputError without memory for a kernel: matrices of all poses by all, the hot loop over all at once.
 
     Where the length is free there is a matrix for every length at which the density is found, and for every vector.
     """
     matrices = 6.0 + (count_nodes(n_poses) + BATCH if free_length else 0.0)
-    return Need(
-        each=8.0 * (matrices * n_poses**2 + 6.0 * BATCH * n_poses * n_legs),
-        sizes=f"{n_poses} calibration poses with a kernel of the model error",
-        remedy=f"fewer poses or kernel {INDEPENDENT!r}",
+    check_arrays(
+        {"calibration poses with a kernel of the model error": n_poses},
+        [(matrices, n_poses, n_poses), (6.0, BATCH, n_poses, n_legs)],
+        f"fewer poses or kernel {INDEPENDENT!r}",
     )

@@ -79,7 +79,7 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
     def doubt(self, inputs: StudyTask) -> list[str]:
         """Return what may have happened to data that no machine within the tolerances explains."""
         slip = find_study_slip(inputs.inputs)
-        return [] if slip is None else [f"the data fit {slip.factor:.2g} times better if one mends: {slip.text}"]
+        return [] if slip is None else [slip.say()]
 
     def compute(self, inputs: StudyTask, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from bayescal.config.load import look_up
 from bayescal.data.actuators import check_moves, check_range
 from bayescal.errors import InputError, PoseInputError, name_faults
+from bayescal.experiments.shared.search_memory import check_poses
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import check_measurement, name_actuator_table, name_data, read_measurement
 from bayescal.experiments.study.published import read_published
@@ -35,6 +36,7 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
         machine = inputs.machine(variant)
         with name_faults(folder / config.mechanism):
             check_home_pose(machine)
+        check_poses(len(measured.names), mechanism.n_legs, machine.layout.size)
         check_measurement(inputs.measured, machine, config.data, folder)
         with name_faults(f"variant {variant.name!r}"):
             inputs.posterior(variant, with_model_error=True).check_machine()

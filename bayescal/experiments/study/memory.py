@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from bayescal.density.batches import BATCH, POSES
-from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
-from bayescal.density.structured import StructuredLikelihood
-from bayescal.experiments.frame.memory import Need
+from bayescal.experiments.frame.memory import Need, estimate_arrays
+from bayescal.experiments.shared.search_memory import list_sampling, list_search
 from bayescal.experiments.shared.trees import PRIOR_DRAWS, SAVED_DRAWS, limit_draws
 from bayescal.experiments.study.fit import KEPT_DRAWS, POSE_NUMBERS, list_tasks
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.exploration import count_walkers
 
-DOUBLE, SINGLE = 8, 4  # bytes
+SINGLE = 0.5  # numbers of four bytes, in doubles
 COPIES = 3
 """Of what is kept: as it is computed, as a record, as it is written."""
-ARRAYS = 40
-"""Of the hot loop of an instrument's readings, components of vectors counted one by one."""
-DERIVATIVES = 8
-"""Arrays of all rows by all parameters in a mode search."""
 
 
 def estimate_study(inputs: StudyInputs) -> Need:
@@ -35,21 +28,11 @@ def estimate_study(inputs: StudyInputs) -> Need:
     numbers = POSE_NUMBERS * n_poses
     made = min(kept, limit_draws(SAVED_DRAWS, numbers)) * numbers
     prior = limit_draws(PRIOR_DRAWS, numbers) * numbers
-    one = DOUBLE * n_poses * kept + SINGLE * (made + prior)
-    n_fits = len(list_tasks(inputs))
-    return Need(
-        shared=float((n_fits + COPIES) * one),
-        each=COPIES * one + estimate_search(largest),
-        sizes=f"{n_poses} poses, {n} parameters and {n_fits} posteriors",
-        remedy="fewer poses or variants",
+    sampling = list_sampling(sampler, inputs.config.evidence, n)
+    n_fits, one = len(list_tasks(inputs)), [(n_poses, kept), (SINGLE, made + prior)]
+    return estimate_arrays(
+        {"poses": n_poses, "parameters": n, "posteriors": n_fits},
+        [*((COPIES, *size) for size in one), *list_search(largest), *sampling],
+        "fewer poses or variants",
+        kept=[(n_fits + COPIES, *size) for size in one],
     )
-
-
-def estimate_search(posterior: Posterior) -> float:
-    """Return the bytes of a posterior's derivatives and hot loop."""
-    likelihood = posterior.likelihood
-    rows = likelihood.n_poses * likelihood.n_legs
-    total = float(DOUBLE * DERIVATIVES * rows * (posterior.n_parameters + likelihood.n_legs))
-    if not isinstance(likelihood, PoseLikelihood | StructuredLikelihood):
-        total += DOUBLE * ARRAYS * BATCH * min(rows, POSES * likelihood.n_legs)
-    return total

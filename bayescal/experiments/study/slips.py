@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -14,56 +13,39 @@ from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.experiments.shared.pose_slips import list_rereads
-from bayescal.experiments.shared.slips import BETTER, FoundSlip, LikelihoodOf, find_slip, weigh
+from bayescal.experiments.shared.slips import FoundSlip, LikelihoodOf, Suspect, find_slip
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import InstrumentMeasurement
 from bayescal.experiments.study.schema import VariantConfig
-from bayescal.machines.coordinates import Coordinates
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
 
-class _Suspect:
-    """A variant's density of all poses, calibration and verification in the order of the table."""
-
-    def __init__(self, inputs: StudyInputs, variant: VariantConfig) -> None:
-        self.inputs, self.machine = inputs, inputs.machine(variant)
-        self.coordinates: Coordinates = inputs.posterior(variant, with_model_error=False).coordinates
-        self.noise = inputs.config.data.actuator_noise_um * MICROMETRE
-        self.actuators = inputs.measured.actuators
-        self.weight = weigh(self.likelihood, self.coordinates, self.actuators, np.arange(len(self.actuators)))
-
-    def likelihood(self, actuators: Array, chosen: np.ndarray) -> Likelihood:
-        """Return the density of some poses as if they had been taken at other actuator positions."""
-        measured = self.inputs.measured
-        if isinstance(measured, InstrumentMeasurement) and not measured.has_poses:
-            instrument: Any = replace(measured.instrument.select(chosen), actuators=actuators)
-            return InstrumentLikelihood(self.machine, instrument, self.noise)
-        return self.of_poses(measured.poses, actuators, chosen)
-
-    def of_poses(self, poses: MeasuredPoses, actuators: Array, chosen: np.ndarray) -> Likelihood:
-        """Return the density of some of these poses as if they had been taken at other actuator positions."""
-        return PoseLikelihood(self.machine, replace(poses.select(chosen), actuators=actuators), self.noise)
-
-    def rereads(self) -> Iterator[tuple[str, LikelihoodOf]]:
-        """Yield what may have happened to poses that an instrument handed out, and the density without it."""
-        measured = self.inputs.measured
-        if isinstance(measured, InstrumentMeasurement) and measured.has_poses:
-            for text, poses in list_rereads(measured.poses):
-                yield text, partial(self.of_poses, poses)
-
-
 def find_study_slip(inputs: StudyInputs) -> FoundSlip | None:
     """Return what explains the data many times better than they stand; None where some variant's machine fits them."""
-    stated = _state_error(inputs)
-    suspects = []
-    for variant in inputs.config.variants:
-        suspects.append(_Suspect(inputs, _without_measured_matrix(inputs, variant)))
-        if suspects[-1].weight.error < BETTER * stated:
-            return None
-    best = max(suspects, key=lambda one: one.weight.log_density)
-    start = inputs.mechanism.initial_actuator_positions
-    return find_slip(best.likelihood, best.coordinates, best.actuators, start, stated, best.rereads())
+    suspects = (_suspect(inputs, _without_measured_matrix(inputs, variant)) for variant in inputs.config.variants)
+    return find_slip(suspects, inputs.mechanism.initial_actuator_positions, _state_error(inputs))
+
+
+def _suspect(inputs: StudyInputs, variant: VariantConfig) -> Suspect:
+    """Return a variant's density of all poses, calibration and verification in the order of the table."""
+    machine, measured = inputs.machine(variant), inputs.measured
+    noise = inputs.config.data.actuator_noise_um * MICROMETRE
+
+    def likelihood_of(actuators: Array, chosen: np.ndarray) -> Likelihood:
+        if isinstance(measured, InstrumentMeasurement) and not measured.has_poses:
+            instrument: Any = replace(measured.instrument.select(chosen), actuators=actuators)
+            return InstrumentLikelihood(machine, instrument, noise)
+        return of_poses(measured.poses, actuators, chosen)
+
+    def of_poses(poses: MeasuredPoses, actuators: Array, chosen: np.ndarray) -> Likelihood:
+        return PoseLikelihood(machine, replace(poses.select(chosen), actuators=actuators), noise)
+
+    rereads: tuple[tuple[str, LikelihoodOf], ...] = ()
+    if isinstance(measured, InstrumentMeasurement) and measured.has_poses:  # those of targets have no form of their own
+        rereads = tuple((text, partial(of_poses, poses)) for text, poses in list_rereads(measured.poses))
+    coordinates = inputs.posterior(variant, with_model_error=False).coordinates
+    return Suspect(likelihood_of, coordinates, measured.actuators, rereads)
 
 
 def _without_measured_matrix(inputs: StudyInputs, variant: VariantConfig) -> VariantConfig:

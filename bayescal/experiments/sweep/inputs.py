@@ -17,7 +17,8 @@ from bayescal.config.load import EXTENDS, merge, read_extended, read_toml
 from bayescal.config.registry import hash_modules, list_sources
 from bayescal.errors import InputError
 from bayescal.experiments.frame.identity import hash_identity, identify
-from bayescal.experiments.frame.load import AnyExperiment, find_kind
+from bayescal.experiments.frame.load import AnyExperiment, find_kind, read_inputs
+from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.sweep.keys import Setting, find, split_key
 from bayescal.experiments.sweep.members import Base
 from bayescal.experiments.sweep.schema import SEED, AxisConfig, SweepConfig
@@ -40,6 +41,8 @@ class SweepInputs:
         SHA-256 of the modules that somebody else's classes stand in.
     extended : dict of str to tuple of str
         Each input file with those that it extends.
+    need : Need
+        Memory that a member takes, as the experiment stands.
     """
 
     config: SweepConfig
@@ -49,6 +52,7 @@ class SweepInputs:
     sources: tuple[str, ...]
     modules: dict[str, str]
     extended: dict[str, tuple[str, ...]]
+    need: Need
 
     def list_members(self) -> Iterator[tuple[tuple[Any, ...], tuple[Setting, ...]]]:
         """Yield what each axis takes and what that sets, member by member; the last axis is the fastest."""
@@ -82,7 +86,7 @@ def read_sweep(config: SweepConfig, folder: Path) -> SweepInputs:
     base = _read_base(config, folder)
     experiment, sources = find_kind(base.kind, folder, folder), list_sources("KINDS", base.kind, folder)
     standing = base.vary((), experiment, folder)
-    experiment.read(standing, folder)
+    need = experiment.estimate_memory(read_inputs(experiment, standing, folder))
     files = {*experiment.files(standing, folder), *sources}
     modules = hash_modules([type(experiment)]) | experiment.modules(standing, folder)
     for number, settings in _list_single(config, base):
@@ -100,7 +104,7 @@ def read_sweep(config: SweepConfig, folder: Path) -> SweepInputs:
         for file, _ in map(split_key, axis.keys):
             if file and file not in whole.files:
                 raise InputError(f"{axis.name}: found no file {file!r} that the experiment reads, expected one")
-    return SweepInputs(config, folder, whole, experiment, tuple(sources), modules, extended)
+    return SweepInputs(config, folder, whole, experiment, tuple(sources), modules, extended, need)
 
 
 def _read_base(config: SweepConfig, folder: Path) -> Base:

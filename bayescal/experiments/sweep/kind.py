@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.sweep.compute import compute_sweep
@@ -34,6 +35,10 @@ class Sweep(Experiment[SweepConfig, SweepInputs]):
         if self._last is None or self._last[0] is not config or self._last[1] != folder:
             self._last = (config, folder, read_sweep(config, folder))
         return self._last[2]
+
+    def estimate_memory(self, inputs: SweepInputs) -> Need:
+        """Return what a member takes, as the experiment stands; each is judged by itself before it is computed."""
+        return inputs.need
 
     def compute(self, inputs: SweepInputs, run: Run) -> Results:
         """Return all members' figures."""

@@ -25,7 +25,7 @@ import numpy as np
 from bayescal.config.load import check_section
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.frame.load import AnyExperiment, find_kind
+from bayescal.experiments.frame.load import AnyExperiment, find_kind, read_inputs
 from bayescal.experiments.frame.memory import check_memory
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.sweep.keys import Setting, change, write_toml
@@ -116,7 +116,7 @@ def compute_member(base: Base, settings: tuple[Setting, ...]) -> Outcome:
         try:
             experiment = _find_kind(base.kind, folder)
             config = base.vary(settings, experiment, folder)
-            inputs = experiment.read(config, folder)
+            inputs = read_inputs(experiment, config, folder)
             check_memory(experiment.estimate_memory(inputs), 1)
             results = experiment.compute(inputs, Run())
             return Outcome.from_summary(results.summary, "; ".join(experiment.list_failures(results)))

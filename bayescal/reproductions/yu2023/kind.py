@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
 from bayescal.report.blocks import Page
 from bayescal.reproductions.yu2023.accuracy import read_figures, read_parameters, run_accuracy
 from bayescal.reproductions.yu2023.indices import read_published, run_indices
@@ -14,6 +18,9 @@ from bayescal.reproductions.yu2023.numbers import run_numbers
 from bayescal.reproductions.yu2023.page.pages import build_page
 from bayescal.reproductions.yu2023.schema import AccuracyStudyConfig, HexapodCalibrationsConfig, IndexStudyConfig
 from bayescal.reproductions.yu2023.setup import Setup, read_setup
+
+CANDIDATES, FITS = 8, 3
+"""Arrays of all candidates' derivatives, and of calibrations' poses."""
 
 
 class HexapodCalibrations(Experiment[HexapodCalibrationsConfig, Setup]):
@@ -32,6 +39,23 @@ class HexapodCalibrations(Experiment[HexapodCalibrationsConfig, Setup]):
             read_figures(setup, study.published)
             read_parameters(setup, study.published_parameters)
         return setup
+
+    def estimate_memory(self, inputs: Setup) -> Need:
+        """Return what candidates take, and the calibrations that are fitted together."""
+        config, study, n = inputs.config, inputs.config.study, inputs.machine.layout.size
+        if isinstance(study, IndexStudyConfig):
+            most, fits = max(one.poses for one in study.conditions), max(study.parameter_sets, study.noise_draws)
+        else:
+            most, fits = int(np.max(study.poses)), study.repeats
+        return estimate_arrays(
+            {"candidates": config.selection.candidates, "poses": most, "calibrations": fits},
+            [
+                (CANDIDATES, config.selection.candidates + config.verification_poses, DEGREES_OF_FREEDOM, n),
+                (FITS, fits, most, DEGREES_OF_FREEDOM),
+                (FITS, fits, config.verification_poses, DEGREES_OF_FREEDOM),
+            ],
+            "fewer candidates, poses or calibrations",
+        )
 
     def compute(self, inputs: Setup, run: Run) -> Results:
         """Return the tables and the summary of one of the three studies."""

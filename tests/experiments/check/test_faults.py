@@ -75,6 +75,12 @@ def test_a_unit_slip_of_the_actuators_is_named(factor):
     assert "actuator displacements seem to be" in said["Units and legs"].text
 
 
+def test_shifted_rows_are_named():
+    found = check_slips(checked.change_actuators(checked.make_clean(4), lambda rho: np.roll(rho, 1, axis=0)))
+    assert (found.fault, found.level) == ("rows", "bad")
+    assert "rows seem to be shifted by one" in found.text
+
+
 def test_rotations_in_degrees_are_named():
     subject = checked.make_clean(4)
     poses = subject.measured.poses

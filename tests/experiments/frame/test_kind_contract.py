@@ -18,6 +18,7 @@ import sweeps
 import tiny_experiments
 
 from bayescal.config.registry import list_references
+from bayescal.experiments.frame import memory
 from bayescal.experiments.frame.interrupts import INTERRUPTED
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment, write_report
@@ -202,6 +203,26 @@ def test_results_of_another_config_are_refused(finished, call):
     assert (code, said, complaint.count("\n")) == (2, "", 1)
     assert "holds results of another config" in complaint
     assert read_all(out) == before
+
+
+def test_more_than_there_is_memory_for_is_refused_before_anything_is_written(finished, monkeypatch, call):
+    """By the kind's own estimate: there is enough for Python and for reading."""
+    kind, path, out = finished
+    experiment, config = load(path)
+    need = experiment.estimate_memory(experiment.read(config, path.parent))
+    if kind == "sweep":  # its members are of somebody's own kind, which says nothing
+        assert need == memory.Need()
+        return
+    assert need.each > 0.0
+    enough = need.sum_up(1)
+    monkeypatch.setattr(memory, "measure_available", lambda: enough - 1.0)
+    where = out.with_name("refused") / "out"
+    code, said, complaint = call("run", path, "--out", where, "--workers", 1)
+    assert (code, said, complaint.count("\n")) == (2, "", 1)
+    assert "memory: found" in complaint
+    assert not where.parent.exists()
+    monkeypatch.setattr(memory, "measure_available", lambda: enough)
+    memory.check_memory(need, 1)
 
 
 def test_there_must_be_something_to_resume(finished, call, tmp_path):

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import calibrated_machines as made_up
 import pytest
 import studies
+import telescope_machines as machines
 
+from bayescal.calibrated.export import export_machine
 from bayescal.errors import InputError
 from bayescal.experiments.audit.kind import Audit
 from bayescal.experiments.frame import memory
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.memory import GIB, Need, check_memory, measure_available
+from bayescal.experiments.frame.memory import GIB, Need, check_memory, estimate_arrays, measure_available
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.experiments.pose_selection.kind import PoseSelection
 
+DEGREES = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 NEED = Need(shared=1.0 * GIB, each=2.0 * GIB, sizes="many poses", remedy="fewer poses")
 
 
@@ -67,3 +71,31 @@ def test_estimates_grow_with_the_sizes(kind, name, key, part):
     many = experiment.estimate_memory(experiment.read(config.model_copy(update={key: section}), path.parent))
     assert many.each > 20.0 * few.each
     assert str(part["count"]) in many.sizes
+
+
+def test_sizes_are_counted_in_doubles():
+    found = estimate_arrays({"poses": 10, "draws": 5}, [(3, 10, 5), (2, 7)], "fewer", kept=[(10,)])
+    assert (found.each, found.shared, found.sizes, found.remedy) == (8.0 * 164, 80.0, "10 poses and 5 draws", "fewer")
+
+
+def test_tables_that_do_not_fit_are_not_read(monkeypatch, tmp_path):
+    path = studies.write_tiny_study(tmp_path)
+    monkeypatch.setattr(memory, "READING", 1e9)
+    with pytest.raises(InputError, match=r"memory: found 0 MB of files \(targets.csv is the largest\), which take "):
+        run_experiment(load_experiment(path), path.parent, tmp_path / "out")
+
+
+@pytest.mark.parametrize(("command", "numbers"), [("predict", 216 + 120 * 100_000), ("command", 216 + 120)])
+def test_more_poses_than_there_is_memory_for_are_one_line(command, numbers, call, monkeypatch, tmp_path, rng):
+    machine = made_up.build_made_up(machines.build_machine("linear"), rng)
+    export_machine(machine, tmp_path / "machine", "mechanism")
+    names = [f"rho_{leg}_mm" for leg in range(1, 7)] if command == "predict" else DEGREES
+    (tmp_path / "many.csv").write_text(
+        f"pose,{','.join(names)}\n" + "".join(f"P{k},10,10,10,10,10,10\n" for k in range(50))
+    )
+    more = ["--draws", tmp_path / "draws.csv", "--n-draws", 100_000] if command == "predict" else []
+    monkeypatch.setattr(memory, "measure_available", lambda: 50 * 8.0 * numbers - 1.0)
+    code, said, complaint = call(command, tmp_path / "machine", tmp_path / "many.csv", *more)
+    assert (code, said, complaint.count("\n")) == (2, "", 1)
+    assert complaint.startswith("bayescal: memory: found 50 poses"), complaint
+    assert not (tmp_path / "draws.csv").exists()

@@ -86,6 +86,43 @@ def test_readings_beyond_the_tolerances_are_refused_before_any_fit(call, small):
     assert "as tolerances and noise allow" in message
 
 
+def change_columns(path: Path, columns: list[str], mend) -> None:
+    """Change whole columns of numbers, (P, K), rows in their order."""
+    lines = path.read_text().splitlines()
+    header = next(k for k, line in enumerate(lines) if not line.startswith("#"))
+    places = [lines[header].split(",").index(column) for column in columns]
+    cells = [line.split(",") for line in lines[header + 1 :]]
+    values = mend(np.array([[float(row[k]) for k in places] for row in cells]))
+    for row, one in zip(cells, values, strict=True):
+        for k, value in zip(places, one, strict=True):
+            row[k] = repr(float(value))
+    path.write_text("\n".join([*lines[: header + 1], *(",".join(row) for row in cells)]) + "\n")
+
+
+SLIPS = {
+    "columns exchanged": (["s_1_mm", "s_2_mm"], lambda x: x[:, ::-1], "readings of s[1] and s[2] seem to be exchanged"),
+    "a column shifted": (["phi_2_rad"], lambda x: np.roll(x, 1, axis=0), "rows of phi[2] seem to be shifted by one"),
+    "the other sign": (
+        ["phi_1_rad", "phi_2_rad", "phi_3_rad"],
+        lambda x: -x,
+        "readings of phi seem to be of the",
+    ),
+}
+
+
+@pytest.mark.parametrize("slip", SLIPS)
+def test_the_likely_cause_of_readings_that_no_pose_explains_is_said(call, small, slip):
+    columns, mend, said = SLIPS[slip]
+    change_columns(Path("data/readings.csv"), columns, mend)
+    message = refuse(call, "run", small)
+    assert "if one mends: " + said in message
+
+
+def test_a_single_blunder_is_no_slip(call, small):
+    change_cell(Path("data/readings.csv"), 7, "phi_2_rad", lambda x: float(x) + 0.6)
+    assert "if one mends" not in refuse(call, "run", small)
+
+
 def test_degrees_are_told_by_their_size(call, small):
     """All angles in degrees: the first cell beyond a turn is named."""
     for row in range(23):

@@ -9,8 +9,10 @@ from rich.console import Console
 from bayescal.experiments.calibration.audit.compute import compute_audit
 from bayescal.experiments.calibration.audit.inputs import AuditInputs, read_audit
 from bayescal.experiments.calibration.machine_kind import MachineExperiment
+from bayescal.experiments.calibration.memory import find_largest, list_variant
 from bayescal.experiments.calibration.page.audit import build_page, list_variants
 from bayescal.experiments.calibration.schema import CalibrationAuditConfig
+from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.report.blocks import Page
@@ -28,6 +30,13 @@ class CalibrationAudit(MachineExperiment[CalibrationAuditConfig, AuditInputs]):
     def read(self, config: CalibrationAuditConfig, folder: Path) -> AuditInputs:
         """Return machine, planned poses and sets of sensors."""
         return read_audit(config, folder)
+
+    def estimate_memory(self, inputs: AuditInputs) -> Need:
+        """Return what the derivatives at all planned poses take."""
+        sensors = {} if inputs.sensors is None else {"": inputs.sensors}
+        largest = find_largest(inputs.variants | sensors)
+        counts = {"planned poses": len(largest.start), "parameters": len(largest.priors)}
+        return estimate_arrays(counts, list_variant(largest), "fewer poses")
 
     def compute(self, inputs: AuditInputs, run: Run) -> Results:
         """Return what each set of sensors would tell."""

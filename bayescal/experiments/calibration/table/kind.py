@@ -5,15 +5,22 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from bayescal.experiments.calibration.memory import list_variant
 from bayescal.experiments.calibration.page.table import build_page
 from bayescal.experiments.calibration.table.compute import compute_table
 from bayescal.experiments.calibration.table.inputs import TableInputs, read_table
 from bayescal.experiments.calibration.table.schema import LookupTableConfig
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.estimate import KEPT_DRAWS
+from bayescal.experiments.shared.search_memory import list_sampling
 from bayescal.report.blocks import Page
+
+RESPONSES, ELSEWHERE, SLOPES = 4, 64, 6
+"""Arrays of all draws' responses at all places, poses beside the table's, and arrays of derivatives at all places."""
 
 
 class LookupTable(Experiment[LookupTableConfig, TableInputs]):
@@ -36,6 +43,23 @@ class LookupTable(Experiment[LookupTableConfig, TableInputs]):
     def read(self, config: LookupTableConfig, folder: Path) -> TableInputs:
         """Return the calibration's variant and the places of the table."""
         return read_table(config, folder)
+
+    def estimate_memory(self, inputs: TableInputs) -> Need:
+        """Return what every draw does at every place of the table, and what its calibration takes."""
+        variant, config = inputs.variant, inputs.calibration.config
+        n_places, n_parameters = len(inputs.cells), len(variant.priors)
+        width = len(inputs.actuators.channels) + len(inputs.pose)
+        return estimate_arrays(
+            {"places": n_places, "parameters": n_parameters, "poses": len(variant.start)},
+            [
+                (RESPONSES, KEPT_DRAWS, n_places, width),
+                (RESPONSES, ELSEWHERE, n_places, width),
+                (SLOPES, n_places, width, variant.whole.layout.size),
+                *list_variant(variant),
+                *list_sampling(config.sampler, config.evidence, n_parameters),
+            ],
+            "fewer values of its axes",
+        )
 
     def compute(self, inputs: TableInputs, run: Run) -> Results:
         """Return the table."""

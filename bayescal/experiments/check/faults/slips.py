@@ -1,4 +1,4 @@
-"""Slips of the data: units, signs and exchanged legs, each tried as if it were so.
+"""Slips of the data: units, signs, exchanged legs and shifted rows, each tried as if it were so.
 
 Those of the actuators are tried by every study whose data do not fit (`bayescal.experiments.shared.slips`); a check
 tries them on any data, and those of the poses besides.
@@ -34,12 +34,15 @@ class Slip:
     poses : MeasuredPoses
     log_volume : float
         Of the data's change, for densities of changed data to be compared.
+    chosen : ndarray of int, optional
+        Which of the poses they are; all by default.
     """
 
     fault: str
     text: str
     poses: MeasuredPoses
     log_volume: float = 0.0
+    chosen: np.ndarray | None = None
 
 
 def check_slips(subject: Subject) -> Finding:
@@ -48,11 +51,12 @@ def check_slips(subject: Subject) -> Finding:
     stated = _weigh(subject, poses)
     best, gain = None, CLEARLY
     for slip in list_slips(subject):
-        found = _weigh(subject, slip.poses) + slip.log_volume - stated
+        beside = stated if slip.chosen is None else _weigh(subject, poses.select(slip.chosen), slip.chosen)
+        found = _weigh(subject, slip.poses, slip.chosen) + slip.log_volume - beside
         if found > gain:
             best, gain = slip, found
     if best is None:
-        return Finding(CHECK, "", "good", "no other unit, sign or order of the legs explains the data better.")
+        return Finding(CHECK, "", "good", "no other unit, sign or order of legs or rows explains the data better.")
     text = f"{best.text} (better by {gain:.0f} nats). Mend the table; what else is said here rests on it."
     return Finding(CHECK, best.fault, "bad", text)
 
@@ -61,8 +65,9 @@ def list_slips(subject: Subject) -> Iterator[Slip]:
     """Yield the slips that are tried."""
     poses, start = subject.measured.poses, subject.measured.machine.mechanism.initial_actuator_positions
     for moved in list_moves(poses.actuators, start):
-        if len(moved.chosen) == poses.n_poses:
-            yield Slip(moved.fault, moved.text, replace(poses, actuators=moved.actuators))
+        chosen = moved.chosen if len(moved.chosen) < poses.n_poses else None
+        some = poses.select(moved.chosen)
+        yield Slip(moved.fault, moved.text, replace(some, actuators=moved.actuators), chosen=chosen)
     for words, factor in SCALES.items():
         if factor > 0.0:
             count = 3 * poses.n_poses * float(np.log(factor))
@@ -74,10 +79,10 @@ def list_slips(subject: Subject) -> Iterator[Slip]:
         yield Slip(UNIT, f"rotations of the poses seem to be {words}", replace(poses, rotation=turned), volume)
 
 
-def _weigh(subject: Subject, poses: MeasuredPoses) -> float:
+def _weigh(subject: Subject, poses: MeasuredPoses, chosen: np.ndarray | None = None) -> float:
     """Return the log-density of the poses under the priors to first order, at the best error of the legs."""
     try:
         with np.errstate(all="ignore"):
-            return weigh_likelihood(subject.likelihood(poses), subject.posterior.coordinates).log_density
+            return weigh_likelihood(subject.likelihood(poses, chosen), subject.posterior.coordinates).log_density
     except (BayescalError, np.linalg.LinAlgError):
         return -np.inf

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from bayescal.experiments.shared.slip_statement import state_slip
 from bayescal.experiments.study.page.results import SETTINGS, StudyResults, get_number
 from bayescal.experiments.study.page.variants import label_variant
 from bayescal.report.blocks import Level, Statement
@@ -63,7 +64,7 @@ def has_doubts(results: StudyResults) -> bool:
 def state_soundness(results: StudyResults) -> list[Statement]:
     """Return what contradicts the stated noise and tolerances; nothing where nothing does."""
     return [
-        *_state_slip(results),
+        *state_slip(results.summary),
         *_state_target_noise(results),
         *_state_rejected(results),
         *_state_misfit(results),
@@ -78,18 +79,6 @@ def _level(factor: float) -> Level:
 
 def _format_chance(chance: float) -> str:
     return "p < 0.0001" if chance < 1e-4 else f"p = {format_significant(chance, 1)}"
-
-
-def _state_slip(results: StudyResults) -> list[Statement]:
-    """Say what may have happened to data that no machine within the tolerances explains."""
-    slip = results.summary.get("slip")
-    if not isinstance(slip, dict):
-        return []
-    text = (
-        f"No machine within the tolerances comes near the data; they fit {format_significant(slip['factor'], 2)} times "
-        f"better if one thing is put right: {slip['text']}. What else is said here rests on data that seem to be wrong."
-    )
-    return [Statement(text, "bad", "Data")]
 
 
 # --- noise -----------------------------------------------------------------------------------------------------------

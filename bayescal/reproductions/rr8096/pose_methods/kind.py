@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.numerics.units import MICROMETRE
@@ -18,6 +19,8 @@ from bayescal.reproductions.rr8096.pose_methods.comparison import compare_pose_m
 from bayescal.reproductions.rr8096.pose_methods.figure import STYLES, draw_pose_methods
 from bayescal.reproductions.rr8096.pose_methods.schema import PoseMethodsConfig
 
+TARGETS, ROWS = 60, 40
+"""Doubles of a target in both methods, and of a row of the table with its names."""
 ERRORS = ("position_error_mm", "orientation_error_deg", "axis_error_deg")
 
 
@@ -30,6 +33,12 @@ class PoseMethods(Experiment[PoseMethodsConfig, PoseMethodsConfig]):
         """Return the config: there are no files."""
         del folder
         return config
+
+    def estimate_memory(self, inputs: PoseMethodsConfig) -> Need:
+        """Return what one body's targets take, and the table of all repeats."""
+        counts = {"targets at most": max(inputs.n_targets), "repeats": inputs.repeats}
+        held = [(TARGETS, max(inputs.n_targets)), (ROWS, 2 * len(inputs.n_targets), inputs.repeats)]
+        return estimate_arrays(counts, held, "fewer repeats")
 
     def compute(self, inputs: PoseMethodsConfig, run: Run) -> Results:
         """Return the errors of both methods in every repeat, and over the repeats."""

@@ -1,0 +1,68 @@
+"""What the search for a posterior's mode, its hot loop and its sampling hold, for kinds of experiment with one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bayescal.density.batches import BATCH, POSES
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import Posterior
+from bayescal.density.structured import StructuredLikelihood
+from bayescal.experiments.frame.memory import check_arrays
+from bayescal.inference.exploration import count_walkers
+from bayescal.inference.schema import EvidenceConfig, SamplerConfig
+
+DERIVATIVES = 8
+"""Arrays of all rows by all parameters in a mode search."""
+CHAINS, PROPOSED, WEIGHTS = 4, 6, 4
+"""Arrays of all chains, of draws of a proposal, and of their weights."""
+VECTORS = 64  # of readings' hot loop at a time
+KEPT, DRAWN = 1300, 4
+"""Draws of posterior and prior that a file of readings keeps, and arrays of them."""
+ARRAYS = 40
+"""Of the hot loop of an instrument's readings, components of vectors counted one by one."""
+
+
+def list_search(posterior: Posterior) -> list[Sequence[float]]:
+    """Return the arrays of a posterior's derivatives and hot loop; see `estimate_arrays`."""
+    likelihood = posterior.likelihood
+    rows = likelihood.n_poses * likelihood.n_legs
+    found: list[Sequence[float]] = [(DERIVATIVES, rows, posterior.n_parameters + likelihood.n_legs)]
+    if not isinstance(likelihood, PoseLikelihood | StructuredLikelihood):
+        found.append((ARRAYS, BATCH, min(rows, POSES * likelihood.n_legs)))
+    return found
+
+
+def list_sampling(sampler: SamplerConfig, effort: EvidenceConfig, n_parameters: int) -> list[Sequence[float]]:
+    """Return the arrays of a posterior's ensembles and of its draws for the evidence; see `estimate_arrays`."""
+    walkers = count_walkers(n_parameters, sampler.walkers)
+    return [
+        (CHAINS, sampler.ensembles, walkers, sampler.steps, n_parameters),
+        (PROPOSED, effort.draws, n_parameters),
+        (WEIGHTS, effort.max_draws),
+    ]
+
+
+def list_readings(n_poses: int, n_channels: int, n_parameters: int, n_coordinates: int) -> list[Sequence[float]]:
+    """Return the arrays of a posterior of readings: derivatives, hot loop, draws that are kept; as `list_search`."""
+    width = n_parameters + n_coordinates + n_channels
+    return [
+        (DERIVATIVES, n_poses, n_channels, width),
+        (DERIVATIVES, VECTORS, n_poses, n_channels, 1 + n_coordinates),
+        (DRAWN, KEPT, n_poses, n_channels),
+    ]
+
+
+def check_poses(n_poses: int, n_legs: int, n_parameters: int) -> None:
+    """Raise InputError where there is no memory for the derivatives at so many measured poses.
+
+    Building a density of poses takes them already.
+    """
+    held = [(DERIVATIVES, n_poses * n_legs, n_parameters + n_legs)]
+    check_arrays({"poses": n_poses, "parameters": n_parameters}, held, "fewer poses")
+
+
+def check_readings(n_poses: int, n_channels: int, n_parameters: int, n_coordinates: int) -> None:
+    """Raise InputError where there is no memory to look for so many poses by their readings."""
+    held = list_readings(n_poses, n_channels, n_parameters, n_coordinates)
+    check_arrays({"poses": n_poses, "parameters": n_parameters}, held, "fewer poses")

@@ -1,0 +1,51 @@
+"""Slips planted in what other kinds take from a study: the likely cause is said, and clean data are not suspected."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import session_studies
+import test_kind_contract as contract
+
+from bayescal.errors import InputError
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.shared.slip_statement import state_slip
+from bayescal.experiments.shared.slips import ROWS, FoundSlip
+
+
+def change_actuators(path: Path, mend) -> None:
+    """Change the actuator positions of a table, (P, N), in its calibration rows."""
+    lines = path.read_text().splitlines()
+    places = [k for k, line in enumerate(lines) if ",calibration," in line]
+    cells = [lines[k].split(",") for k in places]
+    rho = mend(np.array([row[2:] for row in cells], dtype=float))
+    for k, row, one in zip(places, cells, rho, strict=True):
+        lines[k] = ",".join([*row[:2], *(f"{x:.6f}" for x in one)])
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_the_next_pose_of_exchanged_legs_is_doubted(tmp_path):
+    path = contract.write_next(tmp_path)
+    experiment, config = load(path)
+    assert experiment.doubt(experiment.read(config, tmp_path)) == []
+    change_actuators(tmp_path / "data" / "actuators.csv", lambda rho: rho[:, [0, 2, 1, 3, 4, 5]])
+    (doubt,) = experiment.doubt(experiment.read(config, tmp_path))
+    assert "times better if one mends: legs 2 and 3 seem to be exchanged" in doubt
+
+
+def test_what_is_found_is_said_first():
+    summary = {"slip": vars(FoundSlip(ROWS, "rows seem to be shifted by one", 100.0, 41.0))}
+    (said,) = state_slip(summary)
+    assert (said.level, said.lead) == ("bad", "Data")
+    assert "they fit 41 times better if one thing is put right: rows seem to be shifted by one." in said.text
+    assert state_slip({}) == []
+
+
+def test_sessions_whose_rows_are_shifted_are_refused(tmp_path):
+    path = session_studies.write_sessions(tmp_path)
+    experiment, config = load(path)
+    change_actuators(tmp_path / "data" / "2" / "actuators.csv", lambda rho: np.roll(rho, 1, axis=0))
+    with pytest.raises(InputError, match=r"session 'S2': found poses .* rows seem to be shifted by one"):
+        experiment.read(config, tmp_path)
