@@ -154,6 +154,10 @@ class CalibrationPosterior:
         """Return the log-prior in the coordinates, (B, n) to (B,)."""
         return np.asarray(-0.5 * np.einsum("...i,...i->...", y, y) - self.n_parameters * HALF_LOG_TWO_PI)
 
+    def log_coordinates(self, y: Array) -> Array:
+        """Return the log-prior of each coordinate, (..., n)."""
+        return np.asarray(-0.5 * y**2 - HALF_LOG_TWO_PI)
+
     def deviations(self, y: Array) -> tuple[Array, Array]:
         """Return s σ (B, P, K) and τ (B, 1, K) at coordinates (B, n)."""
         return self.noise.deviations(y[:, self.n_geometry :], self.likelihood.sd)

@@ -27,11 +27,10 @@ MEANING = (
 N_PRIOR = 300
 BATCH = 100
 STEP = 1e-5  # of a coordinate that is standard normal under the prior
-HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
 
 
 class ReadingPosterior(Protocol):
-    """A posterior in coordinates that are independent and standard normal under the prior."""
+    """A posterior in coordinates that are independent under the prior."""
 
     @property
     def n_parameters(self) -> int:
@@ -39,6 +38,12 @@ class ReadingPosterior(Protocol):
 
     def natural(self, y: Array) -> Array:
         """Return the parameters in their own units, each a function of its own coordinate, (..., n) to (..., n)."""
+
+    def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
+        """Return draws of the prior in the coordinates, shape (n_draws, n)."""
+
+    def log_coordinates(self, y: Array) -> Array:
+        """Return the log-prior of each coordinate, (..., n)."""
 
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each pose's readings, (B, n) to (B, P)."""
@@ -79,17 +84,17 @@ def save_draws(
     chains = _split_chains(kept, n_total, n_chains)
     flat = chains.reshape(-1, kept.shape[-1])
     expected = posterior.leave_over(np.zeros((1, posterior.n_parameters)))
-    prior = rng.standard_normal((N_PRIOR, posterior.n_parameters))
+    prior = posterior.draw_prior(N_PRIOR, rng)
     with np.errstate(all="ignore"):
         predicted = _replicate(posterior, expected, prior, rng)
     stands = np.isfinite(predicted).all(axis=1)
     density = posterior.pointwise(flat)
     shape = chains.shape[:2]
-    log_normal = -0.5 * flat**2 - HALF_LOG_TWO_PI
+    log_prior = posterior.log_coordinates(flat)
     return SavedDraws(
         posterior=posterior.natural(chains),
-        log_density=(density.sum(axis=1) + log_normal.sum(axis=1)).reshape(shape),
-        log_prior=(log_normal - np.log(_slope(posterior.natural, flat))).reshape(chains.shape),
+        log_density=(density.sum(axis=1) + log_prior.sum(axis=1)).reshape(shape),
+        log_prior=(log_prior - np.log(_slope(posterior.natural, flat))).reshape(chains.shape),
         prior=posterior.natural(prior[stands]),
         log_likelihood=density.reshape(*shape, -1),
         observed=expected.measure(expected.error[0]),

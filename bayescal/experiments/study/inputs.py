@@ -23,7 +23,7 @@ from bayescal.density.exact import CommonErrors, ExactDensity
 from bayescal.density.free_length import FreeLengthLikelihood, count_nodes
 from bayescal.density.free_length_posterior import FreeLengthPosterior
 from bayescal.density.likelihood import BATCH, Likelihood, PoseLikelihood
-from bayescal.density.model_error import INDEPENDENT, LENGTHY, KernelScale, LengthPrior, build_kernel
+from bayescal.density.model_error import INDEPENDENT, KernelScale, LengthPrior, build_kernel
 from bayescal.density.posterior import ModelError, Posterior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.robust import RobustPosterior, build_robust
@@ -280,7 +280,7 @@ class StudyInputs:
 
     def kernel_name(self, variant: VariantConfig) -> str:
         """Return the kernel of a variant's model error: its own, or that of all."""
-        return variant.model_error or self.config.model_error.kernel
+        return self.config.model_error.name_for(variant)
 
     @property
     def has_kernels(self) -> bool:
@@ -303,16 +303,11 @@ class StudyInputs:
 
     def kernel_length(self, variant: VariantConfig) -> float:
         """Return the length of a variant's kernel, or the median of its prior, in ranges of the actuators."""
-        return variant.kernel_length or self.config.model_error.kernel_length
+        return self.config.model_error.length_for(variant)
 
     def kernel_lengths(self, variant: VariantConfig) -> LengthPrior | None:
         """Return the prior of the length of a variant's kernel; None where there is none, or it is known."""
-        spread = variant.kernel_length_spread
-        if spread is None and variant.kernel_length is None:
-            spread = self.config.model_error.kernel_length_spread
-        if spread is None or self.kernel_name(variant) not in LENGTHY:
-            return None
-        return LengthPrior(self.kernel_length(variant), spread)
+        return self.config.model_error.lengths_for(variant)
 
     @property
     def _kernel_scale(self) -> KernelScale:
