@@ -150,6 +150,10 @@ class SelfCalibrationPosterior:
         """Return the log-likelihood of each pose's readings, (B, n) to (B, P)."""
         return self.likelihood.pointwise(self.theta(y))
 
+    def predict_density(self, other: ReadingLikelihood, y: Array) -> Array:
+        """Return the log-density of each pose's readings among others that were kept back, (B, n) to (B, Q)."""
+        return other.pointwise(self.theta(y))
+
     def leave_over(self, y: Array) -> LeftOver:
         """Return what the best poses leave of the readings at coordinates (B, n)."""
         return self.likelihood.leave_over(self.theta(y))
