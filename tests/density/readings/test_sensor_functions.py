@@ -154,7 +154,16 @@ def test_coefficients_tell_the_functions(rng):
     spoilt = ReadingLikelihood(likelihood.sensors, likelihood.measured + added, start, 1.0)
     other = StructuredReadingPosterior(spoilt, posterior.priors, functions=functions)
     assert 0.5 < measure_deviation(other, drawn.ravel(), rng) < 1.6
-    assert measure_deviation(posterior, drawn.ravel(), rng) > 2.0  # these have none
+    assert prefer_errors(other) > 10.0
+    assert prefer_errors(posterior) < 0.0  # these have none
+
+
+def prefer_errors(posterior) -> float:
+    """Return by how much the best machine with errors is denser than the best one without, all switches alike."""
+    on, off = np.zeros(posterior.n_parameters), np.zeros(posterior.n_parameters)
+    off[posterior.n_geometry :] = -20.0
+    best = [posterior.log_density(posterior.polish(y)[None])[0] for y in (on, off)]
+    return float(best[0] - best[1])
 
 
 def measure_deviation(posterior, coefficients, rng) -> float:
@@ -163,7 +172,8 @@ def measure_deviation(posterior, coefficients, rng) -> float:
     y = mode + rng.standard_normal((400, len(mode))) @ np.linalg.cholesky(posterior.covariance(mode)).T
     y[:, posterior.n_geometry :] = mode[posterior.n_geometry :]
     draws = posterior.absorb(y).draw(rng)
-    return float(np.sqrt(np.mean(((draws.mean(axis=0) - coefficients) / draws.std(axis=0)) ** 2)))
+    off = np.linalg.solve(np.linalg.cholesky(np.cov(draws.T)), draws.mean(axis=0) - coefficients)
+    return float(np.sqrt(np.mean(off**2)))
 
 
 def test_a_length_that_needs_too_many_values_is_refused():
