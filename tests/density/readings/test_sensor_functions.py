@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from reading_machines import SETS, small_posterior
@@ -147,7 +149,8 @@ def test_coefficients_tell_the_functions(rng):
     """Readings that have functions of the prior give these back, within what the geometry imitates."""
     posterior = structured("quadratic", 2.0, None, 40)
     likelihood, functions = posterior.likelihood, posterior.functions
-    absorber = posterior.absorber
+    functions = replace(functions, scale=10.0 * functions.scale)  # well above the noise
+    posterior, absorber = replace(posterior, functions=functions), posterior.absorber
     drawn = rng.standard_normal(absorber.columns.shape[1:]) * functions.scale[functions.group][:, None]
     added = absorber.act(drawn.reshape(1, -1))[0] * likelihood.sensors.noise
     start = likelihood.find_poses(posterior.centre[None])[0][0]
