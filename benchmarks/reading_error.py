@@ -5,12 +5,13 @@
 
 Twins of the Sliding Star, 8 sensors, drawn within their tolerances. Each carriage's scale is off, by --um at the end of
 its range (one standard deviation over carriages), and each encoder sits askew: its readings err by A sin(φ + α), α
-anywhere and A as large that it is off by --arcsec at the end of its range, one standard deviation, but for what it is
-off by at home. With --right there are no such errors. Each is calibrated with noise alone (`independent`) and with
-kernels of these scales. Draws are those of the proposal of the mode search, weighted. Printed for every twin and at the
-end with standard errors from the scatter between twins: share of the machine's parameters and of the tool's coordinates
-at the verification poses inside their 90 % intervals, rms of the parameters' z-scores, their mean sd in tolerances, rms
-error of the tool, Laplace's log-evidence, the efficiency of the weights, and how probable either error is.
+anywhere and A as large that it is off by --arcsec at the end of its range, one standard deviation; either but for what
+it is at home, which is an offset of the geometry. With --right there are no such errors. Each is calibrated with noise
+alone (`independent`) and with kernels of these scales. Draws are those of the proposal of the mode search, weighted.
+Printed for every twin and at the end with standard errors from the scatter between twins: share of the machine's
+parameters and of the tool's coordinates at the verification poses inside their 90 % intervals, rms of the parameters'
+z-scores, their mean sd in tolerances, rms error of the tool, Laplace's log-evidence, the efficiency of the weights, and
+how probable either error is.
 """
 
 from __future__ import annotations
@@ -62,16 +63,21 @@ def write_twin(folder: Path, seed: int, n_poses: int, um: float, arcsec: float) 
 
 def spoil(text: str, seed: int, um: float, arcsec: float) -> str:
     """Return a table of readings with errors that are functions of them."""
-    lines, rng = text.splitlines(), np.random.default_rng([seed, 7])
+    lines, rng, model = (
+        text.splitlines(),
+        np.random.default_rng([seed, 7]),
+        read_sliding_platform(STAR / "machine.toml"),
+    )
+    home = dict(zip(model.names, model.read(model.layout.nominal, np.array(model.home)), strict=True))
     start = next(k for k, line in enumerate(lines) if line.startswith("pose,"))
     columns, cells = lines[start].split(","), [line.split(",") for line in lines[start + 1 :]]
     for k, column in enumerate(columns):
         kind = column.partition("_")[0]
         if kind in RANGES and column.split("_")[1].isdigit():
             size = um * MICROMETRE if kind == "s" else arcsec * ARCSECOND
-            change = draw_function(kind, size, rng)
+            change, zero = draw_function(kind, size, rng), home[f"{kind}[{column.split('_')[1]}]"]
             for row in cells:
-                row[k] = f"{float(row[k]) + change(float(row[k])):.9f}"
+                row[k] = f"{float(row[k]) + change(float(row[k])) - change(zero):.9f}"
     return "\n".join([*lines[: start + 1], *(",".join(row) for row in cells)]) + "\n"
 
 
@@ -84,7 +90,7 @@ def draw_function(kind: str, size: float, rng: np.random.Generator) -> Any:
     ends = RANGES[kind] * np.array([-1.0, 1.0])
     angles = np.linspace(0.0, 2.0 * np.pi, 360, endpoint=False)[:, None]
     height = size / np.sqrt(np.mean((np.sin(ends + angles) - np.sin(angles)) ** 2))
-    return lambda x: height * (np.sin(x + turn) - np.sin(turn))
+    return lambda x: height * np.sin(x + turn)
 
 
 def load_twin(folder: Path, kernels: list[str], error: ReadingErrorConfig) -> ReadingInputs:
