@@ -2,6 +2,7 @@
 
     python benchmarks/reading_error.py [--first 0] [--twins 24] [--right] [--kernels independent linear smooth]
                                        [--poses 40] [--um 10] [--arcsec 10] [--length 2] [--length-spread 0.3]
+                                       [--seconds 240]
 
 Twins of the Sliding Star, 8 sensors, drawn within their tolerances. Each carriage's scale is off, by --um at the end of
 its range (one standard deviation over carriages), and each encoder sits askew: its readings err by A sin(φ + α), α
@@ -19,6 +20,7 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -45,7 +47,7 @@ from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
 STAR = Path(__file__).parents[1] / "experiments" / "sliding_star"
 RANGES = {"s": 512.0, "phi": 0.426}  # mm and rad
-DRAWS, KEPT = 6000, 1000
+DRAWS, KEPT = 3000, 1000
 VERIFICATION = 12
 RMS = ("rms_z",)
 
@@ -159,6 +161,7 @@ def main() -> None:
     parser.add_argument("--length-spread", type=float)
     parser.add_argument("--spread", type=float, default=0.05)
     parser.add_argument("--right", action="store_true")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="after which no other twin is begun")
     arguments = parser.parse_args()
     error = ReadingErrorConfig(
         kernel_scale_um=arguments.um,
@@ -169,7 +172,10 @@ def main() -> None:
     )
     size = (0.0, 0.0) if arguments.right else (arguments.um, arguments.arcsec)
     figures: dict[str, list[dict[str, float]]] = {}
+    begun = time.monotonic()
     for seed in range(arguments.first, arguments.first + arguments.twins):
+        if time.monotonic() - begun > arguments.seconds:
+            break
         with tempfile.TemporaryDirectory() as folder:
             write_twin(Path(folder), seed, arguments.poses, *size)
             inputs = load_twin(Path(folder), arguments.kernels, error)

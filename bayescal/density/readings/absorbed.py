@@ -61,8 +61,7 @@ class Absorbed:
     @property
     def gain(self) -> Array:
         """Added log-density, shape (B,)."""
-        square = np.einsum("bij,bj->bi", np.swapaxes(self.factor, -1, -2), self.mean)
-        return self.half_log_volume + 0.5 * np.einsum("bi,bi->b", square, square)
+        return self.half_log_volume + 0.5 * np.einsum("bi,bi->b", self.told, self.coefficients)
 
     @property
     def half_log_volume(self) -> Array:
@@ -122,9 +121,9 @@ class Absorber:
         inner = turned @ seen @ root
         inner[..., *np.diag_indices(inner.shape[-1])] += 1.0
         good = np.isfinite(inner).all(axis=(-1, -2))[:, None, None]  # a machine that cannot stand has no density anyway
-        factor = np.linalg.cholesky(np.where(good, inner, np.eye(inner.shape[-1])))
-        side = np.einsum("bij,bj->bi", turned, told)[..., None]
-        mean = np.linalg.solve(np.swapaxes(factor, -1, -2), np.linalg.solve(factor, side))[..., 0]
+        inner = np.where(good, inner, np.eye(inner.shape[-1]))
+        factor = np.linalg.cholesky(inner)
+        mean = np.linalg.solve(inner, np.einsum("bij,bj->bi", turned, told)[..., None])[..., 0]
         return Absorbed(root, factor, mean, seen, told)
 
     def _see(self, slope: Array) -> Array:

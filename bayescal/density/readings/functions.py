@@ -26,7 +26,7 @@ from bayescal.density.priors import Prior
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 
-EXACT = 1e-12  # of the kernel's largest value, what interpolation may leave out
+EXACT = 1e-12  # of the kernel's largest value, what interpolation may leave out, and of its eigenvalues
 MOST_NODES = 48
 ENDS = 3.0  # sds of log L on either side of its median; shorter and longer ones are taken for the outermost
 FEWEST = {"linear": 2, "quadratic": 3, "smooth": 4}
@@ -151,7 +151,7 @@ class SensorFunctions:
         nodes = self.nodes[:, None]
         covariance = self._kernel_at(lengths)(nodes, nodes).reshape(-1, len(nodes), len(nodes))
         values, vectors = np.linalg.eigh(covariance)
-        kept = (values > np.finfo(float).eps * values[:, -1:]).any(axis=0)
+        kept = (values > EXACT * values[:, -1:]).any(axis=0)
         return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])[..., kept])
 
     def root_slope(self, length: float) -> Array:

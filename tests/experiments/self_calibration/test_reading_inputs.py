@@ -141,6 +141,44 @@ TEXTS = [
     ("study.toml", 'true_poses = "data/true_poses.csv"\n', "", "expected true_parameters and true_poses both or none"),
     ("study.toml", "readings.csv", "reading.csv", "reading.csv: no such file"),
     ("study.toml", "steps = 12", "step = 12", "sampler.step: unknown key, did you mean 'steps'?"),
+    (
+        "study.toml",
+        "[sampler]",
+        "[model_error]\nkernel_length = 0.0\n[sampler]",
+        "model_error.kernel_length: found 0.0",
+    ),
+    (
+        "study.toml",
+        "[sampler]",
+        "[model_error]\nkernel_scale_arcsec = -1.0\n[sampler]",
+        "kernel_scale_arcsec: found -1.0",
+    ),
+    ("study.toml", "[sampler]", "[model_error]\nkernel = 'cubic'\n[sampler]", "model_error.kernel: found 'cubic'"),
+    ("study.toml", "[sampler]", "[model_error]\nscale_um = 5.0\n[sampler]", "model_error.scale_um: unknown key"),
+    (
+        "study.toml",
+        "[sampler]",
+        "[model_error]\nkernel = 'smooth'\nkernel_length = 0.02\n[sampler]",
+        "model_error.kernel_length: found smooth errors of a length down to 0.02 ranges, expected longer ones",
+    ),
+    (
+        "study.toml",
+        "[sampler]",
+        "[model_error]\nkernel = 'smooth'\nkernel_length_spread = 3.0\n[sampler]",
+        "model_error.kernel_length: found smooth errors of a length down to 0.00062 ranges",
+    ),
+    (
+        "study.toml",
+        "[sampler]",
+        "[model_error]\nkernel = 'linear'\nkernel_sensors = ['phy']\n[sampler]",
+        "model_error.kernel_sensors: sensor 'phy': unknown here",
+    ),
+    (
+        "study.toml",
+        "[sampler]",
+        "[model_error]\nkernel = 'linear'\nkernel_sensors = ['psi']\n[sampler]",
+        "model_error.kernel_sensors: found psi, expected some of s[1]",
+    ),
 ]
 
 

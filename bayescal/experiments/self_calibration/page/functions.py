@@ -20,9 +20,9 @@ SHARE, CERTAIN = 0.5, 0.9995
 SHOWN = {"um": "µm", "arcsec": "arcsec"}
 TEXT = (
     "A scale that is off or an encoder that sits askew errs by the same function of its reading every time. Each "
-    "sensor has such a function, zero at home, with the kernel of its variant; whether sensors of a kind have any is for the "
-    "readings to say, the probability beforehand being one half. A geometry that is off imitates much of it, and what "
-    "the readings do not tell of an error is as wide as its scale: that is what the parameters' intervals then hold."
+    "sensor has such a function, zero at home, with the kernel of its variant; whether sensors of a kind have any is "
+    "for the readings to say, the probability beforehand being one half. A geometry that is off imitates much of it, "
+    "and what the readings do not tell of an error is as wide as its scale: that is what the intervals then hold."
 )
 NOTE = (
     "Scale: what a sensor errs by at the end of its range, one standard deviation, where there is an error; left of "
