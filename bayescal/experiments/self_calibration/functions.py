@@ -11,11 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from bayescal.density.model_error import INDEPENDENT
 from bayescal.density.readings.functions import SensorFunctions
+from bayescal.density.readings.likelihood import BATCH
 from bayescal.density.readings.poses import SensorSet
 from bayescal.density.readings.posterior import SelfCalibrationPosterior
 from bayescal.density.readings.structured_posterior import StructuredReadingPosterior
 from bayescal.errors import InputError
+from bayescal.experiments.frame.memory import Need, check_memory
 from bayescal.experiments.self_calibration.schema import ReadingVariantConfig, SelfCalibrationConfig
 from bayescal.experiments.shared.reading_machine import poses_about_home
 from bayescal.machines.readings import SlidingPlatform
@@ -51,7 +54,7 @@ def build_functions(
     labels = tuple(dict.fromkeys(owners))
     units = tuple(channels[owners.index(label)].unit for label in labels)
     size = {"mm": wanted.kernel_scale_um * MICROMETRE, "rad": wanted.kernel_scale_arcsec * ARCSECOND}
-    return SensorFunctions(
+    functions = SensorFunctions(
         kernel=wanted.name_for(section),
         length=wanted.length_for(section),
         lengths=wanted.lengths_for(section),
@@ -64,6 +67,19 @@ def build_functions(
         spread=wanted.kernel_spread,
         labels=labels,
         scale_units=units,
+    )
+    check_memory(_estimate(functions, len(readings)), 1)
+    return functions
+
+
+def _estimate(functions: SensorFunctions, n_poses: int) -> Need:
+    """Return what functions take: products of their columns at every pose, matrices of all coefficients in a batch."""
+    n = len(functions.places)
+    r = functions.columns(np.zeros((1, int(functions.places.max()) + 1))).shape[-1]
+    return Need(
+        each=8.0 * (0.5 * n * (n + 1) * n_poses * r**2 + BATCH * (6.0 * (n * r) ** 2 + 4.0 * n_poses * n**2)),
+        sizes=f"{n_poses} poses with {n * r} coefficients of sensors' errors",
+        remedy=f"fewer poses, a longer kernel_length or kernel {INDEPENDENT!r}",
     )
 
 
