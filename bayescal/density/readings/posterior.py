@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bayescal.density.priors import NormalPrior
+from bayescal.density.readings.change import change_density
 from bayescal.density.readings.left_over import LeftOver
 from bayescal.density.readings.likelihood import ReadingLikelihood
 from bayescal.errors import InputError
@@ -128,6 +129,10 @@ class SelfCalibrationPosterior:
     def log_coordinates(self, y: Array) -> Array:
         """Return the log-prior of each coordinate, (..., n)."""
         return np.asarray(-0.5 * y**2 - HALF_LOG_TWO_PI)
+
+    def log_parameters(self, y: Array) -> Array:
+        """Return the log-prior of each parameter in its own unit, (..., n)."""
+        return change_density(self.log_coordinates(y), self.natural, y)
 
     def log_prior(self, y: Array) -> Array:
         """Return the log-prior in the coordinates, (B, n) to (B,)."""

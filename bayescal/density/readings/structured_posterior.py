@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 
 from bayescal.density.model_error import BORDER, OFF, KernelScale
 from bayescal.density.readings.absorbed import Absorbed, Absorber, Strength, condition_each, condition_others
+from bayescal.density.readings.change import change_density
 from bayescal.density.readings.functions import SensorFunctions
 from bayescal.density.readings.left_over import LeftOver
 from bayescal.density.readings.likelihood import BATCH, STEP, ReadingLikelihood, half_log_volume
@@ -91,6 +92,13 @@ class StructuredReadingPosterior(SelfCalibrationPosterior):
         found = -0.5 * self._deviations(y) ** 2 - HALF_LOG_TWO_PI
         found[..., self._switches] -= np.log(2.0)
         return np.asarray(found)
+
+    def log_parameters(self, y: Array) -> Array:
+        """Return the log-prior of each parameter in its own unit, (..., n); of no error its probability."""
+        m, natural = self.n_geometry, self.natural(y)
+        geometry = change_density(super().log_coordinates(y[..., :m]), super().natural, y[..., :m])
+        rest = [prior.log_density(natural[..., m + k]) for k, prior in enumerate(self.functions.priors)]
+        return np.concatenate([geometry, np.stack(rest, axis=-1)], axis=-1)
 
     def log_prior(self, y: Array) -> Array:
         """Return the log-prior in the coordinates, (B, n) to (B,)."""

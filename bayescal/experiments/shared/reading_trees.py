@@ -7,7 +7,7 @@ readings' own space, without what any pose would explain there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -26,7 +26,6 @@ MEANING = (
 )
 N_PRIOR = 300
 BATCH = 100
-STEP = 1e-5  # of a coordinate that is standard normal under the prior
 
 
 class ReadingPosterior(Protocol):
@@ -44,6 +43,9 @@ class ReadingPosterior(Protocol):
 
     def log_coordinates(self, y: Array) -> Array:
         """Return the log-prior of each coordinate, (..., n)."""
+
+    def log_parameters(self, y: Array) -> Array:
+        """Return the log-prior of each parameter in its own unit, (..., n)."""
 
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each pose's readings, (B, n) to (B, P)."""
@@ -94,7 +96,7 @@ def save_draws(
     return SavedDraws(
         posterior=posterior.natural(chains),
         log_density=(density.sum(axis=1) + log_prior.sum(axis=1)).reshape(shape),
-        log_prior=(log_prior - np.log(_slope(posterior.natural, flat))).reshape(chains.shape),
+        log_prior=posterior.log_parameters(flat).reshape(chains.shape),
         prior=posterior.natural(prior[stands]),
         log_likelihood=density.reshape(*shape, -1),
         observed=expected.measure(expected.error[0]),
@@ -108,11 +110,6 @@ def _split_chains(kept: Array, n_total: int, n_chains: int) -> Array:
     chain = np.linspace(0, n_total - 1, len(kept)).astype(int) * n_chains // n_total
     shortest = min(int(np.sum(chain == k)) for k in range(n_chains))
     return np.stack([kept[chain == k][:shortest] for k in range(n_chains)])
-
-
-def _slope(natural: Callable[[Array], Array], y: Array) -> Array:
-    """Return the derivative of each parameter by its own coordinate."""
-    return np.abs(natural(y + STEP) - natural(y - STEP)) / (2 * STEP)
 
 
 def _replicate(posterior: ReadingPosterior, expected: LeftOver, y: Array, rng: np.random.Generator) -> Array:

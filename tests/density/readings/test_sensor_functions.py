@@ -136,6 +136,20 @@ def test_gradient_is_that_of_differences(kernel, length, spread, rng):
     np.testing.assert_allclose(gradient * sd, differences * sd, rtol=1e-3, atol=2e-3)
 
 
+def test_log_prior_of_parameters_is_finite_where_errors_are_off(rng):
+    posterior = structured("smooth", 2.0, 0.3)
+    y = posterior.draw_prior(200, rng)
+    found, scales = posterior.log_parameters(y), posterior.scales(y)
+    m = posterior.n_geometry
+    assert 0.3 < np.mean(scales == 0.0) < 0.7
+    np.testing.assert_allclose(found[:, m : m + 3][scales == 0.0], -np.log(2.0))
+    for k in range(3):
+        there = scales[:, k] > 0.0
+        by_coordinate = posterior.log_coordinates(y)[there, m + k] - np.log(0.3 * scales[there, k])
+        np.testing.assert_allclose(found[there, m + k], by_coordinate, rtol=1e-9)
+    np.testing.assert_allclose(posterior.log_coordinates(y).sum(axis=1), posterior.log_prior(y))
+
+
 def test_a_switched_off_error_is_none(rng):
     posterior = structured("smooth", 1.5, None)
     plain = small_posterior(SETS[8], N_POSES, 5)
