@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
 from bayescal.density.model_error import LengthPrior, build_kernel
+from bayescal.density.readings.absorbed import project
 from bayescal.density.readings.functions import SensorFunctions
 from bayescal.density.readings.likelihood import ReadingLikelihood, half_log_volume
 from bayescal.density.readings.poses import null_basis
@@ -191,6 +192,26 @@ def measure_deviation(posterior, coefficients, rng) -> float:
     draws = posterior.absorb(y).draw(rng)
     off = np.linalg.solve(np.linalg.cholesky(np.cov(draws.T)), draws.mean(axis=0) - coefficients)
     return float(np.sqrt(np.mean(off**2)))
+
+
+@pytest.mark.parametrize(("n", "of_one", "of_an_encoder"), [(8, 0.16, 0.20), (12, 0.31, 0.67)])
+def test_what_the_geometry_imitates_of_scales_that_are_off(n, of_one, of_an_encoder):
+    """All carriages' scales alike are a larger machine; of one sensor's scale some is left."""
+    posterior = small_posterior(SETS[n], 40, 5)
+    likelihood, sensors = posterior.likelihood, posterior.likelihood.sensors
+    slope = likelihood.leave_over(posterior.centre[None]).slope[0]
+    geometry = (likelihood.linearise(posterior.centre)[1] @ posterior.moves.T).reshape(-1, posterior.n_geometry)
+    travel = likelihood.measured - sensors.read(sensors.model.layout.nominal, np.array(sensors.model.home))
+
+    def left_of(some) -> float:
+        seen = np.einsum("pij,pj->pi", project(slope), np.where(some, travel, 0.0) / sensors.noise).ravel()
+        rest = seen - geometry @ np.linalg.lstsq(geometry, seen, rcond=None)[0]
+        return float(np.linalg.norm(rest) / np.linalg.norm(seen))
+
+    places = np.arange(n)
+    assert left_of(places < 4) < 2e-3
+    assert left_of(places == 0) == pytest.approx(of_one, abs=0.01)
+    assert left_of(places == 4) == pytest.approx(of_an_encoder, abs=0.01)
 
 
 def test_a_length_that_needs_too_many_values_is_refused():
