@@ -47,7 +47,7 @@ from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
 STAR = Path(__file__).parents[1] / "experiments" / "sliding_star"
 RANGES = {"s": 512.0, "phi": 0.426}  # mm and rad
-DRAWS, KEPT = 3000, 1000
+DRAWS, KEPT = 1200, 1000
 VERIFICATION = 12
 RMS = ("rms_z",)
 
