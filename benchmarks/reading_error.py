@@ -2,7 +2,7 @@
 
     python benchmarks/reading_error.py [--first 0] [--twins 24] [--right] [--kernels independent linear smooth]
                                        [--poses 40] [--um 10] [--arcsec 10] [--length 2] [--length-spread 0.3]
-                                       [--seconds 240]
+                                       [--sensors phi] [--seconds 240]
 
 Twins of the Sliding Star, 8 sensors, drawn within their tolerances. Each carriage's scale is off, by --um at the end of
 its range (one standard deviation over carriages), and each encoder sits askew: its readings err by A sin(φ + α), α
@@ -130,7 +130,7 @@ def judge(inputs: ReadingInputs, name: str, seed: int) -> dict[str, float]:
         "sd": float(np.mean(sd / posterior.scale)),
         "tool_coverage": float(tool.inside.mean()),
         "tool_error_um": 1e3 * float(np.sqrt(np.mean(tool.error**2))),
-        "log_evidence": found.modes[0].log_evidence,
+        "log_evidence": float(np.logaddexp.reduce([mode.log_evidence for mode in found.modes])),
         "efficiency": drawn.efficiency,
         **{f"present_{sensor.partition('[')[0]}": share for sensor, share in present.items()},
     }
@@ -160,6 +160,7 @@ def main() -> None:
     parser.add_argument("--length", type=float, default=2.0)
     parser.add_argument("--length-spread", type=float)
     parser.add_argument("--spread", type=float, default=0.05)
+    parser.add_argument("--sensors", nargs="+", help="which may err so, by the model; both kinds by default")
     parser.add_argument("--right", action="store_true")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="after which no other twin is begun")
     arguments = parser.parse_args()
@@ -169,6 +170,7 @@ def main() -> None:
         kernel_length=arguments.length,
         kernel_length_spread=arguments.length_spread,
         kernel_spread=arguments.spread,
+        kernel_sensors=arguments.sensors,
     )
     size = (0.0, 0.0) if arguments.right else (arguments.um, arguments.arcsec)
     figures: dict[str, list[dict[str, float]]] = {}
