@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from bayescal.config.sections import PerLeg, Positive, PositivePerLeg, Section
-from bayescal.density.model_error import INDEPENDENT, KernelName
+from bayescal.density.model_error import INDEPENDENT, LENGTHY, KernelName, LengthPrior
 
 
 class NormalConfig(Section):
@@ -40,18 +40,27 @@ class FixedConfig(Section):
 type PriorConfig = Annotated[NormalConfig | UniformConfig | FixedConfig, Field(discriminator="prior")]
 
 
-class ModelErrorConfig(Section):
-    """Prior of the model error: half-normal of τ, one per leg or one for all; and of what is a function of the pose.
+class KernelChoiceConfig(Section):
+    """Which kernel a variant has in place of what its experiment says."""
+
+    model_error: KernelName | None = Field(default=None, exclude_if=lambda value: value is None)
+    """What is a function of the pose in this variant: `independent`, `linear`, `quadratic` or `smooth`."""
+    kernel_length: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Over how far quadratic and smooth errors change in this variant, in place of what holds for all: a known length
+    unless a spread is stated, too [ranges of the actuators].
+    """
+    kernel_length_spread: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Standard deviation of the logarithm of that length, which is then free about its median [1]."""
+
+
+class KernelConfig(Section):
+    """Prior of an error that is a function of the pose.
 
     ``kernel_scale_um`` is what one actuator at the end of its range makes a leg err by, one standard deviation, where
     there is a structured error; ``kernel_spread`` the standard deviation of its logarithm, ``kernel_length`` in units
-    of the actuators' range.
+    of the actuators' range. In a self-calibration each sensor has a function of its own reading in a leg's place.
     """
 
-    scale_um: Positive = 10.0
-    """Scale of the half-normal prior of the model error τ."""
-    per_leg: bool = True
-    """Whether every leg has a model error of its own, or all share one."""
     kernel: KernelName = Field(default=INDEPENDENT, exclude_if=lambda value: value == INDEPENDENT)
     """What is a function of the pose, for all variants that say nothing: `independent` (nothing is), `linear`,
     `quadratic` (linear and quadratic), or `smooth`.
@@ -68,6 +77,32 @@ class ModelErrorConfig(Section):
     """
     kernel_per_leg: bool = Field(default=False, exclude_if=lambda value: value is False)
     """Whether every leg has a scale of its own."""
+
+    def name_for(self, choice: KernelChoiceConfig) -> KernelName:
+        """Return the kernel of a variant: its own, or that of all."""
+        return choice.model_error or self.kernel
+
+    def length_for(self, choice: KernelChoiceConfig) -> float:
+        """Return the length of a variant's kernel, or the median of its prior, in ranges of the actuators."""
+        return choice.kernel_length or self.kernel_length
+
+    def lengths_for(self, choice: KernelChoiceConfig) -> LengthPrior | None:
+        """Return the prior of the length of a variant's kernel; None where there is none, or it is known."""
+        spread = choice.kernel_length_spread
+        if spread is None and choice.kernel_length is None:
+            spread = self.kernel_length_spread
+        if spread is None or self.name_for(choice) not in LENGTHY:
+            return None
+        return LengthPrior(self.length_for(choice), spread)
+
+
+class ModelErrorConfig(KernelConfig):
+    """Prior of the model error: half-normal of τ, one per leg or one for all; and of what is a function of the pose."""
+
+    scale_um: Positive = 10.0
+    """Scale of the half-normal prior of the model error τ."""
+    per_leg: bool = True
+    """Whether every leg has a model error of its own, or all share one."""
 
 
 class BlundersConfig(Section):

@@ -19,6 +19,7 @@ from bayescal.density.calibration.noise import NoiseModel
 from bayescal.density.calibration.whitening import Whitening
 from bayescal.density.local import Funnel
 from bayescal.density.priors import Prior, UniformPrior
+from bayescal.density.readings.change import change_density
 from bayescal.density.readings.left_over import LeftOver
 from bayescal.errors import InputError, NumericalError
 from bayescal.numerics.geometry import Array
@@ -153,6 +154,14 @@ class CalibrationPosterior:
     def log_prior(self, y: Array) -> Array:
         """Return the log-prior in the coordinates, (B, n) to (B,)."""
         return np.asarray(-0.5 * np.einsum("...i,...i->...", y, y) - self.n_parameters * HALF_LOG_TWO_PI)
+
+    def log_coordinates(self, y: Array) -> Array:
+        """Return the log-prior of each coordinate, (..., n)."""
+        return np.asarray(-0.5 * y**2 - HALF_LOG_TWO_PI)
+
+    def log_parameters(self, y: Array) -> Array:
+        """Return the log-prior of each parameter in its own unit, (..., n)."""
+        return change_density(self.log_coordinates(y), self.natural, y)
 
     def deviations(self, y: Array) -> tuple[Array, Array]:
         """Return s σ (B, P, K) and τ (B, 1, K) at coordinates (B, n)."""

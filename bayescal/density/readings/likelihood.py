@@ -44,7 +44,7 @@ class ReadingLikelihood:
         here = sensors.linearise(nominal, self._start, with_parameters=False)
         self._gain = np.linalg.pinv(here.by_pose)
         n, q = len(sensors.chosen), sensors.n_coordinates
-        self._constant = -np.log(sensors.noise).sum() - 0.5 * (n - q) * np.log(2 * np.pi) - np.log(volume)
+        self.constant = -np.log(sensors.noise).sum() - 0.5 * (n - q) * np.log(2 * np.pi) - np.log(volume)
 
     @property
     def n_poses(self) -> int:
@@ -93,7 +93,7 @@ class ReadingLikelihood:
             part = slice(start, start + BATCH)
             _, error, slope = self._stand(theta[part])
             square = np.einsum("bpk,bpk->bp", error, error)
-            result[part] = self._constant - 0.5 * square - _half_log_volume(slope)
+            result[part] = self.constant - 0.5 * square - half_log_volume(slope)
         result[~np.isfinite(result)] = -np.inf
         return result
 
@@ -118,7 +118,7 @@ class ReadingLikelihood:
         points = theta + STEP * np.concatenate([scale, -scale])
         values = np.concatenate(
             [
-                -_half_log_volume(self._stand(part)[2]).sum(axis=1)
+                -half_log_volume(self._stand(part)[2]).sum(axis=1)
                 for part in np.array_split(points, max(1, len(points) // BATCH))
             ]
         )
@@ -135,7 +135,7 @@ class ReadingLikelihood:
         return error[0], moved - here.by_parameters
 
 
-def _half_log_volume(slope: Array) -> Array:
+def half_log_volume(slope: Array) -> Array:
     """Return ½ log |HᵀΣ⁻¹H| for H (..., K, q) in units of the noise."""
     normal = np.swapaxes(slope, -1, -2) @ slope
     with np.errstate(all="ignore"):

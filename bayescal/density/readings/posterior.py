@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bayescal.density.priors import NormalPrior
+from bayescal.density.readings.change import change_density
 from bayescal.density.readings.left_over import LeftOver
 from bayescal.density.readings.likelihood import ReadingLikelihood
 from bayescal.errors import InputError
@@ -53,9 +54,19 @@ class SelfCalibrationPosterior:
         self.likelihood.sensors.check(self.likelihood.n_poses, len(self.priors))
 
     @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of the free parameters, in the layout's order."""
+    def geometry_names(self) -> tuple[str, ...]:
+        """Names of the machine's free parameters, in the layout's order."""
         return tuple(sorted(self.priors, key=lambda name: self._places(name)[0]))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of everything that is free, n of them."""
+        return self.geometry_names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of all."""
+        return tuple(self.likelihood.sensors.model.layout.units[place] for place in self.free)
 
     def _places(self, name: str) -> list[int]:
         """Return where the parameters of a coordinate stand in the layout."""
@@ -64,14 +75,14 @@ class SelfCalibrationPosterior:
 
     @cached_property
     def free(self) -> np.ndarray:
-        """Where they stand in the layout, the first of those that deviate alike, shape (n,)."""
-        return np.array([self._places(name)[0] for name in self.names], dtype=int)
+        """Where the machine's stand in the layout, the first of those that deviate alike, shape (m,)."""
+        return np.array([self._places(name)[0] for name in self.geometry_names], dtype=int)
 
     @cached_property
     def moves(self) -> Array:
-        """How parameters move with the coordinates, shape (n, D)."""
-        moves = np.zeros((self.n_parameters, self.likelihood.sensors.model.layout.size))
-        for k, name in enumerate(self.names):
+        """How parameters move with the machine's coordinates, shape (m, D)."""
+        moves = np.zeros((self.n_geometry, self.likelihood.sensors.model.layout.size))
+        for k, name in enumerate(self.geometry_names):
             moves[k, self._places(name)] = self.scale[k]
         return moves
 
@@ -89,26 +100,39 @@ class SelfCalibrationPosterior:
 
     @cached_property
     def scale(self) -> Array:
-        """Standard deviations of the priors, shape (n,)."""
-        return np.array([self.priors[name].scale for name in self.names])
+        """Standard deviations of the machine's priors, shape (m,)."""
+        return np.array([self.priors[name].scale for name in self.geometry_names])
+
+    @property
+    def prior_sd(self) -> Array:
+        """Standard deviations of all priors, shape (n,)."""
+        return self.scale
 
     @property
     def n_parameters(self) -> int:
-        """Number n of free parameters."""
+        """Number n of coordinates."""
         return len(self.names)
 
     @property
     def n_geometry(self) -> int:
-        """All of them."""
-        return len(self.names)
+        """How many of them m are parameters of the machine."""
+        return len(self.priors)
 
     def theta(self, y: Array) -> Array:
         """Return full parameter vectors (B, D) of coordinates (B, n)."""
-        return np.asarray(self.centre + y @ self.moves)
+        return np.asarray(self.centre + y[..., : self.n_geometry] @ self.moves)
 
     def natural(self, y: Array) -> Array:
-        """Return the free parameters in mm and rad, (..., n)."""
+        """Return everything that is free in its own unit, (..., n)."""
         return np.asarray(self.centre[self.free] + y * self.scale)
+
+    def log_coordinates(self, y: Array) -> Array:
+        """Return the log-prior of each coordinate, (..., n)."""
+        return np.asarray(-0.5 * y**2 - HALF_LOG_TWO_PI)
+
+    def log_parameters(self, y: Array) -> Array:
+        """Return the log-prior of each parameter in its own unit, (..., n)."""
+        return change_density(self.log_coordinates(y), self.natural, y)
 
     def log_prior(self, y: Array) -> Array:
         """Return the log-prior in the coordinates, (B, n) to (B,)."""
@@ -130,6 +154,10 @@ class SelfCalibrationPosterior:
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each pose's readings, (B, n) to (B, P)."""
         return self.likelihood.pointwise(self.theta(y))
+
+    def predict_density(self, other: ReadingLikelihood, y: Array) -> Array:
+        """Return the log-density of each pose's readings among others that were kept back, (B, n) to (B, Q)."""
+        return other.pointwise(self.theta(y))
 
     def leave_over(self, y: Array) -> LeftOver:
         """Return what the best poses leave of the readings at coordinates (B, n)."""

@@ -28,11 +28,11 @@ def compute_self_calibration(inputs: ReadingInputs, run: Run) -> Results:
 
 def _list_files(inputs: ReadingInputs, found: dict[str, VariantFindings]) -> dict[str, Writer]:
     """Return what writes the variants' posteriors."""
-    layout, table = inputs.model.layout, inputs.table
+    table = inputs.table
     poses = [pose for pose, held in zip(table.poses, table.verification, strict=True) if not held]
     files = {}
     for name, one in found.items():
-        units = [layout.units[place] for place in inputs.posterior(inputs.variants[name]).free]
+        units = inputs.posterior(inputs.variants[name]).units
         build = partial(build_reading_tree, one.fit.saved, one.fit.names, units, poses, name)
         files[name_file(name)] = write_tree(build)
     return files

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.density.prediction import compute_elpd
+from bayescal.experiments.self_calibration.functions import FoundFunctions, find_functions
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.estimate import Estimate, estimate_posterior
 from bayescal.experiments.shared.reading_trees import SavedDraws, save_draws
@@ -31,6 +32,8 @@ class Fit(Estimate):
         What the mode leaves of each calibration pose's readings, squared, in units of the noise.
     saved : SavedDraws
         What the posterior's file holds.
+    functions : FoundFunctions or None
+        Errors of the sensors that are functions of what they read.
     """
 
     names: tuple[str, ...]
@@ -39,6 +42,7 @@ class Fit(Estimate):
     elpd: float
     square: Array
     saved: SavedDraws
+    functions: FoundFunctions | None
 
 
 def fit_variant(inputs: ReadingInputs, variant: Variant) -> Fit:
@@ -47,17 +51,19 @@ def fit_variant(inputs: ReadingInputs, variant: Variant) -> Fit:
     found = estimate_posterior(posterior, config.seed, variant.name, config.sampler, config.evidence)
     theta, elpd = posterior.theta(found.kept), float("nan")
     if inputs.table.verification.any():
-        elpd = compute_elpd(inputs.likelihood(variant, verification=True).pointwise(theta))
-    _, error = posterior.likelihood.find_poses(posterior.theta(found.mode[None]))
-    square = np.einsum("pk,pk->p", error[0], error[0])
+        held = inputs.likelihood(variant, verification=True)
+        elpd = compute_elpd(posterior.predict_density(held, found.kept))
+    error = posterior.leave_over(found.mode[None]).error[0]
+    square = np.einsum("pk,pk->p", error, error)
     seed = [config.seed, 8, zlib.crc32(variant.name.encode())]
     saved = save_draws(posterior, found.kept, len(found.natural), config.sampler.ensembles, seed)
     return Fit(
         **vars(found),
         names=posterior.names,
         theta=theta,
-        prior_sd=posterior.scale,
+        prior_sd=posterior.prior_sd,
         elpd=elpd,
         square=square,
         saved=saved,
+        functions=find_functions(inputs, variant, posterior, found.kept),
     )

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayescal.density.readings.absorbed import Absorber, Strength
 from bayescal.density.readings.poses import SensorSet, find_poses
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.reading_machine import tolerance_of
@@ -19,6 +20,7 @@ from bayescal.identifiability.information import Information, information_of_row
 from bayescal.identifiability.ridges import ARCSECONDS, MICROMETRES, describe_move, round_below, round_up
 from bayescal.identifiability.selection import Selection, select_parameters
 from bayescal.identifiability.structure import EPSILON, TWIN_SHIFT, TWINS, Structure, find_structure
+from bayescal.identifiability.structured_noise import marginalise
 from bayescal.identifiability.units import Units
 from bayescal.identifiability.verdicts import Verdict, judge_parameters
 from bayescal.numerics.geometry import Array
@@ -78,7 +80,7 @@ def audit_variant(inputs: ReadingInputs, variant: Variant) -> Identifiability:
     seen, structure, unseen = _find_structure(inputs, variant)
     pose = variant.pose[~inputs.table.verification]
     rows = compute_rows(sensors, free.centre, pose)[..., free.places]
-    information = information_of_rows(rows, free.scale)
+    information = _inform(inputs, variant, pose, rows)
     names = variant.free_names
     selection = select_parameters(information, tuple(name.partition("[")[0] for name in names))
     nothing = np.empty((len(names), 0))
@@ -86,6 +88,19 @@ def audit_variant(inputs: ReadingInputs, variant: Variant) -> Identifiability:
     verdicts = judge_parameters(information, nothing)
     ridges = tuple(_describe(variant, d, pose) for d in directions if d.pivot is not None)
     return Identifiability(seen, structure, unseen, names, information, selection, verdicts, ridges)
+
+
+def _inform(inputs: ReadingInputs, variant: Variant, pose: Array, rows: Array) -> Information:
+    """Return what rows (P, K, n) tell of the free parameters, beside functions of the sensors of their stated scale."""
+    free, functions = variant.free, variant.functions
+    if functions is None:
+        return information_of_rows(rows, free.scale)
+    readings = inputs.measured(variant.sensors, verification=False)
+    absorber = Absorber(functions, variant.sensors, readings)
+    slope = variant.sensors.linearise(free.centre, pose, with_parameters=False).by_pose
+    strength = Strength(functions.scale[None, functions.group], np.array([functions.length]))
+    others = absorber.rows(slope[None], absorber.root(strength))[0]
+    return marginalise(rows.reshape(-1, rows.shape[-1]) * free.scale, others.reshape(-1, others.shape[-1]))
 
 
 def _find_structure(inputs: ReadingInputs, variant: Variant) -> tuple[tuple[str, ...], Structure, tuple[str, ...]]:

@@ -11,12 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.density.model_error import INDEPENDENT
 from bayescal.density.priors import NormalPrior
 from bayescal.density.readings.calibrate import FreeParameters
+from bayescal.density.readings.functions import SensorFunctions
 from bayescal.density.readings.likelihood import ReadingLikelihood
 from bayescal.density.readings.poses import PoseFit, SensorSet, find_poses, null_basis
 from bayescal.density.readings.posterior import SelfCalibrationPosterior
+from bayescal.density.readings.structured_posterior import StructuredReadingPosterior
 from bayescal.errors import InputError
+from bayescal.experiments.self_calibration.functions import build_functions
 from bayescal.experiments.self_calibration.reading_table import ReadingTable, Truth, read_readings, read_truth
 from bayescal.experiments.self_calibration.schema import ReadingVariantConfig, SelfCalibrationConfig
 from bayescal.experiments.shared.reading_machine import (
@@ -55,6 +59,8 @@ class Variant:
         Those that deviate alike.
     pose : ndarray, shape (P, q)
         Where the machine as expected explains all readings best.
+    functions : SensorFunctions or None
+        Errors of the sensors that are functions of what they read.
     """
 
     config: ReadingVariantConfig
@@ -62,6 +68,7 @@ class Variant:
     free: FreeParameters
     common: Mapping[str, tuple[str, ...]]
     pose: Array
+    functions: SensorFunctions | None = None
 
     @property
     def name(self) -> str:
@@ -71,8 +78,13 @@ class Variant:
     @property
     def internal(self) -> SensorSet:
         """The sensors that the machine keeps after its calibration."""
+        return self.sensors.select(self.kept)
+
+    @property
+    def kept(self) -> np.ndarray:
+        """Where these stand among all of its sensors."""
         channels = self.sensors.model.channels
-        return self.sensors.select(np.flatnonzero([not channels[k].external for k in self.sensors.chosen]))
+        return np.flatnonzero([not channels[k].external for k in self.sensors.chosen])
 
     @property
     def free_names(self) -> tuple[str, ...]:
@@ -125,7 +137,10 @@ class ReadingInputs:
         for place, scale in zip(free.places, free.scale, strict=True):
             name = names[place]
             priors.setdefault(shared.get(name, name), NormalPrior(float(free.centre[place]), float(scale)))
-        return SelfCalibrationPosterior(self.likelihood(variant), priors, common=variant.common)
+        likelihood, common = self.likelihood(variant), variant.common
+        if variant.functions is not None:
+            return StructuredReadingPosterior(likelihood, priors, common=common, functions=variant.functions)
+        return SelfCalibrationPosterior(likelihood, priors, common=common)
 
     @cached_property
     def workspace(self) -> Array:
@@ -175,7 +190,10 @@ def _build_variant(
     pose = find_reading_poses(sensors, plain, table.values[:, sensors.chosen], starts, table.poses, where)
     model.check_poses(pose, lambda k: f"{where}: pose {table.poses[k]!r}")
     _check_workspace(config.workspace, unfound.internal, plain, pose, [f"{where}: pose {n!r}" for n in table.poses])
-    return Variant(section, sensors, free, common, pose)
+    functions = None
+    if config.model_error.name_for(section) != INDEPENDENT:
+        functions = build_functions(config, section, sensors, table.values[:, sensors.chosen])
+    return Variant(section, sensors, free, common, pose, functions)
 
 
 def _plain_parameters(

@@ -6,7 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from bayescal.config.sections import ExperimentConfig, InputFile, Name, Names, Section
+from bayescal.config.sections import ExperimentConfig, InputFile, Name, Names, Positive, Section
+from bayescal.density.schema import KernelChoiceConfig, KernelConfig
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.machines.readings.schema import Count, PlanarPosesConfig, ReadingSensorConfig, ReadingTolerancesConfig
 
@@ -30,11 +31,26 @@ class ReadingDataConfig(Section):
         return self
 
 
-class ReadingVariantConfig(Section):
+class ReadingErrorConfig(KernelConfig):
+    """Prior of sensors' errors that are functions of what they read, the same every time.
+
+    Each sensor has a function of its own reading, zero at home; a sensor of lengths errs by ``kernel_scale_um`` at the
+    end of its range, one of angles by ``kernel_scale_arcsec``. The range is how far the reading goes from home over
+    the workspace. One scale holds for all sensors of a kind, or for each with ``kernel_per_leg``.
+    """
+
+    kernel_scale_arcsec: Positive = 20.0
+    """What a sensor of angles errs by at the end of its range, one standard deviation."""
+    kernel_sensors: Annotated[Names, Field(min_length=1)] | None = None
+    """Sensors, or kinds of them, that may err so; all of the machine's own where nothing is said."""
+
+
+class ReadingVariantConfig(KernelChoiceConfig):
     """Sensors that are used, and what is free: by default what they see, but for what defines the frames.
 
     ``fixed`` keeps parameters, or all of a symbol, nominal; ``also_free`` frees some that define frames, for an
-    instrument beside the machine; parameters of a ``common`` symbol deviate alike.
+    instrument beside the machine; parameters of a ``common`` symbol deviate alike. ``model_error`` is a kernel of
+    errors that are functions of the readings.
     """
 
     name: Name
@@ -73,6 +89,10 @@ class SelfCalibrationConfig(ExperimentConfig):
     """How far dimensions may be off."""
     workspace: PlanarPosesConfig
     """Where poses may be."""
+    model_error: ReadingErrorConfig = Field(
+        default=ReadingErrorConfig(), exclude_if=lambda value: value == ReadingErrorConfig()
+    )
+    """Sensors' errors that are functions of what they read."""
     variants: Annotated[list[ReadingVariantConfig], Field(min_length=1)]
     """Models to compare."""
     sampler: SamplerConfig = SamplerConfig()

@@ -11,6 +11,7 @@ import pandas as pd
 
 from bayescal.density.readings.calibrability import Calibrability
 from bayescal.experiments.self_calibration.fit import Fit
+from bayescal.experiments.self_calibration.functions import tabulate_functions
 from bayescal.experiments.self_calibration.identifiability import Identifiability
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
 from bayescal.experiments.self_calibration.tool import ToolAccuracy, ToolPrediction, true_machine
@@ -57,6 +58,8 @@ def tabulate(inputs: ReadingInputs, outcomes: Mapping[str, VariantFindings]) -> 
         ),
         "residuals": pd.concat([_list_residuals(inputs, *one) for one in every], ignore_index=True),
     }
+    found = [(variant.name, outcome.fit.functions) for variant, outcome in every]
+    tables |= tabulate_functions([(name, one) for name, one in found if one is not None])
     return {name: table for name, table in tables.items() if not table.empty or name == "ridges"}
 
 
@@ -95,25 +98,28 @@ def _misfit(variant: Variant, fit: Fit) -> float:
 
 def _list_parameters(inputs: ReadingInputs, variant: Variant, outcome: VariantFindings) -> pd.DataFrame:
     fit, layout = outcome.fit, inputs.model.layout
-    first = [layout.names.index(variant.common.get(name, (name,))[0]) for name in fit.names]
-    mean, sd = fit.natural.mean(axis=0), fit.natural.std(axis=0)
-    low, high = np.quantile(fit.natural, [0.05, 0.95], axis=0)
+    count = variant.together.shape[1]  # beside those of the sensors' functions
+    names, prior_sd = fit.names[:count], fit.prior_sd[:count]
+    first = [layout.names.index(variant.common.get(name, (name,))[0]) for name in names]
+    draws = fit.natural[:, :count]
+    mean, sd = draws.mean(axis=0), draws.std(axis=0)
+    low, high = np.quantile(draws, [0.05, 0.95], axis=0)
     true = true_machine(inputs, variant)
     table = pd.DataFrame(
         {
             "variant": variant.name,
-            "parameter": fit.names,
+            "parameter": names,
             "unit": [layout.units[k] for k in first],
             "nominal": layout.nominal[first],
-            "prior_sd": fit.prior_sd,
+            "prior_sd": prior_sd,
             "mean": mean,
             "sd": sd,
             "q05": low,
             "q95": high,
-            "contraction": 1.0 - (sd / fit.prior_sd) ** 2,
-            "rhat": fit.diagnostics.rhat,
-            "ess_bulk": fit.diagnostics.ess_bulk,
-            "ess_tail": fit.diagnostics.ess_tail,
+            "contraction": 1.0 - (sd / prior_sd) ** 2,
+            "rhat": fit.diagnostics.rhat[:count],
+            "ess_bulk": fit.diagnostics.ess_bulk[:count],
+            "ess_tail": fit.diagnostics.ess_tail[:count],
         }
     )
     if true is not None:

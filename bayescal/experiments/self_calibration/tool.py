@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.density.readings.tool import compute_tool_sensitivity, locate_tool
+from bayescal.density.readings.tool import ToolSensitivity, compute_tool_sensitivity, locate_tool
 from bayescal.errors import NumericalError
 from bayescal.experiments.self_calibration.fit import Fit
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
@@ -91,7 +91,7 @@ def predict_tool(inputs: ReadingInputs, variant: Variant, fit: Fit, rng: np.rand
     Given a machine, the pose that readings tell of is normal about the best one with (HᵀΣ⁻¹H)⁻¹ to first order.
     """
     sensors, held = variant.internal, inputs.table.verification
-    measured, start = inputs.measured(sensors, True), variant.pose[held]
+    measured, start = _correct(inputs.measured(variant.sensors, True), variant, fit), variant.pose[held]
     place = locate_tool(sensors, fit.theta, measured, start)
     if not place.converged.all():
         raise NumericalError(f"variant {variant.name!r}: found no pose at which to locate the tool")
@@ -109,10 +109,18 @@ def predict_tool(inputs: ReadingInputs, variant: Variant, fit: Fit, rng: np.rand
     return ToolPrediction(mean, low, high, sd, true)
 
 
+def _correct(readings: Array, variant: Variant, fit: Fit) -> Array:
+    """Return readings (V, K) of the machine's own sensors less draws of their functions, (V, k) or (T, V, k)."""
+    if variant.functions is None or fit.functions is None:
+        return readings[:, variant.kept]
+    return (readings - variant.functions.evaluate(fit.functions.coefficients, readings))[..., variant.kept]
+
+
 def assess_tool(inputs: ReadingInputs, variant: Variant, fit: Fit) -> ToolAccuracy:
     """Return how far the tool's centre is off over the workspace, before and after the calibration.
 
-    Before are all parameters within their tolerances that the sensors see, those that a variant fixes too.
+    Before are all parameters within their tolerances that the sensors see, those that a variant fixes too. What a
+    machine errs by in truth is that of its parameters; with sensors whose own error nobody wrote down it is not known.
     """
     sensors, pose, layout = variant.internal, inputs.workspace, inputs.model.layout
     mean = fit.theta.mean(axis=0)
@@ -124,12 +132,25 @@ def assess_tool(inputs: ReadingInputs, variant: Variant, fit: Fit) -> ToolAccura
     theta = true_machine(inputs, variant)
     if theta is not None:
         errors = [_true_error(inputs, variant, theta, machine) for machine in (layout.nominal, mean)]
+        errors[1] = errors[1] if variant.functions is None else float("nan")
     return ToolAccuracy(
         _rms(nominal.covariance(plain.places, np.diag(plain.scale**2))),
-        _rms(calibrated.covariance(every, np.cov(fit.theta, rowvar=False))),
+        _rms(calibrated.covariance(every, np.cov(fit.theta, rowvar=False)))
+        if variant.functions is None
+        else _spread_of_draws(variant, fit, calibrated, pose),
         _rms(calibrated.noise_covariance),
         *errors,
     )
+
+
+def _spread_of_draws(variant: Variant, fit: Fit, tool: ToolSensitivity, pose: Array) -> float:
+    """Return the rms error of the tool's centre at poses (W, q) over draws of parameters and functions together, mm."""
+    sensors = variant.internal
+    readings = variant.sensors.read(fit.theta.mean(axis=0), pose)
+    corrected = _correct(readings, variant, fit) / sensors.noise
+    moved = np.einsum("wmd,td->twm", tool.by_parameters, fit.theta - fit.theta.mean(axis=0))
+    moved += np.einsum("wmk,twk->twm", tool.by_noise, corrected - corrected.mean(axis=0))
+    return float(np.sqrt((moved**2).sum(axis=-1).mean()))
 
 
 def _rms(covariance: Array) -> float:

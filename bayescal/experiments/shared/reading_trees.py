@@ -7,7 +7,7 @@ readings' own space, without what any pose would explain there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -26,12 +26,10 @@ MEANING = (
 )
 N_PRIOR = 300
 BATCH = 100
-STEP = 1e-5  # of a coordinate that is standard normal under the prior
-HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
 
 
 class ReadingPosterior(Protocol):
-    """A posterior in coordinates that are independent and standard normal under the prior."""
+    """A posterior in coordinates that are independent under the prior."""
 
     @property
     def n_parameters(self) -> int:
@@ -39,6 +37,15 @@ class ReadingPosterior(Protocol):
 
     def natural(self, y: Array) -> Array:
         """Return the parameters in their own units, each a function of its own coordinate, (..., n) to (..., n)."""
+
+    def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
+        """Return draws of the prior in the coordinates, shape (n_draws, n)."""
+
+    def log_coordinates(self, y: Array) -> Array:
+        """Return the log-prior of each coordinate, (..., n)."""
+
+    def log_parameters(self, y: Array) -> Array:
+        """Return the log-prior of each parameter in its own unit, (..., n)."""
 
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each pose's readings, (B, n) to (B, P)."""
@@ -79,17 +86,17 @@ def save_draws(
     chains = _split_chains(kept, n_total, n_chains)
     flat = chains.reshape(-1, kept.shape[-1])
     expected = posterior.leave_over(np.zeros((1, posterior.n_parameters)))
-    prior = rng.standard_normal((N_PRIOR, posterior.n_parameters))
+    prior = posterior.draw_prior(N_PRIOR, rng)
     with np.errstate(all="ignore"):
         predicted = _replicate(posterior, expected, prior, rng)
     stands = np.isfinite(predicted).all(axis=1)
     density = posterior.pointwise(flat)
     shape = chains.shape[:2]
-    log_normal = -0.5 * flat**2 - HALF_LOG_TWO_PI
+    log_prior = posterior.log_coordinates(flat)
     return SavedDraws(
         posterior=posterior.natural(chains),
-        log_density=(density.sum(axis=1) + log_normal.sum(axis=1)).reshape(shape),
-        log_prior=(log_normal - np.log(_slope(posterior.natural, flat))).reshape(chains.shape),
+        log_density=(density.sum(axis=1) + log_prior.sum(axis=1)).reshape(shape),
+        log_prior=posterior.log_parameters(flat).reshape(chains.shape),
         prior=posterior.natural(prior[stands]),
         log_likelihood=density.reshape(*shape, -1),
         observed=expected.measure(expected.error[0]),
@@ -103,11 +110,6 @@ def _split_chains(kept: Array, n_total: int, n_chains: int) -> Array:
     chain = np.linspace(0, n_total - 1, len(kept)).astype(int) * n_chains // n_total
     shortest = min(int(np.sum(chain == k)) for k in range(n_chains))
     return np.stack([kept[chain == k][:shortest] for k in range(n_chains)])
-
-
-def _slope(natural: Callable[[Array], Array], y: Array) -> Array:
-    """Return the derivative of each parameter by its own coordinate."""
-    return np.abs(natural(y + STEP) - natural(y - STEP)) / (2 * STEP)
 
 
 def _replicate(posterior: ReadingPosterior, expected: LeftOver, y: Array, rng: np.random.Generator) -> Array:

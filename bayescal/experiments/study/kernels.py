@@ -6,7 +6,7 @@ from bayescal.density.batches import BATCH
 from bayescal.density.free_length import FreeLengthLikelihood, count_nodes
 from bayescal.density.free_length_posterior import FreeLengthPosterior
 from bayescal.density.likelihood import Likelihood
-from bayescal.density.model_error import INDEPENDENT, LENGTHY, KernelScale, LengthPrior, build_kernel
+from bayescal.density.model_error import INDEPENDENT, KernelScale, build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.structured import StructuredLikelihood
@@ -19,27 +19,12 @@ from bayescal.numerics.units import MICROMETRE
 
 def name_kernel(config: StudyConfig, variant: VariantConfig) -> str:
     """Return the kernel of a variant's model error: its own, or that of all."""
-    return variant.model_error or config.model_error.kernel
+    return config.model_error.name_for(variant)
 
 
 def has_kernels(config: StudyConfig) -> bool:
     """Return whether any variant has a structured model error."""
     return any(name_kernel(config, variant) != INDEPENDENT for variant in config.variants)
-
-
-def kernel_length(config: StudyConfig, variant: VariantConfig) -> float:
-    """Return the length of a variant's kernel, or the median of its prior, in ranges of the actuators."""
-    return variant.kernel_length or config.model_error.kernel_length
-
-
-def kernel_lengths(config: StudyConfig, variant: VariantConfig) -> LengthPrior | None:
-    """Return the prior of the length of a variant's kernel; None where there is none, or it is known."""
-    spread = variant.kernel_length_spread
-    if spread is None and variant.kernel_length is None:
-        spread = config.model_error.kernel_length_spread
-    if spread is None or name_kernel(config, variant) not in LENGTHY:
-        return None
-    return LengthPrior(kernel_length(config, variant), spread)
 
 
 def give_kernel(
@@ -58,7 +43,7 @@ def give_kernel(
             f"other, expected kernel {INDEPENDENT!r}, or deformation 'free_matrix' for linear errors"
         )
     structured = _structure(plain.likelihood, config, variant, actuator_range)
-    known, lengths = (structured, plain.priors, plain.model_error, plain.fixed), kernel_lengths(config, variant)
+    known, lengths = (structured, plain.priors, plain.model_error, plain.fixed), config.model_error.lengths_for(variant)
     if lengths is not None:
         return FreeLengthPosterior(*known, kernel_scale=_scale_kernels(config), lengths=lengths)
     return StructuredPosterior(*known, kernel_scale=_scale_kernels(config))
@@ -68,7 +53,7 @@ def _structure(
     likelihood: Likelihood, config: StudyConfig, variant: VariantConfig, travel: float
 ) -> StructuredLikelihood:
     """Return the density of the calibration poses with a variant's structured model error."""
-    kernel, lengths = name_kernel(config, variant), kernel_lengths(config, variant)
+    kernel, lengths = name_kernel(config, variant), config.model_error.lengths_for(variant)
     if not isinstance(likelihood, PoseLikelihood):
         raise InputError(
             f"model_error.kernel: found {kernel!r} with poses measured in part, points, or frames to be found, "
@@ -77,7 +62,7 @@ def _structure(
     _check_kernel(likelihood.n_poses, likelihood.n_legs, lengths is not None)
     if lengths is not None:
         return FreeLengthLikelihood(likelihood, kernel, lengths, travel)
-    return StructuredLikelihood(likelihood, build_kernel(kernel, kernel_length(config, variant)), travel)
+    return StructuredLikelihood(likelihood, build_kernel(kernel, config.model_error.length_for(variant)), travel)
 
 
 def _scale_kernels(config: StudyConfig) -> KernelScale:

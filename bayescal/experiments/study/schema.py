@@ -9,8 +9,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 from bayescal.config.classes import ClassMark, label_class
 from bayescal.config.load import MEASURED
 from bayescal.config.sections import ExperimentConfig, Factor, InputFile, NotNegative, Positive, Section, check_once
-from bayescal.density.model_error import KernelName
-from bayescal.density.schema import BlundersConfig, FixedConfig, ModelErrorConfig, PriorConfig
+from bayescal.density.schema import BlundersConfig, FixedConfig, KernelChoiceConfig, ModelErrorConfig, PriorConfig
 from bayescal.experiments.shared.schema import DeformationConfig, FramesConfig
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 
@@ -124,7 +123,7 @@ type DataConfig = Annotated[
 type VariantName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+( [A-Za-z0-9_-]+)*$")]
 
 
-class VariantConfig(Section):
+class VariantConfig(KernelChoiceConfig):
     """A kinematic model with a deformation and its free parameters; all others stay at their nominal values.
 
     Without a name of its own a variant is called after model and deformation, ``six_pus/none``; several free sets of
@@ -142,14 +141,6 @@ class VariantConfig(Section):
     """Symbols that are free; all others stay nominal."""
     published: InputFile | None = None
     """CSV file of printed values to compare with."""
-    model_error: KernelName | None = Field(default=None, exclude_if=lambda value: value is None)
-    """What is a function of the pose in this variant: `independent`, `linear`, `quadratic` or `smooth`."""
-    kernel_length: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Over how far quadratic and smooth errors change in this variant, in place of what the study says: a known length
-    unless a spread is stated, too [ranges of the actuators].
-    """
-    kernel_length_spread: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Standard deviation of the logarithm of that length, which is then free about its median [1]."""
 
     @property
     def has_own_name(self) -> bool:

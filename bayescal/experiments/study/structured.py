@@ -14,7 +14,7 @@ from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.density.structured_prediction import pointwise_given, predict_structured
-from bayescal.experiments.study.kernels import kernel_length, kernel_lengths, name_kernel
+from bayescal.experiments.study.kernels import name_kernel
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
@@ -92,13 +92,14 @@ def _name_kernel(inputs: StudyInputs, variant: str) -> str:
     name = name_kernel(inputs.config, config)
     if name not in LENGTHY:
         return name
-    length = "free" if kernel_lengths(inputs.config, config) else f"{kernel_length(inputs.config, config):g}"
+    error = inputs.config.model_error
+    length = "free" if error.lengths_for(config) else f"{error.length_for(config):g}"
     return f"{name}, length {length}"
 
 
 def _describe_length(inputs: StudyInputs, variant: str, names: Sequence[str], draws: Array) -> dict[str, Any]:
     """Return a length that is free, in ranges of the actuators, as `_describe_scales` has the scales."""
-    prior = kernel_lengths(inputs.config, inputs.variant(variant))
+    prior = inputs.config.model_error.lengths_for(inputs.variant(variant))
     scale, length = (draws[..., [k for k, name in enumerate(names) if name.startswith(one)]] for one in (SCALE, LENGTH))
     there = length[..., 0][(scale > 0.0).any(axis=-1)] if prior else np.empty(0)
     if prior is None or len(there) < FEWEST_DRAWS:

@@ -12,6 +12,7 @@ from reading_machines import EXPERIMENT
 from reading_studies import describe_variant, load_small, write_small
 
 from bayescal.errors import InputError
+from bayescal.experiments.frame import memory
 
 
 @pytest.fixture
@@ -178,6 +179,44 @@ TEXTS = [
     ("study.toml", 'true_poses = "data/true_poses.csv"\n', "", "expected true_parameters and true_poses both or none"),
     ("study.toml", "readings.csv", "reading.csv", "reading.csv: no such file"),
     ("study.toml", "steps = 12", "step = 12", "sampler.step: unknown key, did you mean 'steps'?"),
+    (
+        "study.toml",
+        "[sampler]",
+        "[model_error]\nkernel_length = 0.0\n[sampler]",
+        "model_error.kernel_length: found 0.0",
+    ),
+    (
+        "study.toml",
+        "[sampler]",
+        "[model_error]\nkernel_scale_arcsec = -1.0\n[sampler]",
+        "kernel_scale_arcsec: found -1.0",
+    ),
+    ("study.toml", "[sampler]", "[model_error]\nkernel = 'cubic'\n[sampler]", "model_error.kernel: found 'cubic'"),
+    ("study.toml", "[sampler]", "[model_error]\nscale_um = 5.0\n[sampler]", "model_error.scale_um: unknown key"),
+    (
+        "study.toml",
+        "[sampler]",
+        "[model_error]\nkernel = 'smooth'\nkernel_length = 0.02\n[sampler]",
+        "model_error.kernel_length: found smooth errors of a length down to 0.02 ranges, expected longer ones",
+    ),
+    (
+        "study.toml",
+        "[sampler]",
+        "[model_error]\nkernel = 'smooth'\nkernel_length_spread = 3.0\n[sampler]",
+        "model_error.kernel_length: found smooth errors of a length down to 0.00062 ranges",
+    ),
+    (
+        "study.toml",
+        "[sampler]",
+        "[model_error]\nkernel = 'linear'\nkernel_sensors = ['phy']\n[sampler]",
+        "model_error.kernel_sensors: sensor 'phy': unknown here",
+    ),
+    (
+        "study.toml",
+        "[sampler]",
+        "[model_error]\nkernel = 'linear'\nkernel_sensors = ['psi']\n[sampler]",
+        "model_error.kernel_sensors: found psi, expected some of s[1]",
+    ),
 ]
 
 
@@ -185,6 +224,31 @@ TEXTS = [
 def test_bad_files_are_one_line(call, small, name, old, new, expected):
     studies.edit(Path(name), old, new)
     assert expected in refuse(call, "run", small, "--out", "new/out", "--workers", 1)
+
+
+def test_functions_that_take_too_much_memory(small, monkeypatch):
+    studies.edit(small, "[sampler]", "[model_error]\nkernel = 'smooth'\n[sampler]")
+    load_small(small)
+    monkeypatch.setattr(memory, "measure_available", lambda: 0.0)
+    with pytest.raises(
+        InputError, match=r"memory: found 23 poses with \d+ coefficients of sensors' errors, which take"
+    ):
+        load_small(small)
+
+
+def test_functions_are_of_the_sensors_that_may_err(small):
+    block = "[model_error]\nkernel = 'linear'\nkernel_sensors = ['phi']\nkernel_scale_arcsec = 7.0\n[sampler]"
+    studies.edit(small, "[sampler]", block)
+    functions = load_small(small).variants["s6"].functions
+    assert functions.names == ("sigma_g(phi)",)
+    assert list(functions.places) == [3, 4, 5]
+    np.testing.assert_allclose(functions.scale, np.radians(7.0 / 3600.0))
+    np.testing.assert_allclose(functions.home, 0.0, atol=1e-12)
+    studies.edit(small, "kernel_sensors = ['phi']", "kernel_per_leg = true")
+    studies.edit(small, "sensors = ['s', 'phi']", "sensors = ['s', 'phi', 'x_V', 'y_V']\nmodel_error = 'smooth'")
+    functions = load_small(small).variants["s6"].functions
+    assert functions.names == tuple(f"sigma_g({kind}[{k}])" for kind in ("s", "phi") for k in (1, 2, 3))
+    assert functions.kernel == "smooth"
 
 
 def test_two_variants_of_one_name(call, small):

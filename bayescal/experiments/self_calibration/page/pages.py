@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 
 from bayescal.experiments.self_calibration.page import figures
+from bayescal.experiments.self_calibration.page.functions import judge_functions, show_functions
 from bayescal.experiments.self_calibration.page.verdict import (
     Row,
     explains,
@@ -49,9 +50,11 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
         *_show_identifiability(tables),
         _show_parameters(tables),
         *_show_predictions(tables),
+        *show_functions(tables),
         _show_method(tables),
     ]
     count = summary["n_poses"]
+    *verdict, converged = state_verdict(tables, summary)
     facts = (
         ("Machine", str(summary["machine"])),
         ("Poses", f"{count['calibration']} for calibration, {count['verification']} for verification"),
@@ -62,7 +65,7 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
         summary["title"],
         summary["data_origin"],
         state_headline(tables, summary),
-        tuple(state_verdict(tables, summary)),
+        (*verdict, *judge_functions(tables), converged),
         tuple(sections),
         facts,
     )

@@ -54,7 +54,8 @@ def explains(row: Row) -> bool:
 def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> str:
     """Return the main result in a sentence or two."""
     rows = list_rows(tables["variants"])
-    inside = sorted((r for r in rows if r["plain"] and not r["n_external"]), key=lambda r: r["n_sensors"]) or rows[:1]
+    plain = _keep_best([row for row in rows if row["plain"] and not row["n_external"]])
+    inside = sorted(plain, key=lambda row: row["n_sensors"]) or rows[:1]
     first = inside[0]
     words = (
         f"{first['title']} bring what is unknown of the tool's centre from {_um(first['tool_before_um'])} to "
@@ -71,6 +72,15 @@ def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> 
         words += f". Of {len(names)} models of the same readings, “{best['title']}” leads by "
         words += f"{_nats(best['log_evidence'] - second['log_evidence'])}"
     return f"{words}."
+
+
+def _keep_best(rows: list[Row]) -> list[Row]:
+    """Return of variants with the same sensors the one of the largest evidence, in the order they came in."""
+    best: dict[str, Row] = {}
+    for row in rows:
+        other = best.get(row["sensors"], row)
+        best[row["sensors"]] = row if row["log_evidence"] > other["log_evidence"] else other
+    return list(best.values())
 
 
 def _nats(value: float) -> str:
