@@ -26,6 +26,7 @@ from bayescal.experiments.shared.calibrating import Calibrating
 from bayescal.experiments.shared.measured import MeasuredVariant, Measuring, VariantChoice
 from bayescal.experiments.study.calibrated import calibrate_study, load_same
 from bayescal.experiments.study.claims import Claims
+from bayescal.experiments.study.common_offset import doubt_zero
 from bayescal.experiments.study.compute import compute_study
 from bayescal.experiments.study.inputs import StudyInputs, load_inputs
 from bayescal.experiments.study.memory import estimate_study
@@ -76,9 +77,11 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
         return estimate_study(inputs.inputs)
 
     def doubt(self, inputs: StudyTask) -> list[str]:
-        """Return what may have happened to data that no machine within the tolerances explains."""
+        """Return what may have happened to data that no machine explains, or only one within wide tolerances."""
         slip = find_study_slip(inputs.inputs)
-        return [] if slip is None else [f"the data fit {slip.factor:.2g} times better if one mends: {slip.text}"]
+        if slip is not None:
+            return [f"the data fit {slip.factor:.2g} times better if one mends: {slip.text}"]
+        return doubt_zero(inputs.inputs)
 
     def compute(self, inputs: StudyTask, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""
