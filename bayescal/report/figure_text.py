@@ -52,7 +52,7 @@ def _describe_axes(axes: Axes) -> str:
 
 
 def _describe_axis(axis: Axis, kind: str) -> str:
-    label, names = write_plain(axis.get_label_text()), _list_names(axis)
+    label, names = write_plain(axis.get_label_text()), list_names(axis)
     if names:
         listed = [name for _, name in names if name][:MOST_NAMES]
         return f"{kind} {f'{label}, ' if label else ''}{join_words(listed)}" if listed else ""
@@ -60,7 +60,7 @@ def _describe_axis(axis: Axis, kind: str) -> str:
     return f"{kind} {label} from {format_plain(low, 2)} to {format_plain(high, 2)}" if label else ""
 
 
-def _list_names(axis: Axis) -> list[tuple[float, str]]:
+def list_names(axis: Axis) -> list[tuple[float, str]]:
     """Return the ticks of an axis that names what it shows; nothing of an axis of numbers."""
     from matplotlib.ticker import FixedLocator, LogFormatter, ScalarFormatter
 
@@ -124,7 +124,7 @@ def _make_describer(axes: Axes) -> Callable[[float, float, str], str]:
     title = write_plain(axes.get_title("left") or axes.get_title())
     first = title if len(title) < LONGEST_TITLE else ""
     (label_x, names_x), (label_y, names_y) = (
-        (write_plain(axis.get_label_text()), _list_names(axis)) for axis in (axes.xaxis, axes.yaxis)
+        (write_plain(axis.get_label_text()), list_names(axis)) for axis in (axes.xaxis, axes.yaxis)
     )
 
     def describe(x: float, y: float, series: str) -> str:

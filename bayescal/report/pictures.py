@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from markupsafe import Markup, escape
 
 from bayescal.report.figure_text import TIP, describe_figure, mark_points
+from bayescal.report.stacked import measure_panels, needs_stacking, stack_panels
 from bayescal.report.style import RC
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 DPI, FINE_DPI = 120, 192
 POINTS = 72.0  # an inch
 FINER = 2.2  # how much larger a PNG of twice the resolution is at most
+MOST_STACKED = 60_000  # bytes of a stacked figure as SVG
+COLOURS = 64
 LEAST_SCALE = 0.8  # of a figure on a small screen, which scrolls; letters of 6.5 points are read then
 
 
@@ -33,19 +36,27 @@ class Picture:
         The figure as a file.
     markup : str
         As it stands in a page, escaped; without its name, see `place`.
+    stacked : str
+        As it stands there on a narrow screen; empty where that is the same.
     """
 
     png: bytes
     markup: str = ""
+    stacked: str = ""
 
     def place(self, name: str) -> Markup:
         """Return the markup with the ids of its parts made the figure's own."""
-        text = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", self.markup)
-        return Markup(text)  # markup already; names are letters, digits, _ and -
+        forms = [(name, self.markup), (f"{name}-stacked", self.stacked)]
+        return Markup("\n").join(Markup(_own_ids(text, own)) for own, text in forms if text)
+
+
+def _own_ids(markup: str, name: str) -> str:
+    """Return markup, escaped already, with a name before its ids; names are letters, digits, _ and -."""
+    return re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", markup)
 
 
 def render_picture(draw: Callable[[], Figure]) -> Picture:
-    """Return a figure as PNG and as it stands in a page; the same figure gives the same bytes."""
+    """Return a figure as PNG and as it stands in a page, wide and stacked; the same figure gives the same bytes."""
     from matplotlib import rc_context, rcdefaults, rcParams  # a second to import, for those who draw
 
     with rc_context():
@@ -54,15 +65,26 @@ def render_picture(draw: Callable[[], Figure]) -> Picture:
         figure = draw()
         _lay_out(figure)
         png = _save(figure, "png", DPI)
-        width, height = figure.get_size_inches() * DPI
-        alt, tips = describe_figure(figure), mark_points(figure)
-        drawn = tidy_svg(_save(figure, "svg", POINTS).decode(), tips)
-        size = f'width="{width:.0f}" height="{height:.0f}" style="min-width:{LEAST_SCALE * width:.0f}px"'
-        if len(drawn) > FINER * len(png) * 4 / 3 and len(fine := _save(figure, "png", FINE_DPI)) * 4 / 3 < len(drawn):
-            source = base64.b64encode(fine).decode("ascii")
-            return Picture(png, Markup(f'<img {size} src="data:image/png;base64,{source}" alt="{escape(alt)}">'))
-        box = f"0 0 {width * POINTS / DPI:g} {height * POINTS / DPI:g}"
-    return Picture(png, Markup(f'<svg {size} viewBox="{box}" role="img" aria-label="{escape(alt)}">{drawn}</svg>'))
+        if not needs_stacking(figure):
+            return Picture(png, _make_markup(figure, FINER * len(png) * 4 / 3))
+        wide, stacked = _make_markup(figure, FINER * len(png) * 4 / 3, "wide"), draw()
+        stack_panels(stacked, measure_panels(figure))
+        _lay_out(stacked)
+        return Picture(png, wide, _make_markup(stacked, MOST_STACKED, "narrow"))
+
+
+def _make_markup(figure: Figure, most: float, shape: str = "") -> str:
+    """Return a laid-out figure as SVG, or beyond ``most`` bytes as a fine PNG if smaller; ``shape`` is its class."""
+    width, height = figure.get_size_inches() * DPI
+    alt, tips = describe_figure(figure), mark_points(figure)
+    drawn = tidy_svg(_save(figure, "svg", POINTS).decode(), tips)
+    least = f' style="min-width:{LEAST_SCALE * width:.0f}px"' if shape != "narrow" else ""
+    size = f'{f'class="{shape}" ' if shape else ""}width="{width:.0f}" height="{height:.0f}"{least}'
+    if len(drawn) > most and len(fine := _save_fine(figure, shape)) * 4 / 3 < len(drawn):
+        source = base64.b64encode(fine).decode("ascii")
+        return Markup(f'<img {size} src="data:image/png;base64,{source}" alt="{escape(alt)}">')
+    box = f"0 0 {width * POINTS / DPI:g} {height * POINTS / DPI:g}"
+    return Markup(f'<svg {size} viewBox="{box}" role="img" aria-label="{escape(alt)}">{drawn}</svg>')
 
 
 def _lay_out(figure: Figure) -> None:
@@ -79,6 +101,18 @@ def _save(figure: Figure, kind: str, dpi: float) -> bytes:
     buffer = io.BytesIO()
     nothing = {"Software": None} if kind == "png" else dict.fromkeys(("Date", "Creator", "Format", "Type"))
     figure.savefig(buffer, format=kind, dpi=dpi, metadata=nothing)
+    return buffer.getvalue()
+
+
+def _save_fine(figure: Figure, shape: str) -> bytes:
+    """Return a figure as a fine PNG; stacked with as many colours as a chart has, a third of the bytes."""
+    png = _save(figure, "png", FINE_DPI)
+    if shape != "narrow":
+        return png
+    from PIL import Image  # matplotlib writes its own with it
+
+    buffer = io.BytesIO()
+    Image.open(io.BytesIO(png)).convert("RGB").quantize(COLOURS).save(buffer, "png", optimize=True)
     return buffer.getvalue()
 
 

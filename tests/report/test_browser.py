@@ -8,9 +8,10 @@ from matplotlib.figure import Figure as Drawing
 
 from bayescal.report.blocks import Cell, Column, Figure, Fold, Page, Section, Side, Statement, Table, make_table
 from bayescal.report.page import write_page
+from bayescal.report.pictures import render_picture
 from bayescal.report.scene import Scene, SceneLine, ScenePoint
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("pictures")]  # a browser takes its time
+pytestmark = pytest.mark.slow  # a browser takes its time
 
 NUMBERS = ("−3.5", "1,200", "2.0 ± 0.1", "3.3·10⁴", "–", "10⁻²", "7 %", "0", "<1", "12 / 14")
 ORDER = ["−3.5", "0", "10⁻²", "<1", "2.0 ± 0.1", "7 %", "12 / 14", "1,200", "3.3·10⁴", "–"]
@@ -59,7 +60,9 @@ def path(tmp_path_factory):
     verdict = tuple(Statement(f"The posterior's sd is {k} nat.", "good", "Found") for k in range(7))
     sections = (Section("Numbers", blocks), Section("More", (Fold("Folded", ("The prior is wide.", wide)),), "more"))
     page = Page("Kind", "name", "Title", "Simulated", "The headline.", verdict, sections)
-    return write_page(page, tmp_path_factory.mktemp("page"))
+    with pytest.MonkeyPatch.context() as patched:  # drawn before a test's own fixtures would let it be
+        patched.setattr("bayescal.report.page.render_picture", render_picture)
+        return write_page(page, tmp_path_factory.mktemp("page"))
 
 
 def read_column(page, table: int, column: int) -> list[str]:

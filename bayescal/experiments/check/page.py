@@ -25,6 +25,7 @@ from bayescal.report.blocks import (
 )
 from bayescal.report.numbers import format_fixed, format_percent, join_words
 from bayescal.report.style import GREY, LEG_COLOURS, PALE, RED
+from bayescal.report.symbols import name_parameter
 
 NAMES = {
     "noise": "the noise is not as stated",
@@ -79,12 +80,15 @@ def build_page(results: Results) -> Page:
 
 
 def state_headline(results: Results) -> str:
-    """Return in one sentence which variants pass, or what to do first."""
-    words = []
+    """Return whether to rely on the study, which variants pass, and what is wrong with the others."""
+    words, sound = [], True
     for name, one in results.summary["variants"].items():
         faults = [NAMES[fault] for fault in dict.fromkeys(one["faults"])]
-        words.append(f"{name} passes" if one["passed"] and not faults else f"{name}: {join_words(faults)}")
-    return f"{'; '.join(words)}."
+        passes = one["passed"] and not faults
+        sound &= passes
+        words.append(f"{name} passes" if passes else f"{name}: {join_words(faults)}")
+    advice = "The study's config can be relied on" if sound else "Mend the study's config before relying on it"
+    return f"{advice}: {'; '.join(words)}."
 
 
 def order_findings(findings: pd.DataFrame) -> list[dict[str, str]]:
@@ -96,7 +100,12 @@ def order_findings(findings: pd.DataFrame) -> list[dict[str, str]]:
 def _state(row: dict[str, str], several: bool) -> Statement:
     level: Level = "bad" if row["level"] == "bad" else "warning" if row["level"] == "warning" else "good"
     lead = f"{row['check']} ({row['variant']})" if several else row["check"]
-    return Statement(f"{row['text'][0].upper()}{row['text'][1:]}", level, lead)
+    return Statement(_begin(row["text"]), level, lead)
+
+
+def _begin(text: str) -> str:
+    """Return a sentence with a capital letter, a symbol such as χ² left as it is."""
+    return f"{text[0].upper()}{text[1:]}" if text[0].isascii() else text
 
 
 def _show_variant(results: Results, name: str) -> Section:
@@ -110,7 +119,7 @@ def _show_variant(results: Results, name: str) -> Section:
 
 def _tabulate(parameters: pd.DataFrame) -> Table:
     columns = [
-        Column("Parameter", kind="name"),
+        Column("Parameter", kind="text"),
         *(
             Column(*one, group)
             for group in ("Simulated from the priors", "Simulated from the posterior")
@@ -119,7 +128,7 @@ def _tabulate(parameters: pd.DataFrame) -> Table:
     ]
     rows: list[list[str | Cell]] = []
     for name, group in parameters.groupby("parameter", sort=False):
-        row: list[str | Cell] = [str(name)]
+        row: list[str | Cell] = [name_parameter(str(name))]
         for _, one in group.iterrows():
             good = bool(one["uniform"])
             row.append(Cell("uniform" if good else "not uniform", "good" if good else "bad", badge=True))

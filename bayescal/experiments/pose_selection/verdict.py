@@ -292,7 +292,7 @@ def _recommend(tables: Tables) -> str:
     best = max(dict.fromkeys(firsts), key=firsts.count)
     ahead = {n: order[1][1] for n, order in ranked.items() if order[0][0] == best}
     clear = {n: ratio.value for n, ratio in ahead.items() if ratio is not None and ratio.clear}
-    words = f"Recommended: {_name_poses(best)}, with the smallest {tables.metric_words}, with {_list(ahead)} poses"
+    words = f"Use {_name_poses(best)}, with the smallest {tables.metric_words}, with {_list(ahead)} poses"
     if not clear:
         return f"{words}, though within the scatter of the next."
     gains = [100.0 * (value - 1.0) for value in clear.values()]

@@ -21,6 +21,7 @@ from bayescal.report.numbers import (
     join_words,
 )
 from bayescal.report.style import GREY, LEG_COLOURS
+from bayescal.report.symbols import name_parameter
 
 CLEAR = 3.0
 """Nats, odds of twenty to one, from which on evidence is called clear."""
@@ -77,23 +78,28 @@ def build_page(results: Results) -> Page:
 
 
 def state_headline(results: Results) -> str:
-    """Return in one sentence whether anything moved, and what."""
+    """Return in one sentence what to do, whether anything moved, and what."""
     summary = results.summary
-    nats, what = summary["log_evidence_drift"], "moved" if summary["hierarchy"] == "walk" else "differ"
+    walk, nats = summary["hierarchy"] == "walk", summary["log_evidence_drift"]
+    what, differs = ("moved", "moved") if walk else ("differ", "differs")
     if nats < -CLEAR:
-        return f"Nothing {what}: odds of {format_odds(-nats)} against it."
+        advice = "Keep the calibration" if walk else "One calibration serves all machines"
+        return f"{advice}: nothing {differs}, odds of {format_odds(-nats)} against it."
     if nats < CLEAR:
-        return f"Whether anything {what} is open: the evidence differs by {format_significant(abs(nats), 2)} nats."
-    moved = _list_moved(results)
+        open_ = f"whether anything {differs} is open, the evidence differs by {format_significant(abs(nats), 2)} nats"
+        return f"Measure more poses: {open_}."
+    moved, advice = _list_moved(results), "Calibrate anew" if walk else "Calibrate each machine for itself"
     odds = format_odds(nats)
     if not moved:
-        return f"Something {what}, odds of {odds}; which part is open."
-    return f"{join_words(moved)} {what}, odds of {odds} against no motion at all."
+        return f"{advice}: something {differs}, odds of {odds}; which part is open."
+    verb = "moved" if walk else differs if len(moved) == 1 else what
+    against = "no motion at all" if walk else "machines that are all alike"
+    return f"{advice}: {join_words(moved)} {verb}, odds of {odds} against {against}."
 
 
 def _list_moved(results: Results) -> list[str]:
     scales = results.table("scales")
-    return [str(one) for one in scales.loc[scales["log_odds_moved"] > CLEAR, "unit"]]
+    return [name_parameter(str(one)) for one in scales.loc[scales["log_odds_moved"] > CLEAR, "unit"]]
 
 
 def _list_statements(results: Results, walk: bool) -> list[Statement]:

@@ -11,10 +11,12 @@ from bayescal.config.load import read_toml
 from bayescal.errors import InputError
 from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.experiments.shared.machine_scene import build_line_scene, build_scene
+from bayescal.experiments.shared.show_struts import describe_struts
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.read import load_mechanism, read_reading_model
 from bayescal.machines.readings import FunctionModel, SlidingPlatform
 from bayescal.machines.readings.line_machine import AXES, LineMachine
+from bayescal.machines.readings.strut_machine import StrutMachine
 from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import Block, Column, Page, Section, Table, make_table
 from bayescal.report.numbers import format_plain
@@ -39,9 +41,11 @@ def describe_machine(path: Path) -> Page:
         return _describe_sliding(model)
     if isinstance(model, FunctionModel) and isinstance(model.machine, LineMachine):
         return _describe_lines(model.name, model.machine)
+    if isinstance(model, FunctionModel) and isinstance(model.machine, StrutMachine):
+        return describe_struts(model.name, model.machine)
     raise InputError(
         f"{path}: kind: found a machine of one function, which does not tell where its joints are, expected a "
-        "mechanism on legs, a sliding platform or a machine of lines"
+        "mechanism on legs, struts, a sliding platform or a machine of lines"
     )
 
 

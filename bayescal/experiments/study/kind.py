@@ -26,6 +26,7 @@ from bayescal.experiments.shared.calibrating import Calibrating
 from bayescal.experiments.shared.measured import MeasuredVariant, Measuring, VariantChoice
 from bayescal.experiments.study.calibrated import calibrate_study, load_same
 from bayescal.experiments.study.claims import Claims
+from bayescal.experiments.study.common_offset import doubt_zero
 from bayescal.experiments.study.compute import compute_study
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
@@ -77,9 +78,9 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
         return estimate_study(inputs.inputs)
 
     def doubt(self, inputs: StudyTask) -> list[str]:
-        """Return what may have happened to data that no machine within the tolerances explains."""
+        """Return what may have happened to data that no machine explains, or only one within wide tolerances."""
         slip = find_study_slip(inputs.inputs)
-        return [] if slip is None else [slip.say()]
+        return doubt_zero(inputs.inputs) if slip is None else [slip.say()]
 
     def compute(self, inputs: StudyTask, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""

@@ -73,7 +73,7 @@ def test_the_verdict_turns_with_the_limit(run):
     missed, below = run(("z = 0.03 }", f"z = {0.999 * error:.9f} }}"))
     assert take(met, "variants")["met"].all()
     assert not take(missed, "variants")["met"].any()
-    assert "What is required is met with “Camera and probe” (0 % margin), not otherwise." in above
+    assert "Use “Camera and probe” (0 % margin): what is required is met, and with no other set." in above
     assert "No set of sensors meets what is required." in below
 
 
@@ -205,6 +205,6 @@ def test_the_terminal_says_the_verdict_and_every_set_of_sensors(folder, call, no
     code, said, complaint = call("run", folder / "audit.toml", "--out", folder / "out", "--workers", 1)
     assert code == 0, complaint
     lines = said.splitlines()
-    assert lines[0].startswith("What is required is met with “Camera and probe”")
+    assert lines[0].startswith("Use “Camera and probe”")
     table = next(k for k, line in enumerate(lines) if line.startswith("variant"))
     assert [line.split()[0] for line in lines[table + 1 : table + 4]] == ["both", "camera", "probe"]

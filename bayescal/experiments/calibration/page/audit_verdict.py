@@ -31,9 +31,9 @@ def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> 
     if "requirements" in tables:
         met = [f"“{row['title']}” ({format_percent(row['margin'])} margin)" for row in rows if row["met"]]
         if not met:
-            return "No set of sensors meets what is required."
-        others = "" if len(met) == len(rows) else ", not otherwise"
-        return f"What is required is met with {join_words(met)}{others}."
+            return "Plan other sensors or poses: no set of sensors meets what is required."
+        others = "" if len(met) == len(rows) else ", and with no other set"
+        return f"Use {join_words(met, 'or')}: what is required is met{others}."
     best = choose_best(tables)
     mine = [row for row in list_rows(tables["accuracy"]) if row["variant"] == best and math.isfinite(row["after"])]
     words = [f"{row['coordinate']} to {format_amount(row['after'], row['unit'], 2, summary['units'])}" for row in mine]

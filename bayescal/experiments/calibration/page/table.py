@@ -63,12 +63,14 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
 
 
 def state_headline(summary: dict[str, Any]) -> str:
-    """Return how far the platform moves without the table, and how well its place is known with it."""
+    """Return whether to use the table, how well it tells where the platform is, and how far that moves without it."""
     spans = [_span(name, *ends) for name, ends in summary["axes"].items()]
     moves, known = [_largest(summary, key) for key in ("largest_offset", "largest_half_width_90")]
+    worth = any(one["largest_offset"] > one["largest_half_width_90"] for one in summary["coordinates"].values())
+    advice = "Correct by the table" if worth and summary["converged"] else "Do not correct by the table yet"
     return (
-        f"From {join_words(spans)} the platform moves by up to {moves} where nothing is corrected; "
-        f"the table tells its place to ±{known} (90 %)."
+        f"{advice}: from {join_words(spans)} it tells the platform's place to ±{known} (90 %); uncorrected it moves by "
+        f"up to {moves}."
     )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from itertools import pairwise
 from typing import Any
 
 import pandas as pd
@@ -52,20 +51,17 @@ def explains(row: Row) -> bool:
 
 
 def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> str:
-    """Return the main result in a sentence or two."""
+    """Return which sensors to use, how well they tell where the tool is, and which model of their readings leads."""
     rows = list_rows(tables["variants"])
     plain = _keep_best([row for row in rows if row["plain"] and not row["n_external"]])
     inside = sorted(plain, key=lambda row: row["n_sensors"]) or rows[:1]
-    first = inside[0]
-    words = (
-        f"{first['title']} bring what is unknown of the tool's centre from {_um(first['tool_before_um'])} to "
-        f"{_um(first['tool_after_um'])} rms over the workspace"
-    )
-    steps = [
-        f"{row['title']} to {_um(row['tool_after_um'])} ({_ratio(before['tool_after_um'] / row['tool_after_um'])})"
-        for before, row in pairwise(inside)
-    ]
-    words += f", {join_words(steps)}" if steps else ""
+    sound = [row for row in inside if explains(row)]
+    best = min(sound or inside, key=lambda row: row["tool_after_um"])
+    advice = f"Use “{best['title']}”" if sound else f"Use none yet, for none explains the readings. “{best['title']}”"
+    words = f"{advice}{': then' if sound else ' says'} the tool's centre is known to {_um(best['tool_after_um'])} rms "
+    words += f"over the workspace, before the calibration to {_um(best['tool_before_um'])}"
+    others = [f"“{row['title']}” to {_um(row['tool_after_um'])}" for row in inside if row is not best]
+    words += f"; with {join_words(others)}" if others else ""
     titled = {row["variant"]: row for row in rows}
     for names in summary["rankings"][:1]:
         best, second = (titled[name] for name in names[:2])
@@ -85,11 +81,6 @@ def _keep_best(rows: list[Row]) -> list[Row]:
 
 def _nats(value: float) -> str:
     return f"{format_count(value)} nats" if value > 1000.0 else f"{format_fixed(value, 1)} nats"
-
-
-def _ratio(value: float) -> str:
-    factor, word = (value, "better") if value >= 1.0 else (1.0 / value, "worse")
-    return f"{format_significant(factor, 2)} times {word}"
 
 
 def _um(value: float) -> str:

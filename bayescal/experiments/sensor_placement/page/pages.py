@@ -85,18 +85,18 @@ def _capital(text: str) -> str:
 
 def _offer(row: dict[str, Any] | pd.Series) -> str:
     """Return number, pattern and price of a set."""
-    return f"{row['n_sensors']} sensors for {format_plain(row['price'])} ({write_sensors(str(row['pattern']))})"
+    price = format_plain(row["price"])
+    return f"{row['n_sensors']} sensors at a price of {price} ({write_sensors(str(row['pattern']))})"
 
 
 def _state_headline(summary: dict[str, Any]) -> str:
     best, enough = summary["best"], summary["enough"]
-    words = f"{enough['n_sensors']} sensors for {format_plain(enough['price'])} locate the tool's centre to "
-    words += _um(enough["rms_um"])
+    words = f"Take {_offer(enough)}: they locate the tool's centre to {_um(enough['rms_um'])}"
     if enough["sensors"] == best["sensors"]:
         return f"{words}; no cheaper set comes within {format_percent(summary['within'])} of that."
     whole = "all" if best["n_sensors"] == summary["n_sensors"] else "the best set,"
     return (
-        f"{words}, within {format_percent(summary['within'])} of the best: {whole} {best['n_sensors']} for "
+        f"{words}, within {format_percent(summary['within'])} of the best: {whole} {best['n_sensors']} at a price of "
         f"{format_plain(best['price'])} reach {_um(best['rms_um'])}."
     )
 
@@ -113,7 +113,7 @@ def _judge(summary: dict[str, Any], tables: dict[str, pd.DataFrame]) -> list[Sta
     if not tables["simulated"].empty:
         statements.append(_judge_simulated(tables["simulated"]))
     words = f"{_capital(summary['prices'])}. The front against the number of sensors needs no prices."
-    statements.append(Statement(words, "warning", "Prices"))
+    statements.append(Statement(words, "plain", "Prices"))
     return statements
 
 
@@ -136,24 +136,22 @@ def _judge_named(name: str, row: dict[str, Any], summary: dict[str, Any], tables
     if row["reason"]:
         words = f"no good: {REASONS[row['reason']]}"
         words += f"; the tool's centre stays uncertain by {_um(row['rms_um'])}" if row["rms_um"] is not None else ""
-        return Statement(f"{words}.", "bad" if row["rms_um"] is None else "warning", _capital(name))
+        return Statement(f"{_capital(words)}.", "plain", _capital(name))
     front = tables["front"]
     as_good = front[front["rms_um"] <= (1.0 + ROUNDED) * row["rms_um"]].iloc[0]
     nearly = front[front["rms_um"] <= (1.0 + summary["within"]) * row["rms_um"]].iloc[0]
-    level: Level = "plain"
-    words = f"{row['n_sensors']} sensors for {format_plain(row['price'])} reach {_um(row['rms_um'])}"
+    words = f"{row['n_sensors']} sensors at a price of {format_plain(row['price'])} reach {_um(row['rms_um'])}"
     if row["left_to_tolerances"] > 0.5:
         share = format_percent(row["left_to_tolerances"])
         words += f", {share} of its variance from what the readings hardly tell"
     if as_good["price"] < row["price"]:
         words += f". {_offer(as_good)} are as good or better, with {_um(as_good['rms_um'])}"
-        level = "warning"
     else:
         words += ". No cheaper set is as good"
     if nearly["price"] < min(row["price"], as_good["price"]):
         more = format_percent(nearly["rms_um"] / row["rms_um"] - 1.0)
         words += f". {_offer(nearly)} are {more} less accurate, with {_um(nearly['rms_um'])}"
-    return Statement(f"{words}.", level, _capital(name))
+    return Statement(f"{words}.", "plain", _capital(name))
 
 
 def _judge_fewest(tables: dict[str, pd.DataFrame]) -> Statement:

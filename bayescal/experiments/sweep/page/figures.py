@@ -44,7 +44,7 @@ def draw_against(config: SweepConfig, members: pd.DataFrame, figure: FigureConfi
     axes.set_ylabel(name_figure(figure))
     axes.grid()
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="best")
+        drawn.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     return drawn
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
@@ -25,7 +25,7 @@ from bayescal.report.blocks import (
     make_section,
     make_table,
 )
-from bayescal.report.numbers import NOTHING, format_count, format_plain, format_power
+from bayescal.report.numbers import NOTHING, format_count, format_plain, format_power, join_words
 
 KIND = "Sweep"
 MOST_PICTURES = 24
@@ -38,7 +38,8 @@ def build_page(config: SweepConfig, results: Results) -> Page:
     """Return the page of a sweep's tables."""
     members, answers, summary = results.table("members"), results.table("answers"), results.summary
     axes, figures = {axis.name: axis for axis in config.axes}, {figure.key: figure for figure in config.figures}
-    said = [_say(row, axes, figures) for row in answers.to_dict("records")]
+    pairs = answers.groupby(["figure", "axis"], sort=False)
+    said = [_say(rows.to_dict("records"), axes, figures) for _, rows in pairs]
     verdict = (*said[:MOST_SAID], *_count(summary), *_miss(config, summary))
     sections = (
         *_answer_section(said, answers, axes, figures),
@@ -47,19 +48,31 @@ def build_page(config: SweepConfig, results: Results) -> Page:
         _member_section(config, members),
     )
     origin = f"Members are as {summary['experiment']} makes them, but for the keys that vary."
-    headline = f"{said[0].lead} {said[0].text}" if said else _state_span(config.figures[0], summary)
+    headline = f"{said[0].lead} {said[0].text}" if said else _capital(_state_span(config.figures[0], summary))
     return Page(KIND, config.name, config.title, origin, headline, verdict, sections, _list_facts(config, summary))
 
 
 # --- in words ----------------------------------------------------------------------------------------------------
 
 
-def _say(row: Mapping[Any, Any], axes: dict[str, AxisConfig], figures: dict[str, FigureConfig]) -> Statement:
-    """Return where a figure keeps what is required of it."""
-    figure, axis = figures[row["figure"]], axes[row["axis"]]
-    where = f" with {row['where']}" if row["where"] else ""
-    text = f"{_limit(figure)}{where}: {_place(row, axis)}."
-    return Statement(text, LEVELS[row["holds"]], figure.label or figure.key)
+def _say(rows: list[dict[Hashable, Any]], axes: dict[str, AxisConfig], figures: dict[str, FigureConfig]) -> Statement:
+    """Return where along an axis a figure keeps what is required of it, for each setting of the other axes."""
+    figure, axis = figures[rows[0]["figure"]], axes[rows[0]["axis"]]
+    places: dict[str, list[str]] = {}
+    for row in rows:
+        places.setdefault(_place(row, axis), []).append(row["where"])
+    words = [place + (f" with {join_words(where, 'or')}" if any(where) else "") for place, where in places.items()]
+    text = f"{_limit(figure)} is kept {'; '.join(words)}."
+    return Statement(text, _judge({row["holds"] for row in rows}), _capital(figure.label or figure.key))
+
+
+def _judge(holds: set[str]) -> Level:
+    """Return bad news only where nothing that was swept will do."""
+    return "bad" if holds == {NEVER} else "warning" if MIXED in holds else "good"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _limit(figure: FigureConfig) -> str:
@@ -74,11 +87,7 @@ def _place(row: Mapping[Any, Any], axis: AxisConfig) -> str:
     if row["holds"] == MIXED:
         return f"in places along {name}, not on one side of a bound"
     unit = f" {axis.unit}" if axis.unit and axis.factors is None else " times" if axis.factors is not None else ""
-    inside, outside = format_plain(row["inside"], 4), format_plain(row["outside"], 4)
-    return (
-        f"{name} {row['holds']} {format_plain(row['bound'], 3)}{unit}, interpolated between {inside}, where it holds, "
-        f"and {outside}, where it does not"
-    )
+    return f"{row['holds']} {name} {format_plain(row['bound'], 3)}{unit}"
 
 
 def _state_span(figure: FigureConfig, summary: dict[str, Any]) -> str:

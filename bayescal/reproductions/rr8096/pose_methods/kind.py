@@ -63,7 +63,7 @@ class PoseMethods(Experiment[PoseMethodsConfig, PoseMethodsConfig]):
             config.name,
             config.title,
             "Simulated; nothing was measured",
-            "By a line through the targets the whole orientation errs "
+            "Fit the targets as a rigid body: by a line through them the whole orientation errs "
             f"{format_significant(ratio)} times as much as by the robust rigid-body fit.",
             tuple(verdict),
             (

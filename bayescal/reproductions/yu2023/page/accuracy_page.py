@@ -49,7 +49,7 @@ def show_accuracy(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> P
     ours = ratios[(ratios["poses"] == "optimal") & (ratios["weighting"] == "bayesian")].set_index("figure")
     attitude, position = (_estimate(ours.loc[[name]]) for name in ("attitude_mean_deg", "position_mean_mm"))
     headline = (
-        f"Weighted by the noise and the prior, the same measurements give a mean attitude error {attitude} times "
+        f"Weigh by the noise and the prior: the same measurements then give a mean attitude error {attitude} times "
         f"smaller and a mean position error {position} times smaller than the paper's least squares."
     )
     verdict = [_judge_parameters(summary), _judge_convergence(summary)]

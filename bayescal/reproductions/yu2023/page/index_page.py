@@ -91,7 +91,7 @@ def _name_leaders(leads: dict[str, str]) -> str:
 
 
 def _write_headline(table: pd.DataFrame, leads: dict[str, str], first: str) -> str:
-    found = f"{_name_leaders(leads)} {'have' if len(set(leads.values())) > 1 else 'has'} the least mean error"
+    found = f"Choose poses by {_name_leaders(leads)}: the mean error is the least there"
     if "published" not in table:
         return f"{found}."
     printed = _find_leaders(table, "published")

@@ -29,10 +29,10 @@ def show_numbers(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Pa
     table, enough = tables["figure10"], summary["random_poses_as_good"]
     fewest, most = summary["fewest_selected"], summary["most_random"]
     found = (
-        f"{enough} random poses do as well as {fewest} selected ones"
+        f"Select {fewest} poses or measure {enough} random ones: they do as well"
         if enough is not None
-        else f"{most} random poses still err {format_significant(summary['most_random_ratio'])} times as much as "
-        f"{fewest} selected ones"
+        else f"Select the poses: {most} random ones still err {format_significant(summary['most_random_ratio'])} times "
+        f"as much as {fewest} selected ones"
     )
     gain, error = _estimate_gain(table)
     gains = "gain accuracy, where none is published" if gain > 1.0 + 2.0 * error else "gain nothing, as published"

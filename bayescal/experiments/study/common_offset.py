@@ -1,0 +1,64 @@
+"""A shift that all measured poses have in common: another zero, which wide tolerances would swallow in silence."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.machines.kinematics import Machine, solve_forward_kinematics
+from bayescal.machines.mechanism import Mechanism
+from bayescal.numerics.geometry import Array
+from bayescal.report.numbers import format_plain, format_significant
+
+FAR = 0.03
+"""Shift in units of the machine's size beyond which no drawing is that wrong."""
+ALIKE = 3.0
+"""Shift in units of what the poses scatter about it, below which it is not one for all."""
+FEWEST = 3
+ENOUGH = 0.5  # share of the poses at which the machine as drawn has to stand somewhere
+
+
+def doubt_zero(inputs: StudyInputs) -> list[str]:
+    """Return in a line that all poses are shifted alike against the machine as drawn; nothing where they are not.
+
+    Only poses measured whole in a known frame are looked at: an unknown one is found by the calibration.
+    """
+    if not inputs.measured.has_poses:
+        return []
+    poses, machine = inputs.measured.poses, inputs.machine(inputs.config.variants[0])
+    shift = find_shift(machine, poses.position, poses.actuators)
+    if shift is None:
+        return []
+    mean, scatter = shift
+    distance, size = float(np.linalg.norm(mean)), measure_size(machine.mechanism)
+    if distance < FAR * size or distance < ALIKE * scatter:
+        return []
+    each = ", ".join(format_plain(one, 3) for one in mean)
+    return [
+        f"the measured poses lie {format_significant(distance)} mm ({each}) from where the machine as drawn stands at "
+        f"the same actuator positions, alike to {format_significant(scatter)} mm: perhaps the instrument has another "
+        "zero than the base frame, the reflector another place than the platform's origin, or home_position is "
+        "another; wide tolerances would take it for geometry"
+    ]
+
+
+def find_shift(machine: Machine, position: Array, actuators: Array) -> tuple[Array, float] | None:
+    """Return by how much positions (P, 3) are shifted against the nominal machine's, and their rms scatter about it.
+
+    Returns
+    -------
+    (ndarray of shape (3,), float) or None
+        mm, base frame; None with fewer than three poses, or where the nominal machine reaches fewer than half of them.
+    """
+    found = solve_forward_kinematics(machine, machine.layout.nominal, actuators, check=False)
+    off = (position - found.position)[found.converged]
+    if len(off) < max(FEWEST, ENOUGH * len(position)) or not np.isfinite(off).all():
+        return None
+    mean = off.mean(axis=0)
+    return mean, float(np.sqrt(np.mean(np.sum((off - mean) ** 2, axis=1))))
+
+
+def measure_size(mechanism: Mechanism) -> float:
+    """Return the rms distance of the joints at home from their middle, mm."""
+    apart = [one - one.mean(axis=0) for one in (mechanism.home_joints, mechanism.platform_points)]
+    return float(np.sqrt(np.mean(np.sum(np.concatenate(apart) ** 2, axis=1))))

@@ -1,0 +1,84 @@
+"""Figures for a phone: panels below each other, what they shared written at each, letters of readable size."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from bayescal.report.pictures import render_picture
+from bayescal.report.stacked import NARROW, measure_panels, needs_stacking, stack_panels
+from bayescal.report.style import RC
+
+
+def draw_shared() -> Figure:
+    figure = Figure(figsize=(9.4, 2.4))
+    left, right = figure.subplots(1, 2, sharey=True)
+    for axes, word in ((left, "Left"), (right, "Right, with a title that is longer than a phone is wide, by far")):
+        axes.barh([0, 1], [1.0, 2.0], label="bars of some length")
+        axes.set_title(word)
+        axes.set_xlabel("Error (µm)")
+    left.set_yticks([0, 1], ["stiff", "a variant with a name that takes more than its share of the width"])
+    left.set_ylabel("Variant")
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def stack(draw) -> Figure:
+    with rc_context(RC):
+        wide, figure = draw(), draw()
+        wide.draw_without_rendering()
+        stack_panels(figure, measure_panels(wide))
+        figure.draw_without_rendering()
+    return figure
+
+
+def test_panels_stand_below_each_other_with_what_they_shared():
+    figure = stack(draw_shared)
+    upper, lower = figure.axes
+    assert figure.get_figwidth() == NARROW
+    assert lower.get_position().y1 < upper.get_position().y0
+    assert abs(lower.get_position().x0 - upper.get_position().x0) < 0.01
+    for axes in figure.axes:
+        names = [text.get_text() for text in axes.get_yticklabels() if text.get_visible()]
+        assert names[0] == "stiff"
+        assert "\n" in names[1]
+        assert axes.get_ylabel() == "Variant"
+    assert "\n" in lower.get_title("left")
+    assert len(figure.legends) == 1
+
+
+def test_nothing_stands_outside_of_the_page():
+    figure = stack(draw_shared)
+    box = figure.get_tightbbox()
+    assert box.x0 > -0.05
+    assert box.x1 < NARROW + 0.05
+
+
+def test_small_panels_stay_side_by_side():
+    def draw() -> Figure:
+        figure = Figure(figsize=(9.4, 3.4))
+        for axes in figure.subplots(2, 6, sharex=True).ravel():
+            axes.plot([0.0, 1.0])
+        return figure
+
+    axes = stack(draw).axes
+    assert len({round(one.get_position().x0, 2) for one in axes}) == 2
+    assert len({round(one.get_position().y0, 2) for one in axes}) == 6
+
+
+def test_figures_narrow_enough_have_one_form():
+    small = Figure(figsize=(3.6, 2.0))
+    small.subplots().plot(np.arange(3.0))
+    assert not needs_stacking(small)
+    assert render_picture(lambda: small).stacked == ""
+
+
+def test_a_wide_figure_has_two_forms_of_its_own():
+    picture = render_picture(draw_shared)
+    markup = str(picture.place("errors"))
+    assert re.findall(r'<svg class="(\w+)"', markup) == ["wide", "narrow"]
+    ids = re.findall(r' id="([^"]+)"', markup)
+    assert len(ids) == len(set(ids))
