@@ -66,7 +66,7 @@ MACHINES: dict[str, Kind | None] = {
         left_out="an actuator's zero is no parameter of its own: it changes what l changes",
     ),
     "carriages": Kind(
-        *("A made-up machine on six carriages", "six_pus", 250.0, 120.0, [0.0, 0.0, 500.0], 100.0, 40.0),
+        *("A made-up machine on six carriages", "six_pus", 250.0, 120.0, [0.0, 0.0, 400.0], 0.0, 40.0),
         tolerances=dict.fromkeys(JOINTS, 0.2) | {"l": 0.5, "u_x": 0.001, "u_y": 0.001},
         left_out="rho0 stays as drawn: it moves a joint along its rail as a does, and no measurement tells them apart",
         meanings=ON_RAILS,
