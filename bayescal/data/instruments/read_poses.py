@@ -26,14 +26,13 @@ from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
 from bayescal.files.csv_tables import Table, read_table
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.units import ARCSECOND, MICROMETRE
+from bayescal.numerics.units import ARCSECOND, MICROMETRE, MICRORADIAN
 
 VALUES = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 DEVIATIONS = ("sd_x_um", "sd_y_um", "sd_z_um", "sd_rx_urad", "sd_ry_urad", "sd_rz_urad")
-MICRORADIAN = 1e-6
 UNITS = np.array([MICROMETRE] * 3 + [MICRORADIAN] * 3)
 COLUMNS = "cov_x_x ... cov_rz_rz or sd_x_um ... sd_rz_urad"
-KEYS = "position_um and orientation_arcsec"
+KEYS = "position_um and orientation_arcsec (or orientation_urad)"
 
 
 @dataclass(frozen=True)
