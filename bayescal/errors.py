@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,9 +14,31 @@ class BayescalError(Exception):
 
 
 class InputError(BayescalError):
-    """The input is at fault: the message names where, what was found and what was expected."""
+    """The input is at fault: the message names where, what was found and what was expected.
+
+    Attributes
+    ----------
+    others : tuple of str
+        What else is at fault in the same place, a line each, of which only a look at everything speaks.
+    """
 
     exit_code = 2
+
+    def __init__(self, message: str, others: Iterable[str] = ()) -> None:
+        super().__init__(message)
+        self.others = tuple(others)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The message, and what else is at fault."""
+        return (str(self), *self.others)
+
+
+class SeveralFaultsError(InputError):
+    """Several faults that were looked for together; all of them are told, a line each."""
+
+    def __init__(self, lines: Sequence[str]) -> None:
+        super().__init__(lines[0], lines[1:])
 
 
 class PoseInputError(InputError):
@@ -48,5 +70,5 @@ def name_faults(what: Path | str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        text = str(error)
-        raise InputError(text if text.startswith(str(what)) else f"{what}: {text}") from error
+        first, *others = (text if text.startswith(str(what)) else f"{what}: {text}" for text in error.lines)
+        raise InputError(first, others) from error

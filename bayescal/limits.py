@@ -47,6 +47,7 @@ LARGEST_SEED = 2**63 - 1
 BOUNDS: dict[str, tuple[float, float]] = {
     "um": (1e-4, 1e5),
     "arcsec": (1e-6, 1.296e6),
+    "urad": (1e-6, 6.3e6),
     "ppm": (1e-6, 1e5),
     "mm": (0.0, 1e6),
     "deg": (0.0, 360.0),

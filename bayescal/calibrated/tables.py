@@ -12,13 +12,13 @@ from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.predict import Command, PosePrediction
 from bayescal.data.actuators import check_range, name_actuators
 from bayescal.data.instruments.poses import COORDINATES
-from bayescal.data.instruments.read_poses import DEVIATIONS, MICRORADIAN, POSITION, VALUES
+from bayescal.data.instruments.read_poses import DEVIATIONS, POSITION, VALUES
 from bayescal.data.instruments.rotations import OTHER_COLUMNS, VECTOR, read_rotation_vectors
 from bayescal.data.instruments.tables import name_covariances
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import Table, format_table, read_table
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
-from bayescal.numerics.units import MICROMETRE
+from bayescal.numerics.units import MICROMETRE, MICRORADIAN
 
 REACHED = "reached"
 NAMED = 12

@@ -13,7 +13,7 @@ import typer
 
 from bayescal.cli.app import app
 from bayescal.config.trust import allow_own_classes
-from bayescal.errors import BayescalError, InputError, NumericalError
+from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError
 from bayescal.experiments.frame.interrupts import INTERRUPTED
 from bayescal.files.plain_text import make_plain
 
@@ -32,6 +32,8 @@ def main() -> None:
         code = app(standalone_mode=False)
     except typer.TyperException as error:
         code = _complain(f"{error.format_message()} See bayescal --help.", InputError.exit_code)
+    except SeveralFaultsError as error:
+        code = max(_complain(line, error.exit_code) for line in error.lines)
     except BayescalError as error:
         code = _complain(str(error), error.exit_code)
     except OSError as error:  # a file or directory that may not be read or written, a full disk

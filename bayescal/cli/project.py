@@ -12,21 +12,19 @@ from rich.padding import Padding
 from bayescal.cli.app import app
 from bayescal.cli.console import make_console
 from bayescal.cli.options import Experiment, NoPlugins
-from bayescal.errors import InputError, name_faults
+from bayescal.errors import InputError
 
 
 @app.command(epilog="Example: bayescal validate experiments/telescope/study.toml")
 def validate(experiment: Experiment, no_plugins: NoPlugins = False) -> None:
     """Find everything at fault in a config and its files without computing, and say what a run would do."""
     del no_plugins
-    from bayescal.experiments.frame.load import load
-    from bayescal.experiments.frame.run import check_experiment
+    from bayescal.experiments.frame.run import check_file
     from bayescal.experiments.shared.simulated_data import SimulatedData
+    from bayescal.files.plain_text import add_article
 
-    kind, config = load(experiment)
-    with name_faults(experiment):
-        files, doubts = check_experiment(config, experiment.parent)
-    typer.echo(f"{experiment}: fit to run, a {config.kind} {config.name!r} ({config.title})")
+    kind, config, files, doubts = check_file(experiment)
+    typer.echo(f"{experiment}: fit to run, {add_article(config.kind)} {config.name!r} ({config.title})")
     for doubt in doubts:
         typer.echo(f"but {doubt}")
     typer.echo(f"{len(files)} files belong to it: {', '.join(files)}" if files else "no other file belongs to it")

@@ -31,6 +31,9 @@ def recheck(
     orientation_arcsec: Annotated[
         float | None, typer.Option(min=1e-3, max=1e5, help="Standard deviation of a measured rotation.")
     ] = None,
+    orientation_urad: Annotated[
+        float | None, typer.Option(min=1e-3, max=1e6, help="The same in microradians, in place of arcseconds.")
+    ] = None,
     like: Annotated[
         Path | None, typer.Option(help="CSV file of poses with covariances, in place of both, for a plan.")
     ] = None,
@@ -52,6 +55,7 @@ def recheck(
     from bayescal.calibrated.recheck.tables import describe_plan, format_plan, read_candidates
     from bayescal.numerics.units import MICROMETRE
 
+    orientation_arcsec = _choose_arcseconds(orientation_arcsec, orientation_urad)
     calibrated = load_calibrated(results, variant, experiment, force)
     if calibrated.covariance is None:
         raise InputError(f"{results}: found no draws of the posterior (posterior/*.nc), expected those of a run")
@@ -113,6 +117,16 @@ def _find_covariance(
     return build_covariance(*stated)
 
 
+def _choose_arcseconds(arcsec: float | None, urad: float | None) -> float | None:
+    """Return the noise of a rotation in arcseconds; InputError where it is stated in both units."""
+    from bayescal.numerics.units import choose_arcseconds
+
+    try:
+        return choose_arcseconds(arcsec, urad)
+    except ValueError as error:
+        raise InputError(f"recheck: {error}") from error
+
+
 def _find_stated(
     results: Path, position_um: float | None, orientation_arcsec: float | None
 ) -> tuple[float, float] | None:
@@ -127,5 +141,6 @@ def _find_stated(
     if not (results / PROVENANCE_FILE).is_file():
         return None
     data = read_json(results / PROVENANCE_FILE).get("config", {}).get("data", {})
-    found = data.get("position_um"), data.get("orientation_arcsec")
+    rotation = _choose_arcseconds(data.get("orientation_arcsec"), data.get("orientation_urad"))
+    found = data.get("position_um"), rotation
     return None if None in found else (float(found[0]), float(found[1]))

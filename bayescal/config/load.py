@@ -77,17 +77,29 @@ def check_section[S: Section](schema: type[S], content: dict[str, Any], path: Pa
     try:
         return schema.model_validate(content, context={FOLDER: path.parent})
     except ValidationError as error:
-        raise InputError(_describe(error, schema, path, text)) from error
+        first, *others = (_describe(fault, schema, path, text) for fault in _choose_faults(error))
+        raise InputError(first, others) from error
 
 
-def _describe(error: ValidationError, schema: type[Section], path: Path, text: str) -> str:
-    """Return the first fault as one line.
+def _choose_faults(error: ValidationError) -> list[Any]:
+    """Return a fault for each place, that to be told first before the others.
 
     Unknown keys come first, since they explain the missing ones; then the deepest place, since a list that may also be
     a number is at fault in its entry; last, that something is no list, since most of these may be a number instead.
+    Places inside of one another are one place, seen by several branches of a union.
     """
     rank = {"extra_forbidden": -1, "list_type": 1}
-    fault = min(error.errors(), key=lambda fault: (rank.get(fault["type"], 0), -len(_keys_of(fault["loc"]))))
+    faults = sorted(error.errors(), key=lambda one: (rank.get(one["type"], 0), -len(_keys_of(one["loc"]))))
+    chosen: dict[tuple[int | str, ...], Any] = {}
+    for fault in faults:
+        place = tuple(_keys_of(fault["loc"]))
+        if not any(place[: len(other)] == other[: len(place)] for other in chosen):
+            chosen[place] = fault
+    return list(chosen.values())
+
+
+def _describe(fault: Any, schema: type[Section], path: Path, text: str) -> str:
+    """Return a fault as one line."""
     location = _keys_of(fault["loc"])
     field = ".".join(str(part) for part in location) or "the file"
     line = find_line(text, location[:-1] if fault["type"] == "missing" else location)

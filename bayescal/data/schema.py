@@ -17,6 +17,7 @@ from bayescal.config.sections import (
     Section,
     Vector,
 )
+from bayescal.numerics.units import choose_arcseconds
 
 
 class TruthConfig(Section):
@@ -127,8 +128,20 @@ class PoseInstrumentConfig(Section):
     """Standard deviation of a position, each axis."""
     orientation_arcsec: Positive | None = None
     """Standard deviation of a rotation, each axis; positions alone without it."""
+    orientation_urad: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """The same in microradians, in place of arcseconds."""
     frames: FramesTruthConfig = FramesTruthConfig()
     """True frames of instrument and probe."""
+
+    @model_validator(mode="after")
+    def _check_one_unit(self) -> Self:
+        choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
+        return self
+
+    @property
+    def arcseconds(self) -> float | None:
+        """The noise of a rotation in arcseconds, whichever unit states it."""
+        return choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
 
 
 class PointInstrumentConfig(Section):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bayescal.errors import InputError
+from bayescal.files.plain_text import add_article
 
 PROBE = b" " * 65536
 """Less room than this is none: no results would fit."""
@@ -35,7 +36,7 @@ def read_json(path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: cannot be read as JSON ({error})") from error
     if not isinstance(content, dict):
-        raise InputError(f"{path}: found a {type(content).__name__}, expected a JSON object")
+        raise InputError(f"{path}: found {add_article(type(content).__name__)}, expected a JSON object")
     return content
 
 

@@ -21,6 +21,7 @@ from bayescal.files.plain_text import is_plain
 from bayescal.numerics.geometry import Array
 
 LEG_NUMBER = re.compile(r"(?:^|[^0-9])([1-9][0-9]*)(?=_|$)")
+SEPARATORS = {";": "semicolons", "\t": "tabs"}
 SHOWN = 12  # columns that may be there, listed in a message
 LARGEST = 1e9
 """Numbers beyond this size are taken for slips: as millimetres, a thousand kilometres."""
@@ -113,9 +114,7 @@ def read_table(path: Path, columns: Sequence[str] | None, optional: Sequence[str
         raise InputError(f"{path}: found no header, expected the columns {', '.join(columns or ['...'])}")
     parsed = [_parse_row(path, line, row) for line, row in numbered]
     header = tuple(cell.strip() for cell in parsed[0])
-    _check_separator(path, *numbered[0])
-    _check_separator(path, *numbered[0])
-    _check_header(path, numbered[0][0], header, columns, optional)
+    _check_header(path, *numbered[0], header, columns, optional)
     for (line, _), row in zip(numbered[1:], parsed[1:], strict=True):
         if len(row) != len(header):
             raise InputError(f"{path}, line {line}: found {len(row)} cells, expected {len(header)}")
@@ -132,22 +131,30 @@ def _parse_row(path: Path, line: int, row: str) -> list[str]:
         raise InputError(f"{path}, line {line}: found no CSV row ({error}), expected cells with commas") from error
 
 
-def _check_separator(path: Path, line: int, header: str) -> None:
-    """Raise InputError for a header whose cells something else than commas separates."""
-    for sign, word in ((";", "semicolons"), ("\t", "tabs")):
-        if sign in header and "," not in header:
-            raise InputError(
-                f"{path}, line {line}: found cells separated by {word}, expected commas, and decimals with points"
-            )
-
-
 def _check_header(
-    path: Path, line: int, header: tuple[str, ...], columns: Sequence[str] | None, optional: Sequence[str]
+    path: Path,
+    line: int,
+    text: str,
+    header: tuple[str, ...],
+    columns: Sequence[str] | None,
+    optional: Sequence[str],
 ) -> None:
-    if len(set(header)) != len(header):
-        raise InputError(f"{path}, line {line}: found a column twice, expected each column once")
+    """Raise InputError for a header that something else than commas separates, or whose names are not those wanted."""
+    sign = next((sign for sign in SEPARATORS if sign in text and "," not in text), "")
+    names = tuple(cell.strip() for cell in text.split(sign)) if sign else header
+    faults = _list_header_faults(names, columns, optional)
+    if sign:
+        faults.insert(0, f"found cells separated by {SEPARATORS[sign]}, expected commas, and decimals with points")
+    if faults:
+        first, *others = (f"{path}, line {line}: {fault}" for fault in faults)
+        raise InputError(first, others)
+
+
+def _list_header_faults(header: tuple[str, ...], columns: Sequence[str] | None, optional: Sequence[str]) -> list[str]:
+    """Return what is wrong with a header's names, the first of several first."""
+    faults = ["found a column twice, expected each column once"] if len(set(header)) != len(header) else []
     if columns is None:
-        return
+        return faults
     known = (*columns, *optional)
     more = ", ".join(optional[:SHOWN]) + (" …" if len(optional) > SHOWN else "")
     expected = ", ".join(columns) + (f", and maybe {more}" if optional else "")
@@ -156,10 +163,9 @@ def _check_header(
             close = [one for one in known if _stem(one) == _stem(name)]
             close = close or difflib.get_close_matches(name, known, n=1, cutoff=0.4)
             hint = f", did you mean {close[0]!r}?" if close else ""
-            raise InputError(f"{path}, line {line}: found column {name!r}{hint}, expected {expected}")
-    for name in columns:
-        if name not in header:
-            raise InputError(f"{path}, line {line}: found no column {name!r}, expected {expected}")
+            faults.append(f"found column {name!r}{hint}, expected {expected}")
+    faults += [f"found no column {name!r}, expected {expected}" for name in columns if name not in header]
+    return faults
 
 
 def _stem(name: str) -> str:

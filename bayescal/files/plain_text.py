@@ -1,4 +1,4 @@
-"""Text that commands no terminal and does not turn round what is read."""
+"""Plain text: none that commands a terminal or turns round what is read, and words with their article."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ import unicodedata
 
 UNSEEN = ("Cc", "Cf", "Cs")
 """Categories of Unicode: controls, formats such as the marks for writing from right to left, halves of surrogates."""
+
+
+def add_article(word: str) -> str:
+    """Return a word, a name of a kind for example, with its indefinite article, as far as the first letter tells it."""
+    return f"{'an' if word[:1].lower() in tuple('aeiou') else 'a'} {word}"
 
 
 def is_plain(text: str, but: str = "") -> bool:

@@ -6,3 +6,11 @@ import math
 
 MICROMETRE = 1e-3
 ARCSECOND = math.pi / 180 / 3600
+MICRORADIAN = 1e-6
+
+
+def choose_arcseconds(arcsec: float | None, urad: float | None) -> float | None:
+    """Return in arcseconds what is stated in either unit, None where in neither; ValueError where in both."""
+    if arcsec is not None and urad is not None:
+        raise ValueError(f"found orientation_arcsec {arcsec:g} beside orientation_urad {urad:g}, expected one of them")
+    return arcsec if urad is None else urad * MICRORADIAN / ARCSECOND

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +34,16 @@ MEANINGS = {
     **{"b_y": "the same", "b_z": "the same", "l": "lengths of the legs"},
     **{"u_x": "directions of the actuators", "u_y": "the same"},
 }
+JOINTS = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z")
+ON_RAILS = MEANINGS | {"a_z": "the same; along the rail: the carriage's zero"}
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A made-up machine on six legs: dimensions in mm and degrees as TOML has them, tolerances by symbol."""
+    """A made-up machine on six legs: dimensions in mm and degrees as TOML has them, tolerances by symbol.
+
+    All that its model has is free, but for what no measurement could tell from the rest, of which ``left_out`` speaks.
+    """
 
     title: str
     model: str
@@ -48,6 +53,8 @@ class Kind:
     initial: float
     range: float
     tolerances: Mapping[str, float]
+    left_out: str
+    meanings: Mapping[str, str] = field(default_factory=lambda: MEANINGS)
     base_azimuth: tuple[float, ...] = (350.0, 10.0, 110.0, 130.0, 230.0, 250.0)
     platform_azimuth: tuple[float, ...] = (310.0, 50.0, 70.0, 170.0, 190.0, 290.0)
 
@@ -55,11 +62,14 @@ class Kind:
 MACHINES: dict[str, Kind | None] = {
     "hexapod": Kind(
         *("A made-up hexapod", "six_ups", 300.0, 180.0, [0.0, 0.0, 380.0], 450.0, 40.0),
-        tolerances=dict.fromkeys(("a_x", "a_y", "a_z", "b_x", "b_y", "b_z"), 0.2) | {"l": 0.5},
+        tolerances=dict.fromkeys(JOINTS, 0.2) | {"l": 0.5},
+        left_out="an actuator's zero is no parameter of its own: it changes what l changes",
     ),
     "carriages": Kind(
-        *("A made-up machine on six carriages", "six_pus", 250.0, 120.0, [0.0, 0.0, 500.0], 100.0, 40.0),
-        tolerances=dict.fromkeys(("a_x", "a_y", "b_x", "b_y"), 0.2) | {"l": 0.5, "u_x": 0.001, "u_y": 0.001},
+        *("A made-up machine on six carriages", "six_pus", 250.0, 120.0, [0.0, 0.0, 400.0], 0.0, 40.0),
+        tolerances=dict.fromkeys(JOINTS, 0.2) | {"l": 0.5, "u_x": 0.001, "u_y": 0.001},
+        left_out="rho0 stays as drawn: it moves a joint along its rail as a does, and no measurement tells them apart",
+        meanings=ON_RAILS,
     ),
     OWN: None,
 }
@@ -131,7 +141,7 @@ def _describe(kind: Kind, machine: str, instrument: str) -> dict[str, Any]:
         **vars(kind),
         **lists,
         **{"name": machine, "machine": machine, "instrument": instrument, "by": INSTRUMENTS[instrument]},
-        **{"offsets": offsets, "meanings": MEANINGS, "free": str(list(kind.tolerances)).replace("'", '"')},
+        **{"offsets": offsets, "free": str(list(kind.tolerances)).replace("'", '"')},
     }
 
 

@@ -6,6 +6,8 @@ import pytest
 
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import check_experiment
+from bayescal.machines.models import MODELS
+from bayescal.machines.read import load_mechanism
 from bayescal.projects.start import INSTRUMENTS, MACHINES, OWN, start_project
 
 SHIPPED = "examples/own_machine"
@@ -20,10 +22,18 @@ def test_a_project_is_fit_to_run_and_says_that_it_is_simulated(tmp_path, machine
     for name in ("study.toml", "audit.toml", "simulate.toml"):
         _, config = load(folder / name)
         check_experiment(config, folder)
+        if name != "simulate.toml":
+            assert set(config.parameters) == list_free(folder, machine)
     measured = [path for path in files if path.parent.name == "data"]
     assert measured
     for path in (*measured, folder / "README.md", folder / "study.toml"):
         assert "never measured" in path.read_text()
+
+
+def list_free(folder, machine):
+    """All symbols of a machine's model but for the one that moves what others move."""
+    blocks = MODELS[MACHINES[machine].model]().blocks(load_mechanism(folder / "machine.toml"))
+    return {block.symbol for block in blocks} - {"rho0"}
 
 
 def test_the_own_machine_is_the_shipped_example(tmp_path, pytestconfig):

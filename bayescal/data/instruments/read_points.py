@@ -120,6 +120,12 @@ def read_stations(path: Path | None) -> Stations:
     return Stations(tuple(names), table.numbers(CARTESIAN), rotation)
 
 
+def check_point_columns(path: Path, several: bool) -> None:
+    """Raise InputError for a table of points without its columns, or with a coordinate that is no number."""
+    table = _read_table(path, several)
+    table.numbers(CARTESIAN if table.has(CARTESIAN) else POLAR)
+
+
 def _read_table(path: Path, several: bool) -> Table:
     upper, lower = name_covariances("xyz")
     keys = ("pose", "station", "point") if several else ("pose", "point")

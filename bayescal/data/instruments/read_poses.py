@@ -19,21 +19,23 @@ from bayescal.data.instruments.tables import (
     Taken,
     check_positive,
     choose_noise,
+    describe_no_noise,
     name_covariances,
     read_covariances,
     read_taken,
 )
 from bayescal.errors import InputError
+from bayescal.files.atomic import read_text
 from bayescal.files.csv_tables import Table, read_table
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.units import ARCSECOND, MICROMETRE
+from bayescal.numerics.units import ARCSECOND, MICROMETRE, MICRORADIAN
 
 POSITION = ("x_mm", "y_mm", "z_mm")
 VALUES = (*POSITION, *VECTOR)
 DEVIATIONS = ("sd_x_um", "sd_y_um", "sd_z_um", "sd_rx_urad", "sd_ry_urad", "sd_rz_urad")
-MICRORADIAN = 1e-6
 UNITS = np.array([MICROMETRE] * 3 + [MICRORADIAN] * 3)
-KEYS = "position_um and orientation_arcsec"
+COLUMNS = "cov_x_x ... cov_rz_rz or sd_x_um ... sd_rz_urad"
+KEYS = "position_um and orientation_arcsec (or orientation_urad)"
 
 
 @dataclass(frozen=True)
@@ -58,14 +60,30 @@ def read_poses(path: Path, actuators: Path | None, noise: PoseNoise, n_legs: int
         For unknown columns, a pose without any coordinate, a covariance that is not positive, noise that is stated
         twice or not at all, and what `read_taken` refuses.
     """
-    upper, lower = name_covariances(COORDINATES)
-    optional = ("use", *VALUES, *DEVIATIONS, *upper, *lower, *name_actuators(n_legs), *OTHER_COLUMNS)
-    table = read_table(path, ("pose",), optional)
+    table = _read_columns(path, name_actuators(n_legs))
     taken = read_taken(table, actuators, n_legs)
     values = _read_values(table)
     covariance = _read_noise(table, noise, np.isfinite(values))
     check_positive(table, covariance, np.isfinite(values))
     return PoseReadings(taken.names, taken.actuators, values, covariance * np.outer(UNITS, UNITS)), taken
+
+
+def _read_columns(path: Path, actuators: tuple[str, ...]) -> Table:
+    upper, lower = name_covariances(COORDINATES)
+    return read_table(path, ("pose",), ("use", *VALUES, *DEVIATIONS, *upper, *lower, *actuators, *OTHER_COLUMNS))
+
+
+def check_pose_table(path: Path, noise: PoseNoise, actuators: tuple[str, ...]) -> None:
+    """Raise InputError for a table of poses that is none by itself, with all that is wrong with values and noise."""
+    try:
+        table = _read_columns(path, actuators)
+    except InputError as error:
+        if noise.is_stated or any(mark in read_text(path, "a CSV table") for mark in ("sd_", "cov_")):
+            raise
+        raise InputError(str(error), (*error.others, describe_no_noise(path, COLUMNS, KEYS))) from error
+    values = _read_values(table)
+    covariance = _read_noise(table, noise, np.isfinite(values))
+    check_positive(table, covariance, np.isfinite(values))
 
 
 def _read_values(table: Table) -> Array:
@@ -90,7 +108,7 @@ def _read_noise(table: Table, noise: PoseNoise, measured: np.ndarray) -> Array:
     if covariance is not None and deviations:
         raise InputError(f"{table.path}: found standard deviations beside covariances, expected either")
     stated = covariance is not None or bool(deviations)
-    choose_noise(table.path, stated, noise.is_stated, "cov_x_x ... cov_rz_rz or sd_x_um ... sd_rz_urad", KEYS)
+    choose_noise(table.path, stated, noise.is_stated, COLUMNS, KEYS)
     if covariance is not None:
         return covariance
     sd = np.full(measured.shape, np.nan)

@@ -15,14 +15,14 @@ from bayescal.data.instruments.read_points import (
     read_stations,
     spread_polar,
 )
-from bayescal.data.instruments.read_poses import MICRORADIAN, VALUES
+from bayescal.data.instruments.read_poses import VALUES
 from bayescal.data.schema import FrameTruthConfig, InstrumentConfig, PointInstrumentConfig, PoseInstrumentConfig
 from bayescal.data.simulation import Twin, format_actuators, move, name_poses, stack_poses
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table
 from bayescal.machines.frames import move_frames
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
-from bayescal.numerics.units import ARCSECOND, MICROMETRE
+from bayescal.numerics.units import ARCSECOND, MICROMETRE, MICRORADIAN
 
 type Poses = tuple[Array, Array]
 
@@ -67,8 +67,8 @@ def _format_poses(
     position = seen[0] + rng.normal(0.0, config.position_um * MICROMETRE, (n, 3))
     columns, values = list(VALUES[:3]), position
     deviations = {f"sd_{axis}_um": config.position_um for axis in "xyz"}
-    if config.orientation_arcsec is not None:
-        sd = config.orientation_arcsec * ARCSECOND
+    if config.arcseconds is not None:
+        sd = config.arcseconds * ARCSECOND
         turned = matrix_from_rotation_vector(rng.normal(0.0, sd, (n, 3))) @ seen[1]
         columns += VALUES[3:]
         values = np.concatenate([position, np.degrees(rotation_vector_from_matrix(turned))], axis=1)

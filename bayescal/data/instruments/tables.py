@@ -153,4 +153,9 @@ def choose_noise(path: Path, in_table: bool, in_config: bool, columns: str, keys
     if in_table and in_config:
         raise InputError(f"{path}: found columns of the noise beside {keys} in [data], expected it stated once")
     if not in_table and not in_config:
-        raise InputError(f"{path}: found no noise, expected the columns {columns}, or {keys} in [data]")
+        raise InputError(describe_no_noise(path, columns, keys))
+
+
+def describe_no_noise(path: Path, columns: str, keys: str) -> str:
+    """Return that the noise is stated neither in a table nor in the config."""
+    return f"{path}: found no noise, expected the columns {columns}, or {keys} in [data]"

@@ -89,6 +89,16 @@ def read_survey(targets: Path, actuators: Path, reference: Path, n_legs: int) ->
     return Survey(tuple(poses), verification, positions, bodies["base"], bodies["platform"])
 
 
+def check_reference(path: Path, n_legs: int) -> None:
+    """Raise InputError for a table of where targets sit that is none by itself."""
+    _read_reference(path, n_legs)
+
+
+def check_target_columns(path: Path) -> None:
+    """Raise InputError for a table of targets without its columns, or with a coordinate that is no number."""
+    read_table(path, TARGET_COLUMNS).numbers(COORDINATES)
+
+
 def _read_reference(path: Path, n_legs: int) -> dict[str, tuple[list[str], np.ndarray, Array]]:
     table = read_table(path, REFERENCE_COLUMNS)
     bodies, names = table.text("body"), table.text("target")

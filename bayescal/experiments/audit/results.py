@@ -10,6 +10,7 @@ import pandas as pd
 from bayescal.config.classes import label_class
 from bayescal.experiments.audit.audit import Audit
 from bayescal.experiments.audit.changes import ChangeEffect, contraction_along, contraction_of_symbols
+from bayescal.experiments.audit.far_readings import describe_far_readings
 from bayescal.experiments.audit.inputs import AuditInputs
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import nats_from_contraction
@@ -39,6 +40,7 @@ def summarise(audit: Audit) -> dict[str, Any]:
         "seed": config.seed,
         "units": {"length": inputs.units.length, "angle": inputs.units.angle},
         "plan": _summarise_plan(audit),
+        **describe_far_readings(audit),
         "n_parameters": len(names),
         "structural_rank": structure.rank,
         "structural_gap": structure.gap if np.isfinite(structure.gap) else None,

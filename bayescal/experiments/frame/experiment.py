@@ -71,6 +71,14 @@ class Experiment[C: ExperimentConfig, I](ABC):
     def read(self, config: C, folder: Path) -> I:
         """Return what the experiment computes with; InputError for every fault of the config or its files."""
 
+    def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
+        """Return what is wrong with each file by itself that a config names, whose content may itself be at fault.
+
+        A line each, those that `read` tells among them; by default none is looked at.
+        """
+        del content, folder
+        return []
+
     def estimate_memory(self, inputs: I) -> Need:
         """Return what computing with these inputs will hold at once; by default nothing is known."""
         del inputs

@@ -14,6 +14,7 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 import pandas as pd
 
+from bayescal.files.plain_text import add_article
 from bayescal.numerics.geometry import Array
 
 TREE = "tree"
@@ -60,7 +61,9 @@ def _encode(value: Any, arrays: Record) -> Any:
         return {TAG: "dict", "items": [[_encode(k, arrays), _encode(v, arrays)] for k, v in value.items()]}
     if isinstance(value, list | tuple):
         return {TAG: type(value).__name__, "items": [_encode(one, arrays) for one in value]}
-    raise TypeError(f"found a {type(value).__name__}, expected numbers, texts, arrays, tables or dataclasses")
+    raise TypeError(
+        f"found {add_article(type(value).__name__)}, expected numbers, texts, arrays, tables or dataclasses"
+    )
 
 
 def _name(kind: type) -> str:

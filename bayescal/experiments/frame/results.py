@@ -14,6 +14,7 @@ import pandas as pd
 from bayescal.errors import InputError
 from bayescal.experiments.frame.notebook import show_in_notebook
 from bayescal.files.atomic import read_json
+from bayescal.files.plain_text import add_article
 
 SUMMARY_FILE = "summary.json"
 PROVENANCE_FILE = "provenance.json"
@@ -198,5 +199,7 @@ def _read_column(path: Path, cells: pd.Series, kind: str) -> pd.Series:
         try:
             values.append(read(cell))
         except (ValueError, KeyError) as error:
-            raise InputError(f"{path}, line {row}: {cells.name}: found {cell!r}, expected a {kind}") from error
+            raise InputError(
+                f"{path}, line {row}: {cells.name}: found {cell!r}, expected {add_article(kind)}"
+            ) from error
     return pd.Series(values, name=cells.name)

@@ -11,12 +11,13 @@ import numpy as np
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
+from bayescal.config.load import read_extended
 from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
-from bayescal.errors import InputError
+from bayescal.errors import InputError, SeveralFaultsError, name_faults
 from bayescal.experiments.frame.engine import Processes, open_engine
 from bayescal.experiments.frame.identity import describe_provenance, identify
-from bayescal.experiments.frame.load import AnyExperiment, find_kind, read_inputs
+from bayescal.experiments.frame.load import AnyExperiment, find_kind, load, read_inputs
 from bayescal.experiments.frame.lock import hold_lock
 from bayescal.experiments.frame.memory import check_memory
 from bayescal.experiments.frame.parallel import Run
@@ -133,6 +134,33 @@ def run_experiment(
             page = _write(experiment, replace(results, provenance=provenance), store.stage())
             store.publish()
     return Finished(out, experiment, read_results(out), page)
+
+
+def check_file(path: Path) -> tuple[AnyExperiment, ExperimentConfig, list[str], list[str]]:
+    """Read all that the experiment of a file computes with; return its kind and config, and as `check_experiment`.
+
+    Raises
+    ------
+    InputError
+        `SeveralFaultsError` with all that is wrong with config and files, as far as one does not depend on the other.
+    """
+    try:
+        experiment, config = load(path)
+        with name_faults(path):
+            return experiment, config, *check_experiment(config, path.parent)
+    except InputError as error:
+        more = [one for one in _list_file_faults(path) if not any(line.endswith(one) for line in error.lines)]
+        raise SeveralFaultsError([*error.lines, *more]) from error
+
+
+def _list_file_faults(path: Path) -> list[str]:
+    """Return what is wrong with the files that a config names, however far it can itself be read."""
+    try:
+        content, _ = read_extended(path)
+        experiment = find_kind(str(content.get("kind")), path, path.parent)
+        return experiment.list_file_faults(content, path.parent)
+    except InputError:
+        return []
 
 
 def check_experiment(config: ExperimentConfig, folder: Path) -> tuple[list[str], list[str]]:

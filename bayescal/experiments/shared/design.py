@@ -174,7 +174,7 @@ def build_sensor(name: str, config: SensorConfig, folder: Path) -> Sensor:
     if isinstance(config, OwnSensorConfig):
         return _build_own_sensor(name, config, folder)
     if isinstance(config, PoseSensorConfig):
-        position, angle = config.position_um, config.orientation_arcsec
+        position, angle = config.position_um, config.arcseconds
         return PoseSensor(
             None if position is None else MICROMETRE * position,
             None if angle is None else ARCSECOND * angle,

@@ -12,6 +12,7 @@ from bayescal.config.sections import FileMark, Names, NotNegative, Number, Posit
 from bayescal.data.schema import TargetRingConfig
 from bayescal.limits import LARGEST_KAPPA
 from bayescal.machines.schema import PointsConfig
+from bayescal.numerics.units import choose_arcseconds
 
 type Axes = Literal["x", "y", "z", "xy", "xz", "yz", "xyz"]
 type Turns = Annotated[list[Annotated[NotNegative, Field(le=180.0)]], Field(min_length=3, max_length=3)]
@@ -59,14 +60,21 @@ class PoseSensorConfig(Section):
     """Standard deviation of a position, each axis; without it positions are not seen."""
     orientation_arcsec: Positive | None = None
     """Standard deviation of a rotation, each axis; without it rotations are not seen."""
+    orientation_urad: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """The same in microradians, in place of arcseconds."""
     axes: Axes = "xyz"
     """Which axes are seen."""
 
     @model_validator(mode="after")
     def _check_something(self) -> Self:
-        if self.position_um is None and self.orientation_arcsec is None:
+        if self.position_um is None and self.arcseconds is None:
             raise ValueError("expected position_um or orientation_arcsec, or both")
         return self
+
+    @property
+    def arcseconds(self) -> float | None:
+        """The noise of a rotation in arcseconds, whichever unit states it."""
+        return choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
 
 
 class TargetSensorConfig(Section):

@@ -39,6 +39,7 @@ from bayescal.experiments.study.tables import (
     tabulate_tau_scale,
 )
 from bayescal.experiments.study.trees import build_study_tree
+from bayescal.machines.models.legs import list_dimensions
 from bayescal.numerics.units import MICROMETRE
 
 ONLY_SAVED = ("prior", "prior_misfit", "start_error", "whitening")
@@ -135,11 +136,23 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dic
         **inputs.measured.describe(),
         **_describe_noise(inputs),
         **_describe_names(config),
+        **_describe_held(inputs),
         "variants": variants,
         "ranking": rank_variants(variants),
         **_stack(inputs, posteriors),
     }
     return summary, files
+
+
+def _describe_held(inputs: StudyInputs) -> dict[str, dict[str, list[str]]]:
+    """Return which dimensions of each variant's model no variant frees; nothing where all are free somewhere."""
+    free = {symbol for variant in inputs.config.variants for symbol in variant.free}
+    held = {
+        variant.name: [one for one in list_dimensions(inputs.machine(variant).layout) if one not in free]
+        for variant in inputs.config.variants
+    }
+    found = {name: symbols for name, symbols in held.items() if symbols}
+    return {"not_free": found} if found else {}
 
 
 def _describe_noise(inputs: StudyInputs) -> dict[str, dict[str, float]]:

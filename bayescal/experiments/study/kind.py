@@ -30,6 +30,7 @@ from bayescal.experiments.study.common_offset import doubt_zero
 from bayescal.experiments.study.compute import compute_study
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
+from bayescal.experiments.study.look import list_file_faults
 from bayescal.experiments.study.memory import estimate_study
 from bayescal.experiments.study.page.build import build_page
 from bayescal.experiments.study.schema import StudyConfig, VariantConfig, name_variant
@@ -63,6 +64,10 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
         if claims is not None and inputs.targets is None:
             raise InputError(f"{folder}: claims: found {config.claims!r} without targets, expected measured targets")
         return StudyTask(inputs, claims)
+
+    def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
+        """Return what is wrong with the machine and each table by itself."""
+        return list_file_faults(content, folder)
 
     def config_of(self, results: Results) -> StudyConfig:
         """Return the config that results were made with; a variant's name with a slash is none of its own."""

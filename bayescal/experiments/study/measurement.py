@@ -198,7 +198,7 @@ def read_measurement(config: StudyConfig, folder: Path, mechanism: Mechanism) ->
     actuators = None if data.actuators is None else folder / data.actuators
     instrument: PoseReadings | PointReadings
     if isinstance(data, PoseDataConfig):
-        noise = PoseNoise(data.position_um, data.orientation_arcsec)
+        noise = PoseNoise(data.position_um, data.arcseconds)
         instrument, taken = read_poses(folder / data.poses, actuators, noise, mechanism.n_legs)
     else:
         instrument, taken = _read_points(data, folder, mechanism.n_legs)

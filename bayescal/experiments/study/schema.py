@@ -12,6 +12,7 @@ from bayescal.config.sections import ExperimentConfig, Factor, InputFile, NotNeg
 from bayescal.density.schema import BlundersConfig, FixedConfig, KernelChoiceConfig, ModelErrorConfig, PriorConfig
 from bayescal.experiments.shared.schema import DeformationConfig, FramesConfig
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
+from bayescal.numerics.units import choose_arcseconds
 
 TABLES = ("targets", "poses", "points")
 """Kinds of measurement, and the keys of their tables."""
@@ -67,6 +68,18 @@ class PoseDataConfig(MeasuredConfig):
     """Standard deviation of a position, each axis, where the table does not state it."""
     orientation_arcsec: Positive | None = None
     """Standard deviation of a rotation, each axis, where the table does not state it."""
+    orientation_urad: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """The same in microradians, in place of arcseconds."""
+
+    @model_validator(mode="after")
+    def _check_one_unit(self) -> Self:
+        choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
+        return self
+
+    @property
+    def arcseconds(self) -> float | None:
+        """The noise of a rotation in arcseconds, whichever unit states it."""
+        return choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
 
 
 class PointDataConfig(MeasuredConfig):

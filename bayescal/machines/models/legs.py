@@ -21,6 +21,12 @@ def lower_joints_travel(layout: ParameterLayout) -> bool:
     return "rho0" in layout.index
 
 
+def list_dimensions(layout: ParameterLayout) -> tuple[str, ...]:
+    """Return the symbols of lengths and directions, without ρ^0: a + ρ u has it as a shift of a along u."""
+    own = (block.symbol for block in layout.blocks if block.unit == "mm" or block.symbol in layout.direction_symbols)
+    return tuple(symbol for symbol in own if symbol != "rho0")
+
+
 def chart_of(layout: ParameterLayout) -> DirectionChart:
     """Return which components of the actuators' directions the parameters are, for machines that have directions."""
     assert layout.directions is not None

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayescal.errors import InputError
+from bayescal.files.plain_text import add_article
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel, Coordinate, Given
 from bayescal.machines.readings.colours import draw_points
@@ -33,7 +34,7 @@ def check_members(name: str, machine: ReadingMachine) -> None:
             raise InputError(f"{where}: found no {member}, expected a sequence of {kind.__name__}")
         for one in found:
             if not isinstance(one, kind):
-                raise InputError(f"{where}: {member}: found {one!r}, expected a {kind.__name__}")
+                raise InputError(f"{where}: {member}: found {one!r}, expected {add_article(kind.__name__)}")
         names = [one.symbol if isinstance(one, ParameterBlock) else one.name for one in found]
         for one_name in names:
             if names.count(one_name) > 1:

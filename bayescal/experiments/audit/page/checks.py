@@ -43,6 +43,7 @@ RIDGE_KEYS: dict[str, Kinds] = {
     "effect_on_pose": str,
     **dict.fromkeys(("changes_workspace_position", "changes_workspace_rotation"), NUMBER),
 }
+FAR_KEYS: dict[str, Kinds] = {"legs": list, "reading_mm": NUMBER, "direction_sd": NUMBER}
 REQUIREMENT_NUMBERS = (
     *("limit", "prior_sd", "predicted_sd", "geometry_sd", "reduced_sd"),
     *("prior_probability", "probability", "reduced_probability"),
@@ -89,6 +90,8 @@ def check_summary(summary: dict[str, Any], path: Path) -> None:
     check_keys(summary, SUMMARY_KEYS, path, "")
     check_keys(summary["units"], {"length": str, "angle": str}, path, "units.")
     check_keys(summary["plan"], PLAN_KEYS, path, "plan.")
+    if "far_readings" in summary:
+        _check_object(summary["far_readings"], FAR_KEYS, path, "far_readings")
     _check_parameters(summary["parameters"], path)
     _check_directions(summary, path)
     for name, content in summary["requirements"].items():

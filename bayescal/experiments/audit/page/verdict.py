@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from bayescal.experiments.audit.page.borne_out import find_probability, is_kept, state_posterior, state_simulated
+from bayescal.experiments.audit.page.far_readings import state_far_readings
 from bayescal.experiments.audit.page.results import AuditResults, Change, Requirement, Ridge
 from bayescal.experiments.audit.page.wording import (
     count,
@@ -90,6 +91,7 @@ def state_verdict(results: AuditResults) -> list[Statement]:
         *_state_harm(results),
         *_state_help(results),
         *_state_special_case(results),
+        *state_far_readings(results),
         *state_simulated(results),
         *state_posterior(results),
         *_state_reduced(results),

@@ -11,6 +11,7 @@ from bayescal.experiments.calibration.page.audit_sets import show_counts, show_s
 from bayescal.experiments.calibration.page.audit_verdict import choose_best, state_headline, state_verdict
 from bayescal.experiments.calibration.page.build import VERDICT_LEVELS, show_accuracy, show_next, show_ridges
 from bayescal.experiments.calibration.page.verdict import Asked, format_place, list_rows, name_unit, shown_in
+from bayescal.files.plain_text import add_article
 from bayescal.report.blocks import Cell, Column, Figure, Page, Section, make_section, make_table
 from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant
 
@@ -132,8 +133,8 @@ def _show_parameters(tables: dict[str, pd.DataFrame], best: str, summary: dict[s
             ]
         )
     text = (
-        f"A number in brackets is that of a {summary['member']}. Contraction is the part of the prior's variance that "
-        "the readings would remove: 0.75 halves the tolerance.",
+        f"A number in brackets is that of {add_article(summary['member'])}. Contraction is the part of the prior's "
+        "variance that the readings would remove: 0.75 halves the tolerance.",
     )
     caption = f"Parameters with “{_titles(tables)[best]}”."
     figure = Figure(

@@ -43,7 +43,7 @@ SUMMARY_KEYS: dict[str, Kinds] = {
     "ranking": list,
 }
 OPTIONAL_KEYS: dict[str, Kinds] = {
-    **dict.fromkeys(("models", "instrument", "own_names", "stacked"), dict),
+    **dict.fromkeys(("models", "instrument", "own_names", "not_free", "stacked"), dict),
     "drive": str,
 }
 FIT_KEYS: dict[str, Kinds] = {
@@ -344,6 +344,8 @@ def _check_summary(summary: dict[str, Any], path: Path) -> None:
     for name, one in summary.get("own_names", {}).items():
         check_keys(summary["own_names"], {name: dict}, path, "own_names.")
         check_keys(one, {"model": str, "deformation": str}, path, f"own_names.{name}.")
+    not_free = summary.get("not_free", {})
+    check_keys(not_free, dict.fromkeys(not_free, list), path, "not_free.")
     if summary.get("drive", BASE) not in (BASE, STRUT):
         raise InputError(f"{path}: drive: found {summary['drive']!r}, expected {BASE} or {STRUT}")
     if not summary["variants"] or sorted(summary["ranking"]) != sorted(summary["variants"]):

@@ -172,7 +172,17 @@ def _state_tolerances(results: StudyResults) -> list[Statement]:
     else:
         why = "the tolerances are wider than this machine needs"
     text = f"{where}{far} ({_format_chance(found.chance)}): {why}."
-    return [Statement(text, _level(found.factor) if found.factor > 1 else "plain", "Tolerances")]
+    if found.factor <= 1:
+        return [Statement(text, "plain", "Tolerances")]
+    return [Statement(f"{text}{_name_held(results, best)}", _level(found.factor), "Tolerances")]
+
+
+def _name_held(results: StudyResults, name: str) -> str:
+    """Return which dimensions of a variant's model nothing frees: what is held as drawn, others err for."""
+    held = results.summary.get("not_free", {}).get(name, [])
+    if not held:
+        return ""
+    return f" Not free in this study: {', '.join(map(str, held))}. Give them tolerances and free them first."
 
 
 def _describe_farthest(results: StudyResults, name: str) -> str:

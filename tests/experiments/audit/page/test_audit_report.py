@@ -337,6 +337,15 @@ def test_the_ridges_of_the_draws_are_held_against_the_information(angle, level):
     assert say(make(change))["Posterior"][0] == level
 
 
+def test_readings_far_from_the_actuators_zero_are_a_warning():
+    assert "Actuators' zero" not in say(make())
+    far = {"legs": [1, 2], "reading_mm": 731.2, "direction_sd": 0.0005}
+    level, text = say(make(put(far, "far_readings")))["Actuators' zero"]
+    assert level == "plain"
+    assert "readings lie around 731 mm from where the direction's tolerance turns it" in text
+    assert "(a tolerance of 0.50 mrad is 0.37 mm there); put the zero there" in text
+
+
 def test_a_larger_rank_beside_the_expected_machine_is_a_warning():
     assert "Symmetry" not in say(make(put(4, "structural_rank_elsewhere")))
     level, text = say(make(put(5, "structural_rank_elsewhere")))["Symmetry"]

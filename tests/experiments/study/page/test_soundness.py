@@ -77,6 +77,15 @@ def test_a_doubtful_page_is_not_marked_as_a_good_one(make_results):
         assert f'class="verdict {mark}"' in text
 
 
+def test_dimensions_that_nothing_frees_are_named_where_tolerances_do_not_fit(make_results):
+    def change(summary):
+        set_chi2("pulls", 300.0, 30.0, "free")(summary)
+        summary["not_free"] = {BEST: ["a_z", "b_z"]}
+
+    (text,) = say(make_results(change)).values()
+    assert text.endswith("Not free in this study: a_z, b_z. Give them tolerances and free them first.")
+
+
 def test_tolerances_wider_than_needed_are_no_doubt(make_results):
     study = read_study(make_results(set_chi2("pulls", 2.0, 30.0, "free")))
     (statement,) = state_soundness(study)
