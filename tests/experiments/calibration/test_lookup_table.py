@@ -228,7 +228,9 @@ SLIPS = {
 }
 
 
-@pytest.mark.parametrize("slip", SLIPS)
+@pytest.mark.parametrize(
+    "slip", [pytest.param(one, marks=() if one in ("none", "exchanged") else pytest.mark.slow) for one in SLIPS]
+)
 def test_the_likely_cause_of_readings_far_off_is_said(slip, tmp_path):
     columns, mend, said = SLIPS[slip]
     path = lookup_tables.write_small(tmp_path, 12)
