@@ -37,7 +37,7 @@ class Tiny(Experiment):
     def read(self, config, folder):
         try:
             return config, tomllib.loads((folder / config.machine).read_text())["legs"]["length_mm"]
-        except (OSError, KeyError) as error:
+        except (OSError, KeyError, RecursionError, TypeError, ValueError) as error:
             raise InputError(f"{config.machine}: found no length of legs, expected one") from error
 
     def compute(self, inputs, run):

@@ -31,7 +31,7 @@ from bayescal.pose_selection import (
 )
 
 CANDIDATES = 31  # of the seeds
-SEEN = 10
+SEEN = 6
 """Arrays of all candidates by legs and parameters where they are placed and seen."""
 
 

@@ -55,7 +55,7 @@ class NextPose(Experiment[NextConfig, NextInputs]):
                 *list_search(first.posterior),
                 (DRAWS, n_draws, n),
                 (DRAWS, len(inputs.workspace), n_legs, n),
-                (DRAWS, MOST_ERRORS),
+                (DRAWS, min(n_draws * len(inputs.workspace), MOST_ERRORS)),
             ],
             "fewer candidates or draws",
         )

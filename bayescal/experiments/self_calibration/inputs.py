@@ -317,7 +317,7 @@ def find_cause(sensors: SensorSet, free: FreeParameters, measured: Array, starts
     if sensors.redundancy < 1:
         return ""
 
-    def judge(values: Array) -> Array:
+    def judge(values: Array, _: slice) -> Array:
         return _fit_together(sensors, free, _try_starts(sensors, free, values, starts[:1]))
 
     units = [sensors.model.channels[k].unit for k in sensors.chosen]

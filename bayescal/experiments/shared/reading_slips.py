@@ -15,23 +15,42 @@ import numpy as np
 from bayescal.errors import BayescalError
 from bayescal.experiments.shared.slips import BETTER, SCALES
 from bayescal.numerics.geometry import Array
+from bayescal.report.numbers import format_significant, join_words
 
 ANGLES = {"in degrees": np.pi / 180.0, "in radians where degrees are stated": 180.0 / np.pi, "of the other sign": -1.0}
 
-type Judge = Callable[[Array], Array]
-"""Returns how far readings (Q, K) lie from any pose, in units of their noise, shape (Q,); not finite without a pose."""
+EVERY = slice(None)
+
+type Judge = Callable[[Array, slice], Array]
+"""Returns how far readings (Q, K) of some of the poses lie from what a machine reads, in units of their noise, (Q,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class MovedReadings:
-    """Readings as they would be without a slip, shape (Q, K), mm and rad, and what the slip would be."""
+    """Readings as they would be without a slip.
+
+    Attributes
+    ----------
+    text : str
+        What the slip would be.
+    values : ndarray, shape (Q, K)
+        mm and rad.
+    chosen : slice
+        Which of the P poses they belong to.
+    """
 
     text: str
     values: Array
+    chosen: slice = EVERY
 
 
-def list_reading_slips(names: Sequence[str], units: Sequence[str], values: Array) -> Iterator[MovedReadings]:
-    """Yield what may have happened to readings (P, K), mm and rad, of sensors named ``kind[leg]``."""
+def list_reading_slips(
+    names: Sequence[str], units: Sequence[str], values: Array, given: Sequence[str] = ()
+) -> Iterator[MovedReadings]:
+    """Yield what may have happened to readings (P, K), mm and rad, of sensors named ``kind[leg]``.
+
+    What is ``given`` of each pose besides are columns that all readings may be shifted against.
+    """
     kinds = {name.partition("[")[0] for name in names}
     for kind in sorted(kinds):
         own = np.array([k for k, name in enumerate(names) if name.partition("[")[0] == kind])
@@ -51,21 +70,25 @@ def list_reading_slips(names: Sequence[str], units: Sequence[str], values: Array
         yield from _shift(kind, own, values)
     for k, name in enumerate(names):
         yield from _shift(name, np.array([k]), values)
+    if given:
+        yield from _shift(f"all readings against {join_words(list(given))}", np.arange(values.shape[1]), values, True)
 
 
-def _shift(name: str, columns: np.ndarray, values: Array) -> Iterator[MovedReadings]:
-    """Yield some columns as if they stood a row too early or too late."""
-    if len(values) < 3 or len(columns) == values.shape[1]:
+def _shift(name: str, columns: np.ndarray, values: Array, together: bool = False) -> Iterator[MovedReadings]:
+    """Yield some columns as if they stood a row too early or too late; all of them only ``together``."""
+    if len(values) < 3 or (len(columns) == values.shape[1] and not together):
         return
     for step, words in ((1, "earlier"), (-1, "later")):
         moved = values.copy()
         moved[:, columns] = np.roll(values[:, columns], step, axis=0)
         there = slice(1, None) if step > 0 else slice(None, -1)
         text = f"rows of {name} seem to be shifted by one: they belong to the readings of the row {words}"
-        yield MovedReadings(text, moved[there])
+        yield MovedReadings(text, moved[there], there)
 
 
-def find_reading_slip(judge: Judge, names: Sequence[str], units: Sequence[str], values: Array) -> str | None:
+def find_reading_slip(
+    judge: Judge, names: Sequence[str], units: Sequence[str], values: Array, given: Sequence[str] = ()
+) -> str | None:
     """Return in words the slip that explains readings best; None where most poses are explained, or no slip helps.
 
     Parameters
@@ -74,22 +97,29 @@ def find_reading_slip(judge: Judge, names: Sequence[str], units: Sequence[str], 
     names, units : sequences of str
         Of the K sensors; units ``mm`` or ``rad``.
     values : ndarray, shape (P, K)
+    given : sequence of str, optional
+        What is known of each pose besides.
     """
     base = _take_median(judge, values)
     if base <= BETTER:
         return None
-    found = [(_take_median(judge, moved.values), moved.text) for moved in list_reading_slips(names, units, values)]
+    slips = list_reading_slips(names, units, values, given)
+    found = [(_take_median(judge, moved.values, moved.chosen), moved.text) for moved in slips]
     mended, text = min(found, default=(np.inf, ""))
     if not base > BETTER * mended:
         return None
-    times = f"{base / max(mended, 1.0):.2g} times better" if np.isfinite(base) else "then, and not as they stand,"
+    times = (
+        f"{format_significant(base / max(mended, 1.0), 2)} times better"
+        if np.isfinite(base)
+        else "then, and not as they stand,"
+    )
     return f"they fit {times} if one mends: {text}"
 
 
-def _take_median(judge: Judge, values: Array) -> float:
+def _take_median(judge: Judge, values: Array, chosen: slice = EVERY) -> float:
     try:
         with np.errstate(all="ignore"):
-            off = judge(values)
+            off = judge(values, chosen)
     except (BayescalError, np.linalg.LinAlgError):
         return np.inf
     return float(np.median(np.where(np.isfinite(off), off, np.inf)))

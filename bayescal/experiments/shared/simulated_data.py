@@ -18,7 +18,7 @@ from bayescal.report.blocks import Column, Page, Section, Statement, make_table
 from bayescal.report.numbers import format_count, format_fixed
 
 KIND = "Simulation"
-TEXT = 60
+TEXT = 30
 """Doubles that a simulated number takes, with the text of its line."""
 
 

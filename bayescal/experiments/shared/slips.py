@@ -17,6 +17,7 @@ import numpy as np
 from bayescal.density.likelihood import Likelihood
 from bayescal.errors import BayescalError
 from bayescal.numerics.geometry import Array
+from bayescal.report.numbers import format_significant
 
 type LikelihoodOf = Callable[[Array, np.ndarray], Likelihood]
 """Returns the density of some of the poses (Q,) at other actuator positions (Q, N)."""
@@ -141,7 +142,7 @@ class FoundSlip:
 
     def say(self) -> str:
         """Return it in words."""
-        return f"the data fit {self.factor:.2g} times better if one mends: {self.text}"
+        return f"the data fit {format_significant(self.factor, 2)} times better if one mends: {self.text}"
 
 
 def list_moves(actuators: Array, start: Array) -> Iterator[Moved]:

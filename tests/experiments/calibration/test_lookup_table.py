@@ -22,6 +22,8 @@ from bayescal.experiments.frame.load import load
 pytestmark = pytest.mark.runs
 
 DRAWS = 40
+ACTUATORS = [f"q_{leg}_mm" for leg in range(1, 7)]
+GIVEN = ["elevation_deg", "temperature_c"]
 
 
 @pytest.fixture(scope="module")
@@ -216,6 +218,30 @@ def test_actuators_that_do_not_hold_the_platform_are_refused(rail):
 )
 def test_places_that_cannot_be_are_refused(folder, old, new, words):
     assert words in refuse(folder / "table.toml", old, new)
+
+
+SLIPS = {
+    "none": ([], lambda x: x, None),
+    "exchanged": (["q_1_mm", "q_2_mm"], lambda x: x[:, ::-1], "readings of q[1] and q[2] seem to be exchanged"),
+    "shifted": (ACTUATORS, lambda x: np.roll(x, 1, axis=0), "rows of q seem to be shifted by one"),
+    "of another day": (GIVEN, lambda x: np.roll(x, 1, axis=0), "rows of all readings against elevation_deg and temp"),
+}
+
+
+@pytest.mark.parametrize(
+    "slip", [pytest.param(one, marks=() if one in ("none", "exchanged") else pytest.mark.slow) for one in SLIPS]
+)
+def test_the_likely_cause_of_readings_far_off_is_said(slip, tmp_path):
+    columns, mend, said = SLIPS[slip]
+    path = lookup_tables.write_small(tmp_path, 12)
+    data = tmp_path / "data" / "readings.csv"
+    table = pd.read_csv(data, comment="#")
+    table[columns] = mend(table[columns].to_numpy())
+    table.to_csv(data, index=False)
+    kind, config = load(path)
+    doubts = kind.doubt(kind.read(config, tmp_path))
+    assert len(doubts) == (said is not None)
+    assert said is None or f"times better if one mends: {said}" in doubts[0]
 
 
 def test_rows_without_elevation_are_refused(folder):

@@ -109,6 +109,9 @@ def _name_place(place: dict[str, float]) -> str:
 
 def _state(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Statement]:
     found = []
+    if "slip" in summary:
+        text = f"The readings are far off; {summary['slip']}. What else is said here rests on data that seem wrong."
+        found.append(Statement(text, "bad", "Data"))
     if not summary["converged"]:
         text = f"The posterior did not converge ({'; '.join(summary['problems'])}); the table was made by force."
         found.append(Statement(text, "bad", "Convergence"))

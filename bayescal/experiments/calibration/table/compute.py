@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayescal.errors import NumericalError
+from bayescal.experiments.calibration.slips import find_calibration_slip
 from bayescal.experiments.calibration.table.inputs import TableInputs
 from bayescal.experiments.calibration.table.plan import plan_measurements
 from bayescal.experiments.calibration.table.polynomial import build_terms, fit_polynomial, format_polynomial
@@ -34,7 +35,9 @@ def compute_table(inputs: TableInputs, run: Run) -> Results:
     table = find_table(inputs, estimate.kept, estimate.mode)
     actuators = inputs.actuators.channels
     text = format_polynomial(table.polynomial, inputs.actuators.names, [one.unit for one in actuators])
-    return Results(summarise(inputs, table, problems), tabulate(inputs, table), {POLYNOMIAL_FILE: text})
+    summary, slip = summarise(inputs, table, problems), find_calibration_slip(inputs.variant)
+    summary |= {} if slip is None else {"slip": slip}
+    return Results(summary, tabulate(inputs, table), {POLYNOMIAL_FILE: text})
 
 
 def _estimate(inputs: TableInputs) -> Estimate:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from bayescal.experiments.calibration.memory import list_variant
 from bayescal.experiments.calibration.page.table import build_page
+from bayescal.experiments.calibration.slips import find_calibration_slip
 from bayescal.experiments.calibration.table.compute import compute_table
 from bayescal.experiments.calibration.table.inputs import TableInputs, read_table
 from bayescal.experiments.calibration.table.schema import LookupTableConfig
@@ -60,6 +61,11 @@ class LookupTable(Experiment[LookupTableConfig, TableInputs]):
             ],
             "fewer values of its axes",
         )
+
+    def doubt(self, inputs: TableInputs) -> list[str]:
+        """Return what may have happened to readings that no machine within its priors comes near."""
+        said = find_calibration_slip(inputs.variant)
+        return [] if said is None else [f"the readings are far off: {said}"]
 
     def compute(self, inputs: TableInputs, run: Run) -> Results:
         """Return the table."""
