@@ -27,6 +27,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.self_calibration.fit import Fit
 from bayescal.experiments.self_calibration.functions import find_functions
@@ -180,7 +181,11 @@ def main() -> None:
             break
         with tempfile.TemporaryDirectory() as folder:
             write_twin(Path(folder), seed, arguments.poses, *size)
-            inputs = load_twin(Path(folder), arguments.kernels, error)
+            try:
+                inputs = load_twin(Path(folder), arguments.kernels, error)
+            except InputError as refused:  # a machine whose poses are not found from the one expected
+                print(json.dumps({"refused": seed, "why": str(refused)}), flush=True)
+                continue
         for kernel in arguments.kernels:
             one = judge(inputs, kernel, seed)
             figures.setdefault(kernel, []).append(one)
