@@ -81,7 +81,7 @@ def open_page(browser: Any, path: Path, width: int = 1400, scheme: str = "light"
     page, said, asked = context.new_page(), [], []
     page.on("console", lambda message: said.append(message.text))
     page.on("pageerror", lambda error: said.append(str(error)))
-    page.on("request", lambda request: asked.append(request.url[:80]))
+    page.on("request", lambda request: asked.append(request.url))
     page.goto(path.as_uri())
     yield page
     assert said == []

@@ -13,7 +13,8 @@ from markupsafe import Markup, escape
 
 from bayescal.errors import InputError
 from bayescal.files.atomic import write_atomically
-from bayescal.report.blocks import Page, Section, Statement, find_scenes
+from bayescal.report.blocks import Page, Section, find_scenes
+from bayescal.report.findings import choose_first
 from bayescal.report.glossary import find_terms
 from bayescal.report.pictures import Picture, render_picture
 from bayescal.report.symbols import split_symbol
@@ -83,20 +84,6 @@ def render_page(page: Page, pictures: Mapping[str, Picture], more: Sequence[Sect
         sections=sections,
         pictures={name: picture.place(name) for name, picture in pictures.items()},
     )
-
-
-MOST_FINDINGS = 5
-URGENCY = {"bad": 0, "warning": 1}
-
-
-def choose_first(findings: Sequence[Statement]) -> tuple[list[Statement], list[Statement]]:
-    """Return what stands in the verdict at first sight and what is folded, both in their order.
-
-    At most five are seen: bad news before warnings, warnings before the rest, else what comes first.
-    """
-    ranked = sorted(range(len(findings)), key=lambda k: (URGENCY.get(findings[k].level, 2), k))
-    first = set(ranked[:MOST_FINDINGS])
-    return [findings[k] for k in sorted(first)], [findings[k] for k in sorted(set(ranked) - first)]
 
 
 # --- text --------------------------------------------------------------------------------------------------------

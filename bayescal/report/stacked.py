@@ -24,6 +24,7 @@ NEEDS_STACKING = 3.9  # narrower figures are shown as they are
 LEAST_HEIGHT, MOST_HEIGHT = 0.5, 3.2  # of a panel, inches
 LEAST_SIZE = 7.0  # points of a letter
 LETTER = 0.56  # width of a letter in units of its size, DejaVu Sans
+AROUND, LEGEND_LINE = 0.9, 0.25  # inches for labels of a row of panels, and a line of a legend, to begin with
 LINE = 1.3  # height of a line in units of a letter's size
 NAME_SHARE = 0.42  # of the width, for names at the left
 
@@ -76,10 +77,9 @@ def stack_panels(figure: Figure, measured: Panels) -> None:
     grid = figure.add_gridspec(n_rows, n_columns, height_ratios=heights)
     for k, axes in enumerate(panels):
         axes.set_subplotspec(grid[divmod(k, n_columns)])
-    figure.set_size_inches(NARROW, float(heights.sum() + 0.62 * n_rows + 0.3))
+    lines = sum([_narrow_legend(figure, legend) for legend in list(figure.legends)])
+    figure.set_size_inches(NARROW, float(heights.sum() + AROUND * n_rows + LEGEND_LINE * lines))
     figure.set_layout_engine("constrained")
-    for legend in list(figure.legends):
-        _narrow_legend(figure, legend)
     _lay_out(figure)
     _settle(figure, panels, float(heights.sum()))
 
@@ -179,8 +179,8 @@ def _fill(text: str, letters: float) -> str:
 # --- legends -----------------------------------------------------------------------------------------------------
 
 
-def _narrow_legend(figure: Figure, legend: Legend) -> None:
-    """Put a legend in the place of a figure's own, with as many columns as there is room for."""
+def _narrow_legend(figure: Figure, legend: Legend) -> int:
+    """Put a legend in the place of a figure's own, with as many columns as there is room for; return its lines."""
     names = [text.get_text() for text in legend.get_texts()]
     size = float(legend.get_texts()[0].get_fontsize()) if names else 8.0
     drawn: dict[str, Any] = {}
@@ -191,15 +191,18 @@ def _narrow_legend(figure: Figure, legend: Legend) -> None:
     longest = max((len(name) for name in names), default=0) + 6
     title = legend.get_title().get_text()
     legend.remove()
+    written = [_fill(name, letters - 8) for name in names]
+    n_columns = max(1, min(len(names), int(letters / longest)))
     figure.legend(
         handles,
-        [_fill(name, letters - 8) for name in names],
+        written,
         loc="outside upper left",
-        ncols=max(1, min(len(names), int(letters / longest))),
+        ncols=n_columns,
         title=_fill(title, letters),
         fontsize=max(size, LEAST_SIZE),
         alignment="left",
     )
+    return 1 + -(-sum(text.count("\n") + 1 for text in written) // n_columns)
 
 
 # --- what only shows when it is laid out -------------------------------------------------------------------------
@@ -211,7 +214,8 @@ def _settle(figure: Figure, panels: list[Axes], wanted: float) -> None:
         if axes.axison and _overlap(_extents(axes.get_xticklabels())):
             axes.xaxis.set_tick_params(rotation=90)
         _break_titles(axes)
-        _lower_legend(axes)
+    below = sum(_lower_legend(axes) for axes in panels)
+    figure.set_size_inches(NARROW, figure.get_figheight() + below)
     for axes in panels:
         if _overlap(_extents(axes.texts)):
             for text in axes.texts:
@@ -247,15 +251,18 @@ def _overlap(boxes: np.ndarray) -> bool:
     return bool(np.any(level & (one[:, 2] > other[:, 0])))
 
 
-def _lower_legend(axes: Axes) -> None:
-    """Put a legend below its panel where it would cover half of it."""
-    legend = axes.get_legend()
-    if legend is None:
-        return
+def _lower_legend(axes: Axes) -> float:
+    """Put a legend below its panel where it would cover half of it, and return its height, inches."""
+    legend, figure = axes.get_legend(), axes.get_figure(root=True)
+    if legend is None or figure is None:
+        return 0.0
     box, area = legend.get_window_extent(), axes.get_window_extent()
     if box.width < 0.45 * area.width and box.height < 0.45 * area.height:
-        return
+        return 0.0
+    if box.width > area.width:  # its columns cannot stay side by side
+        return LEGEND_LINE * _narrow_legend(figure, legend)
     below = axes.xaxis.get_tightbbox()
     bottom = (below.y0 - area.y0) / area.height if below is not None else 0.0
     legend.set_loc("upper left")
     legend.set_bbox_to_anchor((0.0, bottom), transform=axes.transAxes)
+    return float(box.height / figure.dpi) + LEGEND_LINE

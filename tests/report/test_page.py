@@ -37,7 +37,8 @@ from bayescal.report.blocks import (
     Statement,
     make_table,
 )
-from bayescal.report.page import choose_first, make_prose, render_page, set_symbol, write_page
+from bayescal.report.findings import choose_first
+from bayescal.report.page import make_prose, render_page, set_symbol, write_page
 from bayescal.report.pictures import render_picture
 from bayescal.report.provenance import format_config, show_provenance
 from bayescal.report.scene import Scene, SceneLine, ScenePoint, choose_magnification

@@ -59,14 +59,14 @@ def test_nothing_stands_outside_of_the_page():
 
 def test_small_panels_stay_side_by_side():
     def draw() -> Figure:
-        figure = Figure(figsize=(9.4, 3.4))
-        for axes in figure.subplots(2, 6, sharex=True).ravel():
+        figure = Figure(figsize=(4.0, 1.2))
+        for axes in figure.subplots(1, 3):
             axes.plot([0.0, 1.0])
         return figure
 
     axes = stack(draw).axes
     assert len({round(one.get_position().x0, 2) for one in axes}) == 2
-    assert len({round(one.get_position().y0, 2) for one in axes}) == 6
+    assert len({round(one.get_position().y0, 2) for one in axes}) == 2
 
 
 def test_figures_narrow_enough_have_one_form():

@@ -24,6 +24,7 @@ from bayescal.experiments.audit.page.wording import (
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.frame.terminal import Shown, print_table
 from bayescal.limits import COVERAGE
+from bayescal.report.findings import choose_first, count_folded
 from bayescal.report.numbers import NOTHING, format_plain, format_significant
 from bayescal.report.symbols import write_symbol
 
@@ -48,11 +49,12 @@ def _list_lines(audit: AuditResults) -> list[RenderableType]:
     lines: list[RenderableType] = [audit.summary["title"]]
     lines += [f"DO NOT RELY ON THIS: {failure.text}" for failure in list_failures(audit)]
     lines.append(state_headline(audit))
-    for statement in state_verdict(audit):
+    seen, folded = choose_first(state_verdict(audit))
+    for statement in seen:
         grid = Table.grid(padding=(0, 1))
         grid.add_row(MARKS[statement.level], f"{statement.lead}: {_write_symbols(statement.text, audit.symbols)}")
         lines.append(grid)
-    return lines
+    return [*lines, count_folded(folded)] if folded else lines
 
 
 def _write_symbols(text: str, symbols: list[str]) -> str:

@@ -25,6 +25,7 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.frame.terminal import print_text
 from bayescal.report.blocks import Page
+from bayescal.report.findings import choose_first, count_folded
 from bayescal.report.numbers import format_significant
 
 
@@ -101,11 +102,14 @@ class Experiment[C: ExperimentConfig, I](ABC):
         """Return the page, from results as they are read back from their directory."""
 
     def show(self, results: Results, page: Page, console: Console) -> None:
-        """Print the results on the terminal: the page's verdict."""
+        """Print the results on the terminal: the page's verdict as it is seen there at first sight."""
         del results
         print_text(console, page.headline)
-        for one in page.verdict:
+        seen, folded = choose_first(page.verdict)
+        for one in seen:
             print_text(console, f"{one.lead}: {one.text}" if one.lead else one.text)
+        if folded:
+            print_text(console, count_folded(folded))
 
     def list_failures(self, results: Results) -> list[str]:
         """Return what forbids to rely on the results, in words; the command line then ends with exit code 3."""

@@ -74,7 +74,7 @@ def test_the_verdict_turns_with_the_limit(run):
     assert take(met, "variants")["met"].all()
     assert not take(missed, "variants")["met"].any()
     assert "Use “Camera and probe” (0 % margin): what is required is met, and with no other set." in above
-    assert "No set of sensors meets what is required." in below
+    assert "Plan other sensors or poses: no set of sensors meets what is required." in below
 
 
 def test_noise_that_is_too_much_by_itself_is_said(run):

@@ -151,7 +151,9 @@ def test_tables_and_page_say_what_was_found(inputs, found):
     expected = [np.cov(drawn[:, g, 1], drawn[:, g, 4])[0, 1] for g in range(len(inputs.cells))]
     np.testing.assert_allclose(first, expected, rtol=1e-9)
     page = build_page(tables, summary)
-    assert page.headline.startswith("Correct by the table: from 0 to 90° of elevation and 0 to 20 °C of temperature it")
+    assert page.headline.startswith(
+        "Do not correct by the table yet: from 0 to 90° of elevation and 0 to 20 °C of temperature it"
+    )
     assert page.verdict[0].level == "bad"
     assert "too few draws" in page.verdict[0].text
     assert json.dumps(summary, allow_nan=False)
