@@ -50,7 +50,7 @@ def test_faults_of_config_machine_and_tables_come_in_one_go(call, project, tmp_p
     )
     for part in expected:
         assert sum(part in line for line in told) == 1, (part, complaint)
-    assert len(told) == len(expected)
+    assert len(told) == len(expected), complaint
     assert all(line.startswith("bayescal: ") for line in told)
 
 
