@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bayescal.data.instruments.simulate import count_stations, simulate_readings, true_frames
 from bayescal.data.schema import SimulationConfig
 from bayescal.data.simulation import Twin, build_twin, format_survey, format_truth, name_poses, survey_twin
+from bayescal.experiments.shared.look import look_at_machine
 from bayescal.experiments.shared.simulated_data import Simulated, SimulatedData, tabulate_truth
 from bayescal.machines.frames import frame_blocks
 
@@ -32,6 +35,10 @@ class Simulation(SimulatedData[SimulationConfig, PlacedTwin]):
         if config.instrument is not None:
             true_frames(config.instrument, count_stations(config.instrument, folder))
         return PlacedTwin(build_twin(config, folder), folder)
+
+    def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
+        """Return what is wrong with the machine's file by itself."""
+        return look_at_machine(content, folder)[1]
 
     def seed(self, inputs: PlacedTwin) -> int:
         """Return the config's seed."""
