@@ -50,7 +50,7 @@ def test_faults_of_config_machine_and_tables_come_in_one_go(call, project, tmp_p
     )
     for part in expected:
         assert sum(part in line for line in told) == 1, (part, complaint)
-    assert len(told) == len(expected)
+    assert len(told) == len(expected), complaint
     assert all(line.startswith("bayescal: ") for line in told)
 
 
@@ -72,3 +72,13 @@ def test_one_fault_is_told_once_and_other_commands_stay_with_one_line(call, proj
     assert len(call("validate", folder / "study.toml")[2].splitlines()) == 1
     edit(folder, "study.toml", ("seed = 1", "sed = 1"))
     assert len(call("run", folder / "study.toml")[2].splitlines()) == 1
+
+
+def test_the_machine_of_an_audit_is_looked_at_beside_its_config(call, project, tmp_path):
+    folder = tmp_path / "mine"
+    shutil.copytree(project, folder)
+    edit(folder, "audit.toml", ("seed = 1", "sed = 1"))
+    edit(folder, "machine.toml", ("actuator_range_mm", "range_mm"))
+    told = call("validate", folder / "audit.toml")[2].splitlines()
+    assert "audit.toml" in told[0]
+    assert any("legs.range_mm: unknown key" in line for line in told)

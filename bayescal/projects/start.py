@@ -29,6 +29,8 @@ INSTRUMENTS = {
     "poses": "by an instrument that hands out poses",
     "points": "by an instrument that tracks points on the platform",
 }
+LEFT_OUT = {"probe.csv": ("targets", "poses"), "audit_measured.toml": ("points",)}
+"""Instruments of whose projects a file is none; audits take whole poses that were measured, no points."""
 MEANINGS = {
     **{"a_x": "joints at the base", "a_y": "the same", "a_z": "the same", "b_x": "joints on the platform"},
     **{"b_y": "the same", "b_z": "the same", "l": "lengths of the legs"},
@@ -123,7 +125,7 @@ def _write_files(folder: Path, kind: Kind | None, machine: str, instrument: str 
     loader = Environment(loader=FileSystemLoader(source), undefined=StrictUndefined, keep_trailing_newline=True)
     known = _describe(kind, machine, str(instrument))
     for name in files:
-        if name != "probe.csv" or instrument == "points":
+        if instrument not in LEFT_OUT.get(name, ()):
             write_atomically(folder / name, loader.get_template(name).render(known).encode())
     for use, moves in _spread(kind).items():
         columns = [f"drho_{leg}" for leg in range(1, len(kind.base_azimuth) + 1)]

@@ -36,7 +36,17 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[2]
 SUFFIXES = {
-    **{"mm": "mm", "um": "µm", "deg": "degrees", "arcsec": "arcsec", "ppm": "1e-6", "rad": "rad", "kg": "kg", "n": "N"},
+    **{
+        "mm": "mm",
+        "um": "µm",
+        "deg": "degrees",
+        "arcsec": "arcsec",
+        "urad": "µrad",
+        "ppm": "1e-6",
+        "rad": "rad",
+        "kg": "kg",
+        "n": "N",
+    },
     **{"n_mm": "N mm", "n_mm2": "N mm²", "gpa": "GPa", "m_s2": "m/s²", "per_million": "1e-6/N"},
 }
 UNIT = re.compile(r"\s*\[([^\[\]]+)\](?=\.?$)")

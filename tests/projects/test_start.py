@@ -24,6 +24,10 @@ def test_a_project_is_fit_to_run_and_says_that_it_is_simulated(tmp_path, machine
         check_experiment(config, folder)
         if name != "simulate.toml":
             assert set(config.parameters) == list_free(folder, machine)
+    later = folder / "audit_measured.toml"
+    assert later.exists() == (instrument != "points")  # audits take whole poses
+    if later.exists():
+        check_experiment(load(later)[1], folder)
     measured = [path for path in files if path.parent.name == "data"]
     assert measured
     for path in (*measured, folder / "README.md", folder / "study.toml"):

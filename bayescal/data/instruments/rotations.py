@@ -39,7 +39,7 @@ def name_angles(sequence: str) -> tuple[str, str, str]:
     return (f"{sequence}_1_deg", f"{sequence}_2_deg", f"{sequence}_3_deg")
 
 
-ANGLES = {ROLL_PITCH_YAW: FIXED, **{name_angles(one): one for one in SEQUENCES}}
+ANGLES: dict[tuple[str, ...], str] = {ROLL_PITCH_YAW: FIXED, **{name_angles(one): one for one in SEQUENCES}}
 OTHER_COLUMNS = (*QUATERNION, *(name for names in ANGLES for name in names))
 """Those that a table may have in place of a rotation vector's."""
 

@@ -50,6 +50,8 @@ class Measured:
     posterior : Posterior
     draws : Draws or None
         None where the design wants no draws.
+    n_held_back : int
+        How many measured poses are left out, since they are kept for verification.
     """
 
     origin: str
@@ -57,6 +59,7 @@ class Measured:
     plan: Plan
     posterior: Posterior
     draws: Draws | None
+    n_held_back: int = 0
 
 
 def read_measured(config: AuditConfig, folder: Path) -> MeasuredVariant:
@@ -123,7 +126,7 @@ def draw_measured(config: AuditConfig, found: MeasuredVariant, run: Run) -> Meas
     plan = Plan(
         found.poses.actuators, (), found.actuator_noise, model_error, pose_information=information, function=function
     )
-    return Measured(found.origin, knowledge, plan, found.posterior, draws)
+    return Measured(found.origin, knowledge, plan, found.posterior, draws, found.n_held_back)
 
 
 def draw(task: tuple[Posterior, DrawsConfig, int, int]) -> Draws:

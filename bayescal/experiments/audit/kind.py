@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -18,6 +20,7 @@ from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.look import look_at_machine
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
 from bayescal.report.blocks import Page
 
@@ -55,6 +58,10 @@ class Audit(Experiment[AuditConfig, AuditDesign]):
         if design.planned is not None:
             check_changes(design.planned)
         return design
+
+    def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
+        """Return what is wrong with the machine's file by itself."""
+        return look_at_machine(content, folder)[1]
 
     def estimate_memory(self, inputs: AuditDesign) -> Need:
         """Return what the derivatives at all planned poses take, the what-ifs' among them."""

@@ -72,6 +72,7 @@ def _summarise_plan(audit: Audit) -> dict[str, Any]:
         "actuator_noise_um": 1e3 * plan.actuator_noise,
         "model_error_um": 1e3 * plan.model_error,
         **_summarise_function(inputs),
+        **({} if inputs.measured is None else {"n_held_back": inputs.measured.n_held_back}),
         "largest_displacement_mm": float(moved.max()),
         "actuator_range_mm": mechanism.actuator_range,
         "workspace": None if workspace is None else workspace.model_dump(mode="json"),

@@ -43,6 +43,8 @@ class MeasuredVariant:
         The same leg by leg and pose by pose; None where nothing of a deformation was measured.
     described : mapping
         What was measured, in the study's own words.
+    n_held_back : int
+        How many poses were measured besides, kept for verification.
     """
 
     name: str
@@ -58,6 +60,7 @@ class MeasuredVariant:
     left_variance: float
     actuator_variance: Array | None = None
     described: Mapping[str, Any] = field(default_factory=dict)
+    n_held_back: int = 0
 
 
 @dataclass(frozen=True)

@@ -34,10 +34,10 @@ def list_rereads(poses: MeasuredPoses) -> Iterator[tuple[str, MeasuredPoses]]:
     for k, axis in enumerate(FIXED):
         yield f"{axis}_mm seems to be of the other sign", replace(poses, position=position * _flip(k))
     for one, other in combinations(range(3), 2):
-        order = np.arange(3)
-        order[[one, other]] = other, one
+        exchanged = position.copy()
+        exchanged[:, [one, other]] = position[:, [other, one]]
         text = f"{FIXED[one]}_mm and {FIXED[other]}_mm seem to be exchanged"
-        yield text, replace(poses, position=position[:, order])
+        yield text, replace(poses, position=exchanged)
 
 
 def _describe_angles(axes: str) -> str:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bayescal.data.instruments.simulate import count_stations, simulate_readings, true_frames
 from bayescal.data.schema import SimulationConfig
 from bayescal.data.simulation import Twin, build_twin, format_survey, format_truth, name_poses, survey_twin
+from bayescal.experiments.shared.look import look_at_machine
 from bayescal.experiments.shared.simulated_data import Simulated, SimulatedData, tabulate_truth
 from bayescal.machines.frames import frame_blocks
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
@@ -42,6 +45,10 @@ class Simulation(SimulatedData[SimulationConfig, PlacedTwin]):
             return n_poses, n_legs * DEGREES_OF_FREEDOM
         n_targets = sum(ring.count for ring in (*targets.base, *targets.platform)) + n_legs * targets.per_pad
         return n_poses, n_legs + 3 * n_targets
+
+    def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
+        """Return what is wrong with the machine's file by itself."""
+        return look_at_machine(content, folder)[1]
 
     def seed(self, inputs: PlacedTwin) -> int:
         """Return the config's seed."""

@@ -135,6 +135,7 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
             left_variance=0.0 if left is None else float(left.mean()),
             actuator_variance=left,
             described=inputs.measured.describe(),
+            n_held_back=int(inputs.verification.sum()),
         )
 
     def list_variants(self, config: StudyConfig) -> dict[str, VariantChoice]:

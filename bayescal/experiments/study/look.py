@@ -16,14 +16,14 @@ from bayescal.data.instruments.read_points import check_point_columns, read_prob
 from bayescal.data.instruments.read_poses import PoseNoise, check_pose_table
 from bayescal.data.photogrammetry.survey import check_reference, check_target_columns
 from bayescal.errors import InputError, name_faults
+from bayescal.experiments.shared.look import look_at_machine
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.read import load_mechanism
 
 
 def list_file_faults(content: Mapping[str, Any], folder: Path) -> list[str]:
     """Return what is wrong with the files that a study's config names, a line each; the config may be at fault."""
     data = content.get("data")
-    machine, faults = _look_at_machine(content, folder)
+    machine, faults = look_at_machine(content, folder)
     n_legs = _count_legs(content, folder) if machine is None else machine.n_legs
     for check in _list_checks(data if isinstance(data, dict) else {}, folder, n_legs, machine):
         faults += _catch(check)
@@ -37,17 +37,6 @@ def _catch(check: Callable[[], object]) -> list[str]:
     except InputError as error:
         return list(error.lines)
     return []
-
-
-def _look_at_machine(content: Mapping[str, Any], folder: Path) -> tuple[Mechanism | None, list[str]]:
-    """Return the machine of a config, or None and what is wrong with it."""
-    name = content.get("mechanism")
-    if not isinstance(name, str):
-        return None, []
-    try:
-        return load_mechanism(folder / name), []
-    except InputError as error:
-        return None, list(error.lines)
 
 
 def _count_legs(content: Mapping[str, Any], folder: Path) -> int | None:

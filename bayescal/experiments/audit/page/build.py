@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from bayescal.experiments.audit.page import freedom, illustrations, tables
 from bayescal.experiments.audit.page.method import describe_method, tabulate_audit
+from bayescal.experiments.audit.page.poses import count_poses
 from bayescal.experiments.audit.page.profile_table import tabulate_profiles
 from bayescal.experiments.audit.page.results import AuditResults
 from bayescal.experiments.audit.page.ridges import build_ridges
@@ -84,10 +85,8 @@ def _describe_plan(audit: AuditResults) -> str:
     if function is not None:
         size = format_plain(function["scale_um"], 3)
         beside += f", and errors that are {function['kernel']} functions of the pose, {size} µm at the range's end"
-    kind = "calibration" if audit.is_measured else "planned"
     return (
-        f"{audit.n_poses} {kind} poses{seen}; displacements up to {moved} mm of {most} mm; "
-        f"noise: actuators {noise} µm{beside}"
+        f"{count_poses(audit)}{seen}; displacements up to {moved} mm of {most} mm; noise: actuators {noise} µm{beside}"
     )
 
 

@@ -90,6 +90,8 @@ def check_summary(summary: dict[str, Any], path: Path) -> None:
     check_keys(summary, SUMMARY_KEYS, path, "")
     check_keys(summary["units"], {"length": str, "angle": str}, path, "units.")
     check_keys(summary["plan"], PLAN_KEYS, path, "plan.")
+    if "n_held_back" in summary["plan"]:
+        check_keys(summary["plan"], {"n_held_back": int}, path, "plan.")
     if "far_readings" in summary:
         _check_object(summary["far_readings"], FAR_KEYS, path, "far_readings")
     _check_parameters(summary["parameters"], path)

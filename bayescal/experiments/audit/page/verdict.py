@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from bayescal.experiments.audit.page.borne_out import find_probability, is_kept, state_posterior, state_simulated
 from bayescal.experiments.audit.page.far_readings import state_far_readings
+from bayescal.experiments.audit.page.poses import state_poses
 from bayescal.experiments.audit.page.results import AuditResults, Change, Requirement, Ridge
 from bayescal.experiments.audit.page.wording import (
     count,
@@ -86,6 +87,7 @@ def list_failures(results: AuditResults) -> list[Statement]:
 def state_verdict(results: AuditResults) -> list[Statement]:
     """Return the sentences below the headline."""
     return [
+        *state_poses(results),
         *_state_freedom(results),
         *_state_requirements(results),
         *_state_harm(results),

@@ -215,6 +215,14 @@ def test_the_headline_counts_what_is_determined():
     )
 
 
+def test_measured_poses_that_are_left_out_are_counted():
+    def change(summary):
+        summary["plan"] |= {"sensors": [], "n_held_back": 8}
+
+    assert "Poses" not in say(make())
+    assert say(make(change))["Poses"] == ("plain", "40 calibration poses; 8 held back are left out.")
+
+
 def test_the_headline_says_first_whether_the_requirements_are_met():
     audit = make()
     assert state_headline(audit).endswith(describe_determined(audit))
