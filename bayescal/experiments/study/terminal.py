@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import PurePath
 from typing import Any
 
 import pandas as pd
@@ -89,10 +90,11 @@ def _format_size(size: float | None) -> str:
 
 
 def show_comparison(comparison: pd.DataFrame, console: Console) -> None:
-    """Print variants of several studies ranked together."""
+    """Print variants of several studies ranked together, their directories without what is common to all."""
+    short = _shorten(sorted({str(name) for name in comparison["results"]}))
     rows = [
         (
-            str(row["results"]),
+            short[str(row["results"])],
             str(row["variant"]),
             str(row["n_parameters"]),
             format_estimate(row["log_evidence"], row["se"], 2),
@@ -104,3 +106,9 @@ def show_comparison(comparison: pd.DataFrame, console: Console) -> None:
         for row in comparison.to_dict("records")
     ]
     print_table(console, COMPARED, rows)
+
+
+def _shorten(folders: list[str]) -> dict[str, str]:
+    """Return directories by their last names where these tell them apart."""
+    last = [PurePath(folder).name for folder in folders]
+    return dict(zip(folders, last if all(last) and len(set(last)) == len(last) else folders, strict=True))

@@ -18,6 +18,7 @@ from bayescal.experiments.self_calibration.page.verdict import (
     write_names,
 )
 from bayescal.experiments.shared.diagnostics_table import tabulate_diagnostics
+from bayescal.experiments.shared.guide_symbols import tabulate_symbols
 from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Section, make_section, make_table
 from bayescal.report.numbers import (
     NOTHING,
@@ -28,6 +29,7 @@ from bayescal.report.numbers import (
     format_scientific,
     format_significant,
 )
+from bayescal.report.symbols import split_name
 
 KIND = "Self-calibration"
 SHOWN = {"mm": (1.0, "mm"), "rad": (1e3, "mrad")}
@@ -218,7 +220,8 @@ def _show_parameters(tables: dict[str, pd.DataFrame]) -> Section:
         lambda: figures.draw_parameters(parameters, titles),
     )
     table = make_table("Parameters, posterior beside the truth." if known else "Parameters.", columns, rows)
-    return make_section("Parameters", (), (table,), (figure,), wide=True)
+    symbols = tabulate_symbols(split_name(str(name))[0] for name in parameters["parameter"])
+    return make_section("Parameters", (), (table, *symbols), (figure,), wide=True)
 
 
 def _show_deviation(row: Row | None, factor: float) -> str:

@@ -179,7 +179,8 @@ def _judge_intervals(rows: list[Row]) -> list[Statement]:
         return []
     good, wrong = ([row for row in known if explains(row) == is_good] for is_good in (True, False))
     words = "of the true coordinates of the tool at the verification poses, in their 90 % intervals lie "
-    parts = [f"{_span(good)} with {_count(good)} that explain the readings"] if good else []
+    verb = "explain" if len(good) > 1 else "explains"
+    parts = [f"{_span(good)} with {_count(good)} that {verb} the readings"] if good else []
     parts += [f"{_span(wrong)} with {_count(wrong)} that do not"] if wrong else []
     level: Level = "good" if good and min(row["inside_90"] for row in good) > 0.5 else "warning"
     text = f"{words}{join_words(parts)}. One machine: all its poses share the errors of its parameters."
