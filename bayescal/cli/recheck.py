@@ -139,5 +139,5 @@ def _find_stated(
         return None
     data = read_json(results / PROVENANCE_FILE).get("config", {}).get("data", {})
     rotation = _choose_arcseconds(data.get("orientation_arcsec"), data.get("orientation_urad"))
-    found = data.get("position_um"), rotation
-    return None if None in found else (float(found[0]), float(found[1]))
+    position = data.get("position_um")
+    return None if position is None or rotation is None else (float(position), rotation)
