@@ -143,4 +143,4 @@ def _find_stated(
     data = read_json(results / PROVENANCE_FILE).get("config", {}).get("data", {})
     rotation = _choose_arcseconds(data.get("orientation_arcsec"), data.get("orientation_urad"))
     position = data.get("position_um")
-    return None if position is None or rotation is None else (float(position), float(rotation))
+    return None if position is None or rotation is None else (float(position), rotation)

@@ -82,14 +82,6 @@ def _check_actuators(path: Path, n_legs: int, machine: Mechanism | None) -> None
 
 
 def _read_noise(data: Mapping[str, Any]) -> PoseNoise:
-    """Return the noise of poses as far as the config says it: what is no number counts as one that is at fault."""
-    position, orientation = (
-        next((value for key, value in data.items() if key.startswith(f"{what}_")), None)
-        for what in ("position", "orientation")
-    )
-    return PoseNoise(
-        *(
-            None if one is None else float(one) if isinstance(one, float | int) else 1.0
-            for one in (position, orientation)
-        )
-    )
+    """Return a noise of poses where the config states any, whatever its size: the config itself answers for that."""
+    stated = ("position_", "orientation_")
+    return PoseNoise(*(1.0 if any(key.startswith(begin) for key in data) else None for begin in stated))
