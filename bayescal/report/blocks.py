@@ -345,6 +345,12 @@ class Page:
         for section in self.sections:
             yield from find_figures(section.blocks)
 
+    def shown_figures(self) -> set[str]:
+        """Return the names of the figures that no fold hides at first sight."""
+        blocks = [block for section in self.sections for block in section.blocks]
+        opened = [inner for block in blocks if isinstance(block, Fold) and block.is_open for inner in block.blocks]
+        return {block.name for block in (*blocks, *opened) if isinstance(block, Figure)}
+
 
 def find_figures(blocks: Sequence[Block]) -> Iterator[Figure]:
     """Yield the figures among blocks and inside their folds."""

@@ -48,7 +48,12 @@ def write_page(page: Page, folder: Path, more: Sequence[Section] = (), earlier: 
     InputError
         Where the folder of the figures is a link.
     """
-    pictures = {figure.name: render_picture(figure.draw) for figure in page.figures() if figure.draw is not None}
+    shown = page.shown_figures()  # the others are not worth being drawn twice, and scroll on a narrow screen
+    pictures = {
+        figure.name: render_picture(figure.draw, figure.name in shown)
+        for figure in page.figures()
+        if figure.draw is not None
+    }
     text = render_page(page, pictures, more)
     figures = folder / FIGURES
     if figures.is_symlink():

@@ -55,8 +55,11 @@ def _own_ids(markup: str, name: str) -> str:
     return re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", markup)
 
 
-def render_picture(draw: Callable[[], Figure]) -> Picture:
-    """Return a figure as PNG and as it stands in a page, wide and stacked; the same figure gives the same bytes."""
+def render_picture(draw: Callable[[], Figure], stacked: bool = True) -> Picture:
+    """Return a figure as PNG and as it stands in a page, wide and, if wanted, stacked for a narrow screen.
+
+    The same figure gives the same bytes.
+    """
     from matplotlib import rc_context, rcdefaults, rcParams  # a second to import, for those who draw
 
     with rc_context():
@@ -65,24 +68,30 @@ def render_picture(draw: Callable[[], Figure]) -> Picture:
         figure = draw()
         _lay_out(figure)
         png = _save(figure, "png", DPI)
-        if not needs_stacking(figure):
+        if not (stacked and needs_stacking(figure)):
             return Picture(png, _make_markup(figure, FINER * len(png) * 4 / 3))
-        wide, stacked = _make_markup(figure, FINER * len(png) * 4 / 3, "wide"), draw()
-        stack_panels(stacked, measure_panels(figure))
-        _lay_out(stacked)
-        return Picture(png, wide, _make_markup(stacked, MOST_STACKED, "narrow"))
+        wide, narrow = _make_markup(figure, FINER * len(png) * 4 / 3, "wide"), draw()
+        stack_panels(narrow, measure_panels(figure))
+        _lay_out(narrow)
+        most = 0 if len(wide) > MOST_STACKED else MOST_STACKED  # the same marks: not drawn only to be thrown away
+        return Picture(png, wide, _make_markup(narrow, most, "narrow"))
 
 
 def _make_markup(figure: Figure, most: float, shape: str = "") -> str:
-    """Return a laid-out figure as SVG, or beyond ``most`` bytes as a fine PNG if smaller; ``shape`` is its class."""
+    """Return a laid-out figure as SVG, or beyond ``most`` bytes as a fine PNG if smaller; ``shape`` is its class.
+
+    With none of them as a PNG at once.
+    """
     width, height = figure.get_size_inches() * DPI
     alt, tips = describe_figure(figure), mark_points(figure)
-    drawn = tidy_svg(_save(figure, "svg", POINTS).decode(), tips)
+    drawn = tidy_svg(_save(figure, "svg", POINTS).decode(), tips) if most else ""
     least = f' style="min-width:{LEAST_SCALE * width:.0f}px"' if shape != "narrow" else ""
     size = f'{f'class="{shape}" ' if shape else ""}width="{width:.0f}" height="{height:.0f}"{least}'
-    if len(drawn) > most and len(fine := _save_fine(figure, shape)) * 4 / 3 < len(drawn):
-        source = base64.b64encode(fine).decode("ascii")
-        return Markup(f'<img {size} src="data:image/png;base64,{source}" alt="{escape(alt)}">')
+    if not drawn or len(drawn) > most:
+        fine = _save_fine(figure, shape)
+        if not drawn or len(fine) * 4 / 3 < len(drawn):
+            source = base64.b64encode(fine).decode("ascii")
+            return Markup(f'<img {size} src="data:image/png;base64,{source}" alt="{escape(alt)}">')
     box = f"0 0 {width * POINTS / DPI:g} {height * POINTS / DPI:g}"
     return Markup(f'<svg {size} viewBox="{box}" role="img" aria-label="{escape(alt)}">{drawn}</svg>')
 

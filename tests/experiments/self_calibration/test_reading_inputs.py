@@ -229,11 +229,13 @@ def test_bad_files_are_one_line(call, small, name, old, new, expected):
 def test_functions_that_take_too_much_memory(small, monkeypatch):
     studies.edit(small, "[sampler]", "[model_error]\nkernel = 'smooth'\n[sampler]")
     load_small(small)
-    monkeypatch.setattr(memory, "measure_available", lambda: 0.0)
+    monkeypatch.setattr(memory, "measure_available", lambda: ROOM)
     with pytest.raises(
         InputError, match=r"memory: found 23 poses with \d+ coefficients of sensors' errors, which take"
     ):
         load_small(small)
+    studies.edit(small, "kernel = 'smooth'", "kernel = 'independent'")
+    load_small(small)
 
 
 def test_functions_are_of_the_sensors_that_may_err(small):
