@@ -258,7 +258,7 @@ def main() -> None:
         folder = Path(name)
         write_subjects(folder)
         if not arguments.pictures:
-            page.render_picture = lambda draw: Picture(b"not drawn")
+            page.render_picture = lambda draw, stacked=True: Picture(b"not drawn")
         for experiment in EXPERIMENTS:
             load(folder / "experiments" / experiment)  # imported before anything is forked
         end = time.monotonic() + 60.0 * arguments.minutes

@@ -55,7 +55,7 @@ def _render_seldom():
         yield
 
 
-def _build(draw):
+def _build(draw, stacked=True):
     with rc_context():
         rcdefaults()
         rcParams.update(RC)
@@ -72,7 +72,7 @@ def pictures(monkeypatch):
 @pytest.fixture
 def no_pictures(monkeypatch):
     """Leave a page's pictures undrawn, which take most of its time; text and files' names are what they are."""
-    monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
+    monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
 
 
 @pytest.fixture

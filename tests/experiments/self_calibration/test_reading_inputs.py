@@ -229,7 +229,7 @@ def test_bad_files_are_one_line(call, small, name, old, new, expected):
 def test_functions_that_take_too_much_memory(small, monkeypatch):
     studies.edit(small, "[sampler]", "[model_error]\nkernel = 'smooth'\n[sampler]")
     load_small(small)
-    monkeypatch.setattr(memory, "measure_available", lambda: ROOM)
+    monkeypatch.setattr(memory, "measure_available", lambda: 0.5 * memory.PROCESS)  # enough for the poses
     with pytest.raises(
         InputError, match=r"memory: found 23 poses with \d+ coefficients of sensors' errors, which take"
     ):
