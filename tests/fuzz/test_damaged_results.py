@@ -40,7 +40,7 @@ N_QUICK, N_SLOW, AT_A_TIME = 48, 1040, 24
 
 @pytest.fixture(autouse=True)
 def _without_pictures(monkeypatch):
-    monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
+    monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
 
 
 def damage(folder: Path, rng: np.random.Generator) -> str:
@@ -92,7 +92,7 @@ def made(tmp_path_factory) -> list[Path]:
     write_subjects(folder)
     found = list(WHOLE)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
+        patched.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
         for name in MADE:
             found.append(folder / "results" / name.replace("/", "-").removesuffix(".toml"))
             config = folder / "experiments" / name

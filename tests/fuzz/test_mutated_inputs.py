@@ -81,7 +81,7 @@ def test_no_mutation_ends_in_a_traceback(subjects, first, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("first", range(N_SLOW + N_QUICK, N_SLOW + N_QUICK + 200, AT_A_TIME))
 def test_no_mutation_ends_in_a_traceback_when_computed(subjects, first, tmp_path, monkeypatch):
-    monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
+    monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
     chosen = {name: one for name, one in subjects.items() if name in CHEAP}
     assert fuzz(chosen, first, tmp_path) == ""
 

@@ -86,7 +86,7 @@ def try_mutated(number: int, whole: Path, root: Path) -> str:
 
 @pytest.fixture(autouse=True)
 def _without_pictures(monkeypatch):
-    monkeypatch.setattr("bayescal.report.pictures.render_picture", lambda draw: Picture(b"not drawn"))
+    monkeypatch.setattr("bayescal.report.pictures.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
 
 
 @pytest.mark.parametrize("command", WHOLE)

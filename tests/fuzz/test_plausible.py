@@ -157,7 +157,7 @@ def empty(path: Path) -> None:
 @pytest.mark.parametrize("damage", [cut, empty])
 @pytest.mark.parametrize("command", ["report", "compare"])
 def test_table_that_lacks_rows_is_named(tmp_path, monkeypatch, damage: Callable[[Path], None], command):
-    monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
+    monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
     folder = Path(shutil.copytree(RESULTS / "hexapod_figure10", tmp_path / "results"))
     whole = frame.read_results(folder)
     frame.write_json(folder / "provenance.json", whole.provenance | {"table_rows": count_rows(whole)})

@@ -66,7 +66,7 @@ def poison_texts(value: Any) -> Any:
 
 @pytest.fixture(autouse=True)
 def _without_pictures(monkeypatch):
-    monkeypatch.setattr(pages, "render_picture", lambda draw: Picture(b"not drawn"))
+    monkeypatch.setattr(pages, "render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
 
 
 @pytest.mark.parametrize("name", ["hexapod_figure10", *(pytest.param(one, marks=pytest.mark.slow) for one in PAGES)])

@@ -29,7 +29,7 @@ def outcomes(tmp_path_factory):
     elsewhere.mkdir()
     done = run("run", path, "--out", elsewhere / "2", "--workers", 2, folder=elsewhere)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
+        patched.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
         run_experiment(load(path)[1], path.parent, elsewhere / "1")
     return folder, done
 

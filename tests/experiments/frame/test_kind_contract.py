@@ -108,7 +108,7 @@ def finished(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
     path = MAKE[request.param](folder)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
+        patched.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
         run(path, folder / "out")
     return request.param, path, folder / "out"
 

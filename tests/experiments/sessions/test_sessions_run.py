@@ -26,7 +26,7 @@ def written(tmp_path_factory):
 @pytest.fixture(scope="module")
 def finished(written):
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
+        patched.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
         return run_experiment(load(written)[1], written.parent, written.parent / "out")
 
 

@@ -31,7 +31,7 @@ def folder(request, tmp_path_factory) -> Path:
 def results(folder) -> Path:
     """Return the results of the study, pictures not drawn."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
+        patched.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
         return run_study(load_experiment(folder / "study.toml"), folder, folder / "results", workers=1).out
 
 

@@ -38,7 +38,7 @@ def tiny(request, tmp_path_factory):
     path, out = copy_tiny(request.param, folder), folder / "out"
     console = Console(file=io.StringIO(), width=120)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
+        patched.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
         run_experiment(load_experiment(path), path.parent, out, workers=1).show(console)
     return request.param, path, out, console.file.getvalue()
 
