@@ -54,13 +54,17 @@ class WidthTask:
 
 
 def list_width_tasks(inputs: StudyInputs, posteriors: Mapping[Task, Arrays]) -> list[WidthTask]:
-    """Return a task for every variant and every factor that is not one, whose evidence the posterior has."""
-    return [
+    """Return a task for every variant and every factor that is not one, whose evidence the posterior has.
+
+    The long ones, of many modes and wide priors, come first: a worker that begins one last keeps all others waiting.
+    """
+    tasks = [
         WidthTask(variant.name, factor, posteriors[Task(variant.name, True)]["modes"])
         for factor in inputs.config.sensitivity.factor
         for variant in inputs.config.variants
         if factor != 1.0
     ]
+    return sorted(tasks, key=lambda task: (-len(task.modes), -task.factor))
 
 
 def weigh_widths(inputs: StudyInputs, task: WidthTask) -> Arrays:
