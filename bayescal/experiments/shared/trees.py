@@ -7,7 +7,9 @@ is, the kind of experiment says. Prior and posterior are thinned alike in all gr
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -156,7 +158,14 @@ def _write(build: Callable[[], xr.DataTree], path: Path) -> None:
 
 def pack_tree(tree: xr.DataTree) -> np.ndarray:
     """Return the bytes of a netCDF file; the same for the same tree."""
-    return np.frombuffer(tree.to_netcdf(engine="h5netcdf"), dtype=np.uint8)
+    with _lock_here():
+        return np.frombuffer(tree.to_netcdf(engine="h5netcdf"), dtype=np.uint8)
+
+
+def _lock_here() -> AbstractContextManager[object]:
+    """Let xarray write on its own: on a worker of a scheduler it asks that for a lock of what is in memory here."""
+    dask = sys.modules.get("dask")
+    return nullcontext() if dask is None else dask.config.set(scheduler="synchronous")
 
 
 def write_packed(packed: np.ndarray, path: Path) -> None:
