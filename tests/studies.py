@@ -119,6 +119,18 @@ kappa,1e-3,9.58,1.98,4.43,3.33,0.67,6.99
 """
 
 
+BY_TARGETS = """targets = "data/targets.csv"
+actuators = "data/actuators.csv"
+reference = "data/target_reference.csv"
+target_noise_um = 3.0
+"""
+BY_POSES = """measurement = "poses"
+poses = "data/poses.csv"
+actuators = "data/actuators.csv"
+"""
+"""What a tiny study's data are: targets, or in their place the poses found from them."""
+
+
 @cache
 def tiny_texts() -> dict[str, str]:
     """Return the texts of a tiny study's files by their names; made once."""

@@ -19,15 +19,6 @@ from bayescal.machines.kinematics import solve_forward_kinematics
 pytestmark = pytest.mark.runs
 
 FRAMES = "[frames]\nbase = { position = 0.5, rotation = 0.05 }\ntool = { position = 0.5, rotation = 0.05 }\n\n"
-TARGETS = """targets = "data/targets.csv"
-actuators = "data/actuators.csv"
-reference = "data/target_reference.csv"
-target_noise_um = 3.0
-"""
-POSES = """measurement = "poses"
-poses = "data/poses.csv"
-actuators = "data/actuators.csv"
-"""
 POINTS = """measurement = "points"
 points = "data/points.csv"
 probe = "probe.csv"
@@ -72,7 +63,7 @@ def fed(tmp_path_factory):
     config = studies.write_tiny_study(folder)
     studies.edit(config, 'deformation = "matrix"', 'deformation = "linear"')
     (folder / "data" / "poses.csv").write_text(format_poses(studies.load_study(config)))
-    (folder / "poses.toml").write_text(config.read_text().replace(TARGETS, POSES))
+    (folder / "poses.toml").write_text(config.read_text().replace(studies.BY_TARGETS, studies.BY_POSES))
     return folder
 
 
@@ -87,7 +78,7 @@ def write_points(folder):
     (folder / "simulate.toml").write_text(text)
     made = compute_experiment(load_simulation(folder / "simulate.toml"), folder).files
     studies.write_texts(folder, {f"data/{name}": str(one) for name, one in made.items()})
-    text = config.read_text().replace(TARGETS, POINTS).replace("[parameters]\n", FRAMES + "[parameters]\n")
+    text = config.read_text().replace(studies.BY_TARGETS, POINTS).replace("[parameters]\n", FRAMES + "[parameters]\n")
     (folder / "points.toml").write_text(text)
     return folder / "points.toml"
 

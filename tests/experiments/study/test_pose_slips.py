@@ -15,16 +15,6 @@ from bayescal.experiments.study.slips import find_study_slip
 from bayescal.experiments.study.tables import format_poses
 from bayescal.files.csv_tables import read_table
 
-TARGETS = """targets = "data/targets.csv"
-actuators = "data/actuators.csv"
-reference = "data/target_reference.csv"
-target_noise_um = 3.0
-"""
-POSES = """measurement = "poses"
-poses = "data/poses.csv"
-actuators = "data/actuators.csv"
-"""
-
 
 @pytest.fixture(scope="module")
 def fed(tmp_path_factory):
@@ -33,7 +23,7 @@ def fed(tmp_path_factory):
     config = studies.write_tiny_study(folder)
     studies.edit(config, 'deformation = "matrix"', 'deformation = "linear"')
     (folder / "data" / "poses.csv").write_text(format_poses(studies.load_study(config)))
-    config.write_text(config.read_text().replace(TARGETS, POSES))
+    config.write_text(config.read_text().replace(studies.BY_TARGETS, studies.BY_POSES))
     return folder
 
 
