@@ -6,6 +6,7 @@ import base64
 import hashlib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -26,7 +27,21 @@ SUBSCRIPT = re.compile(r"(?<![\w&#;.])(Δ?[A-Za-zα-ω])_([A-Za-z0-9]{1,2})(?!\w
 SUPERSCRIPT = re.compile(r"(?<![\w&#])([A-Za-zα-ω])\^([A-Za-z0-9])(?!\w)")
 
 
-def write_page(page: Page, folder: Path, more: Sequence[Section] = (), earlier: Iterable[str] = ()) -> Path:
+type Render = Callable[[Mapping[str, Callable[[], Picture]]], Mapping[str, Picture]]
+
+
+def draw_in_turn(calls: Mapping[str, Callable[[], Picture]]) -> dict[str, Picture]:
+    """Return what draws pictures gives, by their names."""
+    return {name: call() for name, call in calls.items()}
+
+
+def write_page(
+    page: Page,
+    folder: Path,
+    more: Sequence[Section] = (),
+    earlier: Iterable[str] = (),
+    render: Render = draw_in_turn,
+) -> Path:
     """Write ``figures/*.png`` and ``report.html`` into a results directory.
 
     Parameters
@@ -37,6 +52,8 @@ def write_page(page: Page, folder: Path, more: Sequence[Section] = (), earlier: 
         Stand after the page's own, such as where the results come from.
     earlier : iterable of str
         Files that an earlier page wrote there; those of its figures that this one does not show are removed.
+    render : callable
+        Draws pictures of several names, side by side for instance.
 
     Returns
     -------
@@ -49,11 +66,13 @@ def write_page(page: Page, folder: Path, more: Sequence[Section] = (), earlier: 
         Where the folder of the figures is a link.
     """
     shown = page.shown_figures()  # the others are not worth being drawn twice, and scroll on a narrow screen
-    pictures = {
-        figure.name: render_picture(figure.draw, figure.name in shown)
-        for figure in page.figures()
-        if figure.draw is not None
-    }
+    pictures = render(
+        {
+            figure.name: partial(render_picture, figure.draw, figure.name in shown)
+            for figure in page.figures()
+            if figure.draw is not None
+        }
+    )
     text = render_page(page, pictures, more)
     figures = folder / FIGURES
     if figures.is_symlink():

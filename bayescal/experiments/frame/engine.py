@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
@@ -64,12 +64,8 @@ class Processes(Engine):
             for name, task in tasks.items():
                 yield name, run_guarded(function, shared, task)
             return
-        parallel = joblib.Parallel(n_jobs=self.workers, return_as="generator_unordered", inner_max_num_threads=1)
-        with shield_children():
-            outcomes = parallel(
-                joblib.delayed(_run_in_worker)(os.getpid(), function, shared, name, task)
-                for name, task in tasks.items()
-            )
+        calls = [(run_guarded, function, shared, task) for task in tasks.values()]
+        outcomes = _call_in_workers(self.workers, list(zip(tasks, calls, strict=True)))
         try:
             yield from outcomes
         except TerminatedWorkerError as error:
@@ -100,11 +96,27 @@ def open_engine(workers: int = 1, scheduler: str | None = None, quiet: bool = Tr
     return connect(scheduler, quiet)
 
 
-def _run_in_worker[S, T](
-    parent: int, function: Callable[[S, T], Any], shared: S, name: str, task: T
-) -> tuple[str, Record | Failure]:
+def call_side_by_side[R](workers: int, calls: Mapping[str, Callable[[], R]]) -> dict[str, R]:
+    """Return what calls give, by their names and in their order, as they are; what one raises is raised here."""
+    if workers == 1 or len(calls) < 2:
+        return {name: call() for name, call in calls.items()}
+    try:
+        found = dict(_call_in_workers(workers, [(name, (call,)) for name, call in calls.items()]))
+    except TerminatedWorkerError as error:
+        raise NumericalError("a worker was killed, perhaps for want of memory") from error
+    return {name: found[name] for name in calls}
+
+
+def _call_in_workers(workers: int, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> Iterator[tuple[str, Any]]:
+    """Yield names and what their functions make of their arguments, as they end; no worker outlives this process."""
+    parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", inner_max_num_threads=1)
+    with shield_children():
+        return iter(parallel(joblib.delayed(_call_in_worker)(os.getpid(), name, *call) for name, call in calls))
+
+
+def _call_in_worker[R](parent: int, name: str, function: Callable[..., R], *arguments: Any) -> tuple[str, R]:
     follow_parent(parent)
-    return name, run_guarded(function, shared, task)
+    return name, function(*arguments)
 
 
 def run_guarded[S, T](function: Callable[[S, T], Any], shared: S, task: T) -> Record | Failure:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from bayescal.config.load import read_extended
 from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError, SeveralFaultsError, name_faults
-from bayescal.experiments.frame.engine import Processes, open_engine
+from bayescal.experiments.frame.engine import Processes, call_side_by_side, open_engine
 from bayescal.experiments.frame.identity import describe_provenance, identify
 from bayescal.experiments.frame.load import AnyExperiment, find_kind, load, read_inputs
 from bayescal.experiments.frame.lock import hold_lock
@@ -35,6 +36,8 @@ from bayescal.experiments.frame.store import Store
 from bayescal.report.blocks import Page, Statement
 from bayescal.report.page import PAGE, write_page
 from bayescal.report.provenance import show_provenance
+
+MANY_PICTURES = 10  # fewer are drawn before other processes have started
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +134,7 @@ def run_experiment(
                 store.discard()
                 raise
             provenance = describe_provenance(config, identity)
-            page = _write(experiment, replace(results, provenance=provenance), store.stage())
+            page = _write(experiment, replace(results, provenance=provenance), store.stage(), workers)
             store.publish()
     return Finished(out, experiment, read_results(out), page)
 
@@ -194,11 +197,11 @@ def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1)
         return experiment.compute(inputs, Run(Processes(workers)))
 
 
-def _write(experiment: AnyExperiment, results: Results, folder: Path) -> Page:
+def _write(experiment: AnyExperiment, results: Results, folder: Path, workers: int) -> Page:
     """Write results and page into an empty directory; the page is made from what was written."""
     summary = {**results.summary, "config_sha256": results.provenance["config_sha256"]}
     write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
-    page = _write_page(experiment, folder)
+    page = _write_page(experiment, folder, workers)
     said = {"headline": page.headline, "verdict": [_say(one) for one in page.verdict]}
     write_json(folder / SUMMARY_FILE, {**summary, **said})
     list_written(folder)
@@ -209,17 +212,19 @@ def _say(statement: Statement) -> dict[str, str]:
     return {"lead": statement.lead, "text": statement.text, "level": statement.level}
 
 
-def _write_page(experiment: AnyExperiment, folder: Path) -> Page:
+def _write_page(experiment: AnyExperiment, folder: Path, workers: int) -> Page:
     results = read_results(folder)
     page = experiment.page(results)
     earlier = results.provenance.get(WRITTEN)
     if not isinstance(earlier, list):  # new ones, or of an earlier version: all figures are its own
         earlier = [path.relative_to(folder).as_posix() for path in folder.glob("figures/*.png")]
-    write_page(page, folder, (show_provenance(results.provenance),), earlier)
+    many = sum(1 for _ in page.figures()) >= MANY_PICTURES
+    render = partial(call_side_by_side, workers if many else 1)
+    write_page(page, folder, (show_provenance(results.provenance),), earlier, render)
     return page
 
 
-def write_report(folder: Path, kind: str | None = None) -> Path:
+def write_report(folder: Path, kind: str | None = None, workers: int = 1) -> Path:
     """Write the page of a results directory anew, from its files alone.
 
     Parameters
@@ -228,6 +233,8 @@ def write_report(folder: Path, kind: str | None = None) -> Path:
     kind : str, optional
         ``module:Class`` or ``file.py:Class`` of the experiment, for results of a kind that is not built in: results
         name no code that is run.
+    workers : int
+        Processes that draw many pictures side by side; they are the same for any number.
 
     Raises
     ------
@@ -236,7 +243,7 @@ def write_report(folder: Path, kind: str | None = None) -> Path:
     """
     experiment = find_results_kind(folder, kind)
     try:
-        _write_page(experiment, folder)
+        _write_page(experiment, folder, workers)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, AssertionError) as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise InputError(f"{folder}: found damaged results ({what}), expected those of a finished run") from error
