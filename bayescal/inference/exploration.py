@@ -92,7 +92,13 @@ def explore(
 
 
 def explore_near(
-    posterior: Target, starts: Array, seed: np.random.SeedSequence, n_walkers: int = 128, *, search: bool = False
+    posterior: Target,
+    starts: Array,
+    seed: np.random.SeedSequence,
+    n_walkers: int = 128,
+    *,
+    search: bool = False,
+    enough: float = ACCEPTABLE,
 ) -> Exploration:
     """Find a proposal that is good enough for an evidence alone, of a posterior close to one that was explored.
 
@@ -105,17 +111,18 @@ def explore_near(
     n_walkers : int
     search : bool
         Whether there may be others, which are searched for.
+    enough : float
+        Efficiency from which on a proposal is not sharpened.
 
     Raises
     ------
     NumericalError
         As `explore`.
     """
-    others = [mode.y for mode in find_modes(posterior)] if search else []
-    modes = revisit_modes(posterior, [*starts, *others])
-    found = _explore_from(modes, posterior, seed, n_walkers, MAX_PILOTS, ACCEPTABLE)
-    if found is None:
-        return explore_near(_refine(posterior), starts, seed, n_walkers, search=search)
+    modes = revisit_modes(posterior, starts, find_modes(posterior) if search else ())
+    found = _explore_from(modes, posterior, seed, n_walkers, MAX_PILOTS, enough)
+    if found is None:  # the modes move a little, and there are no others
+        return explore_near(_refine(posterior), np.stack([mode.y for mode in modes]), seed, n_walkers, enough=enough)
     return found
 
 

@@ -176,15 +176,15 @@ def _follow_jumps(climber: Climber, best: Climb, known: Sequence[Climb] = ()) ->
             return best, others
 
 
-def revisit_modes(posterior: Target, starts: Sequence[Array]) -> list[Mode]:
-    """Return the modes that climbs from starts, each (n,), lead to, best first; without those that hold no mass.
+def revisit_modes(posterior: Target, starts: Sequence[Array] | Array, known: Sequence[Mode] = ()) -> list[Mode]:
+    """Return known modes and those that climbs from starts, each (n,), lead to, best first; those with mass alone.
 
     Raises
     ------
     NumericalError
-        Where no start leads to a mode.
+        Where none is known and no start leads to one.
     """
-    found: list[Mode] = []
+    found = list(known)
     climber = Climber(posterior)
     for start in starts:
         end = climber.climb(start)

@@ -19,7 +19,7 @@ from bayescal.experiments.study.correct import correct_evidence, list_corrected
 from bayescal.experiments.study.fit import Arrays, Task, get_explored, list_importance
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.schema import stem_of
-from bayescal.inference.exploration import Exploration, explore, explore_near
+from bayescal.inference.exploration import ACCEPTABLE, GOOD_ENOUGH, Exploration, explore, explore_near
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.numerics.geometry import Array
 
@@ -27,6 +27,8 @@ DRAWS = 2000
 """Draws of a proposal, a block."""
 ERROR = 0.03
 """Standard error in nats that is enough."""
+OUT_OF_QUESTION = 50.0
+"""Nats behind the best variant from which on a doubtful evidence, marked so, will do: no better one is sought."""
 EDGE = 1e-3
 """How near to a bound, by the width of a uniform prior, a mode of a wider one may begin to be looked for."""
 
@@ -41,11 +43,14 @@ class WidthTask:
     factor : float
     modes : ndarray, shape (M, n)
         Those with the study's own priors, in sampling coordinates.
+    behind : float
+        Nats of log-evidence, with the study's own priors, behind the best variant.
     """
 
     variant: str
     factor: float
     modes: Array
+    behind: float = 0.0
 
     @property
     def key(self) -> str:
@@ -58,10 +63,12 @@ def list_width_tasks(inputs: StudyInputs, posteriors: Mapping[Task, Arrays]) -> 
 
     The long ones, of many modes and wide priors, come first: a worker that begins one last keeps all others waiting.
     """
+    found = {variant.name: posteriors[Task(variant.name, True)] for variant in inputs.config.variants}
+    best = max(float(arrays["importance"][0]) for arrays in found.values())
     tasks = [
-        WidthTask(variant.name, factor, posteriors[Task(variant.name, True)]["modes"])
+        WidthTask(name, factor, arrays["modes"], best - float(arrays["importance"][0]))
         for factor in inputs.config.sensitivity.factor
-        for variant in inputs.config.variants
+        for name, arrays in found.items()
         if factor != 1.0
     ]
     return sorted(tasks, key=lambda task: (-len(task.modes), -task.factor))
@@ -74,7 +81,7 @@ def weigh_widths(inputs: StudyInputs, task: WidthTask) -> Arrays:
     seed = np.random.SeedSequence([inputs.config.seed, zlib.crc32(task.key.encode())])
     explore_seed, importance_seed, correct_seed = seed.spawn(3)
     starts = move_modes(task.modes, inputs.posterior(variant, True), posterior)
-    exploration, importance = _weigh(inputs, posterior, starts, task.factor > 1.0, explore_seed, importance_seed)
+    exploration, importance = _weigh(inputs, task, posterior, starts, explore_seed, importance_seed)
     exact = inputs.exact_density(variant, get_explored(exploration))
     correction = None if exact is None else correct_evidence(exact, exploration, correct_seed)
     arrays = list_importance(importance)
@@ -83,19 +90,21 @@ def weigh_widths(inputs: StudyInputs, task: WidthTask) -> Arrays:
 
 def _weigh(
     inputs: StudyInputs,
+    task: WidthTask,
     posterior: Posterior,
     starts: Array,
-    search: bool,
     explore_seed: np.random.SeedSequence,
     importance_seed: np.random.SeedSequence,
 ) -> tuple[Exploration, ImportanceEvidence]:
-    """Return what a proposal that is good enough finds, or a better one if it is not."""
-    walkers = inputs.config.sampler.walkers
+    """Return what a proposal that is good enough finds, or a better one if it is not and the variant is in question."""
+    walkers, search = inputs.config.sampler.walkers, task.factor > 1.0
     try:
-        exploration = explore_near(posterior, starts, explore_seed, walkers, search=search)
-        importance = _estimate(inputs, exploration, importance_seed)
-        if not importance.is_doubtful:
-            return exploration, importance
+        for enough in (ACCEPTABLE, GOOD_ENOUGH):
+            exploration = explore_near(posterior, starts, explore_seed, walkers, search=search, enough=enough)
+            importance = _estimate(inputs, exploration, importance_seed)
+            if not importance.is_doubtful or task.behind > OUT_OF_QUESTION:
+                return exploration, importance
+            starts, search = np.stack([mode.y for mode in exploration.modes]), False
     except NumericalError:
         pass  # no start led to a mode: the search from the beginning finds one, or says why not
     exploration = explore(posterior, explore_seed, walkers, anew=True)

@@ -74,7 +74,7 @@ def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(tmp_path, 
 def test_a_factor_of_one_is_the_fit_itself(tmp_path):
     inputs = load(tmp_path, ("factor = [1.0]", "factor = [1.0, 0.5, 1.0000001]"))
     fits = list_tasks(inputs)
-    posteriors = {task: {"modes": np.zeros((1, 2))} for task in fits}
+    posteriors = {task: {"modes": np.zeros((1, 2)), "importance": np.array([7.0, 0.1])} for task in fits}
     widths = list_width_tasks(inputs, posteriors)
     assert len(fits) == len({task.key for task in fits}) == 4
     assert len(widths) == len({task.key for task in widths}) == 4
