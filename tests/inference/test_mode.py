@@ -12,7 +12,7 @@ from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import NumericalError
 from bayescal.inference.importance import estimate_by_importance
-from bayescal.inference.mode import find_mode, find_modes
+from bayescal.inference.mode import find_mode, find_modes, revisit_modes
 from bayescal.inference.peaks import Peak, proposal_from_peaks
 
 SIX = ("a_x", "a_y", "b_x", "b_y", "l")
@@ -190,3 +190,14 @@ def test_draws_of_the_prior_that_lead_back_change_nothing(twin):
     posterior = machines.build_posterior("linear", twin, ModelError(None))
     plain, anew = find_modes(posterior), find_modes(posterior, np.random.default_rng(1))
     assert [mode.y.tolist() for mode in anew] == [mode.y.tolist() for mode in plain]
+
+
+def test_known_modes_are_kept_beside_those_that_starts_lead_to(mirrored, monkeypatch):
+    modes = find_modes(mirrored)
+    assert len(modes) > 1
+    again = revisit_modes(mirrored, [modes[-1].y], modes[:-1])
+    assert [mode.y.tolist() for mode in again[:1]] == [modes[0].y.tolist()]  # as it was, not climbed to again
+    assert len(again) == len(modes)
+    assert [m.log_evidence for m in again] == sorted((m.log_evidence for m in again), reverse=True)
+    monkeypatch.setattr("bayescal.inference.mode._climb", lambda *_: pytest.fail("nothing is to be climbed to"))
+    assert len(revisit_modes(mirrored, [], modes)) == len(modes)

@@ -15,7 +15,15 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.study.compute import compute_posteriors, compute_widths
 from bayescal.experiments.study.fit import list_tasks, run_task
 from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.prior_widths import list_width_tasks, move_modes, tabulate_sensitivity
+from bayescal.experiments.study.prior_widths import (
+    WidthTask,
+    list_width_tasks,
+    move_modes,
+    tabulate_sensitivity,
+    weigh_widths,
+)
+from bayescal.inference.exploration import explore
+from bayescal.inference.importance import ImportanceEvidence
 
 pytestmark = pytest.mark.runs
 
@@ -79,6 +87,25 @@ def test_a_factor_of_one_is_the_fit_itself(tmp_path):
     assert len(fits) == len({task.key for task in fits}) == 4
     assert len(widths) == len({task.key for task in widths}) == 4
     assert {task.factor for task in widths} == {0.5, 1.0000001}
+
+
+@pytest.mark.parametrize(("behind", "explored"), [(0.0, ["near", "near", "anew"]), (60.0, ["near"])])
+def test_a_doubtful_evidence_is_mended_where_the_variant_is_in_question(tmp_path, monkeypatch, behind, explored):
+    inputs = load(tmp_path, ("factor = [1.0]", "factor = [1.0, 0.5]"))
+    variant = inputs.config.variants[0].name
+    found = explore(inputs.posterior(inputs.variant(variant), True, 0.5), np.random.SeedSequence(1), 64)
+    said: list[str] = []
+
+    def note(word):
+        return lambda *_, **__: said.append(word) or found
+
+    monkeypatch.setattr("bayescal.experiments.study.prior_widths.explore_near", note("near"))
+    monkeypatch.setattr("bayescal.experiments.study.prior_widths.explore", note("anew"))
+    doubtful = ImportanceEvidence(1.0, 0.1, 0.01, 0.9, 100)
+    monkeypatch.setattr("bayescal.experiments.study.prior_widths.estimate_by_importance", lambda *_: doubtful)
+    arrays = weigh_widths(inputs, WidthTask(variant, 0.5, np.stack([mode.y for mode in found.modes]), behind))
+    assert said == explored
+    assert arrays["importance_quality"][1] == 0.9  # on the page it is marked
 
 
 def test_modes_are_the_same_machines_within_narrower_bounds(tmp_path):
