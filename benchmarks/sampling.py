@@ -5,7 +5,8 @@
 60 free parameters, 40 poses, no model error. bayescal: exploration, burn-in and four ensembles, all of it timed. NUTS:
 standardised parameters, default settings (diagonal mass matrix; a full one on demand), four chains one after the other,
 compilation not timed, started at draws of bayescal's posterior, which spares it the search for the mode. Both are
-measured by the smallest bulk effective sample size over the same 60 natural parameters.
+measured by the smallest bulk effective sample size over the same 60 natural parameters. Seconds are processor time,
+which other processes on the machine disturb less than they do the clock.
 """
 
 # ruff: noqa: I001 - telescope_problem comes before NumPy and JAX: it sets the number of threads
@@ -53,30 +54,43 @@ def measure(draws: Array) -> dict[str, float]:
     }
 
 
-def run_bayescal(posterior: Posterior) -> tuple[dict[str, float], Exploration, Array]:
+def run_bayescal(posterior: Posterior, n_steps: int = N_STEPS) -> tuple[dict[str, float], Exploration, Array]:
     """Return the figures of bayescal's sampler, its exploration and its draws (ensembles, walkers · steps, 60)."""
-    start = time.perf_counter()
-    found = explore(posterior, np.random.SeedSequence(SEED_EXPLORE), N_WALKERS)
-    explored = time.perf_counter()
-    walkers = count_walkers(posterior.n_parameters, N_WALKERS)
-    seeds = np.random.SeedSequence(SEED_ENSEMBLES).spawn(N_CHAINS)
-    density = found.straight.log_density
-    ensembles = [run_ensemble(density, found.proposal, seed, walkers, N_BURN_IN, N_STEPS) for seed in seeds]
-    flat = [found.straight.y_from_x(e.draws.reshape(-1, posterior.n_parameters)) for e in ensembles]
-    draws = np.stack([posterior.natural(y) for y in flat])
-    seconds = time.perf_counter() - start
-    figures = measure(draws) | {"seconds": seconds, "seconds_exploration": explored - start}
-    figures["acceptance"] = float(np.mean([e.acceptance for e in ensembles]))
-    figures["ess_per_second"] = figures["min_bulk_ess"] / seconds
-    figures["ess_per_second_after_exploration"] = figures["min_bulk_ess"] / (seconds - figures["seconds_exploration"])
+    timing, found, draws, acceptance = draw_bayescal(posterior, n_steps)
+    seconds, exploration = timing
+    figures = measure(draws) | {"seconds": seconds, "seconds_exploration": exploration, "acceptance": acceptance}
+    ess, ensembles = figures["min_bulk_ess"], seconds - exploration
+    figures["ess_per_second"] = ess / seconds
+    figures["ess_per_second_after_exploration"] = ess / ensembles
+    figures["ess_per_second_after_burn_in"] = ess / (ensembles * n_steps / (N_BURN_IN + n_steps))
     return figures, found, draws
 
 
+def draw_bayescal(
+    posterior: Posterior, n_steps: int = N_STEPS
+) -> tuple[tuple[float, float], Exploration, Array, float]:
+    """Return the seconds of everything and of the exploration, the exploration, the draws and the acceptance."""
+    start = time.process_time()
+    found = explore(posterior, np.random.SeedSequence(SEED_EXPLORE), N_WALKERS)
+    explored = time.process_time()
+    walkers = count_walkers(posterior.n_parameters, N_WALKERS)
+    seeds = np.random.SeedSequence(SEED_ENSEMBLES).spawn(N_CHAINS)
+    density = found.straight.log_density
+    ensembles = [run_ensemble(density, found.proposal, seed, walkers, N_BURN_IN, n_steps) for seed in seeds]
+    flat = [found.straight.y_from_x(e.draws.reshape(-1, posterior.n_parameters)) for e in ensembles]
+    draws = np.stack([posterior.natural(y) for y in flat])
+    seconds = time.process_time() - start
+    return (seconds, explored - start), found, draws, float(np.mean([e.acceptance for e in ensembles]))
+
+
 def run_nuts(
-    log_density, starts: Array, dense_mass: bool, n_warm_up: int, n_draws: int
+    log_density, starts: Array, dense_mass: bool, n_warm_up: int, n_draws: int, regularise: bool = True
 ) -> tuple[dict[str, float], Array]:
-    """Return the figures of NUTS and its draws (chains, draws, 60) in z; chain after chain, in compiled blocks."""
-    kernel = NUTS(potential_fn=lambda z: -log_density(z), dense_mass=dense_mass)
+    """Return the figures of NUTS and its draws (chains, draws, 60) in z; chain after chain, in compiled blocks.
+
+    ``regularise`` is NumPyro's default: it adds 1e-3 · 5 / (n + 5) to the variances of a window of n draws.
+    """
+    kernel = NUTS(potential_fn=lambda z: -log_density(z), dense_mass=dense_mass, regularize_mass_matrix=regularise)
     keys = jax.random.split(jax.random.PRNGKey(SEED_NUTS), N_CHAINS)
 
     def advance(state):
@@ -90,15 +104,15 @@ def run_nuts(
     compiled = jax.jit(advance).lower(states[0]).compile()
     chains, blocks_seconds, leapfrogs, divergences, warm_up = [], [], 0, 0, 0.0
     for state in states:
-        start = time.perf_counter()
+        start = time.process_time()
         for _ in range(n_warm_up // CHUNK):
             state, _ = jax.block_until_ready(compiled(state))
-        now = time.perf_counter()
+        now = time.process_time()
         warm_up += now - start
         blocks, seconds = [], []
         while len(blocks) < n_draws // CHUNK and now - start < TIME_LIMIT / N_CHAINS:
             state, (z, n_steps, diverging) = jax.block_until_ready(compiled(state))
-            before, now = now, time.perf_counter()
+            before, now = now, time.process_time()
             blocks.append(np.asarray(z))
             seconds.append(now - before)
             leapfrogs, divergences = leapfrogs + int(n_steps.sum()), divergences + int(diverging.sum())
@@ -116,10 +130,10 @@ def run_nuts(
 
 
 def choose_density(problem: Problem, posterior: Posterior, z: Array):
-    """Return the faster of the two JAX log-densities, its name and the times of one gradient in µs.
+    """Return the faster of the JAX log-densities that are bayescal's, its name and the times of one gradient in µs.
 
-    Both are compared with bayescal's density at z, shape (n, 60), first; AssertionError where they differ by more than
-    a constant.
+    Both are compared with bayescal's density at z, shape (n, 60), first; one that differs by more than a constant, as
+    the exact solution does where poses are far off, is another posterior. AssertionError where both do.
     """
     start, scale, free = posterior.coordinates.start, posterior.coordinates.scale, posterior.coordinates.free
     theta = np.tile(start, (len(z), 1))
@@ -131,7 +145,6 @@ def choose_density(problem: Problem, posterior: Posterior, z: Array):
         densities[name] = lambda x, f=likelihood: f(x) - 0.5 * jnp.sum(x**2)
         offset = expected - np.array([densities[name](jnp.asarray(x)) for x in z])
         differences[name] = float(np.ptp(offset))
-        assert differences[name] < AGREEMENT, f"log densities ({name}) differ by {differences[name]:.2g}"
         gradient = jax.jit(jax.value_and_grad(densities[name])).lower(jnp.asarray(z[0])).compile()
         seconds = []
         for k in range(500):
@@ -139,7 +152,9 @@ def choose_density(problem: Problem, posterior: Posterior, z: Array):
             jax.block_until_ready(gradient(jnp.asarray(z[k % len(z)])))
             seconds.append(time.perf_counter() - begin)
         times[name] = 1e6 * float(np.median(seconds))
-    best = min(times, key=times.__getitem__)
+    same = [name for name, difference in differences.items() if difference < AGREEMENT]
+    assert same, f"log densities differ: {differences}"
+    best = min(same, key=times.__getitem__)
     return densities[best], {"used": best, "gradient_us": times, "largest_difference": differences}
 
 
