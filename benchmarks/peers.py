@@ -1,13 +1,14 @@
 """bayescal beside its peers on the same densities, in one run and one table; one core, one process, one after another.
 
-    python benchmarks/peers.py [--posteriors well misfitting ridge multimodal] [--peers nuts stretch ...]
+    python benchmarks/peers.py [--posteriors well misfitting ridge multimodal lengths] [--peers nuts ...]
                                [--seconds 60] [--warm-up 1500] [--draws 500] [--steps 120] [--live 500]
                                [--figaroh PYTHON] [--add]
 
-Four posteriors of the telescope's 6-PUS with 40 simulated poses: ``well``, 60 parameters as in sampling.py;
+Five posteriors of the telescope's 6-PUS with 40 simulated poses: ``well``, 60 parameters as in sampling.py;
 ``misfitting``, the same where the poses have errors of 20 µm that depend on where they are and that no parameter
 explains; ``ridge``, the 36 that RR-8096 frees: κ is fixed, only one component of each direction, u_x, is free, and the
-data see it by a quadratic; ``multimodal``, the same with twice the tolerance of u_x, so that a mirrored leg counts.
+data see it by a quadratic; ``multimodal``, the same with twice the tolerance of u_x, so that a mirrored leg counts;
+``lengths``, six lengths alone, for the evidence of peers that do not come to an end with more.
 
 - bayescal: exploration, burn-in, four ensembles, all timed; evidence by importance sampling from what was explored.
 - NUTS (NumPyro): full mass matrix, started at draws of bayescal's posterior; with and without its warm-up. ``nuts`` has
@@ -64,7 +65,7 @@ def compare(name: str, options: argparse.Namespace) -> dict[str, Any]:
     problem, posterior = BUILD[name]()
     density = PlainDensity(posterior)
     ours, modes, z = run_bayescal(posterior, options.steps)
-    middle, best = z[0, 0], float(density(z.reshape(-1, density.n)).max())
+    start, best = z[0, 0], float(density(z.reshape(-1, density.n)).max())
     rows: dict[str, dict[str, Any]] = {"bayescal": ours}
     runs = {
         peer: partial(run_nuts, problem, posterior, modes, z, options.warm_up, options.draws, *how)
@@ -72,7 +73,7 @@ def compare(name: str, options: argparse.Namespace) -> dict[str, Any]:
     }
     runs["stretch"] = partial(run_stretch, density, z, options.seconds)
     runs["nautilus"] = partial(run_nautilus, density, options.seconds, 4 * options.live)
-    one = compile_likelihood(problem, density, middle)
+    one = compile_likelihood(problem, density, start)
     runs["dynesty"] = partial(run_dynesty, one, density.n, options.seconds, options.live)
     runs["least_squares"] = partial(run_least_squares, density, best, options.seconds)
     for peer in options.peers:

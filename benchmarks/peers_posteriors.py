@@ -1,4 +1,4 @@
-"""The posteriors of peers.py: well-posed, with data that fit no machine, with a ridge, with two modes."""
+"""The posteriors of peers.py: well-posed, with data that fit no machine, with a ridge, with two modes, small."""
 
 # ruff: noqa: I001 - telescope_problem comes before NumPy: it sets the number of threads
 from __future__ import annotations
@@ -39,18 +39,23 @@ def build_misfitting() -> tuple[Problem, Posterior]:
 
 def build_ridge() -> tuple[Problem, Posterior]:
     """Return what RR-8096 frees, with its tolerance of u_x: one mode holds nearly all, with a ridge along a u_x."""
-    return _build_mirroring(0.05)
+    return _build_nominal(MIRRORING | {"u_x": 0.05})
 
 
 def build_multimodal() -> tuple[Problem, Posterior]:
     """Return the same with twice the tolerance of u_x: both directions of a leg that have its gain are plausible."""
-    return _build_mirroring(0.1)
+    return _build_nominal(MIRRORING | {"u_x": 0.1})
 
 
-def _build_mirroring(tolerance: float) -> tuple[Problem, Posterior]:
-    """Return a machine whose directions mirror: κ is known, one component of each and what follows it are not."""
+def build_lengths() -> tuple[Problem, Posterior]:
+    """Return a machine of which six lengths are unknown: few enough for nested samplers to come to an end."""
+    return _build_nominal({"l": MIRRORING["l"]})
+
+
+def _build_nominal(spreads: dict[str, float]) -> tuple[Problem, Posterior]:
+    """Return a machine that is nominal but for symbols with these prior standard deviations, which are free."""
     problem, rng = simulate(), np.random.default_rng(SEED + 7)
-    machine, spreads = problem.machine, MIRRORING | {"u_x": tolerance}
+    machine = problem.machine
     theta = machine.layout.nominal.copy()
     for symbol, sd in spreads.items():
         theta[machine.layout.index[symbol]] += 0.3 * rng.normal(size=6) * sd
@@ -71,7 +76,13 @@ def _add(poses: MeasuredPoses, at, error: Array) -> MeasuredPoses:
     return replace(poses, position=at.position + error[:, :3], rotation=rotation)
 
 
-BUILD = {"well": build_well, "misfitting": build_misfitting, "ridge": build_ridge, "multimodal": build_multimodal}
+BUILD = {
+    "well": build_well,
+    "misfitting": build_misfitting,
+    "ridge": build_ridge,
+    "multimodal": build_multimodal,
+    "lengths": build_lengths,
+}
 
 
 class PlainDensity:
