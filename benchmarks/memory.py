@@ -50,13 +50,8 @@ EFFORT = "[sampler]\nensembles = 4\nwalkers = 64\nburn_in = 5\nsteps = 20\n[evid
 
 def simulate(path: Path, out: Path) -> None:
     """Run a simulation in a process of its own."""
-    code = "import sys; from bayescal.cli import main; sys.exit(main(sys.argv[1:]))"
-    done = subprocess.run(
-        [sys.executable, "-c", code, "simulate", str(path), "--out", str(out)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = [sys.executable, "-m", "bayescal.cli", "simulate", str(path), "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
