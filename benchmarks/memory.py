@@ -25,6 +25,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_variable] = "1"
 
 import numpy as np  # noqa: E402 - after the number of threads is set
+import pandas as pd  # noqa: E402
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 RUN = """
@@ -41,9 +42,9 @@ experiment = find_kind(config.kind, path.parent, path.parent)
 resident = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 before, begun = resident(), time.process_time()
 need = experiment.estimate_memory(read_inputs(experiment, config, path.parent))
+print(need.sizes, before, need.sum_up(1) / 2**20, PROCESS / 2**20, sep="\\n", flush=True)
 run_experiment(config, path.parent, out)
-print(time.process_time() - begun, before, resident(), need.sum_up(1) / 2**20, PROCESS / 2**20)
-print(need.sizes)
+print(time.process_time() - begun, resident(), sep="\\n")
 """
 EFFORT = "[sampler]\nensembles = 4\nwalkers = 64\nburn_in = 5\nsteps = 20\n[evidence]\ndraws = 1000\nmax_draws = 1000\n"
 
@@ -66,12 +67,20 @@ def copy(name: str, folder: Path, *changes: tuple[str, str], cut: str | None = N
     return path
 
 
+def scatter(path: Path, out: Path, seed: int) -> None:
+    """Copy a table with 10 µm of noise on its coordinates: no two sessions have the same readings."""
+    table = pd.read_csv(path, comment="#")
+    columns = [name for name in table if name.endswith("_mm")]
+    table[columns] += np.random.default_rng(seed).normal(size=(len(table), len(columns))) * 0.01
+    table.to_csv(out, index=False)
+
+
 def write_calibration(folder: Path, n_poses: int) -> Path:
     """Write the calibration of a hexapod under its weight, from so many poses."""
     copy("m2_hexapod_table/machine.toml", folder)
     simulate(copy("m2_hexapod_table/simulate.toml", folder, ("n_poses = 30", f"n_poses = {n_poses}")), folder / "data")
-    path = copy("m2_hexapod_table/study.toml", folder, ("draws = 300", "draws = 100"), cut="[sampler]")
-    path.write_text(path.read_text() + EFFORT)
+    path = copy("m2_hexapod_table/study.toml", folder, cut='[[variants]]\nname = "weight_temperature"')
+    path.write_text(f"{path.read_text()}[validation]\ndraws = 100\n{EFFORT}")
     return path
 
 
@@ -109,8 +118,10 @@ def write_sessions(folder: Path, n_sessions: int, n_poses: int, n_draws: int) ->
     (own / "configurations.csv").write_text("\n".join([",".join(f"drho_{k}" for k in range(1, 7)), *rows]) + "\n")
     simulate(copy("m2_hexapod_sessions/january.toml", own), own / "data")
     path = copy("m2_hexapod_sessions/sessions.toml", own, ("draws = 3000", f"draws = {n_draws}"), cut="[[sessions]]")
+    for k in range(n_sessions):
+        scatter(own / "data" / "targets.csv", own / "data" / f"targets_{k}.csv", k)
     sections = [
-        f'[[sessions]]\nlabel = "S{k}"\nday = {30.0 * k}\ntargets = "data/targets.csv"\n'
+        f'[[sessions]]\nlabel = "S{k}"\nday = {30.0 * k}\ntargets = "data/targets_{k}.csv"\n'
         f'actuators = "data/actuators.csv"\ntemperature_celsius = {2.0 + k % 20}\n'
         for k in range(n_sessions)
     ]
@@ -146,28 +157,38 @@ def write_sweep(folder: Path, n_poses: int) -> Path:
 
 
 CASES: dict[str, tuple[Callable[..., Path], tuple[tuple[int, ...], ...]]] = {
-    "calibration": (write_calibration, ((300,), (3000,))),
-    "self_calibration": (write_self_calibration, ((500,), (5000,))),
-    "sensor_placement": (write_placement, ((1000, 100, 64), (5000, 100, 64), (100, 2000, 500))),
+    "calibration": (write_calibration, ((100,), (400,))),
+    "self_calibration": (write_self_calibration, ((500,), (3000,))),
+    "sensor_placement": (write_placement, ((1000, 100, 64), (5000, 100, 64), (100, 1000, 300))),
     "sessions": (write_sessions, ((6, 200, 3000), (24, 50, 3000), (6, 40, 60_000))),
-    "check": (write_check, ((316, 4000), (3162, 4000), (100, 100_000))),
+    "check": (write_check, ((316, 4000), (1000, 4000), (40, 100_000))),
     "sweep": (write_sweep, ((300,), (3000,))),
 }
 
 
 def measure(kind: str, size: tuple[int, ...], limit: float) -> dict[str, float | str | list[int]]:
-    """Return estimate and peak of one instance, MiB; what it said where it failed."""
+    """Return estimate and peak of one instance, MiB; what it said where it failed.
+
+    Of one that takes longer than its limit the peak is that until then, and no seconds are told.
+    """
     with tempfile.TemporaryDirectory() as name:
         path = CASES[kind][0](Path(name), *size)
         command = [sys.executable, "-c", RUN, str(path), str(Path(name) / "out")]
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)
-        except subprocess.TimeoutExpired:
-            return {"kind": kind, "size": list(size), "failed": f"more than {limit:.0f} s"}
-    if done.returncode:
-        return {"kind": kind, "size": list(size), "failed": done.stderr.strip().splitlines()[-1]}
-    figures, sizes = done.stdout.strip().splitlines()[-2:]
-    seconds, before, peak, estimate, process = map(float, figures.split())
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            so_far = None
+            try:
+                said, complaint = process.communicate(timeout=limit)
+            except subprocess.TimeoutExpired:
+                so_far = read_peak(process.pid)
+                process.kill()
+                said, complaint = process.communicate()
+    if process.returncode and so_far is None:
+        return {"kind": kind, "size": list(size), "failed": (complaint.splitlines() or [str(process.returncode)])[-1]}
+    if not said:
+        return {"kind": kind, "size": list(size), "failed": f"not read within {limit:.0f} s"}
+    sizes, *figures = said.splitlines()
+    before, estimate, imported = map(float, figures[:3])
+    seconds, peak = map(float, figures[3:]) if so_far is None else (float("nan"), so_far)
     return {
         "kind": kind,
         "size": list(size),
@@ -176,8 +197,14 @@ def measure(kind: str, size: tuple[int, ...], limit: float) -> dict[str, float |
         "peak_mib": peak,
         "estimate_mib": estimate,
         "peak_beyond_mib": peak - before,
-        "estimate_beyond_mib": estimate - process,
+        "estimate_beyond_mib": estimate - imported,
     }
+
+
+def read_peak(pid: int) -> float:
+    """Return the largest resident size of a process so far, MiB."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    return float(next(line for line in status.splitlines() if line.startswith("VmHWM:")).split()[1]) / 1024.0
 
 
 def main() -> None:
