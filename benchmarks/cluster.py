@@ -1,7 +1,9 @@
 """What the workers of a dask scheduler cost: efficiency in CPU seconds, and milliseconds per task beyond dask's own.
 
 Efficiency is the CPU time of the tasks in one process over that of all processes (client, scheduler, workers) with so
-many workers, from the first task to the last; starting them does not count. Needs ``bayescal[dask]``.
+many workers, from the first task to the last; starting them does not count. The same task takes more CPU seconds where
+the machine's cores share caches and are all busy, which is nobody's cost: ``of the tasks`` is the share of all CPU
+seconds that the tasks themselves took beside each other. Needs ``bayescal[dask]``.
 """
 
 from __future__ import annotations
@@ -20,11 +22,13 @@ from bayescal.experiments.frame.parallel import Run
 PROBLEM = np.random.default_rng(1).normal(size=(40, 40))
 
 
-def compute(shared: np.ndarray, task: tuple[int, int]) -> float:
-    """Return a number that takes so many small singular value decompositions."""
+def compute(shared: np.ndarray, task: tuple[int, int]) -> np.ndarray:
+    """Return a number that takes so many small singular value decompositions, and the CPU seconds of this."""
+    begin = time.thread_time()
     seed, repeats = task
     matrix = shared + np.random.default_rng(seed).normal(size=shared.shape)
-    return float(sum(np.linalg.svd(matrix + k, compute_uv=False)[0] for k in range(repeats)))
+    found = sum(np.linalg.svd(matrix + k, compute_uv=False)[0] for k in range(repeats))
+    return np.array([found, time.thread_time() - begin])
 
 
 def plain(seed: int) -> float:
@@ -43,11 +47,12 @@ def count_cpu() -> float:
     return sum(sum(process.cpu_times()[:2]) for process in processes)
 
 
-def measure(engine: Engine, tasks: dict[str, tuple[int, int]]) -> tuple[float, float, dict[str, float]]:
-    """Return CPU seconds, wall seconds and results."""
+def measure(engine: Engine, tasks: dict[str, tuple[int, int]]) -> tuple[float, float, float, list[float]]:
+    """Return CPU seconds, those of the tasks themselves, wall seconds, and results."""
     cpu, wall = count_cpu(), time.perf_counter()
     found = Run(engine).map("benchmark", compute, PROBLEM, tasks)
-    return count_cpu() - cpu, time.perf_counter() - wall, found
+    used, took = count_cpu() - cpu, time.perf_counter() - wall
+    return used, sum(float(one[1]) for one in found.values()), took, [float(one[0]) for one in found.values()]
 
 
 def measure_overhead(n: int, rounds: int = 3) -> dict[str, float]:
@@ -75,17 +80,20 @@ def main() -> None:
     parser.add_argument("--write", type=Path, help="JSON file for the figures")
     options = parser.parse_args()
     tasks = {str(k): (k, options.repeats) for k in range(options.tasks)}
-    cpu, wall, expected = measure(Processes(), tasks)
+    cpu, _, wall, expected = measure(Processes(), tasks)
     print(f"one process: {cpu:.1f} s of CPU, {wall:.1f} s, {1e3 * cpu / len(tasks):.0f} ms per task")
     rows = []
     for n in options.workers:
         with open_engine(scheduler=f"local:{n}") as engine:
             warm = {str(k): (k, 1) for k in range(4 * n)}
             measure(engine, warm)  # imports
-            used, took, found = measure(engine, tasks)
+            used, own, took, found = measure(engine, tasks)
         assert found == expected
-        rows.append({"workers": n, "cpu_s": used, "wall_s": took, "efficiency": cpu / used})
-        print(f"{n} workers: {used:.1f} s of CPU, {took:.1f} s, efficiency in CPU seconds {cpu / used:.2f}")
+        rows.append({"workers": n, "cpu_s": used, "wall_s": took, "efficiency": cpu / used, "of_the_tasks": own / used})
+        print(
+            f"{n} workers: {used:.1f} s of CPU, {took:.1f} s, efficiency in CPU seconds {cpu / used:.2f}, "
+            f"of the tasks {own / used:.2f}"
+        )
     overhead = measure_overhead(500)
     print(
         "per empty task: {frame_ms:.2f} ms, dask alone {dask_ms:.2f} ms, beyond it {beyond_ms:.2f} ms".format(

@@ -4,13 +4,14 @@
 
 The members are audits of Rubin's M2 hexapod (tracker's noise by number of poses); one is computed, and its summary
 stands for all, so that what is timed is everything else. The sweep is run in part, then taken up again: members that
-are kept are read and not computed.
+are kept are read and not computed. Memory is the largest resident size up to the end of each part.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import resource
 import shutil
 import tempfile
 import time
@@ -45,10 +46,12 @@ def main() -> None:
     parser.add_argument("--write", type=Path, help="JSON file for the figures")
     options = parser.parse_args()
     seconds: dict[str, float] = {}
+    peaks: dict[str, float] = {}
 
     def timed(name: str, begun: float) -> None:
         seconds[name] = time.process_time() - begun
-        print(f"{name:32}{seconds[name]:8.1f} s of CPU", flush=True)
+        peaks[name] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+        print(f"{name:32}{seconds[name]:8.1f} s of CPU{peaks[name]:8.0f} MiB", flush=True)
 
     with tempfile.TemporaryDirectory() as name:
         path, out = write_sweep(Path(name), options.members), Path(name) / "out"
@@ -93,7 +96,7 @@ def main() -> None:
         size = sum(file.stat().st_size for file in (out.parent / config.cache).rglob("*.npz"))
         print(f"{len(addresses)} members, {len(tasks)} different, {size / 2**20:.0f} MiB kept")
     if options.write is not None:
-        figures = {"members": len(addresses), "cpu_s": seconds, "kept_mib": size / 2**20}
+        figures = {"members": len(addresses), "cpu_s": seconds, "peak_mib": peaks, "kept_mib": size / 2**20}
         options.write.write_text(json.dumps(figures, indent=1) + "\n")
 
 

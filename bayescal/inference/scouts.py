@@ -24,6 +24,7 @@ from bayescal.inference.sampling import Sample
 from bayescal.numerics.geometry import Array
 
 N_DRAWS, N_STEPS = 2000, 20
+AT_ONCE = 50  # draws whose axes are held, a matrix each
 STRETCH = 4.0
 EVENLY = 0.5  # share of scouts that are spread over the axes evenly
 RARE, FEWEST = 1e-3, 20  # share of the other draws beyond the quantiles, and how many these are at least
@@ -78,8 +79,12 @@ class Stretched:
         for m in np.unique(component):
             own = np.flatnonzero(component == m)
             normal[own, rng.choice(normal.shape[1], len(own), p=self._shares[m])] *= STRETCH
-        moved = np.einsum("bij,bj->bi", self._axes[component], normal * self._sizes[component])
-        return np.asarray(self._means[component] + moved)
+        normal *= self._sizes[component]
+        moved = [
+            np.einsum("bij,bj->bi", self._axes[component[k : k + AT_ONCE]], normal[k : k + AT_ONCE])
+            for k in range(0, n_draws, AT_ONCE)
+        ]
+        return np.asarray(self._means[component] + np.concatenate(moved))
 
     def log_density(self, x: Array) -> Array:
         """Return the log-density up to a constant, (B, n) to (B,)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any
@@ -18,6 +18,13 @@ from bayescal.experiments.frame.store import Store
 UNFIT = re.compile(r"[^A-Za-z0-9_.+-]+")
 """What no file name should hold."""
 SAID = 12  # failures of a stage in its message
+
+
+@dataclass(frozen=True)
+class Failed:
+    """What became of a task that failed: why, in words."""
+
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,31 +93,51 @@ class Run:
 
         Parameters are those of `map`.
         """
-        names = {name: f"{_slug(stage)}-{_slug(name)}" for name in tasks}
-        classes = tuple(returns)
         found: dict[str, R] = {}
+        failures: dict[str, str] = {}
+        for name, outcome in self.stream(stage, function, shared, tasks, returns):
+            if isinstance(outcome, Failed):
+                failures[name] = outcome.reason
+            else:
+                found[name] = outcome
+        return {name: found[name] for name in tasks if name in found}, failures
+
+    def stream[S, T, R](
+        self,
+        stage: str,
+        function: Callable[[S, T], R],
+        shared: S,
+        tasks: Mapping[str, T],
+        returns: Iterable[Any] = (),
+    ) -> Iterator[tuple[str, R | Failed]]:
+        """Yield what `attempt` returns, task by task: kept ones first, others as they end; none of it is held here.
+
+        For stages of more results than there is memory for. Parameters are those of `map`.
+        """
+        names = {name: f"{_slug(stage)}-{_slug(name)}" for name in tasks}
+        classes, missing = tuple(returns), dict(tasks)
         for name in tasks:
             kept = None if self.store is None else self.store.load_task(names[name])
             if kept is not None:
                 try:
-                    found[name] = decode(kept, classes)
+                    result = decode(kept, classes)
                 except (ValueError, KeyError, TypeError):
                     continue  # of another version, or damaged: computed anew
-        missing = {name: task for name, task in tasks.items() if name not in found}
-        failures: dict[str, str] = {}
-        with self.progress.follow(stage, len(tasks), len(found)) as progress:
+                del missing[name]
+                yield name, result
+        with self.progress.follow(stage, len(tasks), len(tasks) - len(missing)) as progress:
             for name, outcome in self.engine.compute(function, shared, missing):
                 if isinstance(outcome, tuple):
                     kind, fault = outcome
                     if issubclass(kind, InputError):
                         raise kind(fault)
-                    failures[name] = fault
+                    yield name, Failed(fault)
                     continue
                 if self.store is not None:
                     self.store.save_task(names[name], outcome)
-                found[name] = decode(outcome, classes)
+                result = decode(outcome, classes)
                 progress.advance(name)
-        return {name: found[name] for name in tasks if name in found}, failures
+                yield name, result
 
     def once[S, R](self, stage: str, function: Callable[[S], R], shared: S, returns: Iterable[Any] = ()) -> R:
         """Return what a function makes of its inputs, as one task."""

@@ -14,8 +14,10 @@ from bayescal.experiments.sensor_placement.page.pages import build_page
 from bayescal.experiments.sensor_placement.schema import PlacementConfig
 from bayescal.report.blocks import Page
 
-DERIVATIVES, READINGS, AT_ONCE = 8, 12, 16
-"""Arrays of all readings by all parameters, of simulated machines' readings, and machines calibrated at a time."""
+DERIVATIVES, LOCATED, READINGS, AT_ONCE = 6, 9, 4, 16
+"""Arrays of all readings by all parameters, of simulated machines' readings in use with their slopes, of those that
+they are calibrated from, and machines calibrated at a time, as measured.
+"""
 
 
 class SensorPlacement(Experiment[PlacementConfig, PlacementInputs]):
@@ -38,7 +40,7 @@ class SensorPlacement(Experiment[PlacementConfig, PlacementInputs]):
             {"poses": len(inputs.pose), "sets of sensors": n_sets, "simulated machines": machines},
             [
                 (DERIVATIVES, 1 + min(machines, AT_ONCE), places, n_readings, slopes),
-                (READINGS, machines, len(inputs.workspace), n_readings, 1 + inputs.pose.shape[1]),
+                (LOCATED, machines, len(inputs.workspace), n_readings, 1 + inputs.pose.shape[1]),
                 (READINGS, machines, len(inputs.pose), n_readings),
             ],
             "fewer poses or machines",

@@ -52,7 +52,7 @@ def fit_sessions(model: SessionModel, n_draws: int, rng: np.random.Generator) ->
         Where no state or no scales are found.
     """
     linear, mode = _find_mode(model)
-    kept = max(n_draws // 3, 100)
+    kept = count_kept(n_draws)
     scales = sample_scales(lambda zeta: compute_log_density(linear, zeta), mode, n_draws, kept, rng)
     z, linearised = _draw_states(linear, scales, rng)
     log_weights = model.log_likelihood(z, scales.draws) - linearised
@@ -68,6 +68,11 @@ def fit_sessions(model: SessionModel, n_draws: int, rng: np.random.Generator) ->
         exact.draws[:, :n],
         exact.draws[:, n:],
     )
+
+
+def count_kept(n_draws: int) -> int:
+    """Return how many draws of the scales are kept with a state."""
+    return max(n_draws // 3, 100)
 
 
 def compute_log_density(linear: LinearSessions, zeta: Array) -> float:

@@ -7,19 +7,23 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.density.batches import BATCH, POSES
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.sessions.compute import compute_sessions
+from bayescal.experiments.sessions.fit import count_kept
 from bayescal.experiments.sessions.inputs import SessionsInputs, read_sessions
 from bayescal.experiments.sessions.page import build_page
 from bayescal.experiments.sessions.schema import SessionsConfig
 from bayescal.report.blocks import Page
 
-JOINT, ROWS, DRAWS = 12, 8, 6
-"""Arrays of all unknowns by each other, of all rows by one session's, and of draws by all unknowns."""
+JOINT, ROWS, DRAWS, SCRATCH = 12, 8, 6, 24
+"""Arrays of all unknowns by each other, of all rows by one session's, of draws by all unknowns, and of each session's
+hot loop, which keeps what it works in.
+"""
 
 
 class Sessions(Experiment[SessionsConfig, SessionsInputs]):
@@ -55,13 +59,14 @@ class Sessions(Experiment[SessionsConfig, SessionsInputs]):
         model, draws = inputs.model, inputs.config.draws
         n_parameters, n_poses = len(model.free), int(inputs.n_poses.sum())
         n_legs = model.parts[0].likelihood.n_legs
-        unknowns = n_parameters * (1 + model.n_sessions)
+        at_once = int(np.minimum(inputs.n_poses, POSES).sum())
         return estimate_arrays(
             {"sessions": model.n_sessions, "poses": n_poses, "parameters": n_parameters, "draws": draws},
             [
-                (JOINT, unknowns, unknowns),
+                (JOINT, model.size, model.size),
                 (ROWS, n_poses, n_legs, n_parameters + n_legs),
-                (DRAWS, draws, unknowns),
+                (DRAWS, count_kept(draws), model.size),
+                (SCRATCH, BATCH, at_once, n_legs),
             ],
             "fewer sessions, poses or draws",
         )

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.parallel import Failed, Run
 from bayescal.experiments.frame.pool import open_pool
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.sweep.answers import COLUMNS, NUMBERS, find_answers
@@ -20,14 +20,19 @@ from bayescal.experiments.sweep.schema import SweepConfig
 
 DONE, UNSURE, FAILED = "done", "not converged", "failed"
 
+type Row = list[Any]
+"""Of a member: its figures, its state and why."""
+
 
 def compute_sweep(inputs: SweepInputs, run: Run) -> Results:
     """Return the table of all members and what it answers; members that fail are in it, with the reason."""
     taken, addresses, tasks, faults = _plan(inputs)
-    found, lost = _keep(inputs.config, run).attempt("members", compute_member, inputs.base, tasks, (Outcome,))
-    faults |= {address: Outcome.from_failure(fault) for address, fault in lost.items()}
-    outcomes = [found.get(address) or faults[address] for address in addresses]
-    members = _tabulate(inputs.config, taken, outcomes)
+    rows = {address: _read_row(inputs.config, fault) for address, fault in faults.items()}
+    run = _keep(inputs.config, run)
+    for address, outcome in run.stream("members", compute_member, inputs.base, tasks, (Outcome,)):
+        known = Outcome.from_failure(outcome.reason) if isinstance(outcome, Failed) else outcome
+        rows[address] = _read_row(inputs.config, known)
+    members = _tabulate(inputs.config, taken, [rows[address] for address in addresses])
     answers = find_answers(inputs.config, members)
     return Results(
         _summarise(inputs.config, members, len(set(addresses)), answers),
@@ -59,18 +64,19 @@ def _keep(config: SweepConfig, run: Run) -> Run:
     return replace(run, store=open_pool(run.store.out.resolve().parent / config.cache))
 
 
-def _tabulate(config: SweepConfig, taken: list[tuple[Any, ...]], outcomes: list[Outcome]) -> pd.DataFrame:
+def _read_row(config: SweepConfig, outcome: Outcome) -> Row:
+    """Return what the table has of a member; of thousands, unpacked or packed, whole summaries would take gigabytes."""
+    summary = outcome.read()
+    return [*(_show(look_up(summary, figure.key)) for figure in config.figures), _say(outcome), outcome.failure]
+
+
+def _tabulate(config: SweepConfig, taken: list[tuple[Any, ...]], rows: list[Row]) -> pd.DataFrame:
     """Return a row per member: what its axes take, its figures, and what became of it."""
+    names = [*(figure.key for figure in config.figures), "state", "reason"]
     columns: dict[str, list[Any]] = {
         axis.name: [_show(values[k]) for values in taken] for k, axis in enumerate(config.axes)
     }
-    columns |= {figure.key: [] for figure in config.figures}
-    for outcome in outcomes:  # one summary at a time: thousands of them, unpacked, take gigabytes
-        summary = outcome.read()
-        for figure in config.figures:
-            columns[figure.key].append(_show(look_up(summary, figure.key)))
-    columns["state"] = [_say(outcome) for outcome in outcomes]
-    columns["reason"] = [outcome.failure for outcome in outcomes]
+    columns |= {name: [row[k] for row in rows] for k, name in enumerate(names)}
     return pd.DataFrame({name: _unify(values) for name, values in columns.items()})
 
 

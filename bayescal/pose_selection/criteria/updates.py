@@ -40,9 +40,9 @@ class UpdateScorer(Scorer):
 
     def __init__(self, criterion: Criterion, blocks: Array, base: Array, n_base: int) -> None:
         super().__init__(criterion, blocks, base, n_base)
-        self.reference, self._white = whiten(blocks, base)
+        self.reference, white = whiten(blocks, base)
         self._white_base = base @ np.linalg.inv(self.reference)
-        self._columns = np.ascontiguousarray(self._white.transpose(1, 2, 0))  # (k, L, C)
+        self._columns = np.ascontiguousarray(white.transpose(1, 2, 0))  # (k, L, C); of many candidates held only so
         self._pending: list[tuple[float, Array]] = []
         self._since_refresh = REFRESH
         self._gram = np.empty(0)
@@ -81,7 +81,7 @@ class UpdateScorer(Scorer):
         """Return the criterion of the set without each member, in the order of ``members``, shape (n,)."""
         if not self.regular:  # nor is any part of it
             return np.full(len(self.members), self._worthless)
-        seen = self._white[self.members] @ self.inverse_root  # (n, k, L)
+        seen = self._whiten_some(self.members) @ self.inverse_root  # (n, k, L)
         values, vectors = np.linalg.eigh(np.eye(seen.shape[1]) - seen @ np.swapaxes(seen, -1, -2))
         alone = values[:, 0] < LEAST
         result = self._with_dropped(np.where(alone[:, None], 1.0, values), np.swapaxes(vectors, -1, -2) @ seen)
@@ -102,9 +102,13 @@ class UpdateScorer(Scorer):
     def _with_dropped(self, values: Array, seen: Array) -> Array:
         """Return the criterion without each member, given eigenvalues of 1 - G (n, k) and vᵀ B U of each (n, k, L)."""
 
+    def _whiten_some(self, candidates: Sequence[int]) -> Array:
+        """Return the rows of some candidates in whitened coordinates, shape (n, k, L)."""
+        return np.ascontiguousarray(self._columns[:, :, candidates].transpose(2, 0, 1))
+
     def _find_inverse(self) -> None:
-        rows = self._stack_of(self.members, self._white, self._white_base)
-        n = rows.shape[1]
+        n = len(self.reference)
+        rows = np.concatenate([self._white_base, self._whiten_some(self.members).reshape(-1, n)])
         self.root = np.linalg.qr(rows, mode="r")
         size = np.abs(np.diagonal(self.root))
         self.regular = len(self.root) == n and bool(size.min() > 1e-12 * size.max())
@@ -118,7 +122,7 @@ class UpdateScorer(Scorer):
         self._since_refresh += 1
         if not self.regular or self._since_refresh >= REFRESH:
             return
-        half = self.inverse_root.T @ self._white[candidate].T  # (L, k)
+        half = self.inverse_root.T @ self._whiten_some([candidate])[0].T  # (L, k)
         small = np.eye(half.shape[1]) + sign * half.T @ half
         values, vectors = np.linalg.eigh(small)
         if values[0] < LEAST:
