@@ -67,6 +67,10 @@ def list_reading_slips(
             moved = values.copy()
             moved[:, own] = values[:, own[::-1]]
             yield MovedReadings(f"legs of {kind} seem to be numbered the other way round", moved)
+        for step in range(1, len(own) if len(own) > 2 else 1):
+            moved = values.copy()
+            moved[:, own] = values[:, np.roll(own, -step)]
+            yield MovedReadings(f"legs of {kind} seem to be counted from leg {step + 1}", moved)
         yield from _shift(kind, own, values)
     for k, name in enumerate(names):
         yield from _shift(name, np.array([k]), values)
@@ -86,6 +90,16 @@ def _shift(name: str, columns: np.ndarray, values: Array, together: bool = False
         yield MovedReadings(text, moved[there], there)
 
 
+def measure_misfit(judge: Judge, values: Array, chosen: slice = EVERY) -> float:
+    """Return how far the median of poses lies from what a machine within its tolerances reads, in their noise."""
+    try:
+        with np.errstate(all="ignore"):
+            off = judge(values, chosen)
+    except (BayescalError, np.linalg.LinAlgError):
+        return np.inf
+    return float(np.median(np.where(np.isfinite(off), off, np.inf)))
+
+
 def find_reading_slip(
     judge: Judge, names: Sequence[str], units: Sequence[str], values: Array, given: Sequence[str] = ()
 ) -> str | None:
@@ -100,11 +114,11 @@ def find_reading_slip(
     given : sequence of str, optional
         What is known of each pose besides.
     """
-    base = _take_median(judge, values)
+    base = measure_misfit(judge, values)
     if base <= BETTER:
         return None
     slips = list_reading_slips(names, units, values, given)
-    found = [(_take_median(judge, moved.values, moved.chosen), moved.text) for moved in slips]
+    found = [(measure_misfit(judge, moved.values, moved.chosen), moved.text) for moved in slips]
     mended, text = min(found, default=(np.inf, ""))
     if not base > BETTER * mended:
         return None
@@ -114,12 +128,3 @@ def find_reading_slip(
         else "then, and not as they stand,"
     )
     return f"they fit {times} if one mends: {text}"
-
-
-def _take_median(judge: Judge, values: Array, chosen: slice = EVERY) -> float:
-    try:
-        with np.errstate(all="ignore"):
-            off = judge(values, chosen)
-    except (BayescalError, np.linalg.LinAlgError):
-        return np.inf
-    return float(np.median(np.where(np.isfinite(off), off, np.inf)))
