@@ -6,14 +6,14 @@ explains of a machine within the tolerances. The median over the poses does not 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from bayescal.errors import BayescalError
-from bayescal.experiments.shared.slips import BETTER, SCALES
+from bayescal.experiments.shared.slips import BETTER, LEGS, ROWS, SCALES, UNIT
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_significant, join_words
 
@@ -31,6 +31,7 @@ class MovedReadings:
 
     Attributes
     ----------
+    fault : str
     text : str
         What the slip would be.
     values : ndarray, shape (Q, K)
@@ -39,6 +40,7 @@ class MovedReadings:
         Which of the P poses they belong to.
     """
 
+    fault: str
     text: str
     values: Array
     chosen: slice = EVERY
@@ -58,19 +60,19 @@ def list_reading_slips(
         for words, factor in scales.items():
             moved = values.copy()
             moved[:, own] *= factor
-            yield MovedReadings(f"readings of {kind} seem to be {words}", moved)
+            yield MovedReadings(UNIT, f"readings of {kind} seem to be {words}", moved)
         for one, other in combinations(own, 2):
             moved = values.copy()
             moved[:, [one, other]] = values[:, [other, one]]
-            yield MovedReadings(f"readings of {names[one]} and {names[other]} seem to be exchanged", moved)
+            yield MovedReadings(LEGS, f"readings of {names[one]} and {names[other]} seem to be exchanged", moved)
         if len(own) > 2:
             moved = values.copy()
             moved[:, own] = values[:, own[::-1]]
-            yield MovedReadings(f"legs of {kind} seem to be numbered the other way round", moved)
+            yield MovedReadings(LEGS, f"legs of {kind} seem to be numbered the other way round", moved)
         for step in range(1, len(own) if len(own) > 2 else 1):
             moved = values.copy()
             moved[:, own] = values[:, np.roll(own, -step)]
-            yield MovedReadings(f"legs of {kind} seem to be counted from leg {step + 1}", moved)
+            yield MovedReadings(LEGS, f"legs of {kind} seem to be counted from leg {step + 1}", moved)
         yield from _shift(kind, own, values)
     for k, name in enumerate(names):
         yield from _shift(name, np.array([k]), values)
@@ -87,7 +89,7 @@ def _shift(name: str, columns: np.ndarray, values: Array, together: bool = False
         moved[:, columns] = np.roll(values[:, columns], step, axis=0)
         there = slice(1, None) if step > 0 else slice(None, -1)
         text = f"rows of {name} seem to be shifted by one: they belong to the readings of the row {words}"
-        yield MovedReadings(text, moved[there], there)
+        yield MovedReadings(ROWS, text, moved[there], there)
 
 
 def measure_misfit(judge: Judge, values: Array, chosen: slice = EVERY) -> float:
@@ -101,7 +103,12 @@ def measure_misfit(judge: Judge, values: Array, chosen: slice = EVERY) -> float:
 
 
 def find_reading_slip(
-    judge: Judge, names: Sequence[str], units: Sequence[str], values: Array, given: Sequence[str] = ()
+    judge: Judge,
+    names: Sequence[str],
+    units: Sequence[str],
+    values: Array,
+    given: Sequence[str] = (),
+    denied: Collection[str] = (),
 ) -> str | None:
     """Return in words the slip that explains readings best; None where most poses are explained, or no slip helps.
 
@@ -113,12 +120,15 @@ def find_reading_slip(
     values : ndarray, shape (P, K)
     given : sequence of str, optional
         What is known of each pose besides.
+    denied : collection of str, optional
+        Faults that are none, as somebody says who looked.
     """
     base = measure_misfit(judge, values)
     if base <= BETTER:
         return None
     slips = list_reading_slips(names, units, values, given)
-    found = [(measure_misfit(judge, moved.values, moved.chosen), moved.text) for moved in slips]
+    tried = [moved for moved in slips if moved.fault not in denied]
+    found = [(measure_misfit(judge, moved.values, moved.chosen), moved.text) for moved in tried]
     mended, text = min(found, default=(np.inf, ""))
     if not base > BETTER * mended:
         return None

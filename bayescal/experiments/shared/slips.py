@@ -7,7 +7,7 @@ tolerances and what the first order leaves; slipped ones are off by as much as t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Protocol
@@ -170,7 +170,9 @@ def list_moves(actuators: Array, start: Array) -> Iterator[Moved]:
             yield Moved(ROWS, text, actuators[there - step], there)
 
 
-def find_slip(suspects: Iterable[Suspect], start: Array, stated: float) -> FoundSlip | None:
+def find_slip(
+    suspects: Iterable[Suspect], start: Array, stated: float, denied: Collection[str] = ()
+) -> FoundSlip | None:
     """Return the slip that explains the data best; None where some machine fits, or none helps.
 
     Parameters
@@ -181,6 +183,8 @@ def find_slip(suspects: Iterable[Suspect], start: Array, stated: float) -> Found
         Initial positions, mm.
     stated : float
         Error of a leg that noise and model error let expect, mm.
+    denied : collection of str, optional
+        Faults that are none, as somebody says who looked.
     """
     weighed: list[tuple[Weight, Suspect]] = []
     for one in suspects:
@@ -192,7 +196,7 @@ def find_slip(suspects: Iterable[Suspect], start: Array, stated: float) -> Found
 
     def judge(fault: str, text: str, beside: Weight, mended: Weight) -> None:
         gain, factor = mended.log_density - beside.log_density, beside.error / max(mended.error, stated)
-        if gain > CLEARLY and factor > BETTER:
+        if fault not in denied and gain > CLEARLY and factor > BETTER:
             found.append(FoundSlip(fault, text, gain, factor))
 
     for moved in list_moves(best.actuators, start) if base.error >= SUSPECT * stated else ():
