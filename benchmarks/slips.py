@@ -4,7 +4,8 @@ Every twin is a machine of the tolerances of a shipped study or calibration, mea
 ones with the stated noise, its legs or carriages erring besides by what no model states: a random matrix times the
 travel, as eq. 4 of RR-8096, scaled to some micrometres rms. Clean ones count false alarms; slips are planted in others.
 
-`python benchmarks/slips.py --machine m2_hexapod --twins 50 --out slips.csv`; `--tabulate slips.csv ...` prints shares.
+`python benchmarks/slips.py --machine m2_hexapod --twins 200 --out clean.csv`, then `--twins 50 --planted`
+(`--first N` does them in parts); `--tabulate clean.csv slips.csv` prints shares of all parts.
 """
 
 from __future__ import annotations
@@ -40,9 +41,8 @@ STUDIES = {
 }
 DELTA = "examples/own_machine/study.toml"
 ERRORS_UM = (0.0, 10.0, 50.0)
-POSES = {"few": 5, "many": 25}
+POSES = {"few": 5, "many": 20}
 TRAVELS = {"small": 0.1, "all": 1.0}
-TRIES = 30
 
 type Plant = Callable[[Array, np.random.Generator], Array]
 
@@ -155,21 +155,25 @@ def try_poses(machine: str, twins: int, first: int, planted: bool) -> Iterator[d
     experiment, study = load(path)
     subject = Subject(experiment.measure(study, path, experiment.list_variants(study)[name], True))
     plants = list_plants(subject.measured.machine.mechanism.initial_actuator_positions)
-    for few, n in POSES.items():
-        for travel, share in TRAVELS.items():
-            for error in ERRORS_UM:
-                labels = {"machine": machine, "poses": few, "travel": travel, "error_um": error}
-                for k in range(first, first + twins):
-                    rng = np.random.default_rng([k, n, round(10 * share), round(error)])
-                    poses = measure_twin(subject, n, share, error, rng)
-                    if not planted:
-                        yield labels | judge("none", "", find_pose_slip(subject, poses))
-                        continue
-                    for slip, (fault, plant) in plants.items():
-                        moved = replace(poses, actuators=plant(poses.actuators, rng))
-                        yield labels | judge(slip, fault, find_pose_slip(subject, moved))
-                    for slip, mend in POSE_PLANTS.items():
-                        yield labels | judge(slip, "poses", find_pose_slip(subject, mend(poses)))
+    for k in range(first, first + twins):
+        labels, n, share, error, rng = draw_setting(machine, k)
+        poses = measure_twin(subject, n, share, error, rng)
+        if not planted:
+            yield labels | judge("none", "", find_pose_slip(subject, poses))
+            continue
+        for slip, (fault, plant) in plants.items():
+            moved = replace(poses, actuators=plant(poses.actuators, rng))
+            yield labels | judge(slip, fault, find_pose_slip(subject, moved))
+        for slip, mend in POSE_PLANTS.items():
+            yield labels | judge(slip, "poses", find_pose_slip(subject, mend(poses)))
+
+
+def draw_setting(machine: str, twin: int) -> tuple[dict[str, object], int, float, float, np.random.Generator]:
+    """Return a twin's labels, its number of poses, share of the travel, unstated errors in µm, and generator."""
+    rng = np.random.default_rng([2026, twin])
+    few, travel, error = str(rng.choice(list(POSES))), str(rng.choice(list(TRAVELS))), float(rng.choice(ERRORS_UM))
+    labels = {"machine": machine, "twin": twin, "poses": few, "travel": travel, "error_um": error}
+    return labels, POSES[few], TRAVELS[travel], error, rng
 
 
 def judge(slip: str, fault: str, found: tuple[str, str] | None) -> dict[str, object]:
@@ -211,20 +215,16 @@ def try_readings(twins: int, first: int, planted: bool) -> Iterator[dict[str, ob
     variant = read_inputs(load(path)[1], path.parent).variants["all"]
     own = np.flatnonzero(variant.internal)
     plants = list_plants(np.zeros(len(own)))
-    for few, n in POSES.items():
-        for travel, share in TRAVELS.items():
-            for error in ERRORS_UM:
-                labels = {"machine": "delta", "poses": few, "travel": travel, "error_um": error}
-                for k in range(first, first + twins):
-                    rng = np.random.default_rng([k, n, round(10 * share), round(error)])
-                    clean = read_twin(variant, n, share, error, rng)
-                    if not planted:
-                        yield labels | judge("none", "", _search(clean))
-                        continue
-                    for slip, (fault, plant) in plants.items():
-                        values = clean.data.values.copy()
-                        values[:, own] = plant(values[:, own], rng)
-                        yield labels | judge(slip, fault, _search_moved(clean, values))
+    for k in range(first, first + twins):
+        labels, n, share, error, rng = draw_setting("delta", k)
+        clean = read_twin(variant, n, share, error, rng)
+        if not planted:
+            yield labels | judge("none", "", _search(clean))
+            continue
+        for slip, (fault, plant) in plants.items():
+            values = clean.data.values.copy()
+            values[:, own] = plant(values[:, own], rng)
+            yield labels | judge(slip, fault, _search_moved(clean, values))
 
 
 WORDS = {"unit": ("too ", "inches", "sign"), "legs": ("exchanged", "counted", "numbered"), "rows": ("rows of",)}
