@@ -24,7 +24,7 @@ class ReadingDataConfig(Section):
     """CSV file of the true parameters, of simulated readings."""
     true_poses: InputFile | None = None
     """CSV file of the true poses, of simulated readings."""
-    denied_slips: DeniedSlips = Field(default=[])
+    denied_slips: DeniedSlips = Field(default=[], exclude_if=lambda value: not value)
     """Kinds of slips that the readings look like and are not, as somebody says who looked: `unit`, `legs`, `rows`."""
 
     @model_validator(mode="after")

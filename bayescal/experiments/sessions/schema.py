@@ -46,7 +46,7 @@ class SessionConfig(Section):
     """Temperature of the machine in the whole session [deg C]."""
     temperatures: InputFile | None = None
     """CSV file with a temperature for each pose: pose, temperature_celsius."""
-    denied_slips: DeniedSlips = Field(default=[])
+    denied_slips: DeniedSlips = Field(default=[], exclude_if=lambda value: not value)
     """Kinds of slips that its data look like and are not, as somebody says who looked: `unit`, `legs`, `rows`."""
 
     @model_validator(mode="after")
