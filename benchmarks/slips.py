@@ -260,6 +260,7 @@ def tabulate(table: pd.DataFrame) -> None:
 
 
 def _share(values: pd.Series) -> str:
+    """Return a share in per cent with its standard error; of none or all, with what one more or less would be."""
     p, n = float(values.mean()), len(values)
     return f"{100 * p:.1f} ± {100 * np.sqrt(max(p * (1 - p), 1 / n) / n):.1f} %"
 

@@ -19,6 +19,8 @@ from bayescal.report.numbers import format_significant, join_words
 
 ANGLES = {"in degrees": np.pi / 180.0, "in radians where degrees are stated": 180.0 / np.pi, "of the other sign": -1.0}
 
+ALIKE, MANY = 1.2, 3
+"""Factor within which slips explain readings alike, as in a mirrored machine, and how many of them are named."""
 EVERY = slice(None)
 
 type Judge = Callable[[Array, slice], Array]
@@ -129,12 +131,13 @@ def find_reading_slip(
     slips = list_reading_slips(names, units, values, given)
     tried = [moved for moved in slips if moved.fault not in denied]
     found = [(measure_misfit(judge, moved.values, moved.chosen), moved.text) for moved in tried]
-    mended, text = min(found, default=(np.inf, ""))
+    mended, _ = min(found, default=(np.inf, ""))
     if not base > BETTER * mended:
         return None
+    alike = [text for off, text in sorted(found) if off <= ALIKE * max(mended, 1.0)][:MANY]
     times = (
         f"{format_significant(base / max(mended, 1.0), 2)} times better"
         if np.isfinite(base)
         else "then, and not as they stand,"
     )
-    return f"they fit {times} if one mends: {text}"
+    return f"they fit {times} if one mends: {' (or: '.join(alike)}{')' * (len(alike) - 1)}"

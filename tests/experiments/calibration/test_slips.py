@@ -17,6 +17,7 @@ SLIPS = {
     "centimetres": (CARRIAGES, lambda x: 0.1 * x, "readings of s seem to be 10 times too small (mm for cm)"),
     "inches": (CAMERA[:1], lambda x: x / 25.4, "readings of cam_x seem to be in inches"),
     "sign": (CAMERA[1:], lambda x: -x, "readings of cam_y seem to be of the other sign"),
+    "mirrored": (CAMERA[:1], lambda x: -x, "readings of cam_x seem to be of the other sign (or: readings of s["),
     "exchanged": (CARRIAGES[:2], lambda x: x[:, ::-1], "readings of s[1] and s[2] seem to be exchanged"),
     "the other way round": (CARRIAGES[::2], lambda x: x[:, ::-1], "legs of s seem to be numbered the other way"),
     "counted": (CARRIAGES, lambda x: np.roll(x, 1, axis=1), "legs of s seem to be counted from leg 2"),
