@@ -178,7 +178,7 @@ def draw_setting(machine: str, twin: int) -> tuple[dict[str, object], int, float
 
 def judge(slip: str, fault: str, found: tuple[str, str] | None) -> dict[str, object]:
     """Return a row: what was planted, whether something was named, and whether of the right class."""
-    right = found is not None and found[0] == fault
+    right = found is not None and fault in found[0].split()
     return {"slip": slip, "found": found is not None, "right": right, "said": "" if found is None else found[1]}
 
 
@@ -242,7 +242,7 @@ def _search(variant: Variant) -> tuple[str, str] | None:
     if said is None:
         return None
     faults = [fault for fault, words in WORDS.items() if any(word in said for word in words)]
-    return (faults[-1] if faults else "", said)
+    return " ".join(faults), said
 
 
 # --- shares ----------------------------------------------------------------------------------------------------------
