@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from bayescal.calibrated.covariances import check_covariance
 from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors, Source
 from bayescal.calibrated.mechanism_file import format_mechanism, format_value
 from bayescal.calibrated.settle import find_hindrance
@@ -127,7 +128,10 @@ def read_matrix_covariance(path: Path, n_legs: int) -> Array:
     values = read_table(path, ("leg", "actuator", *columns)).numbers(columns)
     if len(values) != n_legs**2:
         raise InputError(f"{path}: found {len(values)} rows, expected {n_legs**2}")
-    return values.reshape(n_legs, n_legs, n_legs)
+    covariance = values.reshape(n_legs, n_legs, n_legs)
+    for leg, rows in enumerate(covariance, start=1):
+        check_covariance(path, [f"leg {leg}, {name}" for name in columns], rows)
+    return covariance
 
 
 def _format_calibrated(calibrated: CalibratedMachine) -> str:
@@ -254,9 +258,11 @@ def _read_covariance(folder: Path, name: str | None) -> tuple[tuple[str, ...], A
     if table.columns[0] != "parameter" or tuple(table.text("parameter")) != names:
         raise InputError(f"{folder / name}: found other rows than columns, expected the same parameters in both")
     try:  # variances of stiffnesses are larger than what a table's numbers may be
-        return names, np.array([row[1:] for row in table.rows], dtype=np.float64)
+        covariance = np.array([row[1:] for row in table.rows], dtype=np.float64)
     except ValueError as error:
         raise InputError(f"{folder / name}: cannot be read as numbers ({error})") from error
+    check_covariance(folder / name, names, covariance)
+    return names, covariance
 
 
 def _find_names(known: tuple[str, ...], names: tuple[str, ...], path: Path) -> np.ndarray:

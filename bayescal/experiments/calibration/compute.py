@@ -10,6 +10,7 @@ import numpy as np
 from bayescal.experiments.calibration.fit import Fit, fit_variant
 from bayescal.experiments.calibration.inputs import CalibrationInputs
 from bayescal.experiments.calibration.knowledge import Knowledge, assess
+from bayescal.experiments.calibration.slips import find_calibration_slip
 from bayescal.experiments.calibration.tables import Findings, Residuals, summarise, tabulate
 from bayescal.experiments.calibration.validation import Held, hold_back, list_folds
 from bayescal.experiments.frame.parallel import Run
@@ -52,7 +53,9 @@ def compute_calibration(inputs: CalibrationInputs, run: Run) -> Results:
         for name, one in fitted.items()
     }
     tables = tabulate(inputs, found)
-    return Results(summarise(inputs, tables), tables, _list_files(inputs, found))
+    summary, slip = summarise(inputs, tables), find_calibration_slip(inputs.variants.values())
+    summary |= {} if slip is None else {"slip": slip}
+    return Results(summary, tables, _list_files(inputs, found))
 
 
 def _list_files(inputs: CalibrationInputs, found: dict[str, Findings]) -> dict[str, Writer]:

@@ -12,6 +12,7 @@ from bayescal.experiments.calibration.machine_kind import MachineExperiment
 from bayescal.experiments.calibration.memory import estimate_calibration
 from bayescal.experiments.calibration.page.build import build_page, list_variants
 from bayescal.experiments.calibration.schema import CalibrationConfig
+from bayescal.experiments.calibration.slips import find_calibration_slip
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
@@ -34,6 +35,11 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs]):
     def estimate_memory(self, inputs: CalibrationInputs) -> Need:
         """Return what the largest variant's posterior takes, and all that is kept of each."""
         return estimate_calibration(inputs)
+
+    def doubt(self, inputs: CalibrationInputs) -> list[str]:
+        """Return what may have happened to readings that no machine within its priors comes near."""
+        said = find_calibration_slip(inputs.variants.values())
+        return [] if said is None else [f"the readings are far off: {said}"]
 
     def compute(self, inputs: CalibrationInputs, run: Run) -> Results:
         """Return the posteriors of all variants and what they predict."""

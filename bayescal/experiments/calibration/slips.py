@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -9,23 +10,43 @@ import numpy as np
 from bayescal.density.calibration.elimination import project_out
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.experiments.calibration.inputs import Variant
-from bayescal.experiments.shared.reading_slips import find_reading_slip
+from bayescal.experiments.shared.reading_slips import Judge, find_reading_slip, measure_misfit
 from bayescal.numerics.geometry import Array
 
 
-def find_calibration_slip(variant: Variant) -> str | None:
-    """Return in words the slip that explains a variant's readings several times better; None where none does."""
-    posterior, channels = variant.posterior(), variant.model.channels
-    data = posterior.likelihood.data
+def find_calibration_slip(variants: Iterable[Variant]) -> str | None:
+    """Return in words the slip that explains readings several times better than they stand; None where none does.
+
+    Of variants of the same readings the one that comes nearest is asked: where one of them fits, nothing has slipped.
+    """
+    groups: dict[tuple[tuple[str, ...], ...], list[Variant]] = {}
+    for one in variants:
+        groups.setdefault((tuple(one.model.names), tuple(one.data.poses)), []).append(one)
+    for group in groups.values():
+        judges = [(_judge(one), one) for one in group]
+        judge, nearest = min(judges, key=lambda pair: measure_misfit(pair[0], _values(pair[1])))
+        units = [one.unit for one in nearest.model.channels]
+        said = find_reading_slip(judge, nearest.model.names, units, _values(nearest), nearest.model.given)
+        if said is not None:
+            return said
+    return None
+
+
+def _values(variant: Variant) -> Array:
+    """Return the readings of the calibration poses, shape (P, K)."""
+    return variant.data.values[~variant.verification]
+
+
+def _judge(variant: Variant) -> Judge:
+    posterior = variant.posterior()
+    likelihood = posterior.likelihood
 
     def judge(values: Array, chosen: slice) -> Array:
-        likelihood = posterior.likelihood
-        some = data.pick(np.arange(data.n_poses)[chosen])
+        some = likelihood.data.pick(np.arange(likelihood.data.n_poses)[chosen])
         moved = replace(likelihood, data=replace(some, values=values), start=likelihood.start[chosen])
         return _fit_together(replace(posterior, likelihood=moved))
 
-    units = [one.unit for one in channels]
-    return find_reading_slip(judge, variant.model.names, units, data.values, variant.model.given)
+    return judge
 
 
 def _fit_together(posterior: CalibrationPosterior) -> Array:

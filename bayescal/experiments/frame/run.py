@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from bayescal.config.load import read_extended
 from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
-from bayescal.errors import InputError, SeveralFaultsError, name_faults
+from bayescal.errors import InputError, NumericalError, SeveralFaultsError, name_faults
 from bayescal.experiments.frame.engine import Processes, call_side_by_side, open_engine
 from bayescal.experiments.frame.identity import describe_provenance, identify
 from bayescal.experiments.frame.load import AnyExperiment, find_kind, load, read_inputs
@@ -129,7 +129,7 @@ def run_experiment(
         with open_engine(workers, scheduler, quiet) as engine, hold_lock(store.lock, out):
             store = store.begin(identity, resume)
             try:
-                results = experiment.compute(inputs, Run(engine, store, Progress(quiet)))
+                results = _compute(experiment, inputs, Run(engine, store, Progress(quiet)))
             except InputError:
                 store.discard()
                 raise
@@ -137,6 +137,17 @@ def run_experiment(
             page = _write(experiment, replace(results, provenance=provenance), store.stage(), workers)
             store.publish()
     return Finished(out, experiment, read_results(out), page)
+
+
+def _compute(experiment: AnyExperiment, inputs: Any, run: Run) -> Results:
+    """Return an experiment's results; NumericalError says besides what is probably wrong with the inputs."""
+    try:
+        return experiment.compute(inputs, run)
+    except NumericalError as error:
+        doubts = experiment.doubt(inputs)
+        if not doubts:
+            raise
+        raise NumericalError(f"{error}; perhaps since {'; '.join(doubts)}") from error
 
 
 def check_file(path: Path) -> tuple[AnyExperiment, ExperimentConfig, list[str], list[str]]:

@@ -7,6 +7,7 @@ it; where they are not, the model may be at fault as well, and the report says s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from bayescal.density.readings.poses import null_basis
 from bayescal.density.readings.posterior import SelfCalibrationPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant, find_cause, list_starts
+from bayescal.experiments.shared.denied_slips import tell_denial
 from bayescal.numerics.geometry import Array
 
 DOUBT = 5.0  # standard deviations of χ² beyond which readings are not explained
@@ -38,7 +40,7 @@ def check_readings(inputs: ReadingInputs, where: Path) -> None:
             suspect = _find_suspect(posterior, mode)
             if suspect is not None:
                 _complain(where, variant, str(names[~held][suspect[0]]), suspect[1], find_limit(posterior))
-            _refuse_slip(inputs, variant, where)
+            refuse_slip(inputs, variant, where)
             continue
         if held.any():
             off = measure_misfits(posterior, mode, inputs.likelihood(variant, verification=True))
@@ -46,15 +48,27 @@ def check_readings(inputs: ReadingInputs, where: Path) -> None:
                 _complain(where, variant, str(names[held][k]), float(off[k]), find_limit(posterior))
 
 
-def _refuse_slip(inputs: ReadingInputs, variant: Variant, where: Path) -> None:
-    """Raise InputError where a slip explains what no machine within the tolerances does."""
-    sensors, starts = variant.sensors, list_starts(inputs.model, inputs.config.workspace)
-    cause = find_cause(sensors, variant.free, inputs.table.values[:, sensors.chosen], starts)
+def refuse_slip(inputs: ReadingInputs, variant: Variant, where: Path) -> None:
+    """Raise InputError where a slip explains what no machine within the tolerances does, and nobody denies it."""
+    cause = _find_cause(inputs, variant, inputs.config.data.denied_slips)
     if cause:
         raise InputError(
-            f"{where}: found readings of {', '.join(sensors.names)} that no machine within the tolerances has, "
-            f"expected this machine's{cause}"
+            f"{where}: found readings of {', '.join(variant.sensors.names)} that no machine within the tolerances has, "
+            f"expected this machine's{cause}{tell_denial('data.denied_slips')}"
         )
+
+
+def _find_cause(inputs: ReadingInputs, variant: Variant, denied: Sequence[str]) -> str:
+    sensors, starts = variant.sensors, list_starts(inputs.model, inputs.config.workspace)
+    return find_cause(sensors, variant.free, inputs.table.values[:, sensors.chosen], starts, denied)
+
+
+def list_denied(inputs: ReadingInputs) -> list[str]:
+    """Return the slips that readings look like and the config denies, in words."""
+    if not inputs.config.data.denied_slips:
+        return []
+    found = {name: _find_cause(inputs, one, ()) for name, one in inputs.variants.items()}
+    return [f"Readings of {name!r}: {cause.removeprefix('; ')}" for name, cause in found.items() if cause]
 
 
 def find_limit(posterior: SelfCalibrationPosterior) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from bayescal.density.readings.calibrability import compute_calibrability
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
+from bayescal.experiments.self_calibration.blunders import list_denied
 from bayescal.experiments.self_calibration.fit import fit_variant
 from bayescal.experiments.self_calibration.identifiability import audit_variant
 from bayescal.experiments.self_calibration.inputs import ReadingInputs
@@ -23,7 +24,9 @@ def compute_self_calibration(inputs: ReadingInputs, run: Run) -> Results:
     """Return the posteriors of all variants, what they say of the tool, and what the sensors can tell."""
     found = compute_variants(inputs, run)
     tables = tabulate(inputs, found)
-    return Results(summarise(inputs, found, tables), tables, _list_files(inputs, found))
+    summary, denied = summarise(inputs, found, tables), list_denied(inputs)
+    summary |= {"denied_slips": denied} if denied else {}
+    return Results(summary, tables, _list_files(inputs, found))
 
 
 def _list_files(inputs: ReadingInputs, found: dict[str, VariantFindings]) -> dict[str, Writer]:

@@ -308,11 +308,13 @@ def _fit_together(sensors: SensorSet, free: FreeParameters, fit: PoseFit) -> Arr
     return result
 
 
-def find_cause(sensors: SensorSet, free: FreeParameters, measured: Array, starts: Array) -> str:
+def find_cause(
+    sensors: SensorSet, free: FreeParameters, measured: Array, starts: Array, denied: Sequence[str] = ()
+) -> str:
     """Return the end of a sentence: the slip that explains readings that the machine cannot have, if there is one.
 
     Arguments are those of `find_reading_poses`; poses are looked for from the first start alone. They are judged
-    together: tolerances are those of one machine.
+    together: tolerances are those of one machine. Slips that are ``denied`` are not tried.
     """
     if sensors.redundancy < 1:
         return ""
@@ -321,7 +323,7 @@ def find_cause(sensors: SensorSet, free: FreeParameters, measured: Array, starts
         return _fit_together(sensors, free, _try_starts(sensors, free, values, starts[:1]))
 
     units = [sensors.model.channels[k].unit for k in sensors.chosen]
-    said = find_reading_slip(judge, sensors.names, units, measured)
+    said = find_reading_slip(judge, sensors.names, units, measured, denied=denied)
     return "" if said is None else f"; {said}"
 
 

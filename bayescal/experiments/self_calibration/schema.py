@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from bayescal.config.sections import ExperimentConfig, InputFile, Name, Names, Positive, Section
 from bayescal.density.schema import KernelChoiceConfig, KernelConfig
+from bayescal.experiments.shared.denied_slips import DeniedSlips
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.machines.readings.schema import Count, PlanarPosesConfig, ReadingSensorConfig, ReadingTolerancesConfig
 
@@ -23,6 +24,8 @@ class ReadingDataConfig(Section):
     """CSV file of the true parameters, of simulated readings."""
     true_poses: InputFile | None = None
     """CSV file of the true poses, of simulated readings."""
+    denied_slips: DeniedSlips = Field(default=[], exclude_if=lambda value: not value)
+    """Kinds of slips that the readings look like and are not, as somebody says who looked: `unit`, `legs`, `rows`."""
 
     @model_validator(mode="after")
     def _check_truth(self) -> Self:

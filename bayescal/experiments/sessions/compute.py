@@ -49,6 +49,7 @@ def compute_sessions(inputs: SessionsInputs, run: Run) -> Results:
         "log_evidence_drift": drift,
         "log_evidence_drift_se": float(np.hypot(fits[ALL].standard_error, fits[NONE].standard_error)),
         "sound": {name: fit.is_sound for name, fit in fits.items()},
+        **({"denied_slips": inputs.denied} if inputs.denied else {}),
     }
     return Results(summary, tables)
 

@@ -17,6 +17,7 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.sessions.same_machine import check_same_machine
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig, ThermalConfig
+from bayescal.experiments.shared.denied_slips import tell_denial
 from bayescal.experiments.shared.measured import MeasuredVariant, Measuring
 from bayescal.experiments.shared.measured_slips import find_measured_slip
 from bayescal.files.csv_tables import read_table
@@ -41,12 +42,15 @@ class SessionsInputs:
     temperature : ndarray, shape (S,)
         Mean of each session's poses, °C; NaN where none is stated.
     n_poses : ndarray of int, shape (S,)
+    denied : list of str
+        Slips that sessions look like and the config denies, in words.
     """
 
     config: SessionsConfig
     model: SessionModel
     temperature: Array
     n_poses: np.ndarray
+    denied: list[str]
 
 
 def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
@@ -60,8 +64,7 @@ def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
     """
     measured = [_measure(config, one, folder) for one in config.sessions]
     first = measured[0]
-    for session, one in zip(config.sessions, measured, strict=True):
-        _refuse_slip(session, one)
+    denied = [_judge_slip(session, one) for session, one in zip(config.sessions, measured, strict=True)]
     _check_apart(config, [one.poses for one in measured])
     warmth = [_read_temperatures(one, it.poses, folder) for one, it in zip(config.sessions, measured, strict=True)]
     parts = [part for k, it in enumerate(measured) for part in _split(config, k, it, warmth[k])]
@@ -80,7 +83,8 @@ def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
     if config.drift.hierarchy == "walk":
         check_same_machine(model, first.posterior, [one.label for one in config.sessions])
     mean_temperature = np.array([np.nan if one is None else one.mean() for one in warmth])
-    return SessionsInputs(config, model, mean_temperature, np.array([one.poses.n_poses for one in measured]))
+    n_poses = np.array([one.poses.n_poses for one in measured])
+    return SessionsInputs(config, model, mean_temperature, n_poses, [one for one in denied if one is not None])
 
 
 def _measure(config: SessionsConfig, session: SessionConfig, folder: Path) -> MeasuredVariant:
@@ -110,14 +114,22 @@ def _place(study: Any, session: SessionConfig, folder: Path, path: Path) -> Any:
     return study.model_copy(update={"data": data.model_copy(update=moved)})
 
 
-def _refuse_slip(session: SessionConfig, measured: MeasuredVariant) -> None:
-    """Raise InputError where a slip explains a session many times better: joined to others it would pass for drift."""
-    slip = find_measured_slip([measured])
+def _judge_slip(session: SessionConfig, measured: MeasuredVariant) -> str | None:
+    """Return the slip that a session looks like and the config denies; None where it looks like none.
+
+    Raises
+    ------
+    InputError
+        Where a slip explains a session many times better: joined to others it would pass for drift.
+    """
+    slip = find_measured_slip([measured], session.denied_slips)
     if slip is not None:
         raise InputError(
             f"session {session.label!r}: found poses that no machine within the tolerances comes near, expected this "
-            f"machine's; {slip.say()}"
+            f"machine's; {slip.say()}{tell_denial('denied_slips of the session')}"
         )
+    slip = find_measured_slip([measured]) if session.denied_slips else None
+    return None if slip is None else f"Session {session.label!r}: {slip.say()}"
 
 
 def _check_apart(config: SessionsConfig, poses: list[MeasuredPoses]) -> None:

@@ -9,6 +9,7 @@ import pandas as pd
 from matplotlib import figure as mpl
 
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.denied_slips import state_denied
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.report.blocks import Block, Cell, Column, Definitions, Figure, Page, Section, Statement, Table, make_table
 from bayescal.report.numbers import (
@@ -103,7 +104,7 @@ def _list_moved(results: Results) -> list[str]:
 
 
 def _list_statements(results: Results, walk: bool) -> list[Statement]:
-    summary, found = results.summary, []
+    summary, found = results.summary, state_denied(results.summary)
     nats, error = summary["log_evidence_drift"], summary["log_evidence_drift_se"]
     text = f"Log-evidence of motion against none: {format_estimate(nats, max(error, 0.01), sign=True)} nats."
     found.append(Statement(text, "warning" if nats > CLEAR else "plain", "Evidence"))

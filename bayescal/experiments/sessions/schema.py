@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
 from bayescal.config.sections import ExperimentConfig, InputFile, Number, Positive, Section, check_once
+from bayescal.experiments.shared.denied_slips import DeniedSlips
 
 type Temperature = Annotated[FiniteFloat, Field(ge=-273.15, le=2000.0)]
 type Expansion = Annotated[FiniteFloat, Field(ge=-1000.0, le=1000.0)]
@@ -26,6 +27,7 @@ class SessionConfig(Section):
     temperature_celsius : float or None
     temperatures : str or None
         File of a temperature for each pose.
+    denied_slips : list of str
     """
 
     label: Annotated[str, Field(min_length=1, max_length=60)]
@@ -44,6 +46,8 @@ class SessionConfig(Section):
     """Temperature of the machine in the whole session [deg C]."""
     temperatures: InputFile | None = None
     """CSV file with a temperature for each pose: pose, temperature_celsius."""
+    denied_slips: DeniedSlips = Field(default=[], exclude_if=lambda value: not value)
+    """Kinds of slips that its data look like and are not, as somebody says who looked: `unit`, `legs`, `rows`."""
 
     @model_validator(mode="after")
     def _check_one(self) -> Self:

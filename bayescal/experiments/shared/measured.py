@@ -41,6 +41,8 @@ class MeasuredVariant:
         What the measured part of a deformation leaves, mean over legs and poses, mm².
     actuator_variance : ndarray, shape (P, N), or None
         The same leg by leg and pose by pose; None where nothing of a deformation was measured.
+    shared_errors : ndarray, shape (P, N, M), or None
+        What M unknowns of it, standard normal, add to the legs' errors at all poses: ``actuator_variance`` as they are.
     described : mapping
         What was measured, in the study's own words.
     n_held_back : int
@@ -59,6 +61,7 @@ class MeasuredVariant:
     actuator_noise: float
     left_variance: float
     actuator_variance: Array | None = None
+    shared_errors: Array | None = None
     described: Mapping[str, Any] = field(default_factory=dict)
     n_held_back: int = 0
 

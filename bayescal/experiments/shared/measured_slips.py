@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,17 +16,19 @@ from bayescal.experiments.shared.slips import FoundSlip, Suspect, find_slip
 from bayescal.numerics.geometry import Array
 
 
-def find_measured_slip(variants: Iterable[MeasuredVariant]) -> FoundSlip | None:
+def find_measured_slip(variants: Iterable[MeasuredVariant], denied: Collection[str] = ()) -> FoundSlip | None:
     """Return what explains measured poses many times better than they stand; None where some variant fits them.
 
     Parameters
     ----------
     variants : iterable of MeasuredVariant
         The same calibration poses under models one of which may be right.
+    denied : collection of str, optional
+        Faults that are none, as somebody says who looked.
     """
     measured = list(variants)
     start = measured[0].machine.mechanism.initial_actuator_positions
-    return find_slip(map(_suspect, measured), start, max(map(_state_error, measured)))
+    return find_slip(map(_suspect, measured), start, max(map(_state_error, measured)), denied)
 
 
 @dataclass(frozen=True, eq=False)

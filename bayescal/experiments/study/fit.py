@@ -12,6 +12,7 @@ from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import Prediction
 from bayescal.density.robust import RobustPosterior
 from bayescal.density.structured_posterior import StructuredPosterior
+from bayescal.experiments.shared.misfit import measure_misfit
 from bayescal.experiments.shared.trees import SAVED_DRAWS, choose_draws, limit_draws, spread
 from bayescal.experiments.study.correct import (
     correct_draws,
@@ -25,7 +26,7 @@ from bayescal.experiments.study.pointwise import SomeDraws, evaluate_poses
 from bayescal.experiments.study.power_scaling import measure_sensitivity
 from bayescal.experiments.study.replicates import replicate_prior
 from bayescal.experiments.study.schema import stem_of
-from bayescal.experiments.study.soundness import measure_misfit, measure_pulls
+from bayescal.experiments.study.soundness import measure_pulls
 from bayescal.experiments.study.structured import evaluate_structured
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.correction import Correction

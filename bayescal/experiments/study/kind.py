@@ -134,6 +134,7 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
             actuator_noise=config.data.actuator_noise_um * MICROMETRE,
             left_variance=0.0 if left is None else float(left.mean()),
             actuator_variance=left,
+            shared_errors=inputs.without_shared_errors(chosen.name)[1],
             described=inputs.measured.describe(),
             n_held_back=int(inputs.verification.sum()),
         )

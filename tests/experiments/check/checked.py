@@ -28,9 +28,10 @@ def tiny_subject() -> Subject:
 
 
 def make_clean(seed: int, with_model_error: bool = False) -> Subject:
-    """Return a study whose data are simulated as it states, of a machine of its priors; photogrammetry aside."""
+    """Return a study whose data are simulated as it states, of a machine of its priors; K known, no photogrammetry."""
     subject = tiny_subject()
-    subject = Subject(replace(subject.measured, described={}))
+    known = replace(subject.measured, described={}, actuator_variance=None, shared_errors=None)
+    subject = Subject(known).with_poses(known.poses)
     _, poses = subject.simulate_from_prior(np.random.default_rng([seed, 8]), with_model_error)
     return subject.with_poses(poses)
 

@@ -20,6 +20,7 @@ from bayescal.experiments.check.faults.priors import check_priors
 from bayescal.experiments.check.faults.slips import check_slips
 from bayescal.experiments.check.look import look_at_data
 from bayescal.experiments.check.ranks import draw_posterior
+from bayescal.experiments.shared.misfit import find_misfit
 from bayescal.inference.mode import find_modes
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
@@ -53,6 +54,49 @@ def test_noise_stated_at_half_is_named(seed):
     assert found.level in ("warning", "bad")
 
 
+@pytest.mark.parametrize(("per_dof", "dof", "fault"), [(0.7, 40, ""), (0.7, 400, "noise"), (1.4, 40, "")])
+def test_how_far_targets_may_scatter_hangs_on_how_many_they_are(per_dof, dof, fault):
+    described = {"pose_extraction": {"chi2_per_dof": per_dof, "dof": dof}}
+    subject = checked.make_clean(3)
+    assert judge_noise(checked.Subject(replace(subject.measured, described=described))).fault == fault
+
+
+@pytest.mark.parametrize(
+    ("seed", "factor", "fault", "said"),
+    [
+        (6, 1.15, "", "less than noise of the stated size mostly gives, but not beyond chance"),
+        (3, 1.5, "noise", "less than noise of the stated size gives. It is stated too large, or poses are averages."),
+        (
+            6,
+            2.0,
+            "noise",
+            "the noise is about 0.5 times what is stated. State both, of poses and actuators. Perhaps the",
+        ),
+    ],
+)
+def test_noise_stated_too_large_is_said_by_chance(seed, factor, fault, said):
+    """Of clean data with 66 degrees of freedom."""
+    subject = checked.make_clean(seed)
+    measured = replace(subject.measured, actuator_noise=factor * subject.measured.actuator_noise)
+    poses = replace(subject.measured.poses, covariance=factor**2 * subject.measured.poses.covariance)
+    found = judge_noise(checked.Subject(measured).with_poses(poses))
+    assert found.fault == fault
+    assert said in found.text
+
+
+def test_the_error_of_a_measured_matrix_is_no_noise_of_single_poses():
+    """It moves all poses alike, so that most of it is fitted away; counted pose by pose, little noise seems left."""
+    subject = checked.tiny_subject()
+    measured = subject.measured
+    posterior = subject.posterior_of(measured.poses, with_model_error=False)
+    mode = find_modes(posterior)[0]
+    by_pose = find_misfit(posterior, mode.y, posterior.likelihood)
+    likelihood = PoseLikelihood(measured.machine, measured.poses, measured.actuator_noise)
+    shared = find_misfit(posterior, mode.y, likelihood, measured.shared_errors)
+    assert by_pose.square / by_pose.dof < shared.square / shared.dof
+    assert f"{shared.square / shared.dof:.2f} per degree of freedom ({shared.dof:.0f}," in judge_noise(subject).text
+
+
 def test_model_errors_are_no_fault_but_are_said():
     found = judge_noise(checked.make_clean(6, with_model_error=True))
     assert (found.fault, found.level) == ("model error", "warning")
@@ -60,7 +104,7 @@ def test_model_errors_are_no_fault_but_are_said():
 
 def test_noise_of_targets_stated_at_half_is_named():
     subject = checked.make_clean(3)
-    described = {"pose_extraction": {"chi2_per_dof": 4.0}}
+    described = {"pose_extraction": {"chi2_per_dof": 4.0, "dof": 30}}
     found = judge_noise(checked.Subject(replace(subject.measured, described=described)))
     assert (found.fault, found.level) == ("noise", "bad")
     assert "State target_noise_um 2 times as large" in found.text

@@ -11,6 +11,7 @@ import test_kind_contract as contract
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.shared.denied_slips import state_denied
 from bayescal.experiments.shared.slip_statement import state_slip
 from bayescal.experiments.shared.slips import ROWS, FoundSlip
 
@@ -47,5 +48,26 @@ def test_sessions_whose_rows_are_shifted_are_refused(tmp_path):
     path = session_studies.write_sessions(tmp_path)
     experiment, config = load(path)
     change_actuators(tmp_path / "data" / "2" / "actuators.csv", lambda rho: np.roll(rho, 1, axis=0))
-    with pytest.raises(InputError, match=r"session 'S2': found poses .* rows seem to be shifted by one"):
+    with pytest.raises(
+        InputError, match=r"session 'S2': .* rows seem to be shifted by one.* denied_slips of the session"
+    ):
         experiment.read(config, tmp_path)
+
+
+@pytest.mark.parametrize(("denied", "refused"), [(["rows"], False), (["legs", "unit"], True)])
+def test_a_denied_slip_is_said_and_not_refused(tmp_path, denied, refused):
+    path = session_studies.write_sessions(tmp_path)
+    experiment, config = load(path)
+    change_actuators(tmp_path / "data" / "2" / "actuators.csv", lambda rho: np.roll(rho, 1, axis=0))
+    second = config.sessions[1].model_copy(update={"denied_slips": denied})
+    config = config.model_copy(update={"sessions": [config.sessions[0], second, *config.sessions[2:]]})
+    if refused:
+        with pytest.raises(InputError, match="rows seem to be shifted by one"):
+            experiment.read(config, tmp_path)
+        return
+    (said,) = experiment.read(config, tmp_path).denied
+    assert said.startswith("Session 'S2': the data fit ")
+    (statement,) = state_denied({"denied_slips": [said]})
+    assert (statement.level, statement.lead) == ("warning", "Data")
+    assert "rows seem to be shifted by one" in statement.text
+    assert "The config denies that" in statement.text

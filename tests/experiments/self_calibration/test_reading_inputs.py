@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from reading_studies import describe_variant, load_small, write_small
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame import memory
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.self_calibration.blunders import list_denied, refuse_slip
 
 
 @pytest.fixture
@@ -117,6 +120,26 @@ def test_the_likely_cause_of_readings_that_no_pose_explains_is_said(call, small,
     change_columns(Path("data/readings.csv"), columns, mend)
     message = refuse(call, "run", small)
     assert "if one mends: " + said in message
+
+
+@pytest.mark.parametrize(("denied", "refused"), [([], True), (["legs"], False), (["rows", "unit"], True)])
+def test_a_denied_slip_is_said_and_not_refused(small, denied, refused):
+    experiment, config = load(small)
+    inputs, where = experiment.read(config, small.parent), Path("readings.csv")
+    values = inputs.table.values.copy()
+    values[:, [0, 1]] = values[:, [1, 0]]
+    data = config.data.model_copy(update={"denied_slips": denied})
+    config = config.model_copy(update={"data": data})
+    inputs = replace(inputs, config=config, table=replace(inputs.table, values=values))
+    variant = next(iter(inputs.variants.values()))
+    if refused:
+        with pytest.raises(InputError, match=r"s\[1\] and s\[2\] seem to be exchanged; .* data.denied_slips"):
+            refuse_slip(inputs, variant, where)
+        return
+    refuse_slip(inputs, variant, where)
+    said = list_denied(inputs)
+    assert said
+    assert "readings of s[1] and s[2] seem to be exchanged" in said[0]
 
 
 def test_a_single_blunder_is_no_slip(call, small):

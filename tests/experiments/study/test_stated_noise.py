@@ -15,11 +15,12 @@ from bayescal.api import run_study
 from bayescal.data.simulation import build_twin, format_survey, simulate_survey
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.shared.chi_square import ChiSquare
+from bayescal.experiments.shared.misfit import measure_misfit
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
-from bayescal.experiments.study.page.soundness import ChiSquare
-from bayescal.experiments.study.soundness import measure_misfit, measure_pulls
+from bayescal.experiments.study.soundness import measure_pulls
 from bayescal.inference.exploration import explore
 
 pytestmark = pytest.mark.runs

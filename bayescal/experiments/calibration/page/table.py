@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib import figure as mpl
 
 from bayescal.experiments.calibration.page.build import name_origin
-from bayescal.experiments.calibration.page.verdict import list_rows
+from bayescal.experiments.calibration.page.verdict import list_rows, state_slip
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 from bayescal.report.blocks import (
     Cell,
@@ -67,7 +67,8 @@ def state_headline(summary: dict[str, Any]) -> str:
     spans = [_span(name, *ends) for name, ends in summary["axes"].items()]
     moves, known = [_largest(summary, key) for key in ("largest_offset", "largest_half_width_90")]
     worth = any(one["largest_offset"] > one["largest_half_width_90"] for one in summary["coordinates"].values())
-    advice = "Correct by the table" if worth and summary["converged"] else "Do not correct by the table yet"
+    sound = summary["converged"] and "slip" not in summary
+    advice = "Correct by the table" if worth and sound else "Do not correct by the table yet"
     return (
         f"{advice}: from {join_words(spans)} it tells the platform's place to ±{known} (90 %); uncorrected it moves by "
         f"up to {moves}."
@@ -108,10 +109,7 @@ def _name_place(place: dict[str, float]) -> str:
 
 
 def _state(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Statement]:
-    found = []
-    if "slip" in summary:
-        text = f"The readings are far off; {summary['slip']}. What else is said here rests on data that seem wrong."
-        found.append(Statement(text, "bad", "Data"))
+    found = state_slip(summary)
     if not summary["converged"]:
         text = f"The posterior did not converge ({'; '.join(summary['problems'])}); the table was made by force."
         found.append(Statement(text, "bad", "Convergence"))

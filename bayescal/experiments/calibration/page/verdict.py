@@ -77,7 +77,7 @@ def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> 
         for one in list_rows(tables["accuracy"])
         if one["variant"] == best and math.isfinite(one["after"])
     ]
-    words = f"Use “{row['title']}”"
+    words = f"Use “{row['title']}”" + (", with care (see the warnings)" if "slip" in summary else "")
     return (
         f"{words}: the machine then knows {join_words(accuracy)} rms over its workspace." if accuracy else f"{words}."
     )
@@ -86,9 +86,22 @@ def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> 
 def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Statement]:
     """Return what was found, the most important first."""
     best = choose_best(tables, summary)
-    found = [_state_ranking(tables, summary, best), *_state_convergence(tables), *_state_data(tables, best)]
+    found = [
+        *state_slip(summary),
+        _state_ranking(tables, summary, best),
+        *_state_convergence(tables),
+        *_state_data(tables, best),
+    ]
     found += [*_state_coverage(tables, best), *_state_ignorance(tables, best), *_state_doubt(tables, best)]
     return [*found, *_state_beside(tables, best), *state_next(tables, best)]
+
+
+def state_slip(summary: dict[str, Any]) -> list[Statement]:
+    """Return what may have happened to readings that no machine within its priors comes near."""
+    if "slip" not in summary:
+        return []
+    text = f"The readings are far off; {summary['slip']}. What else is said here rests on data that seem wrong."
+    return [Statement(text, "bad", "Data")]
 
 
 def _row(table: pd.DataFrame, variant: str) -> Row:

@@ -35,7 +35,7 @@ def compute_table(inputs: TableInputs, run: Run) -> Results:
     table = find_table(inputs, estimate.kept, estimate.mode)
     actuators = inputs.actuators.channels
     text = format_polynomial(table.polynomial, inputs.actuators.names, [one.unit for one in actuators])
-    summary, slip = summarise(inputs, table, problems), find_calibration_slip(inputs.variant)
+    summary, slip = summarise(inputs, table, problems), find_calibration_slip([inputs.variant])
     summary |= {} if slip is None else {"slip": slip}
     return Results(summary, tabulate(inputs, table), {POLYNOMIAL_FILE: text})
 

@@ -8,14 +8,17 @@ from scipy.stats import chi2
 
 from bayescal.density.independent_error import ModelError
 from bayescal.density.likelihood import Likelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.experiments.check.faults.finding import Finding
 from bayescal.experiments.check.subject import Subject
+from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
+from bayescal.experiments.shared.misfit import find_misfit
 from bayescal.inference.mode import Mode
 from bayescal.numerics.geometry import Array
 
 CHECK, FAULT, ANOTHER = "Noise", "noise", "model error"
 IMPROBABLE = 1e-4
-EXTRACTION = (0.75, 1.35)  # of χ² by degree of freedom of the targets, beyond which their noise is another
+UNUSUAL = 0.05  # of χ²: a probability below which it is said that there is little or much of it
 FACTORS = (0.25, 0.35, 0.5, 0.7, 1.4, 2.0, 2.8, 4.0, 8.0)  # on the noise, that are tried
 STARTS = (0.05, 1.0)  # of model errors, in their scale
 LARGEST = 100.0
@@ -26,29 +29,33 @@ def check_noise(subject: Subject, mode: Mode) -> Finding:
     """Return whether the noise is as stated; mode is that of the posterior without model error.
 
     What the best machine leaves of the poses is explained once by the stated noise and model errors of their prior, and
-    once by so many times the stated noise and such model errors.
+    once by so many times the stated noise and such model errors. An error that all poses share, of a measured K, is
+    fitted along: as noise of single poses it would count as often as there are poses, and χ² come out too low.
     """
     extraction = _check_extraction(subject)
     if extraction is not None:
         return extraction
-    posterior = subject.posterior_of(subject.measured.poses, with_model_error=False)
-    likelihood = posterior.likelihood
-    errors = likelihood.errors(posterior.theta(mode.y[None]))[0]
-    data, prior = posterior.information(mode.y)
-    fitted = float(np.trace(np.linalg.solve(data + prior, data)))
-    freedom = max(errors.size - fitted, 1.0)
-    square = _chi_square(errors, likelihood.error_covariance(np.zeros(likelihood.n_legs)))
-    errors = errors * np.sqrt(errors.size / freedom)  # what was fitted away is missing in them
+    posterior, measured = subject.posterior_of(subject.measured.poses, with_model_error=False), subject.measured
+    likelihood = PoseLikelihood(measured.machine, measured.poses, measured.actuator_noise)
+    known = likelihood.error_covariance(np.zeros(likelihood.n_legs))
+    misfit = find_misfit(posterior, mode.y, likelihood, measured.shared_errors)
+    found = ChiSquare(misfit.square, max(misfit.dof, 1.0))
+    errors = (np.linalg.cholesky(known) @ misfit.left[..., None])[..., 0]
+    errors *= np.sqrt(errors.size / found.dof)  # what was fitted away is missing in them
     error = subject.posterior.model_error
     stated, tau = _fit(likelihood, errors, error, 1.0)
     best, factor = max((_fit(likelihood, errors, error, x)[0], x) for x in FACTORS)
-    said = f"χ² of the poses is {square / freedom:.2f} per degree of freedom ({freedom:.0f}) without model error"
+    said = f"χ² of the poses is {found.value / found.dof:.2f} per degree of freedom ({found.dof:.0f}, "
+    said += f"{format_chance(found.chance)}) without model error"
     if best - stated > 0.5 * float(chi2.isf(IMPROBABLE, 1)):
         text = f"{said}: the noise is about {factor:.2g} times what is stated. State both, of poses and actuators."
+        text += " Perhaps the poses are averages of several measurements." if factor < 1.0 else ""
         return Finding(CHECK, FAULT, "bad", text)
-    if square < chi2.isf(IMPROBABLE, freedom):
-        return Finding(CHECK, "", "good", f"{said}, as it should be.")
-    known = likelihood.error_covariance(np.zeros(likelihood.n_legs))
+    if not found.is_off:
+        return Finding(CHECK, "", "good", f"{said}, {_describe_chance(found)}.")
+    if found.factor < 1.0:
+        text = f"{said}: less than noise of the stated size gives. It is stated too large, or poses are averages."
+        return Finding(CHECK, FAULT, "warning", f"{text} Intervals are wider than they need be.")
     alone, times = max((_log_density(errors, x**2 * known), x) for x in FACTORS)
     said += f": more than the stated noise. Model errors of {1e3 * tau:.2g} µm explain it"
     if alone > stated - CLEARLY:
@@ -58,15 +65,26 @@ def check_noise(subject: Subject, mode: Mode) -> Finding:
     return Finding(CHECK, ANOTHER, "warning", text)
 
 
+def _describe_chance(found: ChiSquare) -> str:
+    """Return what is said of a sum of squares that is no fault."""
+    if found.chance >= UNUSUAL:
+        return "as noise of the stated size gives"
+    few = "less" if found.factor < 1.0 else "more"
+    return f"{few} than noise of the stated size mostly gives, but not beyond chance"
+
+
 def _check_extraction(subject: Subject) -> Finding | None:
     """Return whether the targets scatter about rigid bodies by another noise than stated; None where they do not."""
-    found = subject.measured.described.get("pose_extraction")
-    if not isinstance(found, dict) or EXTRACTION[0] < found["chi2_per_dof"] < EXTRACTION[1]:
+    described = subject.measured.described.get("pose_extraction")
+    if not isinstance(described, dict):
         return None
-    ratio = float(np.sqrt(found["chi2_per_dof"]))
+    found = ChiSquare(described["chi2_per_dof"] * described["dof"], described["dof"])
+    if not found.is_off:
+        return None
     text = (
-        f"targets scatter about rigid bodies {ratio:.2g} times as much as their stated noise (χ² per degree of freedom "
-        f"{found['chi2_per_dof']:.2f}), whatever the machine. State target_noise_um {ratio:.2g} times as large."
+        f"targets scatter about rigid bodies {found.factor:.2g} times as much as their stated noise (χ² per degree of "
+        f"freedom {described['chi2_per_dof']:.2f}, {format_chance(found.chance)}), whatever the machine. State "
+        f"target_noise_um {found.factor:.2g} times as large."
     )
     return Finding(CHECK, FAULT, "bad", text)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from bayescal.experiments.shared.denied_slips import state_denied
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import (
     format_count,
@@ -91,7 +92,8 @@ def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> l
     """Return what was found, whether it may be relied on last."""
     rows = list_rows(tables["variants"])
     ridges = [str(name) for name in tables["ridges"]["variant"]]
-    statements = [_judge_sensors(row, ridges.count(row["variant"]), summary) for row in rows if row["plain"]]
+    statements = state_denied(summary)
+    statements += [_judge_sensors(row, ridges.count(row["variant"]), summary) for row in rows if row["plain"]]
     statements += _judge_frames(summary, rows)
     titled = {row["variant"]: row for row in rows}
     statements += [_judge_models([titled[name] for name in names]) for names in summary["rankings"]]

@@ -6,11 +6,11 @@ Each is a test that may fail on either side; several are made, so that each has 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
+from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
 from bayescal.experiments.shared.slip_statement import state_slip
 from bayescal.experiments.study.page.results import SETTINGS, StudyResults, get_number
 from bayescal.experiments.study.page.variants import label_variant
@@ -18,10 +18,6 @@ from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_fixed, format_percent, format_significant
 from bayescal.report.symbols import split_name
 
-RARE = 1e-3
-"""Probability of a deviation as large by chance, from which on it is said."""
-WORTH_SAYING = 1.1
-"""Factor on noise or tolerance below which a deviation changes no interval that matters."""
 SERIOUS = 1.5
 REJECTED_SHARE = 0.01
 """Of targets that normal noise leaves alone, robust fits reject fewer."""
@@ -29,31 +25,6 @@ BOUND = 0.95
 RARE_BOUND = 0.01
 """A coarser test than those of χ²: with few poses none beyond a bound is rarely out of the question."""
 FAR = 2.5  # prior standard deviations of a single parameter that are named
-
-
-@dataclass(frozen=True)
-class ChiSquare:
-    """A sum of squares that should be χ²-distributed."""
-
-    value: float
-    dof: float
-
-    @property
-    def factor(self) -> float:
-        """How many times larger the deviations are than stated."""
-        return math.sqrt(self.value / self.dof) if self.dof > 0 else math.nan
-
-    @property
-    def chance(self) -> float:
-        """Probability of as large a deviation to either side."""
-        if not self.dof > 0:
-            return 1.0
-        return float(2 * min(stats.chi2.sf(self.value, self.dof), stats.chi2.cdf(self.value, self.dof), 0.5))
-
-    @property
-    def is_off(self) -> bool:
-        """Whether it lies far from its expectation, by chance and by size."""
-        return self.chance < RARE and max(self.factor, 1 / self.factor) > WORTH_SAYING
 
 
 def has_doubts(results: StudyResults) -> bool:
@@ -75,10 +46,6 @@ def state_soundness(results: StudyResults) -> list[Statement]:
 
 def _level(factor: float) -> Level:
     return "bad" if max(factor, 1 / factor) >= SERIOUS else "warning"
-
-
-def _format_chance(chance: float) -> str:
-    return "p < 0.0001" if chance < 1e-4 else f"p = {format_significant(chance, 1)}"
 
 
 # --- noise -----------------------------------------------------------------------------------------------------------
@@ -108,7 +75,7 @@ def _state_target_noise(results: StudyResults) -> list[Statement]:
     size = "small" if found.factor > 1 else "large"
     text = (
         f"The targets scatter about their rigid bodies {format_significant(found.factor, 2)} times as much as the "
-        f"stated noise (χ² per degree of freedom {format_significant(per_dof, 3)}, {_format_chance(found.chance)}): "
+        f"stated noise (χ² per degree of freedom {format_significant(per_dof, 3)}, {format_chance(found.chance)}): "
         f"the target noise is stated too {size}, or targets moved on their bodies."
     )
     return [Statement(text, _level(found.factor), "Noise")]
@@ -136,7 +103,7 @@ def _state_misfit(results: StudyResults) -> list[Statement]:
     text = (
         f"{label_variant(results, best)} leaves residuals {format_significant(found.factor, 2)} times as large as the "
         f"stated noise (χ² per degree of freedom {per_dof} without model error, {format_fixed(found.dof, 0)} degrees, "
-        f"{_format_chance(found.chance)}): "
+        f"{format_chance(found.chance)}): "
     )
     if found.factor < 1:
         text += "the noise is stated too large, and all intervals are wider than they need be."
@@ -171,7 +138,7 @@ def _state_tolerances(results: StudyResults) -> list[Statement]:
         why = "the tolerances are stated too tight, a nominal value is wrong, or the model makes up for what it lacks"
     else:
         why = "the tolerances are wider than this machine needs"
-    text = f"{where}{far} ({_format_chance(found.chance)}): {why}."
+    text = f"{where}{far} ({format_chance(found.chance)}): {why}."
     if found.factor <= 1:
         return [Statement(text, "plain", "Tolerances")]
     return [Statement(f"{text}{_name_held(results, best)}", _level(found.factor), "Tolerances")]
@@ -228,7 +195,7 @@ def describe_bounds(results: StudyResults, name: str, setting: str) -> str:
     """Return how many errors lie beyond their bounds, how many are expected, and with what probability."""
     beyond, total = count_beyond(results, name, setting)
     expected = format_fixed((1 - BOUND) * total, 1)
-    chance = _format_chance(judge_bounds(beyond, total))
+    chance = format_chance(judge_bounds(beyond, total))
     return (
         f"{SETTINGS[setting]}, {beyond} of {total} position and orientation errors of poses left out or held back lie "
         f"beyond their 95 % bounds, where {expected} are expected ({chance})"

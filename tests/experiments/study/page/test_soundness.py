@@ -11,8 +11,9 @@ from made_up_results import TWELVE, edit_table, read_study, render_text, write_r
 from rich.console import Console
 from scipy import stats
 
+from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.study.page.predictive_checks import tabulate_power_scaling
-from bayescal.experiments.study.page.soundness import ChiSquare, has_doubts, judge_bounds, state_soundness
+from bayescal.experiments.study.page.soundness import has_doubts, judge_bounds, state_soundness
 from bayescal.experiments.study.page.verdict import state_verdict
 from bayescal.experiments.study.terminal import show_doubts
 
