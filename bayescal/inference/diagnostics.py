@@ -20,6 +20,8 @@ from bayescal.limits import (
 from bayescal.numerics.geometry import Array
 
 LEAST_ERROR = 0.01  # nats; a few runs tell no smaller standard error
+LEAST_LACKING = 0.01  # of a posterior: a smaller share moves no interval that matters
+TAIL_LIMIT = 2.5  # standard errors; of one posterior in two hundred with such tails that lacks nothing
 APART = 100.0  # R-hat of ensembles that stand still at different places
 
 
@@ -87,6 +89,26 @@ def list_scout_problems(n_apart: int, n_walkers: int, limit: int) -> list[str]:
     if n_apart < limit:
         return []
     return [f"{n_apart} of {n_walkers} walkers that started far out stayed where hardly any draw is, limit {limit}"]
+
+
+def list_tail_problems(expected: float, found: float, error: float) -> list[str]:
+    """Return in words whether draws lack what of the posterior lies where the proposal seldom leads.
+
+    Parameters
+    ----------
+    expected, found : float
+        Share of the posterior there, and of the draws.
+    error : float
+        Standard error of their difference.
+    """
+    lacking = expected - found
+    if not lacking > max(LEAST_LACKING, TAIL_LIMIT * error):
+        return []
+    return [
+        f"{100 * expected:.1f} % of the posterior, but {100 * found:.1f} % of the draws lie in tails where the "
+        f"proposal seldom leads ({lacking / error:.1f} standard errors apart, limit {TAIL_LIMIT:g}); more steps get "
+        "there"
+    ]
 
 
 def list_importance_problems(pareto_k: float, n_effective: float) -> list[str]:

@@ -87,10 +87,11 @@ class Stretched:
         return np.asarray(self._means[component] + np.concatenate(moved))
 
     def log_density(self, x: Array) -> Array:
-        """Return the log-density up to a constant, (B, n) to (B,)."""
+        """Return the log-density, (B, n) to (B,)."""
+        constant = 0.5 * x.shape[1] * np.log(2.0 * np.pi) + np.log(STRETCH)
         terms = np.empty((len(self._weights), len(x)))
         for m, (mean, axes, sizes) in enumerate(zip(self._means, self._axes, self._sizes, strict=True)):
             square = ((x - mean) @ axes / sizes) ** 2
             stretched = logsumexp(0.5 * square * (1.0 - STRETCH**-2), axis=1, b=self._shares[m])
             terms[m] = np.log(self._weights[m]) - np.log(sizes).sum() - 0.5 * square.sum(axis=1) + stretched
-        return np.asarray(logsumexp(terms, axis=0))
+        return np.asarray(logsumexp(terms, axis=0) - constant)

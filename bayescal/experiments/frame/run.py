@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from bayescal.config.load import read_extended
 from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
-from bayescal.errors import InputError, NumericalError, SeveralFaultsError, name_faults
+from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError, name_faults
 from bayescal.experiments.frame.engine import Processes, call_side_by_side, open_engine
 from bayescal.experiments.frame.identity import describe_provenance, identify
 from bayescal.experiments.frame.load import AnyExperiment, find_kind, load, read_inputs
@@ -144,7 +144,7 @@ def _compute(experiment: AnyExperiment, inputs: Any, run: Run) -> Results:
     try:
         return experiment.compute(inputs, run)
     except NumericalError as error:
-        doubts = experiment.doubt(inputs)
+        doubts = _find_doubts(experiment, inputs)
         if not doubts:
             raise
         raise NumericalError(f"{error}; perhaps since {'; '.join(doubts)}") from error
@@ -206,6 +206,14 @@ def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1)
         inputs = read_inputs(experiment, config, folder)
         check_memory(experiment.estimate_memory(inputs), workers)
         return experiment.compute(inputs, Run(Processes(workers)))
+
+
+def _find_doubts(experiment: AnyExperiment, inputs: Any) -> list[str]:
+    """Return what is probably wrong with inputs that failed; what fails itself on them says nothing."""
+    try:
+        return experiment.doubt(inputs)
+    except BayescalError:
+        return []
 
 
 def _write(experiment: AnyExperiment, results: Results, folder: Path, workers: int) -> Page:

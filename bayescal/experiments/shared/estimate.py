@@ -15,6 +15,7 @@ from bayescal.inference.diagnostics import (
     list_importance_problems,
     list_scout_problems,
     list_stand_problems,
+    list_tail_problems,
     measure_longest_stand,
 )
 from bayescal.inference.importance import ImportanceEvidence
@@ -22,6 +23,7 @@ from bayescal.inference.integration import Effort, integrate_posterior
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.inference.scouts import Scouts, send_scouts
+from bayescal.inference.tails import Tails, compare_tails
 from bayescal.inference.target import Target
 from bayescal.inference.tempered import TemperedEvidence, estimate_by_tempering
 from bayescal.limits import AGREEMENT, PARETO_K_LIMIT
@@ -50,6 +52,8 @@ class Estimate:
         For how many of its steps the most patient walker stood still.
     scouts : Scouts
         Where walkers that started far out ended.
+    tails : Tails
+        What the draws have of the mass where the proposal seldom leads.
     check : TemperedEvidence or None
         Where the config asks for it.
     """
@@ -64,6 +68,7 @@ class Estimate:
     longest_stand: int
     n_steps: int
     scouts: Scouts
+    tails: Tails
     check: TemperedEvidence | None
 
     @property
@@ -96,6 +101,7 @@ class Estimate:
         )
         problems += list_stand_problems(self.longest_stand, self.n_steps)
         problems += list_scout_problems(**vars(self.scouts))
+        problems += list_tail_problems(**vars(self.tails))
         if self.check is not None:
             own, check = (self.log_evidence, self.log_evidence_se), self.check
             problems += list_check_problems(own, (check.log_evidence, check.standard_error), check.mixed)
@@ -162,6 +168,7 @@ def estimate_posterior(
         measure_longest_stand(sample.log_density),
         sampler.steps,
         send_scouts(found, sample, np.random.SeedSequence([seed, zlib.crc32(f"{name}-scouts".encode())])),
+        compare_tails(found, sample, np.random.SeedSequence([seed, zlib.crc32(f"{name}-tails".encode())])),
         _check(posterior, seed, name, effort),
     )
 

@@ -36,6 +36,7 @@ from bayescal.inference.importance import ImportanceEvidence
 from bayescal.inference.integration import Effort, integrate_posterior
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.scouts import send_scouts
+from bayescal.inference.tails import compare_tails
 from bayescal.inference.tempered import estimate_by_tempering
 from bayescal.limits import BLUNDER
 from bayescal.numerics.geometry import Array
@@ -140,6 +141,7 @@ def _sample(
         exploration.proposal,
     )
     scouts = send_scouts(exploration, sample, _seed_for(inputs, task, "scouts"))
+    tails = compare_tails(exploration, sample, _seed_for(inputs, task, "tails"))
     exact, correction = inputs.exact_density(inputs.variant(task.variant), posterior), None
     if exact is not None:
         correction = correct_draws(exact, exploration, sample, correct_seed)
@@ -159,6 +161,7 @@ def _sample(
         "acceptance": sample.acceptance,
         "longest_stand": np.array([measure_longest_stand(density), sampler.steps]),
         "scouts": np.array([scouts.n_apart, scouts.n_walkers, scouts.limit]),
+        "tails": np.array([tails.expected, tails.found, tails.error]),
         "mean": natural.mean(axis=(0, 1, 2)),
         "sd": natural.std(axis=(0, 1, 2)),
         "q05": np.quantile(natural, 0.05, axis=(0, 1, 2)),

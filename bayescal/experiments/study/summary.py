@@ -18,6 +18,7 @@ from bayescal.inference.diagnostics import (
     list_importance_problems,
     list_scout_problems,
     list_stand_problems,
+    list_tail_problems,
 )
 from bayescal.limits import AGREEMENT, MOVED_LIMIT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
@@ -95,6 +96,7 @@ def list_problems(arrays: Arrays) -> list[str]:
     problems += list_importance_problems(pareto_k, efficiency * n_draws)
     problems += list_stand_problems(*(int(x) for x in arrays["longest_stand"]))
     problems += list_scout_problems(*(int(x) for x in arrays["scouts"]))
+    problems += list_tail_problems(*(float(x) for x in arrays["tails"]))
     if "tempered" in arrays:
         trusted = arrays["importance_quality"][1] <= PARETO_K_LIMIT
         value, se, settled = (float(x) for x in arrays["tempered"])

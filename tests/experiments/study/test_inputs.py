@@ -264,6 +264,6 @@ def kill_worker(parent, *_):
 
 
 def test_a_killed_worker_is_a_numerical_failure(folder, monkeypatch):
-    monkeypatch.setattr(engine, "_run_in_worker", kill_worker)
+    monkeypatch.setattr(engine, "_call_in_worker", kill_worker)
     with pytest.raises(NumericalError, match="a worker was killed"):
         run_study(load_experiment(folder / "study.toml"), folder, folder / "out", workers=2)

@@ -1,0 +1,69 @@
+"""Whether draws have as much of a posterior's mass as lies where the proposal seldom leads.
+
+Ensembles start from a proposal and jump by it. Where that leads too seldom, in a long tail or a lesser mode, a short
+run has too little of the mass, and neither R-hat nor effective sizes see what no draw is of. How much there is can be
+known without them: draws of the proposal stretched along single axes get there, and their weights count it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayescal.inference.exploration import Exploration
+from bayescal.inference.importance import evaluate_in_batches
+from bayescal.inference.sampling import Sample
+from bayescal.inference.scouts import Stretched
+from bayescal.numerics.geometry import Array
+
+N_DRAWS = 8000
+SELDOM = 20.0
+"""By what factor a proposal leads somewhere less often than the posterior's mass would have it."""
+
+
+@dataclass(frozen=True)
+class Tails:
+    """The share of a posterior where its proposal seldom leads.
+
+    Attributes
+    ----------
+    expected : float
+        By the weights of draws that get there.
+    found : float
+        Of the ensembles' draws.
+    error : float
+        Standard error of their difference.
+    """
+
+    expected: float
+    found: float
+    error: float
+
+
+def compare_tails(exploration: Exploration, sample: Sample, seed: np.random.SeedSequence) -> Tails:
+    """Return how much of the posterior lies where the proposal seldom leads, and how many of the draws."""
+    density, wide = exploration.straight.log_density, Stretched(exploration.proposal)
+    x = wide.draw(N_DRAWS, np.random.default_rng(seed))
+    with np.errstate(all="ignore"):
+        log_density = evaluate_in_batches(density, x)
+        log_weights = log_density - wide.log_density(x)
+    log_weights[~np.isfinite(log_weights)] = -np.inf
+    weights = np.exp(log_weights - log_weights.max())
+    log_evidence = log_weights.max() + np.log(weights.mean())
+    weights /= weights.sum()
+
+    def is_seldom(log_density: Array, x: Array) -> np.ndarray:
+        return log_density - log_evidence - exploration.proposal.log_density(x) > np.log(SELDOM)
+
+    there = is_seldom(log_density, x)
+    expected = float(weights[there].sum())
+    n_ensembles, n_walkers, _, n = sample.straight.shape
+    seen = is_seldom(sample.log_density.ravel(), sample.straight.reshape(-1, n)).reshape(n_ensembles, -1)
+    shares = seen.mean(axis=1)
+    found = float(shares.mean())
+    between = shares.std(ddof=1) / np.sqrt(n_ensembles) if n_ensembles > 1 else 0.0
+    more = max(found, expected)
+    within = np.sqrt(more * (1.0 - more) / (n_ensembles * n_walkers))  # a walker that gets there stays
+    of_weights = np.sqrt(np.sum((weights * (there - expected)) ** 2))
+    return Tails(expected, found, float(np.hypot(max(between, within), of_weights)))
