@@ -13,6 +13,8 @@ STUCK_SHARE, STUCK_STEPS = 0.4, 60
 """A walker that stands still for this share of its steps, and for as many, is stuck."""
 AGREEMENT = 0.1
 """Largest difference of the two log-evidences, nats."""
+OUT_OF_QUESTION = 50.0
+"""Nats behind the best variant from which on a doubtful evidence will do."""
 TEMPERED_LIMIT = 3.0
 """Standard errors of the difference by which an evidence may miss that of its check by tempering."""
 

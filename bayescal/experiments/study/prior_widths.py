@@ -21,14 +21,13 @@ from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.schema import stem_of
 from bayescal.inference.exploration import ACCEPTABLE, GOOD_ENOUGH, Exploration, explore, explore_near
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
+from bayescal.limits import OUT_OF_QUESTION
 from bayescal.numerics.geometry import Array
 
 DRAWS = 2000
 """Draws of a proposal, a block."""
 ERROR = 0.03
 """Standard error in nats that is enough."""
-OUT_OF_QUESTION = 50.0
-"""Nats behind the best variant from which on a doubtful evidence, marked so, will do: no better one is sought."""
 EDGE = 1e-3
 """How near to a bound, by the width of a uniform prior, a mode of a wider one may begin to be looked for."""
 

@@ -19,7 +19,7 @@ from bayescal.experiments.study.page.variants import (
     name_variants,
     read_evidence,
 )
-from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
+from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, OUT_OF_QUESTION, PARETO_K_LIMIT, RHAT_LIMIT
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import format_fixed, format_percent, format_plain, format_span, join_words
 
@@ -110,9 +110,13 @@ def state_stability(results: StudyResults) -> list[Statement]:
     if len(results.ranking) == 1 or len(wide) == 1:
         return []
     statements = [_compare_widths(results, wide)]
-    doubtful = int((results.sensitivity["pareto_k"] > PARETO_K_LIMIT).sum())
+    found = results.sensitivity
+    best = found.groupby("factor")["log_evidence"].transform("max")
+    matter = found[found["log_evidence"] > best - OUT_OF_QUESTION]
+    doubtful = int((matter["pareto_k"] > PARETO_K_LIMIT).sum())
     if doubtful:
-        text = f"{doubtful} of {wide.size} of these evidences are doubtful (importance sampling, Pareto k)."
+        verb = "is" if doubtful == 1 else "are"
+        text = f"{doubtful} of {len(matter)} evidences near the best {verb} doubtful (importance sampling, Pareto k)."
         statements.append(Statement(text, "warning", "Stability"))
     return statements
 

@@ -95,6 +95,18 @@ def test_unstable_ranking_names_where_another_variant_leads(make_results):
     assert "ranking is stable" not in text
 
 
+@pytest.mark.parametrize(("variant", "said"), [("pus/linear", True), ("pus/none", False)])
+def test_doubtful_evidences_are_said_of_variants_that_may_be_the_best(make_results, variant, said):
+    folder = make_results()
+
+    def change(table):
+        table.loc[table["variant"] == "pus/none", "log_evidence"] -= 1000.0
+        table.loc[(table["variant"] == variant) & (table["factor"] == 0.5), "pareto_k"] = 0.9
+
+    edit_table(folder, "sensitivity", change)
+    assert ("evidences near the best is doubtful" in state(folder)) is said
+
+
 def test_coverage_names_variants_whose_intervals_are_too_narrow(make_results):
     text = state(make_results())
     narrow = next(line for line in text.splitlines() if line.startswith("Without model error"))
