@@ -102,7 +102,7 @@ def list_tail_problems(expected: float, found: float, error: float) -> list[str]
         Standard error of their difference.
     """
     lacking = expected - found
-    if not lacking > max(LEAST_LACKING, TAIL_LIMIT * error):
+    if lacking <= max(LEAST_LACKING, TAIL_LIMIT * error):  # not so where weights are no numbers
         return []
     return [
         f"{100 * expected:.1f} % of the posterior, but {100 * found:.1f} % of the draws lie in tails where the "
