@@ -74,9 +74,9 @@ def explore(
 ) -> Exploration:
     """Find the modes, straighten the coordinates and fit a proposal.
 
-    Laplace's approximation first; where a trial shows that it is not good enough, peaks refined over a posterior sd in
-    coordinates bent and curved to fit, twice; where these are not, curved ridges are traced to their ends; then pilot
-    runs. Where what the density leaves out matters at draws of Laplace's approximation, all of it is done again with
+    Laplace's approximation first. Curved ridges are traced to their ends: how long they are no trial of a Gaussian
+    shows. Where a trial shows that it is not good enough, peaks refined over a posterior sd in coordinates bent and
+    curved to fit, twice; then pilot runs. Where what the density leaves out matters at draws of Laplace's approximation, all of it is done again with
     the posterior's finer density. With ``anew`` the search for modes begins from draws of the prior, too.
 
     Raises
@@ -85,7 +85,7 @@ def explore(
         Where no mode is found or no proposal draw has a finite density.
     """
     modes = find_modes(posterior, np.random.default_rng(seed.generate_state(4)) if anew else None)
-    found = _explore_from(modes, posterior, seed, n_walkers, max_pilots, GOOD_ENOUGH)
+    found = _explore_from(modes, posterior, seed, n_walkers, max_pilots, GOOD_ENOUGH, trace=True)
     if found is None:
         return explore(_refine(posterior), seed, n_walkers, max_pilots, anew=anew)
     return found
@@ -140,10 +140,12 @@ def _explore_from(
     n_walkers: int,
     max_pilots: int,
     enough: float,
+    *,
+    trace: bool = False,
 ) -> Exploration | None:
     """Straighten the coordinates around known modes and fit a proposal; it is sharpened until it is good enough.
 
-    None where the density leaves out what matters there.
+    With ``trace`` ridges are traced however good it is. None where the density leaves out what matters there.
     """
     trial_seed, *pilot_seeds = seed.spawn(1 + MAX_PILOTS)
     trial_rng = np.random.default_rng(trial_seed)
@@ -153,14 +155,13 @@ def _explore_from(
     finer = posterior.finer()
     if finer is not None and not _is_fine(best, finer, np.random.default_rng(seed.generate_state(5))):
         return None
+    if posterior.curved_ridges() and (trace or best.efficiency < enough):
+        straight, peaks, best = _follow_ridges(best, enough, trial_rng)
     for round_ in range(MAX_ROUNDS):
         if best.efficiency >= enough:
             return best
         straight, peaks = _sharpen(straight, peaks[0], modes, curve=round_ == 0)
         found = _try_peaks(straight, peaks, modes, trial_rng)
-        best = found if found.efficiency > best.efficiency else best
-    if best.efficiency < enough and posterior.curved_ridges():
-        found = _follow_ridges(straight, modes, trial_rng)
         best = found if found.efficiency > best.efficiency else best
     straight, proposal = best.straight, best.proposal
     walkers = count_walkers(posterior.n_parameters, n_walkers)
@@ -227,9 +228,10 @@ def _sharpen(straight: Straightening, main: Peak, modes: list[Mode], curve: bool
     """Fit the coordinates to the main peak, then all peaks in them; a peak that climbs into another is dropped."""
     straight, main = bend_at(straight, main)
     main = refine_peak(straight.log_density, main)
-    if curve and straight.posterior.curved_ridges():
-        straight, main = curve_at(straight, main)
-        main = refine_peak(straight.log_density, main)
+    if curve:
+        curved, main = curve_at(straight, main)
+        main = main if curved is straight else refine_peak(curved.log_density, main)
+        straight = curved
     peaks = [main]
     for mode in modes[1:]:
         rough = _peak_in(straight, mode)
@@ -240,11 +242,21 @@ def _sharpen(straight: Straightening, main: Peak, modes: list[Mode], curve: bool
     return straight, peaks
 
 
-def _follow_ridges(straight: Straightening, modes: list[Mode], rng: np.random.Generator) -> Exploration:
-    """Return what peaks find in coordinates in which curved ridges are straight as far as they go."""
-    straight = trace_ridges(straight, modes)
-    straight, peaks = _sharpen(straight, _peak_in(straight, modes[0]), modes, curve=False)
-    return _try_peaks(straight, peaks, modes, rng)
+def _follow_ridges(
+    found: Exploration, enough: float, rng: np.random.Generator
+) -> tuple[Straightening, list[Peak], Exploration]:
+    """Return coordinates in which curved ridges are straight as far as they go, the peaks there, and what is best.
+
+    That is what they give where they are good enough: another's trial does not know of tails that it does not get to.
+    """
+    modes = found.modes
+    straight = trace_ridges(found.straight, modes)
+    peaks = [_peak_in(straight, mode) for mode in modes]
+    if straight.skew is None:
+        return straight, peaks, found
+    straight, peaks = _sharpen(straight, peaks[0], modes, curve=True)
+    traced = _try_peaks(straight, peaks, modes, rng)
+    return straight, peaks, traced if traced.efficiency >= min(enough, found.efficiency) else found
 
 
 def _try_out(straight: Straightening, proposal: MixtureProposal, rng: np.random.Generator) -> float:

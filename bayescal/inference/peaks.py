@@ -106,15 +106,19 @@ def _scaled(factor: Array, scale: Array) -> Array:
 
 
 def curve_at(straight: Straightening, peak: Peak) -> tuple[Straightening, Peak]:
-    """Return the straightening with shears along the curved ridges, from how the other coordinates follow.
+    """Return the straightening with shears along the curved ridges that have none, from how other coordinates follow.
 
     From both sides of the peak along the ridge, a Newton step of the coordinates that follow shows where the density
     is largest; what the two steps have in common is the curve.
     """
+    known = {curve.base for curve in straight.curves}
+    wanted = [(base, others) for base, others in straight.posterior.curved_ridges() if base not in known]
+    if not wanted:
+        return straight, peak
     precision = np.linalg.inv(peak.factor @ peak.factor.T)
     spread = np.linalg.norm(peak.factor, axis=1)
     curves = []
-    for base, others in straight.posterior.curved_ridges():
+    for base, others in wanted:
         along = (peak.factor @ peak.factor[base]) / spread[base]
         block = precision[np.ix_(others, others)]
         step = 0.5 / np.sqrt(np.diag(block))

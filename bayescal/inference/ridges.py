@@ -3,35 +3,42 @@
 A quadratic holds near a mode. Farther out the coordinates that make up for one are traced: step by step along it, each
 time to where the density is largest over those that follow, as in a profile likelihood. The ridge is then a spline and
 the shear along it has unit volume. Modes that lie along one coordinate share one spline: it leads from ridge to ridge.
+How much mass lies where along it, each point's by Laplace's formula over what follows, says how the coordinate is bent
+to a normal one: a long tail to one side, which no Gaussian leads to, is one no more.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from bayescal.inference.differences import difference_many
 from bayescal.inference.mode import Mode
+from bayescal.inference.skew import Quantiles, Skew, find_quantiles
 from bayescal.inference.straightening import Ridge, Straightening
 from bayescal.inference.target import Target
 from bayescal.numerics.geometry import Array
 
-STEP = 0.4  # posterior sds at the mode
+STEP = 0.75  # posterior sds at the mode
 MOST_STEPS = 24  # to either side
 DROP = 8.0  # nats below the mode, where a ridge has ended
 CORRECTIONS = 6  # Newton steps of the coordinates that follow
 SETTLED = 1e-2  # nats that another one would gain
+ACROSS = 0.5  # conditional sds of the differences that these are made of
+VALLEY = 3.0  # nats of depth, seen from both sides, that part one mass from another
 ON_RIDGE = 3.0  # conditional sds within which a mode lies on a ridge that was traced from another
 
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Points of a ridge: the coordinate along it (m,), ascending, and those that follow (m, k)."""
+    """Points of a ridge: the coordinate along it (m,), ascending, those that follow (m, k), log-masses there (m,)."""
 
     along: Array
     following: Array
+    log_mass: Array
 
     def spans(self, u: float) -> bool:
         """Whether a value lies between the ends."""
@@ -43,83 +50,143 @@ class _Points:
 
 
 def trace_ridges(straight: Straightening, modes: Sequence[Mode]) -> Straightening:
-    """Return the straightening with every curved ridge traced from the modes, best first.
+    """Return the straightening with every curved ridge traced from the modes, best first, and bent by its mass.
 
     A coordinate along which modes lie beside each other, not one after the other, keeps the curve that it has.
     """
-    posterior, curves = straight.posterior, {curve.base: curve for curve in straight.curves}
-    for base, others in posterior.curved_ridges():
-        points = _join(posterior, modes, base, others)
-        if points is not None:
-            curves[base] = _fit(points, modes[0], base, others)
-    return replace(straight, curves=tuple(curves.values()))
+    ridges = dict(straight.posterior.curved_ridges())
+    curves, found = {curve.base: curve for curve in straight.curves}, _trace_all(straight.posterior, modes, ridges)
+    for base, points in found.items():
+        curves[base] = _fit(_join(points), modes[0], base, ridges[base])
+    own = {base: points[0] for base, points in found.items()}
+    return replace(straight, curves=tuple(curves.values()), skew=_fit_skew(own, straight, modes[0]))
 
 
-def _join(posterior: Target, modes: Sequence[Mode], base: int, others: np.ndarray) -> _Points | None:
-    """Return the points of all ridges along a coordinate; None where they lie beside each other or lead nowhere."""
-    found: list[_Points] = []
+def _trace_all(
+    posterior: Target, modes: Sequence[Mode], ridges: Mapping[int, np.ndarray]
+) -> dict[int, list[_Points]]:
+    """Return the ridges along each coordinate, the best mode's first, where none lie beside each other."""
+    found: dict[int, list[_Points]] = {base: [] for base in ridges}
     for mode in modes:
-        known = [one for one in found if one.spans(mode.y[base])]
-        if known and _lies_on(known[0], mode, base, others):
-            continue
-        traced = _trace(posterior, mode, base, others)
-        if traced is None or any(one.overlaps(traced) for one in found):
-            return None
-        found.append(traced)
-    found.sort(key=lambda one: float(one.along[0]))
-    return _Points(np.concatenate([one.along for one in found]), np.concatenate([one.following for one in found]))
+        new = {base: ridges[base] for base in found if not _is_known(found[base], mode, base, ridges[base])}
+        for base, points in _trace(posterior, mode, new).items():
+            if points is None or any(one.overlaps(points) for one in found[base]):
+                del found[base]
+            else:
+                found[base].append(points)
+    return found
 
 
-def _lies_on(points: _Points, mode: Mode, base: int, others: np.ndarray) -> bool:
-    off = mode.y[others] - CubicSpline(points.along, points.following)(mode.y[base])
+def _is_known(found: Sequence[_Points], mode: Mode, base: int, others: np.ndarray) -> bool:
+    """Return whether a mode lies on a ridge that was traced from another."""
     precision = np.linalg.inv(mode.covariance)[np.ix_(others, others)]
-    return bool(off @ precision @ off < ON_RIDGE**2)
+    for points in found:
+        if points.spans(mode.y[base]):
+            off = mode.y[others] - CubicSpline(points.along, points.following)(mode.y[base])
+            return bool(off @ precision @ off < ON_RIDGE**2)
+    return False
 
 
-def _trace(posterior: Target, mode: Mode, base: int, others: np.ndarray) -> _Points | None:
-    """Return the points of a ridge on both sides of a mode; None where one side has none."""
-    down, up = (_follow(posterior, mode, base, others, side) for side in (-1.0, 1.0))
-    if not down or not up:
+def _join(found: Sequence[_Points]) -> _Points:
+    """Return the points of all ridges along a coordinate."""
+    ordered = sorted(found, key=lambda one: float(one.along[0]))
+    along, following, log_mass = (
+        np.concatenate([getattr(one, name) for one in ordered]) for name in ("along", "following", "log_mass")
+    )
+    return _Points(along, following, log_mass)
+
+
+def _trace(posterior: Target, mode: Mode, ridges: Mapping[int, np.ndarray]) -> dict[int, _Points | None]:
+    """Return the points of ridges on both sides of a mode; None where one side has none.
+
+    All are traced side by side, each step one batch of the density for those with as many coordinates that follow.
+    """
+    found: dict[int, _Points | None] = {}
+    for k in {len(others) for others in ridges.values()}:
+        bases = [base for base, others in ridges.items() if len(others) == k]
+        lanes = [_Lane(mode, base, ridges[base], side) for base in bases for side in (-1.0, 1.0)]
+        _follow(posterior, lanes, mode.log_density - DROP)
+        found |= {base: _both_sides(*pair) for base, *pair in zip(bases, lanes[::2], lanes[1::2], strict=True)}
+    return found
+
+
+def _both_sides(down: _Lane, up: _Lane) -> _Points | None:
+    if len(down.points) < 2 or len(up.points) < 2:
         return None
-    points = np.stack([*down[::-1], mode.y, *up])
-    return _Points(points[:, base], points[:, others])
+    points = [*down.points[:0:-1], *up.points]
+    y = np.stack([point.y for point in points])
+    return _Points(y[:, down.base], y[:, down.others], np.array([point.log_mass for point in points]))
 
 
-def _follow(posterior: Target, mode: Mode, base: int, others: np.ndarray, side: float) -> list[Array]:
-    """Return points (n,) of the ridge from a mode to where the density has dropped, by prediction and correction."""
-    width = np.sqrt(mode.covariance[base, base])
-    slope, step = mode.covariance[others, base] / width**2, side * STEP * width
-    y, points = mode.y, []
-    for _ in range(MOST_STEPS):
-        following = y.copy()
-        following[base] += step
-        following[others] += slope * step
-        found = _correct(posterior, following, others)
-        if found is None:
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """A point (n,) of a ridge, log-density there, and log-mass by Laplace's formula over what follows."""
+
+    y: Array
+    log_density: float
+    log_mass: float
+
+
+class _Lane:
+    """One side of one ridge, with its points so far, from the mode on."""
+
+    def __init__(self, mode: Mode, base: int, others: np.ndarray, side: float) -> None:
+        width = np.sqrt(mode.covariance[base, base])
+        self.base, self.others, self.points = base, others, list[_Point]()
+        self._start, self._step = mode.y, side * STEP * width
+        self._lean = self._step * mode.covariance[others, base] / width**2
+        inner = np.linalg.cholesky(np.linalg.inv(mode.covariance)[np.ix_(others, others)])
+        self.factor = np.zeros((len(mode.y), len(others)))
+        self.factor[others] = np.linalg.inv(inner).T
+
+    def predict(self) -> Array:
+        """Return where the ridge goes next, as the last points lie."""
+        if not self.points:
+            return self._start
+        y, known = self.points[-1].y.copy(), [point.y[self.others] for point in self.points[-3:]]
+        y[self.base] += self._step
+        if len(known) == 1:
+            y[self.others] += self._lean
+        else:
+            y[self.others] = 2.0 * known[-1] - known[-2] if len(known) == 2 else 3.0 * (known[2] - known[1]) + known[0]
+        return y
+
+
+def _follow(posterior: Target, lanes: Sequence[_Lane], floor: float) -> None:
+    """Add points to lanes until the density is below the floor or has no such place, by prediction and correction."""
+    running = list(lanes)
+    for _ in range(1 + MOST_STEPS):
+        if not running:
             break
-        slope = (found[others] - y[others]) / step
-        y = found
-        points.append(y)
-        if posterior.log_density(y[None])[0] < mode.log_density - DROP:
-            break
-    return points
+        found = _correct(posterior, running)
+        for lane, point in zip(running, found, strict=True):
+            if point is not None:
+                lane.points.append(point)
+        pairs = zip(running, found, strict=True)
+        running = [lane for lane, point in pairs if point is not None and point.log_density > floor]
 
 
-def _correct(posterior: Target, y: Array, others: np.ndarray) -> Array | None:
-    """Return y with the best of the coordinates that follow; None where the density has no such place nearby."""
-    y, block = y.copy(), np.ix_(others, others)
+def _correct(posterior: Target, lanes: Sequence[_Lane]) -> list[_Point | None]:
+    """Return each lane's next point, with the best of the coordinates that follow; None where there is none nearby."""
+    y, factors = np.stack([lane.predict() for lane in lanes]), np.stack([lane.factor for lane in lanes])
+    found: list[_Point | None] = [None] * len(lanes)
+    open_ = np.arange(len(lanes))
     for _ in range(CORRECTIONS):
-        if not np.isfinite(posterior.log_density(y[None])[0]):
-            return None
-        gradient, curvature = posterior.gradient(y)
-        try:
-            step = np.linalg.solve(-curvature[block], gradient[others])
-        except np.linalg.LinAlgError:
-            return None
-        y[others] += step
-        if abs(gradient[others] @ step) < SETTLED:
-            return y if np.isfinite(posterior.log_density(y[None])[0]) else None
-    return None
+        value, gradient, hessian = difference_many(posterior.log_density, y[open_], factors[open_], ACROSS)
+        with np.errstate(invalid="ignore"):
+            is_peaked = np.linalg.eigvalsh(np.where(np.isfinite(hessian), hessian, 1.0))[:, -1] < 0.0
+        open_, value, gradient, hessian = (one[is_peaked] for one in (open_, value, gradient, hessian))
+        step = np.linalg.solve(-hessian, gradient[..., None])[..., 0]
+        y[open_] += np.einsum("lik,lk->li", factors[open_], step)
+        gain = 0.5 * np.einsum("lk,lk->l", gradient, step)
+        settled = gain < SETTLED
+        log_mass = value + gain - 0.5 * np.linalg.slogdet(-hessian)[1]
+        for k in np.flatnonzero(settled):
+            found[open_[k]] = _Point(y[open_[k]], float(value[k] + gain[k]), float(log_mass[k]))
+        open_ = open_[~settled]
+        if not len(open_):
+            break
+    return found
 
 
 def _fit(points: _Points, mode: Mode, base: int, others: np.ndarray) -> Ridge:
@@ -128,3 +195,29 @@ def _fit(points: _Points, mode: Mode, base: int, others: np.ndarray) -> Ridge:
     straight = through(u) + (points.along - u)[:, None] * through(u, 1)
     ends = float(points.along[0]), float(points.along[-1])
     return Ridge(base, others, ends, CubicSpline(points.along, points.following - straight))
+
+
+def _fit_skew(traced: Mapping[int, _Points], straight: Straightening, mode: Mode) -> Skew | None:
+    """Return the bend of coordinates whose ridges were traced; what else leans on them at the mode follows."""
+    if not traced:
+        return straight.skew
+    bases = np.array(list(traced))
+    followers = np.setdiff1d(np.arange(straight.posterior.n_geometry), bases)
+    parts = [(points, _until_valleys(points.log_mass)) for points in traced.values()]
+    found = [find_quantiles(points.along[part], points.log_mass[part]) for points, part in parts]
+    quantiles = Quantiles(*(np.stack(one) for one in zip(*found, strict=True)))
+    lean = np.linalg.solve(mode.covariance[np.ix_(bases, bases)], mode.covariance[np.ix_(bases, followers)]).T
+    return Skew(bases, mode.y[bases], quantiles, followers, lean)
+
+
+def _until_valleys(log_mass: Array) -> slice:
+    """Return which points belong to the mass around the largest: as far as no deep valley parts them from it."""
+    peak = int(np.argmax(log_mass))
+    return slice(peak - _reach(log_mass[peak::-1]), peak + _reach(log_mass[peak:]) + 1)
+
+
+def _reach(log_mass: Array) -> int:
+    """Return the number of points from the first, the largest, to the last before the bottom of a deep valley."""
+    lowest = np.minimum.accumulate(log_mass)
+    beyond = np.flatnonzero((log_mass - lowest > VALLEY) & (log_mass[0] - lowest > VALLEY))
+    return len(log_mass) - 1 if not len(beyond) else int(np.argmin(log_mass[: beyond[0]]))

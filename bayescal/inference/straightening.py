@@ -10,7 +10,7 @@ gradient at the mode and H the information P + Σ q B, as diagonal as the rest. 
 coordinate ζ of a model error is skewed, the more the smaller the model error:
 ζ = c + A η + B sqrt(1 + η²) takes three quantiles of its draws to those of a standard normal η. Last, where the data
 see a quadratic of one coordinate u that others make up for, these have to follow it: a shear by β (u - u_0)² of unit
-volume straightens this ridge too.
+volume straightens this ridge too. The mass along it need not be normal either, and is made so by its quantiles.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from scipy.linalg import eigh
 from scipy.special import ndtri
 
 from bayescal.inference.mode import Mode
+from bayescal.inference.skew import Skew
 from bayescal.inference.target import Target
 from bayescal.numerics.geometry import Array
 
@@ -168,6 +169,8 @@ class Straightening:
         Bend of the model errors' coordinates.
     curves : tuple of Curve or Ridge
         Shears along curved ridges; what they follow is moved by none of them, so that the order does not matter.
+    skew : Skew or None
+        Bend of what they follow.
     """
 
     posterior: Target
@@ -177,6 +180,7 @@ class Straightening:
     tau: Array
     bend: Bend | None = None
     curves: tuple[Curve | Ridge, ...] = ()
+    skew: Skew | None = None
 
     def _stretches(self, y: Array) -> list[tuple[Array, Array | float]]:
         """Return stretch and shift of every block; needs only the model errors of y."""
@@ -198,19 +202,31 @@ class Straightening:
             y[:, n:] = self.bend.forward(x[:, n:])
         return y
 
-    def _curve(self, y: Array, sign: float) -> Array:
+    def _curve(self, v: Array) -> Array | float:
+        """Turn stretched coordinates into sampling coordinates in place, and return the log of what volumes gain."""
+        gain = 0.0 if self.skew is None else self.skew.forward(v)
         for curve in self.curves:
-            curve.add_to(y, sign)
-        return y
+            curve.add_to(v, 1.0)
+        return gain
+
+    def _uncurve(self, y: Array) -> None:
+        """Turn sampling coordinates into stretched ones in place."""
+        for curve in self.curves:
+            curve.add_to(y, -1.0)
+        if self.skew is not None:
+            self.skew.inverse(y)
 
     def y_from_x(self, x: Array) -> Array:
         """Return sampling coordinates."""
         y = self._unbend(x)
-        return self._curve(self._stretch(y, self._stretches(y)), 1.0)
+        self._stretch(y, self._stretches(y))
+        self._curve(y)
+        return y
 
     def x_from_y(self, y: Array) -> Array:
         """Return straight coordinates."""
-        x, n = self._curve(y.copy(), -1.0), self.posterior.n_geometry
+        x, n = y.copy(), self.posterior.n_geometry
+        self._uncurve(x)
         x = self._stretch(x, [(1.0 / stretch, -shift / stretch) for stretch, shift in self._stretches(y)])
         if self.bend is not None:
             x[:, n:] = self.bend.inverse(y[:, n:])
@@ -225,7 +241,9 @@ class Straightening:
             total += np.log(stretch).sum(axis=-1)
         if self.bend is not None:
             total += self.bend.log_slope(x[:, self.posterior.n_geometry :])
-        return total + self.posterior.log_density(self._curve(self._stretch(y, stretches), 1.0))
+        self._stretch(y, stretches)
+        total += self._curve(y)
+        return total + self.posterior.log_density(y)
 
     def fitted_to(self, y: Array) -> Straightening:
         """Return the straightening with bend and curves fitted to draws (B, n); ridges that were traced stay."""
@@ -238,10 +256,15 @@ class Straightening:
         return replace(self, bend=bend, curves=curves)
 
     def unsheared(self, y: Array, covariance: Array) -> Array:
-        """Return the covariance (n, n) around y, shape (n,), as it is without the shears."""
+        """Return the covariance (n, n) around y, shape (n,), as it is without shears and skew."""
         back = np.eye(len(y))
         for curve in self.curves:
             back[curve.others, curve.base] -= curve.slope(y)
+        if self.skew is not None:
+            w = y[None].copy()
+            for curve in self.curves:
+                curve.add_to(w, -1.0)
+            back = self.skew.jacobian(w[0]) @ back
         return np.asarray(back @ covariance @ back.T)
 
 
