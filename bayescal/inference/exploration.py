@@ -27,6 +27,7 @@ DOF = 50.0
 GOOD_ENOUGH = 0.5  # no sharper peak is tried
 ACCEPTABLE = 0.2  # no pilot is run
 MAX_ROUNDS = 2
+WORTH_REFINING = 6.0  # a mode this many nats below the best is left as it is: a quarter of a percent of the mass
 PLAUSIBLE = 3.0  # nats that a lesser mode's mass may lose when it is sharpened; beyond, the steps went astray
 TELLING = 0.02  # below it a trial's efficiency is mostly chance, and the later proposal is the better guess
 TRIAL_DRAWS = 2000
@@ -235,6 +236,9 @@ def _sharpen(straight: Straightening, main: Peak, modes: list[Mode], curve: bool
     peaks = [main]
     for mode in modes[1:]:
         rough = _peak_in(straight, mode)
+        if mode.log_evidence < modes[0].log_evidence - WORTH_REFINING:
+            peaks.append(rough)
+            continue
         other = refine_peak(straight.log_density, rough)
         other = other if other.log_evidence > rough.log_evidence - PLAUSIBLE else rough
         if all(np.linalg.norm(np.linalg.solve(p.factor, other.centre - p.centre)) > 1.0 for p in peaks):

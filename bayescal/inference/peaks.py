@@ -26,6 +26,7 @@ LONGEST_STEP = 4.0
 SETTLED_GAIN, SETTLED_CURVATURE = 0.01, 0.05
 GRID = np.linspace(-5.0, 5.0, 81)  # of a model error's coordinate ζ, standard normal under the prior
 CURVE_STEP = 1.5
+LEAST_WEIGHT = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +44,12 @@ class Peak:
 
 
 def proposal_from_peaks(peaks: Sequence[Peak], dof: float) -> MixtureProposal:
-    """Return a mixture over the peaks, weighted by their mass."""
+    """Return a mixture over the peaks, weighted by their mass; none so little that draws hardly lead there.
+
+    The mass of a lesser peak is the less sure: its own ridge may be bent in coordinates that are straight at the best.
+    """
     log_weights = np.array([peak.log_evidence for peak in peaks])
-    weights = np.exp(log_weights - logsumexp(log_weights))
+    weights = np.maximum(np.exp(log_weights - logsumexp(log_weights)), LEAST_WEIGHT / len(peaks))
     centres, factors = (np.stack([getattr(peak, name) for peak in peaks]) for name in ("centre", "factor"))
     return MixtureProposal(weights / weights.sum(), centres, factors, dof)
 

@@ -70,9 +70,9 @@ def _trace_all(
     for mode in modes:
         new = {base: ridges[base] for base in found if not _is_known(found[base], mode, base, ridges[base])}
         for base, points in _trace(posterior, mode, new).items():
-            if points is None or any(one.overlaps(points) for one in found[base]):
+            if points is None and not found[base]:
                 del found[base]
-            else:
+            elif points is not None and not any(one.overlaps(points) for one in found[base]):
                 found[base].append(points)
     return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.polynomial import Polynomial
 
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import Mode
-from bayescal.inference.peaks import Peak, proposal_from_peaks
+from bayescal.inference.peaks import Peak, proposal_from_peaks, refine_peak
 from bayescal.inference.ridges import trace_ridges
 from bayescal.inference.straightening import Straightening
 
@@ -115,10 +116,41 @@ def test_modes_one_after_the_other_share_a_spline():
     assert found.efficiency > 0.7
 
 
-def test_modes_beside_each_other_keep_what_there_is(single):
+def test_of_modes_beside_each_other_the_best_one_leads(single):
     bent, mode = single
     beside = Mode(mode.y + np.array([0.0, 40 * WIDTH]), mode.log_density, mode.covariance, True)
-    assert straighten(bent, [mode, beside]).curves == ()
+    (own,), (both,) = (straighten(bent, modes).curves for modes in ([mode], [mode, beside]))
+    np.testing.assert_array_equal(both.spline.c, own.spline.c)
+
+
+class Tailed:
+    """The log-density -(u + e^-u) along a ridge: its mode at 0, a long tail upwards."""
+
+    def __call__(self, u):
+        """Return the log-density."""
+        return -(u + np.exp(-u))
+
+    def deriv(self, order=1):
+        """Return the first or second derivative."""
+        return (lambda u: np.exp(-u) - 1.0) if order == 1 else (lambda u: -np.exp(-u))
+
+
+def test_a_tail_along_a_ridge_is_one_no_more():
+    """It has mass √(2 π) WIDTH exactly; a Gaussian at the mode of the same ridge without its skew leads there seldom."""
+    bent = Bent(Tailed())
+    mode = make_mode(bent, 0.0)
+    straight = straighten(bent, [mode])
+    assert straight.skew is not None
+    rng, mass = np.random.default_rng(4), np.log(np.sqrt(2 * np.pi) * WIDTH)
+    found = []
+    for one in (straight, replace(straight, skew=None)):
+        peak = refine_peak(one.log_density, Peak(mode.y, np.linalg.cholesky(one.unsheared(mode.y, mode.covariance)), 0.0))
+        found.append(estimate_by_importance(one.log_density, proposal_from_peaks([peak], 50.0), rng, 4000))
+    assert found[0].log_evidence == pytest.approx(mass, abs=4 * found[0].standard_error + 2e-3)
+    assert found[0].efficiency > 0.9
+    assert found[1].efficiency < 0.7
+    x = np.random.default_rng(5).normal(0.0, 4.0, (200, 2))
+    np.testing.assert_allclose(straight.x_from_y(straight.y_from_x(x)), x, atol=1e-9)
 
 
 def test_a_ridge_that_ends_at_once_is_none(single):
