@@ -256,7 +256,7 @@ def _follow_ridges(
     modes = found.modes
     straight = trace_ridges(found.straight, modes)
     peaks = [_peak_in(straight, mode) for mode in modes]
-    if straight.skew is None:
+    if straight.ridges is None:
         return straight, peaks, found
     straight, peaks = _sharpen(straight, peaks[0], modes, curve=True)
     traced = _try_peaks(straight, peaks, modes, rng)

@@ -115,7 +115,7 @@ def curve_at(straight: Straightening, peak: Peak) -> tuple[Straightening, Peak]:
     From both sides of the peak along the ridge, a Newton step of the coordinates that follow shows where the density
     is largest; what the two steps have in common is the curve.
     """
-    known = {curve.base for curve in straight.curves}
+    known = [*(curve.base for curve in straight.curves), *(() if straight.ridges is None else straight.ridges.bases)]
     wanted = [(base, others) for base, others in straight.posterior.curved_ridges() if base not in known]
     if not wanted:
         return straight, peak

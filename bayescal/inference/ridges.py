@@ -17,8 +17,8 @@ from scipy.interpolate import CubicSpline
 
 from bayescal.inference.differences import difference_many
 from bayescal.inference.mode import Mode
-from bayescal.inference.skew import Quantiles, Skew, find_quantiles
-from bayescal.inference.straightening import Ridge, Straightening
+from bayescal.inference.skew import Quantiles, Skew, find_quantiles, is_normal
+from bayescal.inference.straightening import Ridges, Straightening
 from bayescal.inference.target import Target
 from bayescal.numerics.geometry import Array
 
@@ -28,6 +28,7 @@ DROP = 8.0  # nats below the mode, where a ridge has ended
 CORRECTIONS = 6  # Newton steps of the coordinates that follow
 SETTLED = 1e-2  # nats that another one would gain
 ACROSS = 0.5  # conditional sds of the differences that these are made of
+PIECES = 48  # of the spline along a ridge
 VALLEY = 3.0  # nats of depth, seen from both sides, that part one mass from another
 ON_RIDGE = 3.0  # conditional sds within which a mode lies on a ridge that was traced from another
 
@@ -55,11 +56,13 @@ def trace_ridges(straight: Straightening, modes: Sequence[Mode]) -> Straightenin
     A coordinate along which modes lie beside each other, not one after the other, keeps the curve that it has.
     """
     ridges = dict(straight.posterior.curved_ridges())
-    curves, found = {curve.base: curve for curve in straight.curves}, _trace_all(straight.posterior, modes, ridges)
-    for base, points in found.items():
-        curves[base] = _fit(_join(points), modes[0], base, ridges[base])
-    own = {base: points[0] for base, points in found.items()}
-    return replace(straight, curves=tuple(curves.values()), skew=_fit_skew(own, straight, modes[0]))
+    found = _trace_all(straight.posterior, modes, ridges)
+    if not found:
+        return straight
+    curves = tuple(curve for curve in straight.curves if curve.base not in found)
+    sheared = _fit(modes[0], [(base, ridges[base], _join(points)) for base, points in found.items()])
+    skew = _fit_skew(modes[0], straight.posterior.n_geometry, {base: points[0] for base, points in found.items()})
+    return replace(straight, curves=curves, ridges=sheared, skew=skew)
 
 
 def _trace_all(
@@ -189,25 +192,41 @@ def _correct(posterior: Target, lanes: Sequence[_Lane]) -> list[_Point | None]:
     return found
 
 
-def _fit(points: _Points, mode: Mode, base: int, others: np.ndarray) -> Ridge:
-    """Return the shear through points, less its value and slope at the first mode, where the coordinates stay."""
-    through, u = CubicSpline(points.along, points.following), mode.y[base]
-    straight = through(u) + (points.along - u)[:, None] * through(u, 1)
-    ends = float(points.along[0]), float(points.along[-1])
-    return Ridge(base, others, ends, CubicSpline(points.along, points.following - straight))
+def _fit(mode: Mode, traced: Sequence[tuple[int, np.ndarray, _Points]]) -> Ridges:
+    """Return the shears through points, less value and slope at the first mode, where the coordinates stay."""
+    starts, widths, coefficients = [], [], []
+    for base, _, points in traced:
+        through, u = CubicSpline(points.along, points.following), mode.y[base]
+        knots = np.linspace(points.along[0], points.along[-1], PIECES + 1)
+        even = CubicSpline(knots, through(knots) - through(u) - (knots - u)[:, None] * through(u, 1))
+        starts.append(knots[0])
+        widths.append(knots[1] - knots[0])
+        coefficients.append(even.c)
+    return Ridges(
+        np.array([base for base, _, _ in traced]),
+        np.array(starts),
+        np.array(widths),
+        np.repeat(np.arange(len(traced)), [len(others) for _, others, _ in traced]),
+        np.concatenate([others for _, others, _ in traced]),
+        np.concatenate(coefficients, axis=2),
+    )
 
 
-def _fit_skew(traced: Mapping[int, _Points], straight: Straightening, mode: Mode) -> Skew | None:
-    """Return the bend of coordinates whose ridges were traced; what else leans on them at the mode follows."""
-    if not traced:
-        return straight.skew
-    bases = np.array(list(traced))
-    followers = np.setdiff1d(np.arange(straight.posterior.n_geometry), bases)
-    parts = [(points, _until_valleys(points.log_mass)) for points in traced.values()]
-    found = [find_quantiles(points.along[part], points.log_mass[part]) for points, part in parts]
+def _fit_skew(mode: Mode, n_geometry: int, traced: Mapping[int, _Points]) -> Skew | None:
+    """Return the bend of coordinates along which the mass is far from normal; what leans on them at the mode follows."""
+    bases, found = [], []
+    for base, points in traced.items():
+        part = _until_valleys(points.log_mass)
+        values, slopes = find_quantiles(points.along[part], points.log_mass[part])
+        if not is_normal(slopes):
+            bases.append(base)
+            found.append((values, slopes))
+    if not bases:
+        return None
+    followers = np.setdiff1d(np.arange(n_geometry), list(traced))
     quantiles = Quantiles(*(np.stack(one) for one in zip(*found, strict=True)))
     lean = np.linalg.solve(mode.covariance[np.ix_(bases, bases)], mode.covariance[np.ix_(bases, followers)]).T
-    return Skew(bases, mode.y[bases], quantiles, followers, lean)
+    return Skew(np.array(bases), mode.y[bases], quantiles, followers, lean)
 
 
 def _until_valleys(log_mass: Array) -> slice:

@@ -18,7 +18,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
 from scipy.special import ndtri
 
@@ -99,35 +98,55 @@ def fit_curve(y: Array, base: int, others: np.ndarray) -> Curve:
 
 
 @dataclass(frozen=True, eq=False)
-class Ridge:
-    """The shear y_others = w_others + g(w_base), g a spline that has neither value nor slope at the best mode.
+class Ridges:
+    """The shear y_k = w_k + g_k(w_i) along traced ridges, g_k cubic splines over evenly spaced knots.
+
+    Beyond its ends a ridge goes on straight. A coordinate k may follow several ridges: it moves by their sum.
 
     Attributes
     ----------
-    base : int
-        The coordinate along which the ridge runs.
-    others : ndarray of int, shape (k,)
-        Those that follow.
-    ends : tuple of float
-        Where it was traced to; beyond, it goes on straight.
-    spline : CubicSpline
-        g, values (k,).
+    bases : ndarray of int, shape (r,)
+        The coordinates i along which ridges run.
+    starts, widths : ndarray, shape (r,)
+        The first knot of each, and the distance to the next.
+    owners, others : ndarray of int, shape (K,)
+        Of each follower, which of the ridges it follows, and its coordinate k.
+    coefficients : ndarray, shape (4, N, K)
+        Of the cubic in each of N pieces, highest power first, by the distance from the piece's first knot.
     """
 
-    base: int
+    bases: np.ndarray
+    starts: Array
+    widths: Array
+    owners: np.ndarray
     others: np.ndarray
-    ends: tuple[float, float]
-    spline: CubicSpline
+    coefficients: Array
+
+    def _locate(self, u: Array) -> tuple[np.ndarray, Array, Array]:
+        """Return for u (B, r) and each follower which piece is meant, how far into it, and how far beyond the ends."""
+        last = self.coefficients.shape[1]
+        place = (u - self.starts) / self.widths
+        inside = np.clip(place, 0.0, last)
+        piece = np.minimum(inside.astype(int), last - 1)
+        into, beyond = (inside - piece) * self.widths, (place - inside) * self.widths
+        return piece[:, self.owners], into[:, self.owners], beyond[:, self.owners]
 
     def add_to(self, w: Array, sign: float) -> None:
         """Add the shear to vectors (B, n) in place, or take it away."""
-        u = w[:, self.base]
-        inside = np.clip(u, *self.ends)
-        w[:, self.others] += sign * (self.spline(inside) + (u - inside)[:, None] * self.spline(inside, 1))
+        piece, into, beyond = self._locate(w[:, self.bases])
+        columns = np.arange(len(self.others))
+        cubic, square, slope, value = (one[piece, columns] for one in self.coefficients)
+        moves = ((cubic * into + square) * into + slope) * into + value
+        moves += beyond * ((3.0 * cubic * into + 2.0 * square) * into + slope)
+        for ridge in range(len(self.bases)):
+            own = self.owners == ridge
+            w[:, self.others[own]] += sign * moves[:, own]
 
-    def slope(self, w: Array) -> Array:
-        """Return how the shear grows along the ridge at one vector (n,), shape (k,)."""
-        return np.asarray(self.spline(np.clip(w[self.base], *self.ends), 1))
+    def slopes(self, w: Array) -> Array:
+        """Return how each follower's shear grows along its ridge at one vector (n,), shape (K,)."""
+        piece, into, _ = self._locate(w[None, self.bases])
+        cubic, square, slope, _ = (one[piece[0], np.arange(len(self.others))] for one in self.coefficients)
+        return np.asarray((3.0 * cubic * into[0] + 2.0 * square) * into[0] + slope)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,8 +186,10 @@ class Straightening:
         m and τ̂ of each group.
     bend : Bend or None
         Bend of the model errors' coordinates.
-    curves : tuple of Curve or Ridge
+    curves : tuple of Curve
         Shears along curved ridges; what they follow is moved by none of them, so that the order does not matter.
+    ridges : Ridges or None
+        Shears along others that were traced.
     skew : Skew or None
         Bend of what they follow.
     """
@@ -179,7 +200,8 @@ class Straightening:
     rest: Array
     tau: Array
     bend: Bend | None = None
-    curves: tuple[Curve | Ridge, ...] = ()
+    curves: tuple[Curve, ...] = ()
+    ridges: Ridges | None = None
     skew: Skew | None = None
 
     def _stretches(self, y: Array) -> list[tuple[Array, Array | float]]:
@@ -205,14 +227,19 @@ class Straightening:
     def _curve(self, v: Array) -> Array | float:
         """Turn stretched coordinates into sampling coordinates in place, and return the log of what volumes gain."""
         gain = 0.0 if self.skew is None else self.skew.forward(v)
-        for curve in self.curves:
-            curve.add_to(v, 1.0)
+        self._shear(v, 1.0)
         return gain
+
+    def _shear(self, w: Array, sign: float) -> None:
+        """Add the shears along all ridges to vectors (B, n) in place, or take them away."""
+        for curve in self.curves:
+            curve.add_to(w, sign)
+        if self.ridges is not None:
+            self.ridges.add_to(w, sign)
 
     def _uncurve(self, y: Array) -> None:
         """Turn sampling coordinates into stretched ones in place."""
-        for curve in self.curves:
-            curve.add_to(y, -1.0)
+        self._shear(y, -1.0)
         if self.skew is not None:
             self.skew.inverse(y)
 
@@ -248,22 +275,20 @@ class Straightening:
     def fitted_to(self, y: Array) -> Straightening:
         """Return the straightening with bend and curves fitted to draws (B, n); ridges that were traced stay."""
         bend = fit_bend(y[:, self.posterior.n_geometry :]) if self.blocks else None
-        traced = {curve.base: curve for curve in self.curves if isinstance(curve, Ridge)}
-        curves = tuple(
-            traced[base] if base in traced else fit_curve(y, base, others)
-            for base, others in self.posterior.curved_ridges()
-        )
-        return replace(self, bend=bend, curves=curves)
+        traced = () if self.ridges is None else self.ridges.bases
+        wanted = [(base, others) for base, others in self.posterior.curved_ridges() if base not in traced]
+        return replace(self, bend=bend, curves=tuple(fit_curve(y, base, others) for base, others in wanted))
 
     def unsheared(self, y: Array, covariance: Array) -> Array:
         """Return the covariance (n, n) around y, shape (n,), as it is without shears and skew."""
         back = np.eye(len(y))
         for curve in self.curves:
             back[curve.others, curve.base] -= curve.slope(y)
+        if self.ridges is not None:
+            np.subtract.at(back, (self.ridges.others, self.ridges.bases[self.ridges.owners]), self.ridges.slopes(y))
         if self.skew is not None:
             w = y[None].copy()
-            for curve in self.curves:
-                curve.add_to(w, -1.0)
+            self._shear(w, -1.0)
             back = self.skew.jacobian(w[0]) @ back
         return np.asarray(back @ covariance @ back.T)
 

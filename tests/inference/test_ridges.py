@@ -56,6 +56,11 @@ def straighten(bent, modes):
     return trace_ridges(plain, modes)
 
 
+def ends(ridges):
+    """Return where the only ridge begins and ends."""
+    return ridges.starts[0], ridges.starts[0] + ridges.coefficients.shape[1] * ridges.widths[0]
+
+
 @pytest.fixture
 def single():
     """Return a ridge of standard normal density along it, and its mode."""
@@ -65,13 +70,13 @@ def single():
 
 def test_a_ridge_is_traced_as_far_as_it_goes(single):
     bent, mode = single
-    (ridge,) = straighten(bent, [mode]).curves
-    assert ridge.ends[0] < -3.9
-    assert ridge.ends[1] > 3.9
+    ridges = straighten(bent, [mode]).ridges
+    assert ends(ridges)[0] < -3.9
+    assert ends(ridges)[1] > 3.9
     w = np.stack([np.linspace(-4.0, 4.0, 41), np.zeros(41)], axis=1)
-    ridge.add_to(w, 1.0)
+    ridges.add_to(w, 1.0)
     np.testing.assert_allclose(w[:, 1], CURVE(w[:, 0]) - 0.3 - 0.5 * w[:, 0], atol=1e-3)
-    np.testing.assert_allclose(ridge.slope(mode.y), 0.0, atol=1e-9)
+    np.testing.assert_allclose(ridges.slopes(mode.y), 0.0, atol=1e-3)
 
 
 def test_straight_coordinates_are_a_bijection_beyond_the_ends_too(single):
@@ -97,8 +102,7 @@ def test_modes_one_after_the_other_share_a_spline():
     bent = Bent(Polynomial([-32.0, 0.0, 16.0, 0.0, -2.0]))
     modes = [make_mode(bent, 2.0), make_mode(bent, -2.0)]
     straight = straighten(bent, modes)
-    (ridge,) = straight.curves
-    assert ridge.ends[0] < -2.0 < 2.0 < ridge.ends[1]
+    assert ends(straight.ridges)[0] < -2.0 < 2.0 < ends(straight.ridges)[1]
     peaks = [
         Peak(
             straight.x_from_y(one.y[None])[0],
@@ -119,8 +123,8 @@ def test_modes_one_after_the_other_share_a_spline():
 def test_of_modes_beside_each_other_the_best_one_leads(single):
     bent, mode = single
     beside = Mode(mode.y + np.array([0.0, 40 * WIDTH]), mode.log_density, mode.covariance, True)
-    (own,), (both,) = (straighten(bent, modes).curves for modes in ([mode], [mode, beside]))
-    np.testing.assert_array_equal(both.spline.c, own.spline.c)
+    own, both = (straighten(bent, modes).ridges for modes in ([mode], [mode, beside]))
+    np.testing.assert_array_equal(both.coefficients, own.coefficients)
 
 
 class Tailed:
@@ -160,4 +164,4 @@ def test_a_ridge_that_ends_at_once_is_none(single):
         curved_ridges=bent.curved_ridges,
         log_density=lambda y: np.where(y[:, 0] <= 0.0, bent.log_density(y), -np.inf),
     )
-    assert straighten(cut, [mode]).curves == ()
+    assert straighten(cut, [mode]).ridges is None
