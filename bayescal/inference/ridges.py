@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebder, chebfit, chebpts1, chebval
 from scipy.interpolate import CubicSpline
 
 from bayescal.inference.differences import difference_many
@@ -28,7 +29,8 @@ DROP = 8.0  # nats below the mode, where a ridge has ended
 CORRECTIONS = 6  # Newton steps of the coordinates that follow
 SETTLED = 1e-2  # nats that another one would gain
 ACROSS = 0.5  # conditional sds of the differences that these are made of
-PIECES = 48  # of the spline along a ridge
+DEGREES = (4, 8, 16, 32, 64)  # of series along a ridge
+FINE, CLOSE = 200, 0.05  # places, and conditional sds by which a series may miss a spline at them
 VALLEY = 3.0  # nats of depth, seen from both sides, that part one mass from another
 ON_RIDGE = 3.0  # conditional sds within which a mode lies on a ridge that was traced from another
 
@@ -194,22 +196,32 @@ def _correct(posterior: Target, lanes: Sequence[_Lane]) -> list[_Point | None]:
 
 def _fit(mode: Mode, traced: Sequence[tuple[int, np.ndarray, _Points]]) -> Ridges:
     """Return the shears through points, less value and slope at the first mode, where the coordinates stay."""
-    starts, widths, coefficients = [], [], []
-    for base, _, points in traced:
-        through, u = CubicSpline(points.along, points.following), mode.y[base]
-        knots = np.linspace(points.along[0], points.along[-1], PIECES + 1)
-        even = CubicSpline(knots, through(knots) - through(u) - (knots - u)[:, None] * through(u, 1))
-        starts.append(knots[0])
-        widths.append(knots[1] - knots[0])
-        coefficients.append(even.c)
-    return Ridges(
-        np.array([base for base, _, _ in traced]),
-        np.array(starts),
-        np.array(widths),
-        np.repeat(np.arange(len(traced)), [len(others) for _, others, _ in traced]),
-        np.concatenate([others for _, others, _ in traced]),
-        np.concatenate(coefficients, axis=2),
-    )
+    precision = np.linalg.inv(mode.covariance)
+    bases = np.array([base for base, _, _ in traced])
+    ends = np.array([(points.along[0], points.along[-1]) for _, _, points in traced])
+    centres, halves = ends.mean(axis=1), 0.5 * np.ptp(ends, axis=1)
+    found = []
+    for (base, others, points), centre, half in zip(traced, centres, halves, strict=True):
+        inner = np.linalg.cholesky(precision[np.ix_(others, others)])
+        found.append(_fit_series((points.along - centre) / half, points.following, inner, (mode.y[base] - centre) / half))
+    series = np.zeros((len(traced), max(map(len, found)), len(mode.y)))
+    for one, own, (_, others, _) in zip(series, found, traced, strict=True):
+        one[: len(own), others] = own
+    return Ridges(bases, centres, halves, series)
+
+
+def _fit_series(place: Array, following: Array, inner: Array, origin: float) -> Array:
+    """Return the shortest Chebyshev series (D, k) that is the cubic spline through points within a small error."""
+    through = CubicSpline(place, following)
+    fine = np.linspace(-1.0, 1.0, FINE)
+    for degree in DEGREES:
+        series = chebfit(chebpts1(2 * degree), through(chebpts1(2 * degree)), degree)
+        off = (chebval(fine, series).T - through(fine)) @ inner
+        if np.linalg.norm(off, axis=1).max() < CLOSE:
+            break
+    series[1] -= chebval(origin, chebder(series))
+    series[0] -= chebval(origin, series)
+    return series
 
 
 def _fit_skew(mode: Mode, n_geometry: int, traced: Mapping[int, _Points]) -> Skew | None:
@@ -224,9 +236,13 @@ def _fit_skew(mode: Mode, n_geometry: int, traced: Mapping[int, _Points]) -> Ske
     if not bases:
         return None
     followers = np.setdiff1d(np.arange(n_geometry), list(traced))
+    lean = np.zeros((len(bases), len(mode.y)))
+    lean[np.arange(len(bases)), bases] = 1.0
+    lean[:, followers] = np.linalg.solve(
+        mode.covariance[np.ix_(bases, bases)], mode.covariance[np.ix_(bases, followers)]
+    )
     quantiles = Quantiles(*(np.stack(one) for one in zip(*found, strict=True)))
-    lean = np.linalg.solve(mode.covariance[np.ix_(bases, bases)], mode.covariance[np.ix_(bases, followers)]).T
-    return Skew(np.array(bases), mode.y[bases], quantiles, followers, lean)
+    return Skew(np.array(bases), mode.y[bases], quantiles, lean)
 
 
 def _until_valleys(log_mass: Array) -> slice:

@@ -111,7 +111,7 @@ def _extend(along: Array, log_mass: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Skew:
-    """The bend w_i = φ_i(v_i) of coordinates along ridges; others that lean on them follow: w = v + L (φ(v_i) - v_i).
+    """The bend of coordinates v_i along ridges, w = v + (φ(v_i) - v_i) L: w_i = φ_i(v_i), and what leans on them follows.
 
     Attributes
     ----------
@@ -120,15 +120,13 @@ class Skew:
         Where φ is the identity, slope included: the best mode.
     quantiles : Quantiles
         From a standard normal η to w_i; φ is that after the line η(v) which makes it the identity at the origin.
-    followers : ndarray of int, shape (k,)
-    lean : ndarray, shape (k, r)
-        By how much these follow.
+    lean : ndarray, shape (r, n)
+        L: by how much every coordinate follows each; one for itself, zero for the others with ridges.
     """
 
     bases: np.ndarray
     origin: Array
     quantiles: Quantiles
-    followers: np.ndarray
     lean: Array
 
     @cached_property
@@ -151,14 +149,12 @@ class Skew:
         self._move(w, self.origin + (eta - at) * unit)
 
     def _move(self, y: Array, to: Array) -> None:
-        y[:, self.followers] += (to - y[:, self.bases]) @ self.lean.T
-        y[:, self.bases] = to
+        y += (to - y[:, self.bases]) @ self.lean
 
     def jacobian(self, w: Array) -> Array:
         """Return dv/dw (n, n) at one vector w, shape (n,)."""
         _, slope = self.quantiles.inverse(w[None, self.bases])
         shrink = self._line[1] / slope[0]
         back = np.eye(len(w))
-        back[self.bases, self.bases] = shrink
-        back[np.ix_(self.followers, self.bases)] = self.lean * (shrink - 1.0)
+        back[:, self.bases] += self.lean.T * (shrink - 1.0)
         return back

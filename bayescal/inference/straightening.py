@@ -16,8 +16,10 @@ volume straightens this ridge too. The mass along it need not be normal either, 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebder, chebvander
 from scipy.linalg import eigh
 from scipy.special import ndtri
 
@@ -99,54 +101,50 @@ def fit_curve(y: Array, base: int, others: np.ndarray) -> Curve:
 
 @dataclass(frozen=True, eq=False)
 class Ridges:
-    """The shear y_k = w_k + g_k(w_i) along traced ridges, g_k cubic splines over evenly spaced knots.
-
-    Beyond its ends a ridge goes on straight. A coordinate k may follow several ridges: it moves by their sum.
+    """The shear y_k = w_k + Σ_i g_ik(w_i) along traced ridges i, g Chebyshev series; beyond its ends one goes on straight.
 
     Attributes
     ----------
     bases : ndarray of int, shape (r,)
-        The coordinates i along which ridges run.
-    starts, widths : ndarray, shape (r,)
-        The first knot of each, and the distance to the next.
-    owners, others : ndarray of int, shape (K,)
-        Of each follower, which of the ridges it follows, and its coordinate k.
-    coefficients : ndarray, shape (4, N, K)
-        Of the cubic in each of N pieces, highest power first, by the distance from the piece's first knot.
+        The coordinates i.
+    centres, halves : ndarray, shape (r,)
+        The middle of each ridge, and how far it goes to either side.
+    series : ndarray, shape (r, D, n)
+        Coefficients of g by (w_i - centre) / half; zero for coordinates that do not follow.
     """
 
     bases: np.ndarray
-    starts: Array
-    widths: Array
-    owners: np.ndarray
-    others: np.ndarray
-    coefficients: Array
+    centres: Array
+    halves: Array
+    series: Array
 
-    def _locate(self, u: Array) -> tuple[np.ndarray, Array, Array]:
-        """Return for u (B, r) and each follower which piece is meant, how far into it, and how far beyond the ends."""
-        last = self.coefficients.shape[1]
-        place = (u - self.starts) / self.widths
-        inside = np.clip(place, 0.0, last)
-        piece = np.minimum(inside.astype(int), last - 1)
-        into, beyond = (inside - piece) * self.widths, (place - inside) * self.widths
-        return piece[:, self.owners], into[:, self.owners], beyond[:, self.owners]
+    @cached_property
+    def _slopes(self) -> Array:
+        return chebder(self.series, axis=1)
 
     def add_to(self, w: Array, sign: float) -> None:
         """Add the shear to vectors (B, n) in place, or take it away."""
-        piece, into, beyond = self._locate(w[:, self.bases])
-        columns = np.arange(len(self.others))
-        cubic, square, slope, value = (one[piece, columns] for one in self.coefficients)
-        moves = ((cubic * into + square) * into + slope) * into + value
-        moves += beyond * ((3.0 * cubic * into + 2.0 * square) * into + slope)
-        for ridge in range(len(self.bases)):
-            own = self.owners == ridge
-            w[:, self.others[own]] += sign * moves[:, own]
+        place = (w[:, self.bases] - self.centres) / self.halves
+        inside = np.clip(place, -1.0, 1.0)
+        move = _sum_series(inside, self.series)
+        beyond = place - inside
+        if beyond.any():
+            move += _sum_series(inside, self._slopes, beyond)
+        w += sign * move
 
     def slopes(self, w: Array) -> Array:
-        """Return how each follower's shear grows along its ridge at one vector (n,), shape (K,)."""
-        piece, into, _ = self._locate(w[None, self.bases])
-        cubic, square, slope, _ = (one[piece[0], np.arange(len(self.others))] for one in self.coefficients)
-        return np.asarray((3.0 * cubic * into[0] + 2.0 * square) * into[0] + slope)
+        """Return how each coordinate's shear grows along each ridge at one vector (n,), shape (r, n)."""
+        inside = np.clip((w[self.bases] - self.centres) / self.halves, -1.0, 1.0)
+        terms = chebvander(inside, self._slopes.shape[1] - 1)
+        return np.asarray(np.einsum("rd,rdn->rn", terms, self._slopes) / self.halves[:, None])
+
+
+def _sum_series(place: Array, series: Array, factor: Array | None = None) -> Array:
+    """Return the sum over r of Chebyshev series (r, D, n) at places (B, r), each times its factor, shape (B, n)."""
+    terms = chebvander(place, series.shape[1] - 1)
+    if factor is not None:
+        terms *= factor[..., None]
+    return np.asarray(terms.reshape(len(place), -1) @ series.reshape(-1, series.shape[-1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,7 +283,7 @@ class Straightening:
         for curve in self.curves:
             back[curve.others, curve.base] -= curve.slope(y)
         if self.ridges is not None:
-            np.subtract.at(back, (self.ridges.others, self.ridges.bases[self.ridges.owners]), self.ridges.slopes(y))
+            back[:, self.ridges.bases] -= self.ridges.slopes(y).T
         if self.skew is not None:
             w = y[None].copy()
             self._shear(w, -1.0)

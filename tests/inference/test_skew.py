@@ -50,8 +50,8 @@ def skew():
     """Return a skew of coordinates 3 and 1 of five, which 0 and 4 follow."""
     found = [find_quantiles(*case[:2]) for case in (of(gumbel_r(0.3, 2.0), -4.0, 17.0), of(t(6), -6.0, 6.0))]
     quantiles = Quantiles(*(np.stack(one) for one in zip(*found, strict=True)))
-    lean = np.array([[0.4, -1.0], [2.0, 0.1]])
-    return Skew(np.array([3, 1]), np.array([0.9, -0.2]), quantiles, np.array([0, 4]), lean)
+    lean = np.array([[0.4, 0.0, 0.0, 1.0, 2.0], [-1.0, 1.0, 0.0, 0.0, 0.1]])
+    return Skew(np.array([3, 1]), np.array([0.9, -0.2]), quantiles, lean)
 
 
 def test_there_and_back(skew):
