@@ -19,9 +19,7 @@ def difference_twice(log_density: LogDensity, centre: Array, factor: Array, step
     return gradient[0], hessian[0]
 
 
-def difference_many(
-    log_density: LogDensity, centres: Array, factors: Array, step: float
-) -> tuple[Array, Array, Array]:
+def difference_many(log_density: LogDensity, centres: Array, factors: Array, step: float) -> tuple[Array, Array, Array]:
     """Return value (L,), gradient (L, k) and Hessian (L, k, k) at L centres (L, n), each along its own k columns.
 
     Derivatives are by w of x = centre + factor w, with factors (L, n, k), and NaN where the density is not finite at

@@ -21,7 +21,7 @@ from bayescal.numerics.geometry import Array
 
 type Draw = Callable[[int, np.random.Generator], Array]
 
-JUMP_SHARE = 0.7
+JUMP_SHARE = 0.7  # of moves
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +50,11 @@ def run_ensemble(
     n_burn_in: int,
     n_steps: int,
     starts: Draw | None = None,
+    jump_share: float = JUMP_SHARE,
 ) -> Ensemble:
     """Run one ensemble that starts at draws of the proposal, or at those of ``starts``.
+
+    That share of the moves are jumps, the others differential evolution.
 
     Raises
     ------
@@ -66,7 +69,7 @@ def run_ensemble(
         drawn = proposal.draw(len(coordinates), np.random.default_rng(random.randint(2**32, size=4, dtype=np.uint64)))
         return drawn, proposal.log_density(coordinates) - proposal.log_density(drawn)
 
-    moves = [(emcee.moves.MHMove(jump), JUMP_SHARE), (emcee.moves.DEMove(), 1.0 - JUMP_SHARE)]
+    moves = [(emcee.moves.MHMove(jump), jump_share), (emcee.moves.DEMove(), 1.0 - jump_share)]
     sampler = emcee.EnsembleSampler(n_walkers, start.shape[1], log_density, moves=moves, vectorize=True)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Initial state is not linearly independent")

@@ -77,8 +77,9 @@ def explore(
 
     Laplace's approximation first. Curved ridges are traced to their ends: how long they are no trial of a Gaussian
     shows. Where a trial shows that it is not good enough, peaks refined over a posterior sd in coordinates bent and
-    curved to fit, twice; then pilot runs. Where what the density leaves out matters at draws of Laplace's approximation, all of it is done again with
-    the posterior's finer density. With ``anew`` the search for modes begins from draws of the prior, too.
+    curved to fit, twice; then pilot runs. Where what the density leaves out matters at draws of Laplace's
+    approximation, all of it is done again with the posterior's finer density. With ``anew`` the search for modes begins
+    from draws of the prior, too.
 
     Raises
     ------

@@ -67,9 +67,7 @@ def trace_ridges(straight: Straightening, modes: Sequence[Mode]) -> Straightenin
     return replace(straight, curves=curves, ridges=sheared, skew=skew)
 
 
-def _trace_all(
-    posterior: Target, modes: Sequence[Mode], ridges: Mapping[int, np.ndarray]
-) -> dict[int, list[_Points]]:
+def _trace_all(posterior: Target, modes: Sequence[Mode], ridges: Mapping[int, np.ndarray]) -> dict[int, list[_Points]]:
     """Return the ridges along each coordinate, the best mode's first, where none lie beside each other."""
     found: dict[int, list[_Points]] = {base: [] for base in ridges}
     for mode in modes:
@@ -180,7 +178,8 @@ def _correct(posterior: Target, lanes: Sequence[_Lane]) -> list[_Point | None]:
         value, gradient, hessian = difference_many(posterior.log_density, y[open_], factors[open_], ACROSS)
         with np.errstate(invalid="ignore"):
             is_peaked = np.linalg.eigvalsh(np.where(np.isfinite(hessian), hessian, 1.0))[:, -1] < 0.0
-        open_, value, gradient, hessian = (one[is_peaked] for one in (open_, value, gradient, hessian))
+        open_ = open_[is_peaked]
+        value, gradient, hessian = value[is_peaked], gradient[is_peaked], hessian[is_peaked]
         step = np.linalg.solve(-hessian, gradient[..., None])[..., 0]
         y[open_] += np.einsum("lik,lk->li", factors[open_], step)
         gain = 0.5 * np.einsum("lk,lk->l", gradient, step)
@@ -203,7 +202,9 @@ def _fit(mode: Mode, traced: Sequence[tuple[int, np.ndarray, _Points]]) -> Ridge
     found = []
     for (base, others, points), centre, half in zip(traced, centres, halves, strict=True):
         inner = np.linalg.cholesky(precision[np.ix_(others, others)])
-        found.append(_fit_series((points.along - centre) / half, points.following, inner, (mode.y[base] - centre) / half))
+        found.append(
+            _fit_series((points.along - centre) / half, points.following, inner, (mode.y[base] - centre) / half)
+        )
     series = np.zeros((len(traced), max(map(len, found)), len(mode.y)))
     for one, own, (_, others, _) in zip(series, found, traced, strict=True):
         one[: len(own), others] = own
@@ -225,7 +226,7 @@ def _fit_series(place: Array, following: Array, inner: Array, origin: float) -> 
 
 
 def _fit_skew(mode: Mode, n_geometry: int, traced: Mapping[int, _Points]) -> Skew | None:
-    """Return the bend of coordinates along which the mass is far from normal; what leans on them at the mode follows."""
+    """Return the bend of coordinates along which the mass is far from normal; what leans on them there follows."""
     bases, found = [], []
     for base, points in traced.items():
         part = _until_valleys(points.log_mass)

@@ -8,9 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.inference.diagnostics import Diagnostics, diagnose
-from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.exploration import Exploration, count_walkers
+from bayescal.inference.ensemble import JUMP_SHARE, run_ensemble
+from bayescal.inference.exploration import GOOD_ENOUGH, Exploration, count_walkers
 from bayescal.numerics.geometry import Array
+
+GOOD_JUMP_SHARE = 0.9  # of moves, by a proposal that is good enough: then they move walkers farther than others
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +52,9 @@ def sample_posterior(
     straight = exploration.straight
     posterior = straight.posterior
     walkers = count_walkers(posterior.n_parameters, n_walkers)
+    share = GOOD_JUMP_SHARE if exploration.efficiency >= GOOD_ENOUGH else JUMP_SHARE
     ensembles = [
-        run_ensemble(straight.log_density, exploration.proposal, own, walkers, n_burn_in, n_steps)
+        run_ensemble(straight.log_density, exploration.proposal, own, walkers, n_burn_in, n_steps, jump_share=share)
         for own in seed.spawn(n_ensembles)
     ]
     draws = np.stack([ensemble.draws for ensemble in ensembles])

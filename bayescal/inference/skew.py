@@ -111,7 +111,7 @@ def _extend(along: Array, log_mass: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Skew:
-    """The bend of coordinates v_i along ridges, w = v + (φ(v_i) - v_i) L: w_i = φ_i(v_i), and what leans on them follows.
+    """The bend of coordinates along ridges, w = v + (φ(v_i) - v_i) L: w_i = φ_i(v_i), and what leans on them follows.
 
     Attributes
     ----------

@@ -101,7 +101,7 @@ def fit_curve(y: Array, base: int, others: np.ndarray) -> Curve:
 
 @dataclass(frozen=True, eq=False)
 class Ridges:
-    """The shear y_k = w_k + Σ_i g_ik(w_i) along traced ridges i, g Chebyshev series; beyond its ends one goes on straight.
+    """The shear y_k = w_k + Σ_i g_ik(w_i) along traced ridges i, g Chebyshev series that go on straight beyond the ends.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class Ridges:
 
     @cached_property
     def _slopes(self) -> Array:
-        return chebder(self.series, axis=1)
+        return np.asarray(chebder(self.series, axis=1), dtype=np.float64)
 
     def add_to(self, w: Array, sign: float) -> None:
         """Add the shear to vectors (B, n) in place, or take it away."""

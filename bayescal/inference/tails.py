@@ -2,7 +2,7 @@
 
 Ensembles start from a proposal and jump by it. Where that leads too seldom, in a long tail or a lesser mode, a short
 run has too little of the mass, and neither R-hat nor effective sizes see what no draw is of. How much there is can be
-known without them: draws of the proposal stretched along single axes get there, and their weights count it.
+known without them: draws from farther out get there, and their weights count it.
 """
 
 from __future__ import annotations
@@ -12,12 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.inference.exploration import Exploration
-from bayescal.inference.importance import evaluate_in_batches
+from bayescal.inference.overdispersed import FarDraws
 from bayescal.inference.sampling import Sample
-from bayescal.inference.scouts import Stretched
 from bayescal.numerics.geometry import Array
 
-N_DRAWS = 8000
 SELDOM = 20.0
 """By what factor a proposal leads somewhere less often than the posterior's mass would have it."""
 
@@ -41,14 +39,9 @@ class Tails:
     error: float
 
 
-def compare_tails(exploration: Exploration, sample: Sample, seed: np.random.SeedSequence) -> Tails:
+def compare_tails(exploration: Exploration, sample: Sample, far: FarDraws) -> Tails:
     """Return how much of the posterior lies where the proposal seldom leads, and how many of the draws."""
-    density, wide = exploration.straight.log_density, Stretched(exploration.proposal)
-    x = wide.draw(N_DRAWS, np.random.default_rng(seed))
-    with np.errstate(all="ignore"):
-        log_density = evaluate_in_batches(density, x)
-        log_weights = log_density - wide.log_density(x)
-    log_weights[~np.isfinite(log_weights)] = -np.inf
+    log_weights = far.log_weights
     weights = np.exp(log_weights - log_weights.max())
     log_evidence = log_weights.max() + np.log(weights.mean())
     weights /= weights.sum()
@@ -56,7 +49,7 @@ def compare_tails(exploration: Exploration, sample: Sample, seed: np.random.Seed
     def is_seldom(log_density: Array, x: Array) -> np.ndarray:
         return log_density - log_evidence - exploration.proposal.log_density(x) > np.log(SELDOM)
 
-    there = is_seldom(log_density, x)
+    there = is_seldom(far.log_density, far.x)
     expected = float(weights[there].sum())
     n_ensembles, n_walkers, _, n = sample.straight.shape
     seen = is_seldom(sample.log_density.ravel(), sample.straight.reshape(-1, n)).reshape(n_ensembles, -1)

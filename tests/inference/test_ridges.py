@@ -148,7 +148,9 @@ def test_a_tail_along_a_ridge_is_one_no_more():
     rng, mass = np.random.default_rng(4), np.log(np.sqrt(2 * np.pi) * WIDTH)
     found = []
     for one in (straight, replace(straight, skew=None)):
-        peak = refine_peak(one.log_density, Peak(mode.y, np.linalg.cholesky(one.unsheared(mode.y, mode.covariance)), 0.0))
+        peak = refine_peak(
+            one.log_density, Peak(mode.y, np.linalg.cholesky(one.unsheared(mode.y, mode.covariance)), 0.0)
+        )
         found.append(estimate_by_importance(one.log_density, proposal_from_peaks([peak], 50.0), rng, 4000))
     assert found[0].log_evidence == pytest.approx(mass, abs=4 * found[0].standard_error + 2e-3)
     assert found[0].efficiency > 0.9

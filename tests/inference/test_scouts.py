@@ -10,9 +10,10 @@ import pytest
 from bayescal.inference.diagnostics import list_importance_problems, list_scout_problems
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import estimate_by_importance
+from bayescal.inference.overdispersed import Stretched, draw_far_out
 from bayescal.inference.proposal import MixtureProposal
 from bayescal.inference.sampling import sample_posterior
-from bayescal.inference.scouts import Stretched, send_scouts
+from bayescal.inference.scouts import send_scouts
 from bayescal.inference.straightening import Straightening
 
 N = 6
@@ -76,12 +77,12 @@ def look(density, proposal, seed=1):
     """Return the problems that other diagnostics name of a proposal and its sample, and those that scouts do."""
     straight = Straightening(Toy(density), np.zeros(N), (), np.empty(0), np.empty(0))
     found = Exploration(straight, proposal, [], 1.0)
-    first, second, third = np.random.SeedSequence(seed).spawn(3)
+    first, second, third, fourth = np.random.SeedSequence(seed).spawn(4)
     sample = sample_posterior(found, first, 4, 64, 20, 40)
     weighed = estimate_by_importance(density, proposal, np.random.default_rng(third), 5000)
     others = sample.diagnostics.list_problems()
     others += list_importance_problems(weighed.pareto_k, weighed.efficiency * weighed.n_draws)
-    return others, list_scout_problems(**vars(send_scouts(found, sample, second)))
+    return others, list_scout_problems(**vars(send_scouts(found, sample, draw_far_out(found, fourth), second)))
 
 
 def test_a_mode_that_all_others_are_blind_to_is_seen():

@@ -8,6 +8,7 @@ from test_scouts import CLEAN, MISSED, N, Toy, gaussian, long_tail
 
 from bayescal.inference.diagnostics import list_tail_problems
 from bayescal.inference.exploration import Exploration
+from bayescal.inference.overdispersed import draw_far_out
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.straightening import Straightening
 from bayescal.inference.tails import compare_tails
@@ -17,7 +18,8 @@ def compare(density, proposal, n_steps=40, seed=1):
     """Return what ensembles have of a density's tails beyond a proposal."""
     found = Exploration(Straightening(Toy(density), np.zeros(N), (), np.empty(0), np.empty(0)), proposal, [], 1.0)
     first, second = np.random.SeedSequence(seed).spawn(2)
-    return compare_tails(found, sample_posterior(found, first, 4, 64, n_steps // 2, n_steps), second)
+    sample = sample_posterior(found, first, 4, 64, n_steps // 2, n_steps)
+    return compare_tails(found, sample, draw_far_out(found, second))
 
 
 @pytest.mark.parametrize("name", ["minor mode", "bend", "long tail"])

@@ -20,6 +20,7 @@ from bayescal.inference.diagnostics import (
 )
 from bayescal.inference.importance import ImportanceEvidence
 from bayescal.inference.integration import Effort, integrate_posterior
+from bayescal.inference.overdispersed import draw_far_out
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.inference.scouts import Scouts, send_scouts
@@ -155,6 +156,7 @@ def estimate_posterior(
         effort.draws,
         found.proposal,
     )
+    far = draw_far_out(found, np.random.SeedSequence([seed, zlib.crc32(f"{name}-tails".encode())]))
     flat = sample.y.reshape(-1, posterior.n_parameters)
     chosen = np.linspace(0, len(flat) - 1, min(KEPT_DRAWS, len(flat))).astype(int)
     return Estimate(
@@ -167,8 +169,8 @@ def estimate_posterior(
         all(mode.converged for mode in found.modes),
         measure_longest_stand(sample.log_density),
         sampler.steps,
-        send_scouts(found, sample, np.random.SeedSequence([seed, zlib.crc32(f"{name}-scouts".encode())])),
-        compare_tails(found, sample, np.random.SeedSequence([seed, zlib.crc32(f"{name}-tails".encode())])),
+        send_scouts(found, sample, far, np.random.SeedSequence([seed, zlib.crc32(f"{name}-scouts".encode())])),
+        compare_tails(found, sample, far),
         _check(posterior, seed, name, effort),
     )
 

@@ -34,6 +34,7 @@ from bayescal.inference.diagnostics import measure_longest_stand
 from bayescal.inference.exploration import Exploration, count_walkers
 from bayescal.inference.importance import ImportanceEvidence
 from bayescal.inference.integration import Effort, integrate_posterior
+from bayescal.inference.overdispersed import draw_far_out
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.scouts import send_scouts
 from bayescal.inference.tails import compare_tails
@@ -140,8 +141,9 @@ def _sample(
         inputs.config.evidence.draws,
         exploration.proposal,
     )
-    scouts = send_scouts(exploration, sample, _seed_for(inputs, task, "scouts"))
-    tails = compare_tails(exploration, sample, _seed_for(inputs, task, "tails"))
+    far = draw_far_out(exploration, _seed_for(inputs, task, "tails"))
+    scouts = send_scouts(exploration, sample, far, _seed_for(inputs, task, "scouts"))
+    tails = compare_tails(exploration, sample, far)
     exact, correction = inputs.exact_density(inputs.variant(task.variant), posterior), None
     if exact is not None:
         correction = correct_draws(exact, exploration, sample, correct_seed)
