@@ -101,7 +101,7 @@ def fit_curve(y: Array, base: int, others: np.ndarray) -> Curve:
 
 @dataclass(frozen=True, eq=False)
 class Ridges:
-    """The shear y_k = w_k + Σ_i g_ik(w_i) along traced ridges i, g Chebyshev series that go on straight beyond the ends.
+    """The shear y_k = w_k + Σ_i g_ik(w_i) along traced ridges i, g Chebyshev series that go on straight beyond.
 
     Attributes
     ----------

@@ -140,7 +140,7 @@ class Tailed:
 
 
 def test_a_tail_along_a_ridge_is_one_no_more():
-    """It has mass √(2 π) WIDTH exactly; a Gaussian at the mode of the same ridge without its skew leads there seldom."""
+    """It has mass √(2 π) WIDTH exactly; a Gaussian in coordinates without the skew leads there seldom."""
     bent = Bent(Tailed())
     mode = make_mode(bent, 0.0)
     straight = straighten(bent, [mode])
