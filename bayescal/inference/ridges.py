@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 
 from bayescal.inference.differences import difference_many
 from bayescal.inference.mode import Mode
-from bayescal.inference.skew import Quantiles, Skew, find_quantiles, is_normal
+from bayescal.inference.skew import Quantiles, Skew, find_quantiles
 from bayescal.inference.straightening import Ridges, Straightening
 from bayescal.inference.target import Target
 from bayescal.numerics.geometry import Array
@@ -225,24 +225,18 @@ def _fit_series(place: Array, following: Array, inner: Array, origin: float) -> 
     return series
 
 
-def _fit_skew(mode: Mode, n_geometry: int, traced: Mapping[int, _Points]) -> Skew | None:
-    """Return the bend of coordinates along which the mass is far from normal; what leans on them there follows."""
-    bases, found = [], []
-    for base, points in traced.items():
-        part = _until_valleys(points.log_mass)
-        values, slopes = find_quantiles(points.along[part], points.log_mass[part])
-        if not is_normal(slopes):
-            bases.append(base)
-            found.append((values, slopes))
-    if not bases:
-        return None
-    followers = np.setdiff1d(np.arange(n_geometry), list(traced))
+def _fit_skew(mode: Mode, n_geometry: int, traced: Mapping[int, _Points]) -> Skew:
+    """Return the bend of coordinates by the mass along them; what leans on them at the mode follows."""
+    bases = list(traced)
+    parts = [(points, _until_valleys(points.log_mass)) for points in traced.values()]
+    found = [find_quantiles(points.along[part], points.log_mass[part]) for points, part in parts]
+    quantiles = Quantiles(*(np.stack(one) for one in zip(*found, strict=True)))
+    followers = np.setdiff1d(np.arange(n_geometry), bases)
     lean = np.zeros((len(bases), len(mode.y)))
     lean[np.arange(len(bases)), bases] = 1.0
     lean[:, followers] = np.linalg.solve(
         mode.covariance[np.ix_(bases, bases)], mode.covariance[np.ix_(bases, followers)]
     )
-    quantiles = Quantiles(*(np.stack(one) for one in zip(*found, strict=True)))
     return Skew(np.array(bases), mode.y[bases], quantiles, lean)
 
 

@@ -20,7 +20,6 @@ from bayescal.numerics.geometry import Array
 REACH, N_KNOTS = 4.0, 33  # standard deviations to either side of the median
 GRID = 1001  # places at which mass is added up
 NOTHING = 25.0  # nats below the largest density, where the mass ends
-NEARLY_ALL, ALIKE = 2.5, 1.25  # standard deviations, and by what factor slopes may differ within them
 LEAST_FALL = 1.0  # nats over the standard deviation of what is known, beyond where it is known
 
 
@@ -84,12 +83,6 @@ def find_quantiles(along: Array, log_mass: Array) -> tuple[Array, Array]:
     values = np.interp(ndtr(_KNOTS), share / share[-1], u)
     normal = np.exp(-0.5 * _KNOTS**2) / np.sqrt(2.0 * np.pi)
     return values, normal * share[-1] / np.interp(values, u, density)
-
-
-def is_normal(slopes: Array) -> bool:
-    """Return whether slopes at knots (N_KNOTS,) are nearly the same where nearly all mass is."""
-    there = slopes[np.abs(_KNOTS) <= NEARLY_ALL]
-    return bool(there.max() < ALIKE * there.min())
 
 
 def _extend(along: Array, log_mass: Array) -> tuple[Array, Array]:
