@@ -19,6 +19,7 @@ from bayescal.experiments.study.load import load_inputs
 from bayescal.experiments.study.trees import build_study_tree
 
 TASKS = [Task("six_pus/matrix", True), Task("six_pus/matrix", False)]
+INFLUENTIAL = pytest.mark.filterwarnings("ignore:Estimated shape parameter of Pareto")  # 12 parameters of 13 poses
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def trees(inputs, arrays, tmp_path_factory) -> dict[Task, xr.DataTree]:
     folder = tmp_path_factory.mktemp("posterior")
     for task in TASKS:
         write_tree(lambda task=task: build_study_tree(inputs, task, arrays[task]))(folder / f"{task.stem}.nc")
-    return {task: check_tree(folder / f"{task.stem}.nc") for task in TASKS}
+    return {task: check_tree(folder / f"{task.stem}.nc", k_is_good=False) for task in TASKS}
 
 
 def test_files_have_names_of_their_own():
@@ -65,12 +66,14 @@ def test_arviz_scales_the_power_as_the_study_does(trees, arrays, task):
     np.testing.assert_allclose(table[["prior", "likelihood"]].to_numpy(float), arrays[task]["power_scaling"], atol=1e-6)
 
 
+@INFLUENTIAL
 def test_arviz_compares_saved_posteriors(trees):
     table = az.compare({task.stem: tree for task, tree in trees.items()})
     assert set(table.index) == {task.stem for task in TASKS}
     assert table["weight"].sum() == pytest.approx(1.0, abs=0.02)
 
 
+@INFLUENTIAL
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.stem)
 def test_leaving_poses_out_agrees_with_arviz(trees, arrays, task):
     found, loo = read_left_out(arrays[task]), az.loo(trees[task], pointwise=True)
