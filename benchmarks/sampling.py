@@ -32,8 +32,8 @@ from arviz_stats.base import array_stats
 from numpyro.infer import NUTS
 
 from bayescal.numerics.geometry import Array
-from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.exploration import Exploration, count_walkers, explore
+from bayescal.inference.exploration import Exploration, explore
+from bayescal.inference.sampling import sample_posterior
 from bayescal.density.posterior import Posterior
 
 N_CHAINS = 4
@@ -73,14 +73,10 @@ def draw_bayescal(
     start = time.process_time()
     found = explore(posterior, np.random.SeedSequence(SEED_EXPLORE), N_WALKERS)
     explored = time.process_time()
-    walkers = count_walkers(posterior.n_parameters, N_WALKERS)
-    seeds = np.random.SeedSequence(SEED_ENSEMBLES).spawn(N_CHAINS)
-    density = found.straight.log_density
-    ensembles = [run_ensemble(density, found.proposal, seed, walkers, N_BURN_IN, n_steps) for seed in seeds]
-    flat = [found.straight.y_from_x(e.draws.reshape(-1, posterior.n_parameters)) for e in ensembles]
-    draws = np.stack([posterior.natural(y) for y in flat])
+    sample = sample_posterior(found, np.random.SeedSequence(SEED_ENSEMBLES), N_CHAINS, N_WALKERS, N_BURN_IN, n_steps)
     seconds = time.process_time() - start
-    return (seconds, explored - start), found, draws, float(np.mean([e.acceptance for e in ensembles]))
+    draws = sample.natural.reshape(N_CHAINS, -1, posterior.n_parameters)
+    return (seconds, explored - start), found, draws, float(sample.acceptance.mean())
 
 
 def run_nuts(

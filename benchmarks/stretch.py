@@ -29,8 +29,8 @@ from scipy.stats import halfnorm
 from bayescal import load_experiment, load_inputs
 from bayescal.numerics.geometry import Array
 from bayescal.inference.diagnostics import diagnose
-from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.exploration import count_walkers, explore
+from bayescal.inference.exploration import explore
+from bayescal.inference.sampling import sample_posterior
 from bayescal.density.posterior import Posterior
 
 N_ENSEMBLES, N_WALKERS, N_BURN_IN, N_STEPS = 4, 128, 20, 40  # the study's
@@ -90,12 +90,8 @@ def run_bayescal(posterior: Posterior) -> tuple[dict[str, float], Array]:
     """Return the figures of bayescal's sampler and its natural draws (ensembles, walkers, steps, n)."""
     start = time.perf_counter()
     found = explore(posterior, np.random.SeedSequence(SEED), N_WALKERS)
-    walkers = count_walkers(posterior.n_parameters, N_WALKERS)
-    density, seeds = found.straight.log_density, np.random.SeedSequence(SEED + 1).spawn(N_ENSEMBLES)
-    ensembles = [run_ensemble(density, found.proposal, seed, walkers, N_BURN_IN, N_STEPS) for seed in seeds]
-    draws = np.stack([e.draws for e in ensembles])
-    y = found.straight.y_from_x(draws.reshape(-1, posterior.n_parameters)).reshape(draws.shape)
-    natural = posterior.natural(y)
+    seed = np.random.SeedSequence(SEED + 1)
+    natural = sample_posterior(found, seed, N_ENSEMBLES, N_WALKERS, N_BURN_IN, N_STEPS).natural
     return measure(natural, time.perf_counter() - start), natural
 
 
