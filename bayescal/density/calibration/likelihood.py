@@ -22,9 +22,9 @@ from functools import cached_property
 import numpy as np
 from scipy.special import gammaln
 
-from bayescal.density.calibration.elimination import factorise, find_step, half_log_volume, solve_step
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.density.calibration.whitening import Whitening
+from bayescal.density.elimination import factorise, find_step, half_log_volume, solve_step
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
 
