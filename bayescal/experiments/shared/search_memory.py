@@ -19,18 +19,19 @@ CHAINS, PROPOSED, WEIGHTS = 4, 6, 4
 VECTORS = 64  # of readings' hot loop at a time
 KEPT, DRAWN = 1300, 4
 """Draws of posterior and prior that a file of readings keeps, and arrays of them."""
-ARRAYS = 40
-"""Of the hot loop of an instrument's readings, components of vectors counted one by one."""
+ARRAYS, OF_POSES = 40, 28
+"""Of the hot loop of an instrument's readings, components of vectors counted one by one, and of poses', as measured."""
 
 
 def list_search(posterior: Posterior) -> list[Sequence[float]]:
     """Return the arrays of a posterior's derivatives and hot loop; see `estimate_arrays`."""
     likelihood = posterior.likelihood
     rows = likelihood.n_poses * likelihood.n_legs
-    found: list[Sequence[float]] = [(DERIVATIVES, rows, posterior.n_parameters + likelihood.n_legs)]
-    if not isinstance(likelihood, PoseLikelihood | StructuredLikelihood):
-        found.append((ARRAYS, BATCH, min(rows, POSES * likelihood.n_legs)))
-    return found
+    hot = OF_POSES if isinstance(likelihood, PoseLikelihood | StructuredLikelihood) else ARRAYS
+    return [
+        (DERIVATIVES, rows, posterior.n_parameters + likelihood.n_legs),
+        (hot, BATCH, min(rows, POSES * likelihood.n_legs)),
+    ]
 
 
 def list_sampling(sampler: SamplerConfig, effort: EvidenceConfig, n_parameters: int) -> list[Sequence[float]]:
