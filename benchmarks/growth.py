@@ -1,12 +1,15 @@
 """How time and memory grow with poses, legs, parameters and candidates: each point a process of its own.
 
-    python benchmarks/growth.py [--what poses audit legs parameters candidates] [--most 10000] [--write FILE]
+    python benchmarks/growth.py [--what poses audit legs parameters candidates calibration self_calibration]
+                                [--most 10000] [--write FILE]
 
 - ``poses``: a study of six struts (42 parameters, poses by a tracker, one model error), from reading to its page;
 - ``audit``: the audit of as many planned poses of that machine;
 - ``legs``: the same study with more struts, three parameters each, 40 poses;
 - ``parameters``: 50 struts with one to six parameters each, 80 poses;
-- ``candidates``: exchange and O1 out of as many candidates, 42 parameters.
+- ``candidates``: exchange and O1 out of as many candidates, 42 parameters;
+- ``calibration``: a hexapod under its weight by its encoders and a tracker's poses, one variant of 30 parameters;
+- ``self_calibration``: a planar platform by its own readings at as many poses, four variants of 18 to 28 parameters.
 
 Seconds are CPU of the process, reading of Python's modules left out; memory is the largest resident size, with and
 without what an empty process takes. An exponent is the slope of log over log between the two largest sizes, and a
@@ -35,9 +38,11 @@ SIZES = {
     "legs": (6, 12, 24, 60),
     "parameters": (20, 50, 100, 200, 300),
     "candidates": (2000, 20_000, 200_000),
+    "calibration": (30, 100, 300, 1000),
+    "self_calibration": (64, 128, 256, 512),
 }
 SYMBOLS = ("l", "a_x", "a_y", "b_x", "b_y", "b_z", "a_z")
-EFFORT = """
+SAMPLING = """
 [sampler]
 ensembles = 4
 walkers = 32
@@ -47,10 +52,8 @@ steps = 10
 [evidence]
 draws = 1000
 max_draws = 1000
-
-[sensitivity]
-factor = [1.0]
 """
+EFFORT = f"{SAMPLING}\n[sensitivity]\nfactor = [1.0]\n"
 RUN = """
 import resource, sys, time
 from pathlib import Path
@@ -193,10 +196,16 @@ def write_selection(folder: Path, n_candidates: int) -> Path:
 
 def write_point(folder: Path, what: str, size: int) -> Path:
     """Write the experiment of one point; return its config."""
+    import memory  # which has machines of this file for other kinds
+
     if what == "poses":
         return write_study(folder, 6, size, SYMBOLS)
     if what == "audit":
         return write_audit(folder, size)
+    if what == "calibration":
+        return memory.write_calibration(folder, size, SAMPLING)
+    if what == "self_calibration":
+        return memory.write_self_calibration(folder, size, SAMPLING)
     if what == "legs":
         return write_study(folder, size, 40, SYMBOLS[:3])
     if what == "parameters":

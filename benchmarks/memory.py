@@ -75,21 +75,21 @@ def scatter(path: Path, out: Path, seed: int) -> None:
     table.to_csv(out, index=False)
 
 
-def write_calibration(folder: Path, n_poses: int) -> Path:
+def write_calibration(folder: Path, n_poses: int, effort: str = EFFORT) -> Path:
     """Write the calibration of a hexapod under its weight, from so many poses."""
     copy("m2_hexapod_table/machine.toml", folder)
     simulate(copy("m2_hexapod_table/simulate.toml", folder, ("n_poses = 30", f"n_poses = {n_poses}")), folder / "data")
     path = copy("m2_hexapod_table/study.toml", folder, cut='[[variants]]\nname = "weight_temperature"')
-    path.write_text(f"{path.read_text()}[validation]\ndraws = 100\n{EFFORT}")
+    path.write_text(f"{path.read_text()}[validation]\ndraws = 100\n{effort}")
     return path
 
 
-def write_self_calibration(folder: Path, n_poses: int) -> Path:
+def write_self_calibration(folder: Path, n_poses: int, effort: str = EFFORT) -> Path:
     """Write the calibration of a planar platform by its own readings at so many poses."""
     copy("sliding_star/machine.toml", folder)
     simulate(copy("sliding_star/simulate.toml", folder, ("n_poses = 60", f"n_poses = {n_poses}")), folder / "data")
     path = copy("sliding_star/study.toml", folder, cut='[[variants]]\nname = "s8_one_length"')
-    path.write_text(path.read_text() + EFFORT)
+    path.write_text(path.read_text() + effort)
     return path
 
 

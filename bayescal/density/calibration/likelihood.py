@@ -22,9 +22,9 @@ from functools import cached_property
 import numpy as np
 from scipy.special import gammaln
 
-from bayescal.density.calibration.elimination import factorise, find_step, half_log_volume, solve_step
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.density.calibration.whitening import Whitening
+from bayescal.density.elimination import factorise, find_step, half_log_volume, invert, solve_step
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -214,7 +214,9 @@ class CalibrationLikelihood:
     def _follow_chords(self, theta: Array, pose: Array, white: Whitening) -> Array:
         """Return poses (C, P, q) close to where machines explain the readings; where they start if chords go astray."""
         slope, first = white.rows(self._anchored_slope), pose
-        pose, going = pose.copy(), np.arange(len(theta))
+        assert self.anchor is not None
+        pose = pose + ((theta - self.anchor) @ self._anchored_moves).reshape(pose.shape)
+        going = np.arange(len(theta))
         size = np.full(pose.shape[:2], np.inf)
         with np.errstate(all="ignore"):
             factor = factorise(slope)
@@ -237,6 +239,15 @@ class CalibrationLikelihood:
         here = self.model.linearise(self.anchor[None, None], self.start[None], False, self._given)
         error = self.comparison.subtract(self.data.values, here.values)
         return self._pull_back(error, here.values, here.by_pose)
+
+    @cached_property
+    def _anchored_moves(self) -> Array:
+        """How poses follow the parameters at the anchor, to first order, (D, P q)."""
+        assert self.anchor is not None
+        white = self.whiten(self.sd[None], np.zeros((1, 1, len(self.model.channels))))
+        _, slope, by_parameters = self.linearise(self.anchor[None], self.start[None], white, with_parameters=True)
+        moves = -invert(slope[0], 0.0) @ by_parameters[0]
+        return np.asarray(np.moveaxis(moves, -1, 0).reshape(moves.shape[-1], -1))
 
     # --- density -------------------------------------------------------------------------------------------------
 

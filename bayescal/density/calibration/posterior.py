@@ -13,10 +13,10 @@ from functools import cached_property
 import numpy as np
 from scipy.special import ndtr
 
-from bayescal.density.calibration.elimination import half_log_volume, invert, left_of, project_out
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
 from bayescal.density.calibration.noise import NoiseModel
 from bayescal.density.calibration.whitening import Whitening
+from bayescal.density.elimination import half_log_volume, invert, left_of, project_out
 from bayescal.density.local import Funnel
 from bayescal.density.priors import Prior, UniformPrior
 from bayescal.density.readings.change import change_density

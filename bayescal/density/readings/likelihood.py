@@ -11,14 +11,17 @@ are so many that sampling them with the parameters is hopeless; that it would gi
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
+from bayescal.density.elimination import find_step, half_log_volume
 from bayescal.density.readings.left_over import LeftOver
-from bayescal.density.readings.poses import SensorSet, find_poses, solve_least_squares
+from bayescal.density.readings.poses import SensorSet, find_poses
 from bayescal.numerics.geometry import Array
 
 BATCH = 64
-CHORD_TOLERANCE = 1e-9  # mm and rad; what is left of it enters the density squared
+CHORD_TOLERANCE = 1e-7  # mm and rad; a digit or more of it are gone with the step, the rest enters the density squared
 MAX_CHORDS = 25
 STEP = 1e-4  # of the prior's standard deviation, for the slope of the volume
 
@@ -55,6 +58,17 @@ class ReadingLikelihood:
         """Return the density of the readings at some of the poses."""
         return ReadingLikelihood(self.sensors, self.measured[which], self._start[which], self._volume)
 
+    def anchored(self, theta: Array) -> ReadingLikelihood:
+        """Return the same density whose search starts where a machine (D,) explains the readings.
+
+        Chords G end where G r = 0. So do (G H)⁻¹ G, with the H of that machine, and for machines near it they take few.
+        """
+        found, pose = copy(self), self.find_poses(theta[None])[0][0]
+        slope = self.sensors.linearise(theta, pose, with_parameters=False).by_pose
+        if np.isfinite(slope).all():
+            found._start, found._gain = pose, np.linalg.solve(self._gain @ slope, self._gain)
+        return found
+
     def find_poses(self, theta: Array) -> tuple[Array, Array]:
         """Return the poses (B, P, q) that machines (B, D) explain the readings with, and what is left (B, P, K).
 
@@ -83,8 +97,8 @@ class ReadingLikelihood:
                 break
         here = self.sensors.linearise(machines, pose, with_parameters=False)
         error = white - here.values
-        step = solve_least_squares(here.by_pose, error)
-        return pose + step, error - np.einsum("bpkq,bpq->bpk", here.by_pose, step), here.by_pose
+        step, left = find_step(here.by_pose, error)
+        return pose + step, left, here.by_pose
 
     def pointwise(self, theta: Array) -> Array:
         """Return the log-density of each pose's readings, (B, D) to (B, P), -inf where a machine cannot stand."""
@@ -133,10 +147,3 @@ class ReadingLikelihood:
         here = self.sensors.linearise(theta, pose[0])
         moved = here.by_pose @ (np.linalg.pinv(here.by_pose) @ here.by_parameters)
         return error[0], moved - here.by_parameters
-
-
-def half_log_volume(slope: Array) -> Array:
-    """Return ½ log |HᵀΣ⁻¹H| for H (..., K, q) in units of the noise."""
-    normal = np.swapaxes(slope, -1, -2) @ slope
-    with np.errstate(all="ignore"):
-        return np.asarray(0.5 * np.log(np.linalg.det(normal)))

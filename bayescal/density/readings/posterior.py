@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -178,6 +179,11 @@ class SelfCalibrationPosterior:
     def covariance(self, y: Array) -> Array:
         """Return the covariance of the coordinates to first order at y, shape (n, n)."""
         return np.asarray(np.linalg.inv(-self.gradient(y)[1]))
+
+    def anchored(self) -> Self:
+        """Return the same posterior that looks for poses from those of the least-squares solution."""
+        theta = self.theta(self.approach()[None])[0]
+        return replace(self, likelihood=self.likelihood.anchored(theta))
 
     # --- what inference asks for besides ---------------------------------------------------------------------------
 

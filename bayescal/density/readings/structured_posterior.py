@@ -12,12 +12,13 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares
 
+from bayescal.density.elimination import half_log_volume
 from bayescal.density.model_error import BORDER, OFF, KernelScale
 from bayescal.density.readings.absorbed import Absorbed, Absorber, Strength, condition_each, condition_others
 from bayescal.density.readings.change import change_density
 from bayescal.density.readings.functions import SensorFunctions
 from bayescal.density.readings.left_over import LeftOver
-from bayescal.density.readings.likelihood import BATCH, STEP, ReadingLikelihood, half_log_volume
+from bayescal.density.readings.likelihood import BATCH, STEP, ReadingLikelihood
 from bayescal.density.readings.posterior import HALF_LOG_TWO_PI, SelfCalibrationPosterior
 from bayescal.limits import FAR_AWAY
 from bayescal.numerics.geometry import Array

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
 from bayescal.experiments.frame.memory import Need, estimate_arrays
-from bayescal.experiments.shared.search_memory import list_readings, list_sampling
+from bayescal.experiments.shared.search_memory import list_readings, list_sampling, list_saved
 
 
 def list_variant(variant: Variant) -> list[Sequence[float]]:
@@ -28,5 +28,5 @@ def estimate_calibration(inputs: CalibrationInputs) -> Need:
         {"poses": n_poses, "parameters": n_parameters, "variants": len(inputs.variants)},
         [*held, *list_sampling(config.sampler, config.evidence, n_parameters)],
         "fewer poses or variants",
-        kept=[(len(inputs.variants), *held[-1])],
+        kept=list_saved(len(inputs.variants), n_poses, len(largest.model.channels)),
     )

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayescal.density.calibration.elimination import project_out
 from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.elimination import project_out
 from bayescal.experiments.calibration.inputs import Variant
 from bayescal.experiments.shared.reading_slips import Judge, find_reading_slip, measure_misfit
 from bayescal.numerics.geometry import Array

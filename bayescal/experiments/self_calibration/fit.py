@@ -47,7 +47,7 @@ class Fit(Estimate):
 
 def fit_variant(inputs: ReadingInputs, variant: Variant) -> Fit:
     """Compute one variant; all numbers depend on the inputs, the config's seed and the variant's name alone."""
-    posterior, config = inputs.posterior(variant), inputs.config
+    posterior, config = inputs.posterior(variant).anchored(), inputs.config
     found = estimate_posterior(posterior, config.seed, variant.name, config.sampler, config.evidence)
     theta, elpd = posterior.theta(found.kept), float("nan")
     if inputs.table.verification.any():

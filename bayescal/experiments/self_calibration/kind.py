@@ -15,7 +15,7 @@ from bayescal.experiments.self_calibration.compute import compute_self_calibrati
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, read_inputs
 from bayescal.experiments.self_calibration.page.pages import build_page, list_variants
 from bayescal.experiments.self_calibration.schema import SelfCalibrationConfig
-from bayescal.experiments.shared.search_memory import list_readings, list_sampling
+from bayescal.experiments.shared.search_memory import list_readings, list_sampling, list_saved
 from bayescal.report.blocks import Page
 
 
@@ -40,7 +40,7 @@ class SelfCalibration(Experiment[SelfCalibrationConfig, ReadingInputs]):
             {"poses": n_poses, "parameters": n_parameters, "variants": len(inputs.variants)},
             [*held, *list_sampling(config.sampler, config.evidence, n_parameters)],
             "fewer poses or variants",
-            kept=[(len(inputs.variants), *held[-1])],
+            kept=list_saved(len(inputs.variants), n_poses, len(sensors.chosen)),
         )
 
     def compute(self, inputs: ReadingInputs, run: Run) -> Results:

@@ -17,20 +17,22 @@ DERIVATIVES = 8
 CHAINS, PROPOSED, WEIGHTS = 4, 6, 4
 """Arrays of all chains, of draws of a proposal, and of their weights."""
 VECTORS = 64  # of readings' hot loop at a time
-KEPT, DRAWN = 1300, 4
-"""Draws of posterior and prior that a file of readings keeps, and arrays of them."""
-ARRAYS = 40
-"""Of the hot loop of an instrument's readings, components of vectors counted one by one."""
+KEPT, DRAWN, SAVED = 1300, 4, 1
+"""Draws of posterior and prior that a file of readings keeps, arrays of them while they are made, and what stays:
+readings in single precision and the poses' densities."""
+ARRAYS, OF_POSES = 40, 28
+"""Of the hot loop of an instrument's readings, components of vectors counted one by one, and of poses', as measured."""
 
 
 def list_search(posterior: Posterior) -> list[Sequence[float]]:
     """Return the arrays of a posterior's derivatives and hot loop; see `estimate_arrays`."""
     likelihood = posterior.likelihood
     rows = likelihood.n_poses * likelihood.n_legs
-    found: list[Sequence[float]] = [(DERIVATIVES, rows, posterior.n_parameters + likelihood.n_legs)]
-    if not isinstance(likelihood, PoseLikelihood | StructuredLikelihood):
-        found.append((ARRAYS, BATCH, min(rows, POSES * likelihood.n_legs)))
-    return found
+    hot = OF_POSES if isinstance(likelihood, PoseLikelihood | StructuredLikelihood) else ARRAYS
+    return [
+        (DERIVATIVES, rows, posterior.n_parameters + likelihood.n_legs),
+        (hot, BATCH, min(rows, POSES * likelihood.n_legs)),
+    ]
 
 
 def list_sampling(sampler: SamplerConfig, effort: EvidenceConfig, n_parameters: int) -> list[Sequence[float]]:
@@ -51,6 +53,11 @@ def list_readings(n_poses: int, n_channels: int, n_parameters: int, n_coordinate
         (DERIVATIVES, VECTORS, n_poses, n_channels, 1 + n_coordinates),
         (DRAWN, KEPT, n_poses, n_channels),
     ]
+
+
+def list_saved(n_variants: int, n_poses: int, n_channels: int) -> list[Sequence[float]]:
+    """Return the arrays that posteriors of readings leave until they are written; as `list_search`."""
+    return [(n_variants, SAVED, KEPT, n_poses, n_channels)]
 
 
 def check_poses(n_poses: int, n_legs: int, n_parameters: int) -> None:

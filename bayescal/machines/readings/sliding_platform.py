@@ -148,14 +148,18 @@ class SlidingPlatform(ReadingModel):
     def _legs_from(
         self, pose: Array, x_p: Array, y_p: Array, beta: Array, length: Array, xi: Array, eta: Array
     ) -> _Legs:
-        cosine, sine = np.cos(pose[..., 2:]), np.sin(pose[..., 2:])
+        # legs first inside, for NumPy is slow where the last axis is short
+        x_p, y_p, beta, length, xi, eta = (_legs_first(one, pose.ndim) for one in (x_p, y_p, beta, length, xi, eta))
+        cosine, sine = np.cos(pose[..., 2]), np.sin(pose[..., 2])
         arm_x, arm_y = cosine * xi - sine * eta, sine * xi + cosine * eta
-        w_x, w_y = pose[..., :1] + arm_x - x_p, pose[..., 1:2] + arm_y - y_p
+        w_x, w_y = pose[..., 0] + arm_x - x_p, pose[..., 1] + arm_y - y_p
         e_x, e_y = np.broadcast_arrays(np.cos(beta), np.sin(beta), w_x)[:2]
         across = e_x * w_y - e_y * w_x
         with np.errstate(invalid="ignore"):
-            along = np.where(self.forward, 1.0, -1.0) * np.sqrt(length**2 - across**2)
-        return _Legs(e_x * w_x + e_y * w_y, across, along, arm_x, arm_y, e_x, e_y)
+            along = np.sqrt(length**2 - across**2)
+        along = along * _legs_first(np.where(self.forward, 1.0, -1.0), along.ndim)
+        found = (e_x * w_x + e_y * w_y, across, along, arm_x, arm_y, e_x, e_y)
+        return _Legs(*(np.moveaxis(one, 0, -1) for one in found))
 
     def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
         """Return the readings; see `ReadingModel.read`."""
@@ -287,6 +291,11 @@ class _Legs:
         across, along = self.across[..., None], self.along[..., None]
         t = (length - across * h) / along
         return reach - t, (along * h - across * t) / (along**2 + across**2)
+
+
+def _legs_first(values: Array, ndim: int) -> Array:
+    """Return values (..., N) of at least so many axes with the legs' axis in front."""
+    return np.moveaxis(values.reshape((1,) * (ndim - values.ndim) + values.shape), -1, 0)
 
 
 def matrix_of_angle(angle: Array) -> Array:

@@ -191,15 +191,8 @@ class StrutMachine(ReadingMachine):
     def slopes(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> list[list[Any]]:
         """Return ∂h/∂v in closed form: G ∂t/∂v = ∂w/∂v - (∂G/∂v) t for the tensions of G t = w."""
         at = self._stand(parameters, v, given)
-        move = np.concatenate([np.broadcast_to(np.eye(3), (*at.arms.shape, 3)), -skew_matrix(at.arms)], axis=-1)
-        longer = np.einsum("...ki,...kij->...kj", at.directions, move)  # ∂l/∂(p, ω), ω turning in the base's frame
-        turned = (move - at.directions[..., None] * longer[..., None, :]) / at.length[..., None, None]
-        pull = at.tension[..., None, None]
-        force = -(pull * turned).sum(axis=-3)
-        moment = -(pull * (skew_matrix(at.arms) @ turned)).sum(axis=-3)
-        arms = pull * (skew_matrix(at.directions) @ skew_matrix(at.arms))
-        moment[..., 3:] += skew_matrix(at.force) @ skew_matrix(at.centre) - arms.sum(axis=-3)
-        tighter = _solve(at.grasp, np.concatenate([force, moment], axis=-2))
+        tighter = _solve(at.grasp, _change_load(at))
+        longer = np.swapaxes(at.grasp, -1, -2)  # ∂l/∂(p, ω), ω turning in the base's frame: the struts' screws
         by_motion = (longer - NM * parameters["c"][..., None] * tighter) / at.growth[..., None]
         by_vector = by_motion[..., 3:] @ np.linalg.inv(compute_left_inverse_jacobian(np.nan_to_num(v[..., 3:])))
         every = np.concatenate([by_motion[..., :3], by_vector], axis=-1)
@@ -261,6 +254,28 @@ def _six(parameters: Parameters, what: str) -> Any:
 
 def _expand(per_million: Any, warmer: Any) -> Any:
     return PER_MILLION * per_million * warmer
+
+
+def _change_load(at: _Stand) -> Any:
+    """Return ∂w/∂(p, ω) - Σ ∂g/∂(p, ω) t for the struts' screws g = (u, a × u) with arms a, shape (..., 6, 6).
+
+    ∂u = (1 - u uᵀ) (∂p - a × ∂ω) / l, so that with T = t / l the sum over struts is that of
+    T [1, -[a]; [a], -[a]²] - T g gᵀ, and of t [u] [a], for the arms turn; the weight's moment turns by [f] [c].
+    """
+    pull = at.tension / at.length
+    result = (at.grasp * pull[..., None, :]) @ np.swapaxes(at.grasp, -1, -2)
+    heavy = pull[..., None] * at.arms
+    across = skew_matrix(heavy.sum(axis=-2))
+    diagonal = np.arange(3)
+    result[..., diagonal, diagonal] -= pull.sum(axis=-1)[..., None]
+    result[..., :3, 3:] += across
+    result[..., 3:, :3] -= across
+    turn = np.swapaxes(heavy, -1, -2) @ at.arms - np.swapaxes(at.tension[..., None] * at.arms, -1, -2) @ at.directions
+    turn += at.centre[..., :, None] * at.force[..., None, :]
+    # [a] [b] = b aᵀ - (a · b) 1, of every product alike
+    turn[..., diagonal, diagonal] -= np.trace(turn, axis1=-2, axis2=-1)[..., None]
+    result[..., 3:, 3:] += turn
+    return result
 
 
 def _grow(parameters: Parameters, symbol: str, expansion: str, warmer: Any) -> Any:

@@ -259,6 +259,16 @@ def test_chords_end_where_newtons_steps_do():
     np.testing.assert_allclose(pointwise(anchored, near), pointwise(likelihood, near), rtol=0, atol=1e-4)
 
 
+def test_chords_start_where_the_parameters_take_the_poses():
+    likelihood, near = star_problem()
+    white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, 8)))
+    start, pose = (likelihood.stand(near[k : k + 1], white).pose[0] for k in (0, 1))
+    moves = likelihood.anchored(start, near[0])._anchored_moves
+    moved = ((near[1:2] - near[:1]) @ moves).reshape(start.shape)
+    # what is left is of second order, and of first in what no pose explains
+    assert np.abs(start + moved - pose).max() < 1e-3 * np.abs(pose - start).max()
+
+
 def test_poses_are_found_from_far_off(rng):
     likelihood, near = star_problem()
     white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, 8)))

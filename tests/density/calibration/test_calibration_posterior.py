@@ -12,9 +12,9 @@ from scipy.linalg import null_space
 from scipy.optimize import least_squares
 from scipy.stats import halfnorm, lognorm, norm, uniform
 
-from bayescal.density.calibration.elimination import project_out
 from bayescal.density.calibration.noise import NoiseModel
 from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.elimination import project_out
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError, NumericalError
 

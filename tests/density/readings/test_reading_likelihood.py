@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import numpy as np
 import pytest
 from numpy.polynomial.hermite_e import hermegauss
@@ -108,6 +110,20 @@ def test_residuals_change_as_their_derivative_says(names, rng):
     # what is orthogonal to H at both ends; the rest turns with H and is as small as the residual
     np.testing.assert_allclose(0.5 * (ahead - back), slope @ move, atol=2e-3 * np.abs(slope @ move).max())
     assert error.shape == likelihood.measured.shape
+
+
+@pytest.mark.parametrize("misfit", [1.0, 300.0])
+def test_an_anchor_shortens_the_way_and_leaves_the_end(misfit, rng):
+    sensors, likelihood, theta, pose = make(SETS[8])
+    spoilt = likelihood.measured + (misfit - 1.0) * sensors.noise * rng.standard_normal(likelihood.measured.shape)
+    likelihood = ReadingLikelihood(sensors, spoilt, pose, VOLUME)
+    anchored, counts = likelihood.anchored(theta[0]), []
+    for one in (likelihood, anchored):
+        with mock.patch.object(SensorSet, "read", autospec=True, side_effect=SensorSet.read) as read:
+            one(theta)
+        counts.append(read.call_count)
+    np.testing.assert_allclose(anchored.pointwise(theta), likelihood.pointwise(theta), rtol=1e-10, atol=1e-8)
+    assert counts[1] < counts[0]
 
 
 def test_a_machine_that_cannot_stand_has_no_density():

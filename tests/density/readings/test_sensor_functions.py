@@ -10,10 +10,11 @@ from reading_machines import SETS, small_posterior
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
+from bayescal.density.elimination import half_log_volume
 from bayescal.density.model_error import LengthPrior, build_kernel
 from bayescal.density.readings.absorbed import project
 from bayescal.density.readings.functions import SensorFunctions
-from bayescal.density.readings.likelihood import ReadingLikelihood, half_log_volume
+from bayescal.density.readings.likelihood import ReadingLikelihood
 from bayescal.density.readings.poses import null_basis
 from bayescal.density.readings.structured_posterior import StructuredReadingPosterior
 from bayescal.errors import InputError

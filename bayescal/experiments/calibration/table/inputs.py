@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.density.calibration.elimination import RANK
+from bayescal.density.elimination import RANK
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant, read_inputs
 from bayescal.experiments.calibration.schema import CalibrationConfig
