@@ -119,8 +119,5 @@ class Comparison:
 def _turn(measured: Array, read: Array) -> Array:
     """Return the rotation vector of M Rᵀ for rotation vectors (..., 3); NaN where either is."""
     good = np.isfinite(measured).all(axis=-1) & np.isfinite(read).all(axis=-1)
-    both = (np.where(good[..., None], one, 0.0).reshape(-1, 3) for one in (measured, read))
-    (m, c), (r, d) = ((one[:, :3], one[:, 3:]) for one in (Rotation.from_rotvec(each).as_quat() for each in both))
-    # as a product of quaternions: a matrix would be made orthogonal anew, which takes longer than all else
-    product = np.concatenate([d * m - c * r - np.cross(m, r), c * d + np.sum(m * r, axis=1, keepdims=True)], axis=1)
-    return np.where(good[..., None], Rotation.from_quat(product).as_rotvec().reshape(measured.shape), np.nan)
+    to, at = (Rotation.from_rotvec(np.where(good[..., None], one, 0.0).reshape(-1, 3)) for one in (measured, read))
+    return np.where(good[..., None], (to * at.inv()).as_rotvec().reshape(measured.shape), np.nan)
