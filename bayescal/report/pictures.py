@@ -65,16 +65,25 @@ def render_picture(draw: Callable[[], Figure], stacked: bool = True) -> Picture:
     with rc_context():
         rcdefaults()  # whatever somebody's matplotlibrc says
         rcParams.update(RC)  # type: ignore[arg-type]  # its keys are a literal type of three hundred names
-        figure = draw()
+        figure = _prepare(draw)
         _lay_out(figure)
         png = _save(figure, "png", DPI)
         if not (stacked and needs_stacking(figure)):
             return Picture(png, _make_markup(figure, FINER * len(png) * 4 / 3))
-        wide, narrow = _make_markup(figure, FINER * len(png) * 4 / 3, "wide"), draw()
+        wide, narrow = _make_markup(figure, FINER * len(png) * 4 / 3, "wide"), _prepare(draw)
         stack_panels(narrow, measure_panels(figure))
         _lay_out(narrow)
         most = 0 if len(wide) > MOST_STACKED else MOST_STACKED  # the same marks: not drawn only to be thrown away
         return Picture(png, wide, _make_markup(narrow, most, "narrow"))
+
+
+def _prepare(draw: Callable[[], Figure]) -> Figure:
+    """Return a figure on a canvas that keeps its renderer: it measures every text once, not at every question."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    figure = draw()
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def _make_markup(figure: Figure, most: float, shape: str = "") -> str:
