@@ -18,7 +18,7 @@ class Canvas(FigureCanvasAgg):
         """Return a renderer of the figure's size and resolution."""
         size = (*self.get_width_height(physical=True), self.figure.dpi)
         if self._lastKey != size:
-            self.renderer, self._lastKey = Renderer(*size), size
+            self.renderer, self._lastKey = Renderer(*size), size  # type: ignore[no-untyped-call]  # of matplotlib
         return self.renderer
 
 
@@ -32,9 +32,11 @@ class Renderer(RendererAgg):
 
 @lru_cache(MOST_TEXTS)
 def _measure(text: str, font: FontProperties, ismath: Any, dpi: float) -> tuple[float, float, float]:
-    return _ruler(dpi).get_text_width_height_descent(text, font, ismath)
+    ruler: Any = _ruler(dpi)
+    width, height, descent = ruler.get_text_width_height_descent(text, font, ismath)
+    return width, height, descent
 
 
 @lru_cache(1)
 def _ruler(dpi: float) -> RendererAgg:
-    return RendererAgg(1, 1, dpi)
+    return RendererAgg(1, 1, dpi)  # type: ignore[no-untyped-call]  # of matplotlib

@@ -125,7 +125,8 @@ def _save_fine(figure: Figure, shape: str) -> bytes:
     buffer, dpi = io.BytesIO(), figure.dpi
     figure.set_dpi(FINE_DPI)
     figure.canvas.draw()
-    drawn = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")
+    rgba = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]  # of `Canvas`
+    drawn = Image.fromarray(rgba).convert("RGB")
     figure.set_dpi(dpi)
     drawn.quantize(COLOURS, Image.Quantize.MAXCOVERAGE).save(buffer, "png")
     return buffer.getvalue()
