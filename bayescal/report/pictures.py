@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
 from markupsafe import Markup, escape
 
 from bayescal.report.figure_text import TIP, describe_figure, mark_points
@@ -62,19 +63,23 @@ def render_picture(draw: Callable[[], Figure], stacked: bool = True) -> Picture:
     """
     from matplotlib import rc_context, rcdefaults, rcParams  # a second to import, for those who draw
 
+    from bayescal.report.canvas import Canvas
+
     with rc_context():
         rcdefaults()  # whatever somebody's matplotlibrc says
         rcParams.update(RC)  # type: ignore[arg-type]  # its keys are a literal type of three hundred names
         figure = draw()
+        Canvas(figure)
+        figure.set_dpi(DPI)
         _lay_out(figure)
         png = _save(figure, "png", DPI)
         if not (stacked and needs_stacking(figure)):
             return Picture(png, _make_markup(figure, FINER * len(png) * 4 / 3))
-        wide, narrow = _make_markup(figure, FINER * len(png) * 4 / 3, "wide"), draw()
-        stack_panels(narrow, measure_panels(figure))
-        _lay_out(narrow)
+        wide = _make_markup(figure, FINER * len(png) * 4 / 3, "wide")
+        stack_panels(figure, measure_panels(figure))
+        _lay_out(figure)
         most = 0 if len(wide) > MOST_STACKED else MOST_STACKED  # the same marks: not drawn only to be thrown away
-        return Picture(png, wide, _make_markup(narrow, most, "narrow"))
+        return Picture(png, wide, _make_markup(figure, most, "narrow"))
 
 
 def _make_markup(figure: Figure, most: float, shape: str = "") -> str:
@@ -98,11 +103,9 @@ def _make_markup(figure: Figure, most: float, shape: str = "") -> str:
 
 def _lay_out(figure: Figure) -> None:
     """Give a figure's panels their places for good; saving it would draw it once more to do so."""
-    engine, dpi = figure.get_layout_engine(), figure.dpi
+    engine = figure.get_layout_engine()
     if engine is not None:
-        figure.set_dpi(DPI)
         engine.execute(figure)
-        figure.set_dpi(dpi)
         figure.set_layout_engine("none")
 
 
@@ -115,13 +118,17 @@ def _save(figure: Figure, kind: str, dpi: float) -> bytes:
 
 def _save_fine(figure: Figure, shape: str) -> bytes:
     """Return a figure as a fine PNG; stacked with as many colours as a chart has, a third of the bytes."""
-    png = _save(figure, "png", FINE_DPI)
     if shape != "narrow":
-        return png
+        return _save(figure, "png", FINE_DPI)
     from PIL import Image  # matplotlib writes its own with it
 
-    buffer = io.BytesIO()
-    Image.open(io.BytesIO(png)).convert("RGB").quantize(COLOURS).save(buffer, "png", optimize=True)
+    buffer, dpi = io.BytesIO(), figure.dpi
+    figure.set_dpi(FINE_DPI)
+    figure.canvas.draw()
+    rgba = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]  # of `Canvas`
+    drawn = Image.fromarray(rgba).convert("RGB")
+    figure.set_dpi(dpi)
+    drawn.quantize(COLOURS, Image.Quantize.MAXCOVERAGE).save(buffer, "png")
     return buffer.getvalue()
 
 

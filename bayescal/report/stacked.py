@@ -66,6 +66,8 @@ def stack_panels(figure: Figure, measured: Panels) -> None:
     panels = _list_panels(figure)
     if not panels:
         return
+    for empty in set(figure.axes) - set(panels):
+        empty.set_visible(False)
     n_columns = max(1, min(len(panels), int(NARROW / measured.width + 0.1)))
     n_rows = -(-len(panels) // n_columns)
     rows = [measured.heights[k * n_columns : (k + 1) * n_columns].max() for k in range(n_rows)]
@@ -91,7 +93,8 @@ def _lay_out(figure: Figure) -> None:
 
 
 def _list_panels(figure: Figure) -> list[Axes]:
-    return [axes for axes in figure.axes if axes.get_visible()]
+    """Return the panels that show something; a grid's last places may be left empty."""
+    return [axes for axes in figure.axes if axes.get_visible() and (axes.axison or axes.has_data() or axes.texts)]
 
 
 def _height_of(axes: Axes) -> float:
@@ -164,8 +167,11 @@ def _tick_size(axis: Axis) -> float:
     return float(labels[0].get_fontsize()) if labels else 8.0
 
 
-def _wrap(text: Text, inches: float) -> None:
-    text.set_text(_fill(text.get_text(), inches * 72.0 / (LETTER * float(text.get_fontsize()))))
+def _wrap(text: Text, inches: float) -> bool:
+    """Break a text into lines; return whether it was too long."""
+    said = text.get_text()
+    text.set_text(_fill(said, inches * 72.0 / (LETTER * float(text.get_fontsize()))))
+    return text.get_text() != said
 
 
 def _fill(text: str, letters: float) -> str:
@@ -210,26 +216,34 @@ def _narrow_legend(figure: Figure, legend: Legend) -> int:
 
 def _settle(figure: Figure, panels: list[Axes], wanted: float) -> None:
     """Turn names that run into each other, put legends below their panels, and give panels the height they want."""
-    for axes in panels:
-        if axes.axison and _overlap(_extents(axes.get_xticklabels())):
-            axes.xaxis.set_tick_params(rotation=90)
-        _break_titles(axes)
+    changed = [_turn_names(axes) | _break_titles(axes) for axes in panels]
     below = sum(_lower_legend(axes) for axes in panels)
     figure.set_size_inches(NARROW, figure.get_figheight() + below)
-    for axes in panels:
-        if _overlap(_extents(axes.texts)):
-            for text in axes.texts:
-                text.set_visible(False)  # each value stands in a table, or under the pointer
-    _lay_out(figure)
+    crowded = [text for axes in panels if _overlap(_extents(axes.texts)) for text in axes.texts]
+    for text in crowded:
+        text.set_visible(False)  # each value stands in a table, or under the pointer
+    if any(changed) or below or crowded:
+        _lay_out(figure)
     figure.set_size_inches(NARROW, figure.get_figheight() + wanted - sum(_row_heights(panels)))
 
 
-def _break_titles(axes: Axes) -> None:
-    """Break what stands above and below a panel into lines, by the width that names at its left have left."""
+def _turn_names(axes: Axes) -> bool:
+    """Turn the names below a panel where they run into each other; return whether they did."""
+    if not (axes.axison and _overlap(_extents(axes.get_xticklabels()))):
+        return False
+    axes.xaxis.set_tick_params(rotation=90)
+    return True
+
+
+def _break_titles(axes: Axes) -> bool:
+    """Break what stands above and below a panel into lines, by the width that names at its left have left.
+
+    Returns whether anything was too long.
+    """
     box = axes.get_position()
-    for title in (axes.title, axes._left_title, axes._right_title):  # type: ignore[attr-defined]  # of matplotlib
-        _wrap(title, NARROW * (1.0 - box.x0))
-    _wrap(axes.xaxis.label, NARROW * box.width)
+    titles = (axes.title, axes._left_title, axes._right_title)  # type: ignore[attr-defined]  # of matplotlib
+    broken = [_wrap(title, NARROW * (1.0 - box.x0)) for title in titles]
+    return any([*broken, _wrap(axes.xaxis.label, NARROW * box.width)])
 
 
 def _row_heights(panels: list[Axes]) -> Iterator[float]:
@@ -244,11 +258,10 @@ def _extents(texts: Sequence[Text]) -> np.ndarray:
 
 
 def _overlap(boxes: np.ndarray) -> bool:
-    """Whether a text runs into another one that begins beside it."""
-    ordered = boxes[np.lexsort((boxes[:, 0], boxes[:, 1].round()))]
-    one, other = ordered[:-1], ordered[1:]
-    level = np.minimum(one[:, 3], other[:, 3]) > np.maximum(one[:, 1], other[:, 1])
-    return bool(np.any(level & (one[:, 2] > other[:, 0])))
+    """Whether a text runs into another one."""
+    low = np.maximum(boxes[:, None, :2], boxes[:, :2])
+    high = np.minimum(boxes[:, None, 2:], boxes[:, 2:])
+    return bool(np.triu((low < high).all(axis=-1), 1).any())
 
 
 def _lower_legend(axes: Axes) -> float:

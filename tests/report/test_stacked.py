@@ -82,3 +82,33 @@ def test_a_wide_figure_has_two_forms_of_its_own():
     assert re.findall(r'<svg class="(\w+)"', markup) == ["wide", "narrow"]
     ids = re.findall(r' id="([^"]+)"', markup)
     assert len(ids) == len(set(ids))
+
+
+def test_names_that_do_not_meet_are_not_turned_though_some_reach_lower():
+    def draw() -> Figure:
+        figure = Figure(figsize=(9.4, 2.2))
+        for axes in figure.subplots(1, 2):
+            axes.bar(range(4), [1.0, 2.0, 1.5, 1.0])
+            axes.set_xticks(range(4), ["6-PUS", "Jacobian", "beam", "stiffness"])
+            for k, height in enumerate((1.0, 2.0, 1.5, 1.0)):
+                axes.annotate("9.2/26", (k, height), (0, 2), textcoords="offset points", ha="center", fontsize=7)
+        return figure
+
+    for axes in stack(draw).axes:
+        assert {text.get_rotation() for text in axes.get_xticklabels()} == {0.0}
+        assert all(text.get_visible() for text in axes.texts)
+
+
+def test_an_empty_place_of_a_grid_takes_no_room():
+    def draw(empty: int) -> Figure:
+        figure = Figure(figsize=(9.4, 4.0))
+        panels = figure.subplots(2, 2).ravel()
+        for axes in panels[: 4 - empty]:
+            axes.plot([0.0, 1.0])
+        for axes in panels[4 - empty :]:
+            axes.set_axis_off()
+        return figure
+
+    full, less = (stack(lambda empty=empty: draw(empty)) for empty in (0, 1))
+    assert less.get_figheight() < 0.8 * full.get_figheight()
+    assert [axes.get_visible() for axes in less.axes] == [True, True, True, False]

@@ -7,9 +7,7 @@ is, the kind of experiment says. Prior and posterior are thinned alike in all gr
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -17,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayescal.experiments.shared.packing import pack_tree
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
@@ -154,18 +153,6 @@ def write_tree(build: Callable[[], xr.DataTree]) -> Writer:
 
 def _write(build: Callable[[], xr.DataTree], path: Path) -> None:
     write_packed(pack_tree(build()), path)
-
-
-def pack_tree(tree: xr.DataTree) -> np.ndarray:
-    """Return the bytes of a netCDF file; the same for the same tree."""
-    with _lock_here():
-        return np.frombuffer(tree.to_netcdf(engine="h5netcdf"), dtype=np.uint8)
-
-
-def _lock_here() -> AbstractContextManager[object]:
-    """Let xarray write on its own: on a worker of a scheduler it asks that for a lock of what is in memory here."""
-    dask = sys.modules.get("dask")
-    return nullcontext() if dask is None else dask.config.set(scheduler="synchronous")
 
 
 def write_packed(packed: np.ndarray, path: Path) -> None:

@@ -13,7 +13,8 @@ from bayescal.density.least_squares import LeastSquaresFit
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.shared.joints import tabulate_joints
-from bayescal.experiments.shared.trees import pack_tree, write_packed
+from bayescal.experiments.shared.packing import pack_tree
+from bayescal.experiments.shared.trees import write_packed
 from bayescal.experiments.study.calibrated import describe_nominal
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task

@@ -1,0 +1,65 @@
+"""What figures are laid out and drawn on: every text is measured once, whatever figure it stands in."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import matplotlib
+from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
+from matplotlib.font_manager import FontProperties, findfont, get_font
+
+MOST_TEXTS = 8192
+ASKING = (3, 11)  # version of matplotlib whose texts ask a renderer for the heights of their font
+
+type Heights = tuple[float, float, float] | tuple[None, None, None]
+
+
+class Canvas(FigureCanvasAgg):
+    """A canvas whose renderer stays as long as the figure's size does; a bare figure makes one at every question."""
+
+    def get_renderer(self) -> RendererAgg:
+        """Return a renderer of the figure's size and resolution."""
+        size = (*self.get_width_height(physical=True), self.figure.dpi)
+        if self._lastKey != size:
+            self.renderer, self._lastKey = Renderer(*size), size  # type: ignore[no-untyped-call]  # of matplotlib
+        return self.renderer
+
+
+class Renderer(RendererAgg):
+    """A renderer that knows a text's size from any other one of its resolution: figures have the same numbers."""
+
+    def get_text_width_height_descent(self, s: str, prop: FontProperties, ismath: Any) -> tuple[float, float, float]:
+        """Return width, height and descent of a line of text, pixels."""
+        return _measure(s, prop.copy(), ismath, self.dpi)
+
+
+@lru_cache(MOST_TEXTS)
+def _measure(text: str, font: FontProperties, ismath: Any, dpi: float) -> tuple[float, float, float]:
+    ruler: Any = _make_ruler(dpi)
+    width, height, descent = ruler.get_text_width_height_descent(text, font, ismath)
+    return width, height, descent
+
+
+@lru_cache(1)
+def _make_ruler(dpi: float) -> RendererAgg:
+    return RendererAgg(1, 1, dpi)  # type: ignore[no-untyped-call]  # of matplotlib
+
+
+@lru_cache(MOST_TEXTS)
+def _read_heights(font: FontProperties, dpi: float) -> Heights:
+    """Return ascent, descent and line gap of a font, pixels, from the table that says them; None where none does."""
+    file = get_font(findfont(font))
+    heights, head = file.get_sfnt_table("OS/2"), file.get_sfnt_table("head")
+    if heights is None or head is None:
+        return None, None, None
+    scale = 1 / head["unitsPerEm"] * font.get_size_in_points() * dpi / 72
+    return heights["sTypoAscender"] * scale, -heights["sTypoDescender"] * scale, heights["sTypoLineGap"] * scale
+
+
+if matplotlib.__version_info__[:2] == ASKING:  # where none answers, it reads these tables for every text again
+
+    def _get_font_height_metrics(self: Renderer, prop: FontProperties) -> Heights:
+        return _read_heights(prop.copy(), self.dpi)
+
+    Renderer._get_font_height_metrics = _get_font_height_metrics  # type: ignore[attr-defined]
