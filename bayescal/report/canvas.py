@@ -5,14 +5,10 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
-import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
-from matplotlib.font_manager import FontProperties, findfont, get_font
+from matplotlib.font_manager import FontProperties
 
 MOST_TEXTS = 8192
-ASKING = (3, 11)  # version of matplotlib whose texts ask a renderer for the heights of their font
-
-type Heights = tuple[float, float, float] | tuple[None, None, None]
 
 
 class Canvas(FigureCanvasAgg):
@@ -44,22 +40,3 @@ def _measure(text: str, font: FontProperties, ismath: Any, dpi: float) -> tuple[
 @lru_cache(1)
 def _make_ruler(dpi: float) -> RendererAgg:
     return RendererAgg(1, 1, dpi)  # type: ignore[no-untyped-call]  # of matplotlib
-
-
-@lru_cache(MOST_TEXTS)
-def _read_heights(font: FontProperties, dpi: float) -> Heights:
-    """Return ascent, descent and line gap of a font, pixels, from the table that says them; None where none does."""
-    file = get_font(findfont(font))
-    heights, head = file.get_sfnt_table("OS/2"), file.get_sfnt_table("head")
-    if heights is None or head is None:
-        return None, None, None
-    scale = 1 / head["unitsPerEm"] * font.get_size_in_points() * dpi / 72
-    return heights["sTypoAscender"] * scale, -heights["sTypoDescender"] * scale, heights["sTypoLineGap"] * scale
-
-
-if matplotlib.__version_info__[:2] == ASKING:  # where none answers, it reads these tables for every text again
-
-    def _get_font_height_metrics(self: Renderer, prop: FontProperties) -> Heights:
-        return _read_heights(prop.copy(), self.dpi)
-
-    Renderer._get_font_height_metrics = _get_font_height_metrics  # type: ignore[attr-defined]
