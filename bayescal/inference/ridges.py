@@ -177,7 +177,8 @@ def _correct(posterior: Target, lanes: Sequence[_Lane]) -> list[_Point | None]:
     for _ in range(CORRECTIONS):
         value, gradient, hessian = difference_many(posterior.log_density, y[open_], factors[open_], ACROSS)
         with np.errstate(invalid="ignore"):
-            is_peaked = np.linalg.eigvalsh(np.where(np.isfinite(hessian), hessian, 1.0))[:, -1] < 0.0
+            curvature = np.linalg.eigvalsh(np.where(np.isfinite(hessian), hessian, 1.0))
+            is_peaked = (curvature < 0.0).all(axis=1) & np.isfinite(value)
         open_ = open_[is_peaked]
         value, gradient, hessian = value[is_peaked], gradient[is_peaked], hessian[is_peaked]
         step = np.linalg.solve(-hessian, gradient[..., None])[..., 0]

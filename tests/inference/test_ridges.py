@@ -167,3 +167,20 @@ def test_a_ridge_that_ends_at_once_is_none(single):
         log_density=lambda y: np.where(y[:, 0] <= 0.0, bent.log_density(y), -np.inf),
     )
     assert straighten(cut, [mode]).ridges is None
+
+
+def test_a_coordinate_that_nothing_follows_is_bent_alone():
+    along = Tailed()
+    lone = SimpleNamespace(
+        n_parameters=1,
+        n_geometry=1,
+        log_density=lambda y: along(y[:, 0]),
+        curved_ridges=lambda: [(0, np.array([], int))],
+    )
+    straight = straighten(lone, [Mode(np.zeros(1), -1.0, np.eye(1), True)])
+    peak = refine_peak(straight.log_density, Peak(np.zeros(1), np.eye(1), 0.0))
+    found = estimate_by_importance(
+        straight.log_density, proposal_from_peaks([peak], 50.0), np.random.default_rng(6), 4000
+    )
+    assert found.log_evidence == pytest.approx(0.0, abs=4 * found.standard_error + 2e-3)
+    assert found.efficiency > 0.9
