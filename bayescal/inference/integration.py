@@ -8,6 +8,7 @@ import numpy as np
 
 from bayescal.inference.exploration import Exploration, add_clusters, explore
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
+from bayescal.inference.overdispersed import FarDraws, fit_tails
 from bayescal.inference.target import Target
 
 
@@ -50,6 +51,18 @@ def integrate_posterior(
         if again.is_better_than(importance):
             return other, again
     return found, importance
+
+
+def widen_tails(
+    found: Exploration,
+    importance: ImportanceEvidence,
+    far: FarDraws,
+    importance_seed: np.random.SeedSequence,
+    effort: Effort,
+) -> tuple[Exploration, ImportanceEvidence]:
+    """Return exploration and evidence with a proposal of heavier tails where draws from farther out ask for them."""
+    wider = fit_tails(found, far)
+    return (found, importance) if wider is found else (wider, _weigh(wider, importance_seed, effort))
 
 
 def _weigh(found: Exploration, seed: np.random.SeedSequence, effort: Effort) -> ImportanceEvidence:

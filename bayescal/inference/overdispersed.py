@@ -6,11 +6,12 @@ ensembles that start from the proposal and jump by it may have missed, some of t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
 
+from bayescal.inference.diagnostics import LEAST_LACKING
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import evaluate_in_batches
 from bayescal.inference.proposal import MixtureProposal
@@ -20,6 +21,10 @@ N_DRAWS = 5000
 AT_ONCE = 50  # draws whose axes are held, a matrix each
 STRETCH = 4.0
 EVENLY = 0.5  # share of draws that are spread over the axes evenly
+SELDOM = 20.0
+"""By what factor a proposal leads somewhere less often than the posterior's mass would have it."""
+CERTAIN = 2.0  # standard errors by which there have to be tails
+HEAVIER = (20.0, 10.0, 6.0, 4.0)  # degrees of freedom
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +55,29 @@ def draw_far_out(exploration: Exploration, seed: np.random.SeedSequence) -> FarD
         log_weights = log_density - wide.log_density(x)
     log_weights[~np.isfinite(log_weights)] = -np.inf
     return FarDraws(x, log_density, log_weights)
+
+
+def fit_tails(found: Exploration, far: FarDraws) -> Exploration:
+    """Return an exploration whose proposal has tails as heavy as the posterior's, by draws from farther out.
+
+    A proposal's own draws do not know of tails that it leads to too seldom. The mean of p / q over the posterior, one
+    over the efficiency of q, does, and says how many degrees of freedom are best. Where hardly any of the mass is in
+    such tails, or one draw alone says so, the exploration stays as it is.
+    """
+    weights = np.exp(far.log_weights - far.log_weights.max())
+    log_evidence = far.log_weights.max() + np.log(weights.mean())
+    seen = weights > 0.0
+    x, log_posterior, weights = far.x[seen], far.log_density[seen] - log_evidence, weights[seen] / weights.sum()
+    there = log_posterior - found.proposal.log_density(x) > np.log(SELDOM)
+    share = float(weights[there].sum())
+    if not share > max(LEAST_LACKING, CERTAIN * float(np.linalg.norm(weights * (there - share)))):
+        return found
+
+    def rate(proposal: MixtureProposal) -> float:
+        return float(np.exp(-logsumexp(log_posterior - proposal.log_density(x), b=weights)))
+
+    best = max((replace(found.proposal, dof=dof) for dof in (found.proposal.dof, *HEAVIER)), key=rate)
+    return replace(found, proposal=best, efficiency=rate(best))
 
 
 class Stretched:

@@ -12,12 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.inference.exploration import Exploration
-from bayescal.inference.overdispersed import FarDraws
+from bayescal.inference.overdispersed import SELDOM, FarDraws
 from bayescal.inference.sampling import Sample
 from bayescal.numerics.geometry import Array
-
-SELDOM = 20.0
-"""By what factor a proposal leads somewhere less often than the posterior's mass would have it."""
 
 
 @dataclass(frozen=True)

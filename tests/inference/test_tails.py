@@ -8,15 +8,20 @@ from test_scouts import CLEAN, MISSED, N, Toy, gaussian, long_tail
 
 from bayescal.inference.diagnostics import list_tail_problems
 from bayescal.inference.exploration import Exploration
-from bayescal.inference.overdispersed import draw_far_out
+from bayescal.inference.overdispersed import draw_far_out, fit_tails
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.straightening import Straightening
 from bayescal.inference.tails import compare_tails
 
 
+def explored(density, proposal):
+    """Return what an exploration that found a proposal would be."""
+    return Exploration(Straightening(Toy(density), np.zeros(N), (), np.empty(0), np.empty(0)), proposal, [], 1.0)
+
+
 def compare(density, proposal, n_steps=40, seed=1):
     """Return what ensembles have of a density's tails beyond a proposal."""
-    found = Exploration(Straightening(Toy(density), np.zeros(N), (), np.empty(0), np.empty(0)), proposal, [], 1.0)
+    found = explored(density, proposal)
     first, second = np.random.SeedSequence(seed).spawn(2)
     sample = sample_posterior(found, first, 4, 64, n_steps // 2, n_steps)
     return compare_tails(found, sample, draw_far_out(found, second))
@@ -52,3 +57,21 @@ def test_a_small_lack_and_one_by_chance_are_not_said():
     assert not list_tail_problems(0.05, 0.01, 0.02)
     assert not list_tail_problems(0.0, 0.0, 0.0)
     assert list_tail_problems(0.05, 0.01, 0.01)
+
+
+def test_a_proposal_gets_the_tails_that_a_posterior_has():
+    """Of a Student t of three degrees of freedom a Gaussian's own draws do not know."""
+
+    def student(y):
+        return -0.5 * (3.0 + N) * np.log1p((y * y).sum(axis=1) / 3.0)
+
+    found = explored(student, gaussian())
+    wider = fit_tails(found, draw_far_out(found, np.random.SeedSequence(2)))
+    assert wider.proposal.dof == 4.0
+    assert 0.5 < wider.efficiency <= 1.0
+
+
+@pytest.mark.parametrize("name", CLEAN)
+def test_a_proposal_that_leads_everywhere_stays_as_it_is(name):
+    found = explored(*CLEAN[name])
+    assert fit_tails(found, draw_far_out(found, np.random.SeedSequence(3))) is found

@@ -19,7 +19,7 @@ from bayescal.inference.diagnostics import (
     measure_longest_stand,
 )
 from bayescal.inference.importance import ImportanceEvidence
-from bayescal.inference.integration import Effort, integrate_posterior
+from bayescal.inference.integration import Effort, integrate_posterior, widen_tails
 from bayescal.inference.overdispersed import draw_far_out
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
@@ -139,13 +139,10 @@ def estimate_posterior(
     explore_seed, importance_seed, ensemble_seed, bridge_seed = np.random.SeedSequence(
         [seed, zlib.crc32(name.encode())]
     ).spawn(4)
-    found, importance = integrate_posterior(
-        posterior,
-        explore_seed,
-        importance_seed,
-        sampler.walkers,
-        Effort(effort.draws, effort.target_error, effort.max_draws),
-    )
+    price = Effort(effort.draws, effort.target_error, effort.max_draws)
+    found, importance = integrate_posterior(posterior, explore_seed, importance_seed, sampler.walkers, price)
+    far = draw_far_out(found, np.random.SeedSequence([seed, zlib.crc32(f"{name}-tails".encode())]))
+    found, importance = widen_tails(found, importance, far, importance_seed, price)
     density = found.straight.log_density
     sample = sample_posterior(found, ensemble_seed, sampler.ensembles, sampler.walkers, sampler.burn_in, sampler.steps)
     bridge = estimate_by_bridge(
@@ -156,7 +153,6 @@ def estimate_posterior(
         effort.draws,
         found.proposal,
     )
-    far = draw_far_out(found, np.random.SeedSequence([seed, zlib.crc32(f"{name}-tails".encode())]))
     flat = sample.y.reshape(-1, posterior.n_parameters)
     chosen = np.linspace(0, len(flat) - 1, min(KEPT_DRAWS, len(flat))).astype(int)
     return Estimate(

@@ -33,8 +33,8 @@ from bayescal.inference.correction import Correction
 from bayescal.inference.diagnostics import measure_longest_stand
 from bayescal.inference.exploration import Exploration, count_walkers
 from bayescal.inference.importance import ImportanceEvidence
-from bayescal.inference.integration import Effort, integrate_posterior
-from bayescal.inference.overdispersed import draw_far_out
+from bayescal.inference.integration import Effort, integrate_posterior, widen_tails
+from bayescal.inference.overdispersed import FarDraws, draw_far_out
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.scouts import send_scouts
 from bayescal.inference.tails import compare_tails
@@ -79,14 +79,11 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
     posterior = inputs.posterior(variant, task.with_model_error)
     seed = np.random.SeedSequence([inputs.config.seed, zlib.crc32(task.key.encode())])
     explore_seed, importance_seed, ensemble_seed, bridge_seed, predict_seed, correct_seed = seed.spawn(6)
-    effort = inputs.config.evidence
-    exploration, importance = integrate_posterior(
-        posterior,
-        explore_seed,
-        importance_seed,
-        inputs.config.sampler.walkers,
-        Effort(effort.draws, effort.target_error, effort.max_draws),
-    )
+    effort, walkers = inputs.config.evidence, inputs.config.sampler.walkers
+    price = Effort(effort.draws, effort.target_error, effort.max_draws)
+    exploration, importance = integrate_posterior(posterior, explore_seed, importance_seed, walkers, price)
+    far = draw_far_out(exploration, _seed_for(inputs, task, "tails"))
+    exploration, importance = widen_tails(exploration, importance, far, importance_seed, price)
     posterior = get_explored(exploration)
     arrays = {
         **list_importance(importance),
@@ -94,7 +91,7 @@ def run_task(inputs: StudyInputs, task: Task) -> Arrays:
         "modes_converged": np.array(all(mode.converged for mode in exploration.modes), dtype=float),
     }
     seeds = (ensemble_seed, bridge_seed, predict_seed, correct_seed)
-    sampled, correction = _sample(inputs, task, posterior, exploration, *seeds)
+    sampled, correction = _sample(inputs, task, posterior, exploration, far, *seeds)
     arrays |= sampled
     arrays |= _check(inputs, task, posterior, exploration, arrays, seed)
     arrays |= list_corrected(arrays, correction)
@@ -122,6 +119,7 @@ def _sample(
     task: Task,
     posterior: Posterior,
     exploration: Exploration,
+    far: FarDraws,
     ensemble_seed: np.random.SeedSequence,
     bridge_seed: np.random.SeedSequence,
     predict_seed: np.random.SeedSequence,
@@ -141,7 +139,6 @@ def _sample(
         inputs.config.evidence.draws,
         exploration.proposal,
     )
-    far = draw_far_out(exploration, _seed_for(inputs, task, "tails"))
     scouts = send_scouts(exploration, sample, far, _seed_for(inputs, task, "scouts"))
     tails = compare_tails(exploration, sample, far)
     exact, correction = inputs.exact_density(inputs.variant(task.variant), posterior), None
