@@ -60,9 +60,15 @@ def widen_tails(
     importance_seed: np.random.SeedSequence,
     effort: Effort,
 ) -> tuple[Exploration, ImportanceEvidence]:
-    """Return exploration and evidence with a proposal of heavier tails where draws from farther out ask for them."""
+    """Return exploration and evidence with a proposal of heavier tails where draws from farther out ask for them.
+
+    Not so where its own weights would be doubtful, and those before were not.
+    """
     wider = fit_tails(found, far)
-    return (found, importance) if wider is found else (wider, _weigh(wider, importance_seed, effort))
+    if wider is found:
+        return found, importance
+    again = _weigh(wider, importance_seed, effort)
+    return (found, importance) if again.is_doubtful and not importance.is_doubtful else (wider, again)
 
 
 def _weigh(found: Exploration, seed: np.random.SeedSequence, effort: Effort) -> ImportanceEvidence:
