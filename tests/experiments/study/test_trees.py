@@ -77,7 +77,8 @@ def test_arviz_compares_saved_posteriors(trees):
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.stem)
 def test_leaving_poses_out_agrees_with_arviz(trees, arrays, task):
     found, loo = read_left_out(arrays[task]), az.loo(trees[task], pointwise=True)
-    assert float(loo.elpd) == pytest.approx(found.summarise()[0], abs=0.5)  # the file has some of the draws
+    # by weights alone, as ArviZ does it: poses that weigh too much are refitted here; the file has some of the draws
+    assert float(loo.elpd) == pytest.approx(found.weighted.sum(), abs=0.5)
     np.testing.assert_allclose(loo.elpd_i, found.weighted, atol=0.3)
 
 
