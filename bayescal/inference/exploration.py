@@ -52,15 +52,12 @@ class Exploration:
         Best first.
     efficiency : float
         Importance sampling efficiency of the proposal, from a short trial.
-    tails_fitted : bool
-        Whether the proposal's tails were fitted to draws from farther out.
     """
 
     straight: Straightening
     proposal: MixtureProposal
     modes: list[Mode]
     efficiency: float
-    tails_fitted: bool = False
 
 
 def count_walkers(n_parameters: int, n_walkers: int) -> int:

@@ -77,7 +77,7 @@ def fit_tails(found: Exploration, far: FarDraws) -> Exploration:
         return float(np.exp(-logsumexp(log_posterior - proposal.log_density(x), b=weights)))
 
     best = max((replace(found.proposal, dof=dof) for dof in (found.proposal.dof, *HEAVIER)), key=rate)
-    return replace(found, proposal=best, efficiency=rate(best), tails_fitted=True)
+    return replace(found, proposal=best, efficiency=rate(best))
 
 
 class Stretched:

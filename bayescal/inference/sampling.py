@@ -52,8 +52,7 @@ def sample_posterior(
     straight = exploration.straight
     posterior = straight.posterior
     walkers = count_walkers(posterior.n_parameters, n_walkers)
-    is_good = exploration.efficiency >= GOOD_ENOUGH or exploration.tails_fitted
-    share = GOOD_JUMP_SHARE if is_good else JUMP_SHARE
+    share = GOOD_JUMP_SHARE if exploration.efficiency >= GOOD_ENOUGH else JUMP_SHARE
     ensembles = [
         run_ensemble(straight.log_density, exploration.proposal, own, walkers, n_burn_in, n_steps, jump_share=share)
         for own in seed.spawn(n_ensembles)
