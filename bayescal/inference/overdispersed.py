@@ -7,6 +7,7 @@ ensembles that start from the proposal and jump by it may have missed, some of t
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import logsumexp
@@ -45,6 +46,18 @@ class FarDraws:
     log_density: Array
     log_weights: Array
 
+    @cached_property
+    def weights(self) -> Array:
+        """The same, their sum one."""
+        weights = np.exp(self.log_weights - self.log_weights.max())
+        return np.asarray(weights / weights.sum())
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """What the weights say of it."""
+        highest = self.log_weights.max()
+        return float(highest + np.log(np.exp(self.log_weights - highest).mean()))
+
 
 def draw_far_out(exploration: Exploration, seed: np.random.SeedSequence) -> FarDraws:
     """Return draws of an explored posterior's proposal as it is stretched."""
@@ -64,10 +77,8 @@ def fit_tails(found: Exploration, far: FarDraws) -> Exploration:
     over the efficiency of q, does, and says how many degrees of freedom are best. Where hardly any of the mass is in
     such tails, or one draw alone says so, the exploration stays as it is.
     """
-    weights = np.exp(far.log_weights - far.log_weights.max())
-    log_evidence = far.log_weights.max() + np.log(weights.mean())
-    seen = weights > 0.0
-    x, log_posterior, weights = far.x[seen], far.log_density[seen] - log_evidence, weights[seen] / weights.sum()
+    seen = far.weights > 0.0
+    x, log_posterior, weights = far.x[seen], far.log_density[seen] - far.log_evidence, far.weights[seen]
     there = log_posterior - found.proposal.log_density(x) > np.log(SELDOM)
     share = float(weights[there].sum())
     if not share > max(LEAST_LACKING, CERTAIN * float(np.linalg.norm(weights * (there - share)))):

@@ -38,13 +38,10 @@ class Tails:
 
 def compare_tails(exploration: Exploration, sample: Sample, far: FarDraws) -> Tails:
     """Return how much of the posterior lies where the proposal seldom leads, and how many of the draws."""
-    log_weights = far.log_weights
-    weights = np.exp(log_weights - log_weights.max())
-    log_evidence = log_weights.max() + np.log(weights.mean())
-    weights /= weights.sum()
+    weights = far.weights
 
     def is_seldom(log_density: Array, x: Array) -> np.ndarray:
-        return log_density - log_evidence - exploration.proposal.log_density(x) > np.log(SELDOM)
+        return log_density - far.log_evidence - exploration.proposal.log_density(x) > np.log(SELDOM)
 
     there = is_seldom(far.log_density, far.x)
     expected = float(weights[there].sum())
