@@ -96,6 +96,10 @@ class FreeLengthPosterior(StructuredPosterior):
         hessian[-1, -1] -= 1.0
         return gradient, hessian
 
+    def newton(self, y: Array) -> tuple[Array, Array]:
+        """Return `gradient`: it is of two nodes of the length."""
+        return self.gradient(y)
+
     def _differentiate_at(self, y: Array, node: int) -> tuple[Array, Array]:
         """Return gradient and Hessian at the length of a node, without the prior of the length."""
         fixed, known = self._fixed(node), y[:-1]

@@ -12,7 +12,7 @@ from bayescal.limits import FAR_AWAY
 from bayescal.machines.coordinates import Coordinates
 from bayescal.numerics.geometry import Array
 
-TOLERANCE = 1e-10
+TOLERANCE = 1e-6
 
 
 class Fitted(Protocol):

@@ -41,3 +41,9 @@ class ModelError:
         """Return dτ/dζ in mm."""
         assert self.scale is not None
         return 0.5 * self.scale * np.exp(0.5 * ((tau / self.scale) ** 2 - zeta**2))
+
+    def bend(self, zeta: Array, tau: Array) -> Array:
+        """Return d²τ/dζ² in mm."""
+        assert self.scale is not None
+        slope = self.slope(zeta, tau)
+        return slope * (tau * slope / self.scale**2 - zeta)

@@ -245,6 +245,10 @@ class KernelScale:
         """Return ds/dc in mm."""
         return self.spread * self.scale_from_switch(c)
 
+    def bend(self, c: Array) -> Array:
+        """Return d²s/dc² in mm."""
+        return self.spread * self.slope(c)
+
     @staticmethod
     def deviation(c: Array) -> Array:
         """Return c less its place, standard normal under the prior."""

@@ -9,6 +9,7 @@ from typing import Self
 
 import numpy as np
 
+from bayescal.density.curvature import differentiate_model_errors
 from bayescal.density.geometry_fit import fit_geometry
 from bayescal.density.geometry_prior import GeometryPrior, build_coordinates, check_bounds
 from bayescal.density.independent_error import ModelError
@@ -267,6 +268,35 @@ class Posterior:
     def gradient(self, y: Array) -> tuple[Array, Array]:
         """Return the exact gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
         return self._differentiate(y, self._linearise(y))
+
+    def newton(self, y: Array) -> tuple[Array, Array]:
+        """Return the exact gradient (n,) at y, shape (n,), and the Hessian (n, n) but for the errors' own curvature.
+
+        It is that of Newton's steps: exact in the model errors, and so not always negative definite.
+        """
+        local = self._linearise(y)
+        gradient, hessian = self._differentiate(y, local)
+        if self.model_error.scale is not None:
+            m, errors = self.n_geometry, self.model_errors_at(y)
+            across, own = differentiate_model_errors(self.likelihood, local, errors, self._moves(y), self._bends(y))
+            hessian[:m, m:], hessian[m:, :m] = across, across.T
+            hessian[m:, m:] = own - np.eye(len(own))
+        return gradient, hessian
+
+    def _moves(self, y: Array) -> Array:
+        """Return the derivative of `model_errors` by their coordinates at y, shape (k, N)."""
+        zeta = y[self._taus]
+        return self._spread(self.model_error.slope(zeta, self.model_error.tau_from_zeta(zeta)))
+
+    def _bends(self, y: Array) -> Array:
+        """Return the second derivative of `model_errors` by their coordinates at y, shape (k, N)."""
+        zeta = y[self._taus]
+        return self._spread(self.model_error.bend(zeta, self.model_error.tau_from_zeta(zeta)))
+
+    def _spread(self, values: Array) -> Array:
+        """Return something of each model error, shape (k,), at the legs that it is of, shape (k, N)."""
+        n_legs = self.likelihood.n_legs
+        return values[:, None] * (np.eye(n_legs) if len(values) == n_legs else np.ones((1, n_legs)))
 
     def _differentiate(self, y: Array, local: Local) -> tuple[Array, Array]:
         """Return `gradient` at y, shape (n,), from the likelihood around it."""

@@ -197,6 +197,10 @@ class RobustPosterior(Posterior):
         hessian[-1, -1] = -np.sum(by_share**2) * slope**2 - 1.0
         return gradient, hessian
 
+    def newton(self, y: Array) -> tuple[Array, Array]:
+        """Return `gradient`: how much a pose counts depends on the model errors, too."""
+        return self.gradient(y)
+
     # --- climbing ------------------------------------------------------------------------------------------------
 
     def approach(self) -> Array:

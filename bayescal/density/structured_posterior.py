@@ -128,15 +128,16 @@ class StructuredPosterior(Posterior):
 
     def _moves(self, y: Array) -> Array:
         """Return the derivative of `model_errors` by their coordinates at y, shape (k, 2 N)."""
-        n_legs, zeta, c = self.likelihood.n_legs, y[self._taus], y[self._switches]
-        tau = self.model_error.slope(zeta, self.model_error.tau_from_zeta(zeta))
-        blocks = [(tau, 0), (self.kernel_scale.slope(c), n_legs)]
-        moves, row = np.zeros((len(zeta) + len(c), 2 * n_legs)), 0
-        for slope, start in blocks:
-            legs = np.eye(n_legs) if len(slope) == n_legs else np.ones((1, n_legs))
-            moves[row : row + len(slope), start : start + n_legs] = slope[:, None] * legs
-            row += len(slope)
-        return moves
+        return self._beside(super()._moves(y), self.kernel_scale.slope(y[self._switches]))
+
+    def _bends(self, y: Array) -> Array:
+        """Return the second derivative of `model_errors` by their coordinates at y, shape (k, 2 N)."""
+        return self._beside(super()._bends(y), self.kernel_scale.bend(y[self._switches]))
+
+    def _beside(self, tau: Array, scales: Array) -> Array:
+        """Return something of τ at the legs, shape (j, N), and of each scale, shape (i,), as one, (j + i, 2 N)."""
+        own = self._spread(scales)
+        return np.block([[tau, np.zeros_like(tau)], [np.zeros_like(own), own]])
 
     # --- climbing and straightening ------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import OptimizeResult, minimize
 
 from bayescal.errors import NumericalError
@@ -17,6 +18,7 @@ from bayescal.numerics.geometry import Array
 
 GRADIENT_TOLERANCE = 1e-3  # per prior sd: a Newton step would gain below 1e-6
 DECREMENT_TOLERANCE = 1e-4
+TOP = 5e-5  # decrement where a climb ends: 2.5e-5 nats below the mode
 SAME = 0.03  # prior sds: two climbs that stop at a decrement of 1e-4 may end so far apart
 HESSIAN_STEP = 0.1  # posterior sds
 PATIENCE, HOPELESS = 20, 40.0  # steps after which a climb this many nats below the best is given up
@@ -218,28 +220,21 @@ def _climb(posterior: Target, start: Array, floor: float = -np.inf) -> Climb:
     if not np.isfinite(posterior.log_density(start[None])[0]):
         raise NumericalError("mode search: the density is not finite at the start, expected a machine near nominal")
     y = posterior.polish(start)
-    known: dict[bytes, tuple[Array, Array]] = {}
-
-    def derivatives(x: Array) -> tuple[Array, Array]:
-        key = x.tobytes()
-        if key not in known:
-            known.clear()
-            known[key] = posterior.gradient(x)
-        return known[key]
-
+    surface = _Surface(posterior)
     steps = 0
 
     def give_up(intermediate_result: OptimizeResult) -> None:
         nonlocal steps
         steps += 1
-        if steps >= PATIENCE and -intermediate_result.fun < floor:
+        hopeless = steps >= PATIENCE and -intermediate_result.fun < floor
+        if hopeless or surface.is_top(intermediate_result.x):
             raise StopIteration
 
     result = minimize(
         lambda x: min(-float(posterior.log_density(x[None])[0]), FAR_AWAY**2),
         y,
-        jac=lambda x: -derivatives(x)[0],
-        hess=lambda x: -derivatives(x)[1],
+        jac=lambda x: -surface.at(x)[0],
+        hess=lambda x: -surface.at(x)[1],
         method="trust-exact",
         callback=give_up,
         options={"gtol": GRADIENT_TOLERANCE, "maxiter": 200},
@@ -247,6 +242,32 @@ def _climb(posterior: Target, start: Array, floor: float = -np.inf) -> Climb:
     if not result.fun < FAR_AWAY**2:
         raise NumericalError("mode search: the climb left the region of finite density")
     return result.x, float(-result.fun)
+
+
+class _Surface:
+    """Gradient and Hessian along a climb; those of the last two points are kept, as a step may be taken back."""
+
+    def __init__(self, posterior: Target) -> None:
+        self._posterior = posterior
+        self._known: dict[bytes, tuple[Array, Array]] = {}
+
+    def at(self, x: Array) -> tuple[Array, Array]:
+        """Return gradient (n,) and Hessian (n, n) at x, shape (n,)."""
+        key = x.tobytes()
+        if key not in self._known:
+            while len(self._known) > 1:
+                del self._known[next(iter(self._known))]
+            self._known[key] = self._posterior.newton(x)
+        return self._known[key]
+
+    def is_top(self, x: Array) -> bool:
+        """Whether a Newton step from x, shape (n,), would gain next to nothing."""
+        gradient, hessian = self.at(x)
+        try:
+            white = solve_triangular(cholesky(-hessian, lower=True), gradient, lower=True)
+        except np.linalg.LinAlgError:
+            return False
+        return bool(white @ white < TOP)
 
 
 def _characterise(posterior: Target, y: Array, log_density: float) -> Mode:

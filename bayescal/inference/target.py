@@ -56,6 +56,9 @@ class Target(Prospect, Protocol):
     def gradient(self, y: Array) -> tuple[Array, Array]:
         """Return the gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
 
+    def newton(self, y: Array) -> tuple[Array, Array]:
+        """Return the gradient (n,), and the Hessian (n, n) as exactly as it is cheap, definite or not, to climb by."""
+
     # --- climbing ------------------------------------------------------------------------------------------------
 
     def approach(self) -> Array:

@@ -226,6 +226,10 @@ class CalibrationPosterior:
                 self._add_noise(y, white, left, left_of(left, error), trust, gradient, hessian)
         return gradient, hessian
 
+    def newton(self, y: Array) -> tuple[Array, Array]:
+        """Return `gradient`, whose Hessian is nearly the exact one."""
+        return self.gradient(y)
+
     def _add_noise(
         self, y: Array, white: Whitening, left: Array, error: Array, trust: Array, gradient: Array, hessian: Array
     ) -> None:
