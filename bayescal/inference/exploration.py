@@ -31,6 +31,7 @@ WORTH_REFINING = 6.0  # a mode this many nats below the best is left as it is: a
 PLAUSIBLE = 3.0  # nats that a lesser mode's mass may lose when it is sharpened; beyond, the steps went astray
 TELLING = 0.02  # below it a trial's efficiency is mostly chance, and the later proposal is the better guess
 TRIAL_DRAWS = 2000
+FIRST_DRAWS, HOPELESS = 256, 0.05  # of a trial, and what they may show for it to end with them
 FINE_DRAWS, FINE_ENOUGH = 64, 0.9  # draws, and what share of them has to count by the density that leaves nothing out
 OWN_SHARE, CLUSTER_DOF = 0.2, 6.0  # of the proposal so far beside clusters of a pilot's draws, and their tails
 PILOT_STEPS = 100
@@ -215,9 +216,9 @@ def add_clusters(found: Exploration, seed: np.random.SeedSequence, n_walkers: in
 
 
 def _peak_in(straight: Straightening, mode: Mode) -> Peak:
-    """Return a mode as a peak in straight coordinates; stretches leave its covariance close enough as it is."""
+    """Return a mode as a peak in straight coordinates."""
     centre = straight.x_from_y(mode.y[None])
-    factor = np.linalg.cholesky(straight.unsheared(mode.y, mode.covariance))
+    factor = np.linalg.cholesky(straight.carry(mode.y, mode.covariance))
     return Peak(centre[0], factor, float(straight.log_density(centre)[0]))
 
 
@@ -265,10 +266,16 @@ def _follow_ridges(
 
 
 def _try_out(straight: Straightening, proposal: MixtureProposal, rng: np.random.Generator) -> float:
-    try:
-        return estimate_by_importance(straight.log_density, proposal, rng, TRIAL_DRAWS).efficiency
-    except NumericalError:
-        return 0.0
+    """Return the efficiency of a proposal; a few draws show one that is far from good."""
+    efficiency = 0.0
+    for n_draws in (FIRST_DRAWS, TRIAL_DRAWS):
+        try:
+            efficiency = estimate_by_importance(straight.log_density, proposal, rng, n_draws).efficiency
+        except NumericalError:
+            return 0.0
+        if efficiency < HOPELESS:
+            break
+    return efficiency
 
 
 def _refit(straight: Straightening, draws: Array, modes: list[Mode]) -> MixtureProposal:

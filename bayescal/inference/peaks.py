@@ -21,9 +21,10 @@ from bayescal.numerics.geometry import Array
 
 STEP = 1.0  # posterior sds
 MAX_STEPS = 3
+ASTRAY = 50.0  # nats that no step to a peak from a mode nearby gains
 CURVATURE_BOUNDS = (0.1, 10.0)  # of a step's curvature in units of the last one's
 LONGEST_STEP = 4.0
-SETTLED_GAIN, SETTLED_CURVATURE = 0.01, 0.05
+SETTLED_GAIN, SETTLED_CURVATURE = 0.02, 0.1  # nats, and the squared logarithms of all axes' curvatures together
 GRID = np.linspace(-5.0, 5.0, 81)  # of a model error's coordinate ζ, standard normal under the prior
 CURVE_STEP = 1.5
 LEAST_WEIGHT = 0.02
@@ -55,7 +56,10 @@ def proposal_from_peaks(peaks: Sequence[Peak], dof: float) -> MixtureProposal:
 
 
 def refine_peak(log_density: LogDensity, peak: Peak) -> Peak:
-    """Return the peak after Newton steps with gradients and Hessians by differences over a posterior sd."""
+    """Return the peak after Newton steps with gradients and Hessians by differences over a posterior sd.
+
+    Where they lead nowhere, it is returned as it is.
+    """
     centre, factor = peak.centre, peak.factor
     for _ in range(MAX_STEPS):
         gradient, hessian = difference_twice(log_density, centre, factor, STEP)
@@ -65,9 +69,11 @@ def refine_peak(log_density: LogDensity, peak: Peak) -> Peak:
         values = np.clip(values, *CURVATURE_BOUNDS)
         step = vectors @ ((vectors.T @ gradient) / values)
         gain, length = float(gradient @ step), float(np.linalg.norm(step))
+        if gain > ASTRAY:
+            return peak
         centre = centre + factor @ (step * min(1.0, LONGEST_STEP / length) if length > 0 else step)
         factor = factor @ (vectors / np.sqrt(values))
-        if gain < SETTLED_GAIN and np.abs(values - 1.0).max() < SETTLED_CURVATURE:
+        if gain < SETTLED_GAIN and np.sum(np.log(values) ** 2) < SETTLED_CURVATURE:
             break
     found = float(log_density(centre[None])[0])
     if not np.isfinite(found):

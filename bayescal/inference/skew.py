@@ -143,11 +143,3 @@ class Skew:
 
     def _move(self, y: Array, to: Array) -> None:
         y += (to - y[:, self.bases]) @ self.lean
-
-    def jacobian(self, w: Array) -> Array:
-        """Return dv/dw (n, n) at one vector w, shape (n,)."""
-        _, slope = self.quantiles.inverse(w[None, self.bases])
-        shrink = self._line[1] / slope[0]
-        back = np.eye(len(w))
-        back[:, self.bases] += self.lean.T * (shrink - 1.0)
-        return back

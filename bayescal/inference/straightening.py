@@ -30,6 +30,7 @@ from bayescal.numerics.geometry import Array
 
 QUANTILES = (0.05, 0.5, 0.95)
 TAIL = float(ndtri(QUANTILES[-1]))
+DIFFERENCE = 1e-3  # posterior sds
 STEEPEST = 0.95  # |B| / A; the bend stays invertible with a slope that is not lost to rounding
 
 
@@ -85,10 +86,6 @@ class Curve:
         """Add the shear to vectors (B, n) in place, or take it away."""
         w[:, self.others] += sign * ((w[:, self.base] - self.origin) ** 2)[:, None] * self.beta
 
-    def slope(self, w: Array) -> Array:
-        """Return how the shear grows along the ridge at one vector (n,), shape (k,)."""
-        return 2.0 * (w[self.base] - self.origin) * self.beta
-
 
 def fit_curve(y: Array, base: int, others: np.ndarray) -> Curve:
     """Return the shear from a quadratic regression of draws (B, n) on the coordinate ``base``."""
@@ -131,12 +128,6 @@ class Ridges:
         if beyond.any():
             move += _sum_series(inside, self._slopes, beyond)
         w += sign * move
-
-    def slopes(self, w: Array) -> Array:
-        """Return how each coordinate's shear grows along each ridge at one vector (n,), shape (r, n)."""
-        inside = np.clip((w[self.bases] - self.centres) / self.halves, -1.0, 1.0)
-        terms = chebvander(inside, self._slopes.shape[1] - 1)
-        return np.asarray(np.einsum("rd,rdn->rn", terms, self._slopes) / self.halves[:, None])
 
 
 def _sum_series(place: Array, series: Array, factor: Array | None = None) -> Array:
@@ -277,18 +268,16 @@ class Straightening:
         wanted = [(base, others) for base, others in self.posterior.curved_ridges() if base not in traced]
         return replace(self, bend=bend, curves=tuple(fit_curve(y, base, others) for base, others in wanted))
 
-    def unsheared(self, y: Array, covariance: Array) -> Array:
-        """Return the covariance (n, n) around y, shape (n,), as it is without shears and skew."""
-        back = np.eye(len(y))
-        for curve in self.curves:
-            back[curve.others, curve.base] -= curve.slope(y)
-        if self.ridges is not None:
-            back[:, self.ridges.bases] -= self.ridges.slopes(y).T
-        if self.skew is not None:
-            w = y[None].copy()
-            self._shear(w, -1.0)
-            back = self.skew.jacobian(w[0]) @ back
-        return np.asarray(back @ covariance @ back.T)
+    def carry(self, y: Array, covariance: Array) -> Array:
+        """Return a covariance (n, n) around y, shape (n,), as it is in straight coordinates.
+
+        To first order, but for how the geometry follows the model errors: that is about another mode's centre.
+        """
+        steps = DIFFERENCE * np.diag(np.sqrt(np.diag(covariance)))
+        ahead, behind = np.split(self.x_from_y(np.concatenate([y + steps, y - steps])), 2)
+        slopes = (ahead - behind).T / (2.0 * np.diag(steps))
+        slopes[: self.posterior.n_geometry, self.posterior.n_geometry :] = 0.0
+        return np.asarray(slopes @ covariance @ slopes.T)
 
 
 def straighten(posterior: Target, mode: Mode) -> Straightening:

@@ -186,6 +186,9 @@ def test_slope_of_the_model_error():
     step = 1e-5
     expected = (model_error.tau_from_zeta(zeta + step) - model_error.tau_from_zeta(zeta - step)) / (2 * step)
     np.testing.assert_allclose(model_error.slope(zeta, tau), expected, rtol=1e-6, atol=1e-10 * SCALE)
+    sides = [model_error.slope(z, model_error.tau_from_zeta(z)) for z in (zeta + step, zeta - step)]
+    bend = (sides[0] - sides[1]) / (2 * step)
+    np.testing.assert_allclose(model_error.bend(zeta, tau), bend, rtol=1e-5, atol=1e-9 * SCALE)
 
 
 @pytest.mark.parametrize("shared", [False, True])

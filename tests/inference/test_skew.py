@@ -71,10 +71,12 @@ def test_the_mode_stays_where_it_is_with_its_surroundings(skew):
     w = v.copy()
     assert skew.forward(w)[0] == pytest.approx(0.0, abs=1e-9)
     np.testing.assert_allclose(w, v, atol=1e-9)
-    np.testing.assert_allclose(skew.jacobian(w[0]), np.eye(5), atol=1e-9)
+    sides = v + 1e-5 * np.concatenate([np.eye(5), -np.eye(5)])
+    skew.forward(sides)
+    np.testing.assert_allclose((sides[:5] - sides[5:]) / 2e-5, np.eye(5), atol=1e-8)
 
 
-def test_volumes_and_slopes_are_those_of_differences(skew):
+def test_volumes_are_those_of_differences(skew):
     v = np.random.default_rng(2).normal(0.5, 1.5, (5, 5))
     step = 1e-6
     for one in v:
@@ -82,4 +84,3 @@ def test_volumes_and_slopes_are_those_of_differences(skew):
         gain = skew.forward(ends)[-1]
         numeric = ((ends[:5] - ends[5:10]) / (2 * step)).T
         assert gain == pytest.approx(np.log(np.linalg.det(numeric)), abs=1e-6)
-        np.testing.assert_allclose(skew.jacobian(ends[-1]) @ numeric, np.eye(5), atol=1e-6)
