@@ -257,7 +257,10 @@ class _Surface:
         if key not in self._known:
             while len(self._known) > 1:
                 del self._known[next(iter(self._known))]
-            self._known[key] = self._posterior.newton(x)
+            gradient, hessian = self._posterior.newton(x)
+            if not (np.isfinite(gradient).all() and np.isfinite(hessian).all()):
+                raise NumericalError("mode search: the climb came to where the density has no slope")
+            self._known[key] = gradient, hessian
         return self._known[key]
 
     def is_top(self, x: Array) -> bool:

@@ -201,3 +201,24 @@ def test_known_modes_are_kept_beside_those_that_starts_lead_to(mirrored, monkeyp
     assert [m.log_evidence for m in again] == sorted((m.log_evidence for m in again), reverse=True)
     monkeypatch.setattr("bayescal.inference.mode._climb", lambda *_: pytest.fail("nothing is to be climbed to"))
     assert len(revisit_modes(mirrored, [], modes)) == len(modes)
+
+
+def test_a_climb_of_a_model_that_does_not_fit_takes_few_steps(twin, monkeypatch):
+    """Geometry and model errors depend on each other there; by Fisher alone it takes half as many again."""
+    posterior, counts = machines.build_posterior("none", twin, ModelError(0.002)), {}
+    start = np.full(posterior.n_parameters, 1.0)
+    own = Posterior.newton
+    for name, newton in (("newton", own), ("gradient", Posterior.gradient)):
+        calls = []
+        monkeypatch.setattr(Posterior, "newton", lambda self, y, n=newton, c=calls: (c.append(1), n(self, y))[1])
+        counts[name] = find_mode(posterior, start).log_density, len(calls)
+    assert counts["newton"][0] == pytest.approx(counts["gradient"][0], abs=1e-3)
+    assert 3 * counts["newton"][1] <= 2 * counts["gradient"][1], counts
+
+
+def test_a_climb_to_where_there_is_no_slope_is_refused(twin, monkeypatch):
+    posterior = machines.build_posterior("none", twin, ModelError(0.01))
+    n = posterior.n_parameters
+    monkeypatch.setattr(Posterior, "newton", lambda self, y: (np.full(n, np.nan), np.eye(n)))
+    with pytest.raises(NumericalError, match="no slope"):
+        find_mode(posterior, np.zeros(n))
