@@ -27,7 +27,7 @@ from bayescal.machines.models.beam_elements import (
     compute_chain_stiffness,
     differentiate_chain,
 )
-from bayescal.machines.models.home import Home, compute_turn, solve_home
+from bayescal.machines.models.home import BatchHome, Home, compute_turn, solve_home
 from bayescal.machines.models.legs import LegVectors, compute_leg_vectors, cross, dot, scatter_rows
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian
@@ -194,6 +194,8 @@ class Equilibrium:
     state : type of LegState
     load : callable
         From rotations (..., 3, 3) to P_E, shape (..., 6), in N and N mm, and its derivative by them, (..., 3, 6).
+    known : BatchHome, optional
+        The machines' home poses, where these are known.
     """
 
     layout: ParameterLayout
@@ -202,10 +204,11 @@ class Equilibrium:
     reference: AxialReference
     state: type[LegState]
     load: Callable[[Array], tuple[Array, Array]]
+    known: BatchHome | None = None
 
     @cached_property
     def _home(self) -> Home:
-        return solve_home(self.layout, self.theta)
+        return solve_home(self.layout, self.theta, self.known)
 
     @cached_property
     def _values(self) -> dict[str, Array]:

@@ -15,7 +15,7 @@ import numpy as np
 from bayescal.errors import InputError, NumericalError
 from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.models.base import newton_step
-from bayescal.machines.models.legs import LegVectors, chart_of, compute_leg_vectors, cross_first_axis, scatter
+from bayescal.machines.models.legs import LegVectors, add_columns, chart_of, compute_leg_vectors, cross_first_axis, scatter
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.parameters import HomeStart, ParameterLayout
 from bayescal.numerics.geometry import (
@@ -31,7 +31,7 @@ ABOVE = HomeStart()
 MAX_STEPS = 30
 STEP_TOLERANCE = 1e-11
 CLOSED = 2e-14  # largest closure at a home pose by the machine's size: 1e-11 mm for half a metre
-INNER_STEPS = 3  # each gains what the machine is like the nominal one, two digits or one
+INNER_STEPS = 4  # each gains what the machine is like the nominal one, two digits or one
 LARGEST_STEP = 100.0  # mm, rad
 SMALLEST_VERSINE = 2.0**-53  # for which angle and sine are not yet zero
 SKEW = skew_matrix(np.eye(3)).reshape(3, 9).T  # w to the entries of its skew matrix
@@ -201,6 +201,7 @@ def turn_by(rotation_vector: Array) -> Array:
     return turn
 
 
+@lru_cache(maxsize=64)
 def no_displacement(n_legs: int) -> DeformationBasis:
     """Return actuators at their initial positions, where no deformation acts."""
     return DeformationBasis(np.zeros(n_legs), np.zeros(n_legs), {}, np.zeros((n_legs, n_legs)))
@@ -256,31 +257,46 @@ class Home:
     def slope(self) -> Array:
         """Derivative of the pose (position, rotation vector) by the parameters, shape (..., 6, D)."""
         legs = self.legs
-        back = legs.pull_back(legs.axis)
-        parameters = scatter(legs.layout, {"l": np.ones_like(legs.length)} | {s: -c for s, c in back.columns.items()})
+        columns = legs.columns(legs.axis, legs.axis)
+        parameters = scatter(legs.layout, {"l": np.ones_like(legs.length)} | {s: -c for s, c in columns.items()})
         gain = home_solver(legs.layout).gain
-        square = gain @ back.pose
+        square = gain @ legs.pull_back_pose(legs.axis)
         square = np.where(np.isfinite(square).all(axis=(-1, -2), keepdims=True), square, np.eye(6))
         try:
             return np.linalg.solve(square, gain @ parameters)
         except np.linalg.LinAlgError as error:
             raise NumericalError("home pose: singular pose Jacobian") from error
 
-    def pull_back(self, covector: Array, pose: Array | None = None) -> Array:
-        """Return the parameter derivatives (..., N, D) of w_i · g_i, and of a covector (..., N, 6) on the pose."""
-        back = self.legs.pull_back(covector)
-        on_pose = back.pose if pose is None else back.pose + pose
-        return scatter(self.legs.layout, back.columns) + on_pose @ self.slope
+    def pull_back(self, covector: Array, pose: Array | None, columns: dict[str, Array]) -> Array:
+        """Return the parameter derivatives (..., N, D) of w_i · g_i, and of a covector (..., N, 6) on the pose.
+
+        Those by the legs' own parameters that have nothing to do with the home pose, (..., N) each, are added.
+        """
+        legs = self.legs
+        on_pose = legs.pull_back_pose(covector)
+        on_pose = on_pose if pose is None else on_pose + pose
+        own = legs.columns(covector, covector)
+        own |= {symbol: own[symbol] + column if symbol in own else column for symbol, column in columns.items()}
+        rows = on_pose @ self.slope
+        return add_columns(legs.layout, rows, own)
 
 
-def solve_home(layout: ParameterLayout, theta: Array) -> Home:
-    """Return the home poses of parameter vectors (..., D), NaN where there is none."""
+def solve_home(layout: ParameterLayout, theta: Array, known: BatchHome | None = None) -> Home:
+    """Return the home poses of parameter vectors (..., D), NaN where there is none; found where not yet known."""
     leading = theta.shape[:-1]
-    found = home_solver(layout).solve(theta.reshape(-1, layout.size))
-    position = np.ascontiguousarray(found.position.T).reshape(*leading, 3)
+    found = home_solver(layout).solve(theta.reshape(-1, layout.size)) if known is None else known
+
+    def batch_first(one: Array) -> Array:
+        return np.ascontiguousarray(one.T).reshape(*leading, *one.shape[-2::-1])
+
     rotation = np.ascontiguousarray(found.rotation.transpose(2, 0, 1)).reshape(*leading, 3, 3)
-    basis = no_displacement(len(layout.index["l"]))
-    return Home(position, rotation, compute_leg_vectors(layout, theta, position, rotation, basis))
+    direction, arm, vector, length = (
+        batch_first(one) for one in (found.direction, found.arm, found.vector, found.length)
+    )
+    axis, basis = vector / length[..., None], no_displacement(length.shape[-1])
+    travel = layout.take(theta, "rho0")
+    legs = LegVectors(layout, basis, rotation, direction, arm, vector, axis, travel, length)
+    return Home(batch_first(found.position), rotation, legs)
 
 
 # --- turns since home -------------------------------------------------------------------------------------------------

@@ -33,7 +33,7 @@ from bayescal.machines.models.base import BoundClosure, Closure, KinematicModel
 from bayescal.machines.models.beam import require_flexures
 from bayescal.machines.models.beam_elements import SYMBOLS, AxialReference, compute_chain_stiffness
 from bayescal.machines.models.equilibrium import Changes, Equilibrium, LegState
-from bayescal.machines.models.home import solve_home
+from bayescal.machines.models.home import BatchHome, solve_home
 from bayescal.machines.models.legs import LegVectors, cross, dot
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.models.stiffness_batch import FixedStiffnessClosure, StiffnessClosure
@@ -178,7 +178,11 @@ class Stiffness(KinematicModel):
 
     def prepare(self, layout: ParameterLayout, theta: Array) -> Closure:
         """Return s Q W; home poses and the stiffness of the legs are found once."""
-        return Equilibrium(layout, theta, self.to_elongation, self._reference, self.state, self._external)
+        return self.prepare_known(layout, theta, None)
+
+    def prepare_known(self, layout: ParameterLayout, theta: Array, home: BatchHome | None) -> Closure:
+        """Return s Q W of machines whose home poses may be known."""
+        return Equilibrium(layout, theta, self.to_elongation, self._reference, self.state, self._external, home)
 
     def _external(self, rotation: Array) -> tuple[Array, Array]:
         """Return P_E, shape (..., 6), in N and N mm, and its derivative (..., 3, 6) by the rotation."""
