@@ -34,6 +34,7 @@ CLOSED = 2e-14  # largest closure at a home pose by the machine's size: 1e-11 mm
 INNER_STEPS = 4  # each gains what the machine is like the nominal one, two digits or one
 LARGEST_STEP = 100.0  # mm, rad
 SMALLEST_VERSINE = 2.0**-53  # for which angle and sine are not yet zero
+ONE = np.eye(DEGREES_OF_FREEDOM)[..., None]
 SKEW = skew_matrix(np.eye(3)).reshape(3, 9).T  # w to the entries of its skew matrix
 
 
@@ -159,8 +160,8 @@ class HomeSolver:
             vector = (position[:, None] - lower) + body[:, 3:]
             length = np.sqrt(np.einsum("kib,kib->ib", vector, vector))
             residual = leg_length - length
-            seen = np.abs(residual if self.projection is None else self.projection @ residual)
-            moving = (seen > self._tolerance).any(axis=0)  # not where it is NaN
+            seen = np.abs(residual if self.projection is None else self.projection @ residual).max(axis=0)
+            moving = seen > self._tolerance  # not where it is NaN
             if not moving.any():
                 break
             np.divide(vector, length, out=slope[:3])
@@ -170,7 +171,7 @@ class HomeSolver:
             position = position + step[:3]
             body = np.einsum("kmb,mib->kib", turn_by(step[3:]), body)
         rotation, arm = body[:, :3], body[:, 3:]
-        lost = ~(seen <= self._tolerance).all(axis=0)
+        lost = ~(seen <= self._tolerance)
         if lost.any():
             for part in (position, body, vector, length):
                 part[..., lost] = np.nan
@@ -178,9 +179,13 @@ class HomeSolver:
 
     def _solve_step(self, slope: Array, residual: Array) -> Array:
         """Return the step s (6, B) with G (slope · s - residual) = 0, by iteration with the nominal inverse."""
-        step = self.gain @ residual
+        first = self.gain @ residual
+        change = self.gain @ slope  # (6, 6, B), of which component m of the pose comes first
+        np.subtract(ONE, change, out=change)
+        step = first
         for _ in range(INNER_STEPS):
-            step += self.gain @ (residual - np.einsum("kib,kb->ib", slope, step))
+            step = np.einsum("mkb,mb->kb", change, step)
+            step += first
         np.minimum(step, LARGEST_STEP, out=step)
         return np.maximum(step, -LARGEST_STEP, out=step)
 
@@ -323,6 +328,7 @@ class BatchTurns:
             skew[k, :, n] -= 0.5 * rotation[:, m]
         self._skew = skew.reshape(3, -1, 9)
         self._scratch = Scratch()
+        self._back: Array | None = None
 
     def evaluate(self, home_rotation: Array) -> Array:
         """Return φ, shape (3, P, B), for home rotations (3, 3, B); keeps ``stretch``, |φ| / sin|φ|, shape (P, B)."""
@@ -336,28 +342,33 @@ class BatchTurns:
         np.subtract(2.0, versine, out=sine)
         sine *= versine
         np.divide(angle, np.sqrt(sine, out=sine), out=stretch)
-        self._versine, self._angle, self.stretch = versine, angle, stretch
+        self._versine, self._angle, self.stretch, self._back = versine, angle, stretch, None
         self._turn = np.matmul(self._skew, entries, out=self._scratch.take("turn", 3, *shape))
         self._turn *= stretch
         return self._turn
 
     def turn_back(self, rotation_vector: Array) -> Array:
-        """Return Jl⁻¹(φ) ω, how φ changes with small turns ω of the platform, shapes (3, P, B).
+        """Return Jl⁻¹(φ) ω, how φ changes with small turns ω of the platform, shapes (3, P, B)."""
+        if self._back is None:
+            self._back = self._find_back()
+        result = self._scratch.take("turned back", *rotation_vector.shape)
+        return np.einsum("kmpb,mpb->kpb", self._back, rotation_vector, out=result)
 
-        It is ω - φ x ω / 2 + (1 - |φ| / 2 cot(|φ| / 2)) / |φ|² φ x (φ x ω).
-        """
-        take, shape = self._scratch.take, self._turn.shape
-        result, across, factor = take("turned back", *shape), take("across", *shape), take("factor", *shape[1:])
-        cross_first_axis(self._turn, rotation_vector, out=across)
-        cross_first_axis(self._turn, across, out=result)
-        np.subtract(2.0, self._versine, out=factor)
-        factor *= self.stretch
-        factor *= -0.5
-        factor += 1.0
-        factor /= self._angle
-        factor /= self._angle
-        result *= factor
-        across *= 0.5
-        result -= across
-        result += rotation_vector
-        return result
+    def _find_back(self) -> Array:
+        """Return Jl⁻¹ = 1 - [φ]/2 + c (φ φᵀ - |φ|²), c = (1 - |φ| / 2 cot(|φ| / 2)) / |φ|², shape (3, 3, P, B)."""
+        turn, take = self._turn, self._scratch.take
+        back, diagonal = take("back", 3, *turn.shape), take("diagonal", *turn.shape[1:])
+        square = np.multiply(self._angle, self._angle, out=take("square", *turn.shape[1:]))
+        np.subtract(2.0, self._versine, out=diagonal)
+        diagonal *= self.stretch
+        diagonal *= 0.5  # |φ| / 2 cot(|φ| / 2)
+        factor = np.divide(np.subtract(1.0, diagonal), square, out=square)
+        scaled = np.multiply(turn, factor, out=take("scaled", *turn.shape))
+        half = np.multiply(turn, 0.5, out=take("half", *turn.shape))
+        for k, (m, n) in enumerate(((1, 2), (2, 0), (0, 1))):
+            np.multiply(scaled[k], turn[k], out=back[k, k])
+            back[k, k] += diagonal
+            np.multiply(scaled[m], turn[n], out=back[m, n])
+            np.subtract(back[m, n], half[k], out=back[n, m])
+            back[m, n] += half[k]
+        return back
