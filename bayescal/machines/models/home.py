@@ -22,7 +22,7 @@ from bayescal.numerics.geometry import (
     DEGREES_OF_FREEDOM,
     Array,
     matrix_from_rotation_vector,
-    rotation_vector_from_matrix,
+    rotation_vector_of_turn,
     skew_matrix,
 )
 from bayescal.numerics.scratch import Scratch
@@ -85,6 +85,8 @@ class BatchHome:
         u, R^0 b and g^0.
     length : ndarray, shape (N, B)
         |g^0|.
+    gain : ndarray, shape (6, N)
+        G.
     """
 
     position: Array
@@ -93,6 +95,7 @@ class BatchHome:
     arm: Array
     vector: Array
     length: Array
+    gain: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +178,7 @@ class HomeSolver:
         if lost.any():
             for part in (position, body, vector, length):
                 part[..., lost] = np.nan
-        return BatchHome(position, rotation, direction, arm, vector, length)
+        return BatchHome(position, rotation, direction, arm, vector, length, self.gain)
 
     def _solve_step(self, slope: Array, residual: Array) -> Array:
         """Return the step s (6, B) with G (slope · s - residual) = 0, by iteration with the nominal inverse."""
@@ -252,11 +255,14 @@ class Home:
         p^0 in mm and R^0; NaN where there is none.
     legs : LegVectors
         Leg vectors there.
+    gain : ndarray, shape (6, N)
+        G.
     """
 
     position: Array
     rotation: Array
     legs: LegVectors
+    gain: Array
 
     @cached_property
     def slope(self) -> Array:
@@ -264,11 +270,10 @@ class Home:
         legs = self.legs
         columns = legs.columns(legs.axis, legs.axis)
         parameters = scatter(legs.layout, {"l": np.ones_like(legs.length)} | {s: -c for s, c in columns.items()})
-        gain = home_solver(legs.layout).gain
-        square = gain @ legs.pull_back_pose(legs.axis)
+        square = self.gain @ legs.pull_back_pose(legs.axis)
         square = np.where(np.isfinite(square).all(axis=(-1, -2), keepdims=True), square, np.eye(6))
         try:
-            return np.linalg.solve(square, gain @ parameters)
+            return np.linalg.solve(square, self.gain @ parameters)
         except np.linalg.LinAlgError as error:
             raise NumericalError("home pose: singular pose Jacobian") from error
 
@@ -301,7 +306,7 @@ def solve_home(layout: ParameterLayout, theta: Array, known: BatchHome | None = 
     axis, basis = vector / length[..., None], no_displacement(length.shape[-1])
     travel = layout.take(theta, "rho0")
     legs = LegVectors(layout, basis, rotation, direction, arm, vector, axis, travel, length)
-    return Home(batch_first(found.position), rotation, legs)
+    return Home(batch_first(found.position), rotation, legs, found.gain)
 
 
 # --- turns since home -------------------------------------------------------------------------------------------------
@@ -311,7 +316,7 @@ def compute_turn(rotation: Array, home: Array) -> Array:
     """Return φ = Log(R R^0ᵀ), shape (..., 3); zero where there is no home pose."""
     turned = rotation @ np.swapaxes(home, -1, -2)
     good = np.isfinite(turned).all(axis=(-1, -2), keepdims=True)
-    return rotation_vector_from_matrix(np.where(good, turned, np.eye(3)))
+    return rotation_vector_of_turn(turned if good.all() else np.where(good, turned, np.eye(3)))
 
 
 class BatchTurns:

@@ -183,18 +183,20 @@ def compute_leg_vectors(
     joint[..., 2] += basis.deflection(layout, theta)
     arm = np.einsum("...jk,...ik->...ij", rotation, joint)
     vector = position[..., None, :] + arm - layout.take_vector(theta, "a") - travel[..., None] * direction
-    length = np.linalg.norm(vector, axis=-1)
+    length = np.sqrt(dot(vector, vector))
     return LegVectors(layout, basis, rotation, direction, arm, vector, vector / length[..., None], travel, length)
 
 
 def scatter_rows(layout: ParameterLayout, *parts: dict[str, Array]) -> Array:
     """Return derivatives of every row by every leg's parameters, shapes (..., M, N), as rows (..., M, D), summed."""
-    rows = np.zeros((*np.broadcast_shapes(*(c.shape[:-1] for part in parts for c in part.values())), layout.size))
-    for part in parts:
-        for symbol, column in part.items():
-            where = layout.index[symbol]  # the values of a symbol stand together
-            rows[..., where[0] : where[-1] + 1] += column
-    return rows
+    leading = np.broadcast_shapes(*(c.shape[:-1] for part in parts for c in part.values()))
+    blocks = []
+    for symbol, where in layout.index.items():  # in the order of the parameters
+        block, *more = [part[symbol] for part in parts if symbol in part] or [np.zeros(1)]
+        for one in more:
+            block = block + one
+        blocks.append(np.broadcast_to(block, (*leading, len(where))))
+    return np.concatenate(blocks, axis=-1)
 
 
 def scatter(layout: ParameterLayout, columns: dict[str, Array]) -> Array:
