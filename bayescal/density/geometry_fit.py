@@ -48,12 +48,12 @@ def fit_geometry(posterior: Fitted, start: Array, whitening: Array) -> Array:
     def residual(y: Array) -> Array:
         theta = coordinates.theta_from_y(y[None])
         errors = posterior.likelihood.errors(theta)[0]
-        white = np.einsum("pij,pj->pi", whitening, errors).ravel()
+        white = (whitening @ errors[..., None]).ravel()
         value = np.concatenate([white, posterior.prior_residual(y, theta[0])])
         return np.where(np.isfinite(value) & layout.inside(theta)[0], value, FAR_AWAY)
 
     def jacobian(y: Array) -> Array:
         slope, prior_slope = posterior.residual_slope(coordinates.theta_from_y(y[None])[0])
-        return np.concatenate([np.einsum("pij,pjk->pik", whitening, slope).reshape(-1, len(start)), prior_slope])
+        return np.concatenate([(whitening @ slope).reshape(-1, len(start)), prior_slope])
 
     return np.asarray(least_squares(residual, start, jacobian, method="lm", xtol=TOLERANCE, ftol=TOLERANCE).x)

@@ -78,11 +78,11 @@ class GeometryPrior:
         return tuple(self.priors[self.coordinates.layout.names[k]] for k in self.coordinates.free)
 
     @cached_property
-    def normal(self) -> tuple[np.ndarray, Array, Array]:
-        """Which free parameters have a normal prior, and its centres and scales."""
-        which = ~self.coordinates.standard
-        chosen = [prior for prior, normal in zip(self.ordered, which, strict=True) if normal]
-        return which, np.array([p.mean for p in chosen]), np.array([p.sd for p in chosen])
+    def normal(self) -> tuple[np.ndarray, np.ndarray, Array, Array]:
+        """Which free parameters have a normal prior, where these stand in θ, and its centres and scales."""
+        which = np.flatnonzero(~self.coordinates.standard)
+        chosen = [self.ordered[k] for k in which]
+        return which, self.coordinates.free[which], np.array([p.mean for p in chosen]), np.array([p.sd for p in chosen])
 
     def draw(self, standard: Array) -> Array:
         """Return draws in the coordinates, (S, m), from standard normal numbers (S, >= m); NaN where there are none."""
@@ -94,14 +94,14 @@ class GeometryPrior:
 
     def residual(self, y: Array, theta: Array) -> Array:
         """Return the prior as residuals of unit variance, shape (m,), at coordinates (m,) and θ (D,)."""
-        normal, centre, scale = self.normal
+        normal, places, centre, scale = self.normal
         residual = y.copy()
-        residual[normal] = (theta[self.coordinates.free[normal]] - centre) / scale
+        residual[normal] = (theta[places] - centre) / scale
         return residual
 
     def slope(self, change: Array) -> Array:
         """Return the derivative of `residual` by the coordinates, shape (m, m), from dθ/dy, shape (D, m)."""
-        normal, _, scale = self.normal
+        normal, places, _, scale = self.normal
         rows = np.eye(len(self.priors))
-        rows[normal] = change[self.coordinates.free[normal]] / scale[:, None]
+        rows[normal] = change[places] / scale[:, None]
         return rows

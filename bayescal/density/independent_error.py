@@ -35,7 +35,8 @@ class ModelError:
     def tau_from_zeta(self, zeta: Array) -> Array:
         """Return τ in mm."""
         assert self.scale is not None
-        return self.scale * np.sqrt(2.0) * np.where(zeta > 0, erfcinv(ndtr(-zeta)), erfinv(ndtr(zeta)))
+        tail = ndtr(-np.abs(zeta))
+        return self.scale * np.sqrt(2.0) * np.where(zeta > 0, erfcinv(tail), erfinv(tail))
 
     def slope(self, zeta: Array, tau: Array) -> Array:
         """Return dτ/dζ in mm."""

@@ -30,6 +30,7 @@ from bayescal.density.likelihood import Likelihood
 from bayescal.density.low_rank import FEWEST_LEGS, find_low_rank
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
+from bayescal.machines.models.home import BatchHome
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 from bayescal.numerics.scratch import Scratch
 
@@ -85,6 +86,7 @@ class PoseLikelihood(Likelihood):
         self._refinements = REFINEMENTS
         self._solves = False
         self._whitening: tuple[Array, Array, Array] | None = None
+        self._last: tuple[Array, Array, BatchHome | None] | None = None
 
     @property
     def n_poses(self) -> int:
@@ -96,9 +98,15 @@ class PoseLikelihood(Likelihood):
 
     def refined(self) -> Self:
         """Return the same density with two more digits of the pose errors, for machines far from nominal."""
+        other = self._copy()
+        other._scratch, other._refinements = Scratch(), self._refinements + 1
+        return other
+
+    def _copy(self) -> Self:
+        """Return the same density, without what it has kept of its own results."""
         other = copy(self)
         other.__dict__.pop("_parts", None)
-        other._scratch, other._refinements = Scratch(), self._refinements + 1
+        other._last = None
         return other
 
     def parts(self) -> list[tuple[slice, Likelihood]]:
@@ -116,8 +124,7 @@ class PoseLikelihood(Likelihood):
 
     def _take(self, part: slice, scratch: Scratch, of_closure: Scratch) -> Self:
         """Return the density of some of the poses."""
-        other, poses, machine = copy(self), self.poses.select(np.arange(self.n_poses)[part]), self.machine
-        other.__dict__.pop("_parts", None)
+        other, poses, machine = self._copy(), self.poses.select(np.arange(self.n_poses)[part]), self.machine
         other.poses, other._basis = poses, machine.basis(poses.actuators)
         other._bound = machine.model.bind(self.layout, poses.position, poses.rotation, other._basis)
         other._bound.share(of_closure)
@@ -140,8 +147,7 @@ class PoseLikelihood(Likelihood):
         """
         if self._solves:
             return None
-        other = copy(self)
-        other.__dict__.pop("_parts", None)
+        other = self._copy()
         other._scratch, other._solves = Scratch(), True
         return other
 
@@ -173,6 +179,15 @@ class PoseLikelihood(Likelihood):
             seen = np.subtract(seen, self._bound.along(error), out=result)  # (A⁰ - A(θ)) e
             seen += closure
         return seen
+
+    def _find_at(self, theta: Array) -> tuple[Array, BatchHome | None]:
+        """Return r, shape (N, P, 1), and the home pose found on the way, at one vector (D,); kept for the next call.
+
+        A climb asks for the density where it then asks for its slope.
+        """
+        if self._last is None or not np.array_equal(self._last[0], theta):
+            self._last = theta.copy(), self._find_leg_errors(theta[None]).copy(), self._bound.home
+        return self._last[1:]
 
     def _solve(self, closure: Array) -> Array:
         """Return r (N, P, B) of closures f (N, P, B): the fixed point of the refinements, (1 + (A(θ) - A⁰) G) r = f."""
@@ -243,6 +258,10 @@ class PoseLikelihood(Likelihood):
     def leg_errors(self, theta: Array) -> Array:
         """Return r = A⁰ e, the pose errors seen by the legs in mm, for (B, D) parameter vectors, shape (B, P, N)."""
         result = np.empty((len(theta), self.poses.n_poses, self.n_legs))
+        if len(theta) == 1:
+            for poses, some in self._parts:
+                result[0, poses] = some._find_at(theta[0])[0][..., 0].T
+            return result
         for part in batches(len(theta)):
             for poses, some in self._parts:
                 result[part, poses] = some._find_leg_errors(theta[part]).transpose(2, 1, 0)
@@ -257,14 +276,16 @@ class PoseLikelihood(Likelihood):
 
         The derivative is that of the implicit function: the closure is differentiated at the predicted pose.
         """
-        seen = self.leg_errors(theta[None])[0]
-        error = np.einsum("pij,pj->pi", self._gain, seen)
+        found = [part._find_at(theta) for _, part in self._parts]
+        seen, home = np.concatenate([errors[..., 0] for errors, _ in found], axis=1).T.copy(), found[0][1]
+        error = (self._gain @ seen[..., None])[..., 0]
         position = self.poses.position - error[:, :3]
         rotation = matrix_from_rotation_vector(-error[:, 3:]) @ self.poses.rotation
         layout = self.machine.layout
-        here = self.machine.model.linearise(layout, theta, position, rotation, self._basis)
+        here = self.machine.model.prepare_known(layout, theta, home)(position, rotation, self._basis)
         pose_change = np.linalg.solve(self._gain @ here.pose, self._gain)  # per closure
-        return seen, here.parameters + (self._pose_jacobian - here.pose) @ pose_change @ here.parameters
+        moved = np.eye(self.n_legs) + (self._pose_jacobian - here.pose) @ pose_change
+        return seen, moved @ here.parameters
 
     # --- covariance ----------------------------------------------------------------------------------------------
 
@@ -315,7 +336,7 @@ class PoseLikelihood(Likelihood):
 
     @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
     def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
-        errors = self._find_leg_errors(theta)
+        errors = self._find_leg_errors(theta) if len(theta) != 1 else self._find_at(theta[0])[0]
         if model_error.ndim == 1:
             density, square = self._density_fixed(errors, model_error)
         else:

@@ -90,8 +90,13 @@ class Posterior:
     @cached_property
     def _standard(self) -> np.ndarray:
         """Which coordinates are standard normal under the prior, whatever the others are."""
-        model_errors = np.ones(self.n_parameters - self.n_geometry, dtype=bool)
-        return np.concatenate([self.coordinates.standard, model_errors])
+        return np.append(np.flatnonzero(self.coordinates.standard), np.arange(self.n_geometry, self.n_parameters))
+
+    @cached_property
+    def _log_constant(self) -> float:
+        """What the log-prior in the coordinates has that does not vary."""
+        *_, scale = self._prior.normal
+        return float(self.coordinates.log_scale - np.log(scale).sum() - self.n_parameters * HALF_LOG_TWO_PI)
 
     @property
     def n_geometry(self) -> int:
@@ -167,12 +172,12 @@ class Posterior:
 
     def _log_prior(self, y: Array, theta: Array) -> Array:
         """Add the normal priors to the coordinates that are standard normal themselves: bounded ones, model errors."""
-        normal, centre, scale = self._prior.normal
-        z = (theta[..., self.coordinates.free[normal]] - centre) / scale
+        _, places, centre, scale = self._prior.normal
+        z = (theta[..., places] - centre) / scale
         standard = self._deviations(y)
         total = -0.5 * (np.einsum("...i,...i->...", z, z) + np.einsum("...i,...i->...", standard, standard))
         total = total + self.coordinates.log_volume(theta) + self.coordinates.log_ring_ratio(y[..., : self.n_geometry])
-        return total + self.coordinates.log_scale - np.log(scale).sum() - self.n_parameters * HALF_LOG_TWO_PI
+        return np.asarray(total + self._log_constant)
 
     def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
         """Return draws of the prior in the coordinates, shape (n_draws, n); NaN where they are no coordinates."""
@@ -189,7 +194,8 @@ class Posterior:
         with np.errstate(all="ignore"):  # far out numbers overflow; what is not finite has no density
             theta = self.theta(y)
             inside = self._layout.inside(theta)
-            theta[~inside] = self.coordinates.start  # keeps what is no machine out of the models
+            if not inside.all():
+                theta[~inside] = self.coordinates.start  # keeps what is no machine out of the models
             total = self._log_prior(y, theta) + self._log_likelihood(y, theta)
         return np.where(inside & np.isfinite(total), total, -np.inf)
 
@@ -219,9 +225,14 @@ class Posterior:
     def information(self, y: Array) -> tuple[Array, Array]:
         """Return the information of the data and the precision of the prior on the geometry at y, shapes (m, m)."""
         local = self._linearise(y)
-        data = np.einsum("pik,pij,pjm->km", local.slope, local.precision, local.slope, optimize=True)
+        data = self._inform(local)
         rows = self._prior_slope(local.change)
         return data, rows.T @ rows
+
+    def _inform(self, local: Local) -> Array:
+        """Return the information of the data on the geometry, shape (m, m)."""
+        m = self.n_geometry
+        return np.asarray(local.slope.reshape(-1, m).T @ (local.precision @ local.slope).reshape(-1, m))
 
     def pose_information(self, y: Array, pose: int) -> Array:
         """Return one pose's part of the information of the data on the geometry at y, shape (m, m)."""
@@ -239,7 +250,7 @@ class Posterior:
     def residual_slope(self, theta: Array) -> tuple[Array, Array]:
         """Return dr/dy, shape (P, K, m), and the derivative of `prior_residual`, shape (m, m), at θ, shape (D,)."""
         change = self.coordinates.jacobian(theta)
-        return self.likelihood.error_jacobian(theta)[1] @ change, self._prior_slope(change)
+        return times_change(self.likelihood.error_jacobian(theta)[1], change), self._prior_slope(change)
 
     def groups(self) -> list[np.ndarray]:
         """Return which geometric coordinates a model error makes uncertain together: each leg's.
@@ -263,7 +274,7 @@ class Posterior:
         precision = np.linalg.inv(self.likelihood.error_covariance(self.model_errors_at(y)))
         errors, slope = self.likelihood.error_jacobian(theta)
         change = self.coordinates.jacobian(theta)
-        return Local(theta, errors, slope @ change, precision, change)
+        return Local(theta, errors, times_change(slope, change), precision, change)
 
     def gradient(self, y: Array) -> tuple[Array, Array]:
         """Return the exact gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
@@ -301,14 +312,14 @@ class Posterior:
     def _differentiate(self, y: Array, local: Local) -> tuple[Array, Array]:
         """Return `gradient` at y, shape (n,), from the likelihood around it."""
         theta, errors, slope, precision, change, *_ = local
-        weighted = np.einsum("pij,pj->pi", precision, errors)
+        weighted = (precision @ errors[..., None])[..., 0]
         gradient = np.zeros(self.n_parameters)
         hessian = np.zeros((self.n_parameters, self.n_parameters))
         n = self.n_geometry
         rows = self._prior_slope(change)
-        gradient[:n] = -np.einsum("pik,pi->k", slope, weighted) - rows.T @ self.prior_residual(y, theta)
+        gradient[:n] = -weighted.ravel() @ slope.reshape(-1, n) - self.prior_residual(y, theta) @ rows
         gradient[:n] += self.coordinates.log_volume_slope(theta) @ change + self.coordinates.log_ring_ratio_slope(y[:n])
-        hessian[:n, :n] = -np.einsum("pik,pij,pjm->km", slope, precision, slope, optimize=True) - rows.T @ rows
+        hessian[:n, :n] = -self._inform(local) - rows.T @ rows
         if self.model_error.scale is not None:
             self._add_model_error(y, local, weighted, gradient, hessian)
         return gradient, hessian
@@ -404,3 +415,8 @@ class Posterior:
         rest = np.maximum(variance / likelihood.actuator_weight.mean(axis=0) - tau**2, 1e-12)
         information, prior = self.information(y)
         return Funnel(information, prior, rest, tau)
+
+
+def times_change(slope: Array, change: Array) -> Array:
+    """Return derivatives by the coordinates, from those by θ (P, K, D) and dθ/dy (D, m): one product for all rows."""
+    return np.asarray((slope.reshape(-1, len(change)) @ change).reshape(*slope.shape[:-1], change.shape[1]))

@@ -22,14 +22,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import prod
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from bayescal.machines.circles import DirectionCircles, find_circles, frame_circles
-from bayescal.machines.models.legs import actuator_directions, chart_of, differentiate_directions, local_directions
+from bayescal.machines.models.legs import actuator_directions, chart_of, local_directions
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.rings import DirectionRing
+from bayescal.machines.shears import Shears
 from bayescal.numerics.geometry import Array
 
 WIDEST = 3.0  # prior sds, in units of the sine between direction and leg, beyond which a circle is lost in the prior
@@ -194,20 +196,6 @@ class Coordinates:
             slope[places] = ring.log_prior_ratio_slope(y[places])
         return slope
 
-    def _shifts(self, theta: Array) -> dict[str, Array]:
-        """Return what the shears add to each sheared symbol, shapes (..., N)."""
-        if "rho0" not in self.layout.index:
-            return {}
-        direction = actuator_directions(self.layout, theta)
-        rho0 = self.layout.take(theta, "rho0")
-        shifts = {f"a_{axis}": rho0 * direction[..., k] for k, axis in enumerate("xyz")}
-        if "kappa" in self.layout.index:
-            along = -direction[..., 2] - np.sum(self.legs[:, :2] * direction[..., :2], axis=-1)
-            shifts["kappa"] = np.where(self._rising, along, 0.0)
-        if self._along_leg.any():
-            shifts["l"] = rho0 * np.sum(self._along_leg * direction, axis=-1)
-        return shifts
-
     @cached_property
     def _along_leg(self) -> Array:
         """Which parts of its joint the length of a leg on a circle follows, shape (N, 3).
@@ -224,46 +212,61 @@ class Coordinates:
         return along
 
     @cached_property
-    def _rising(self) -> np.ndarray:
-        """Legs that are not level, shape (N,): along these a deflection of the platform counts."""
-        return self.legs[:, 2] == 1.0
+    def _shears(self) -> Shears | None:
+        """The shears; None where no parameter follows a direction."""
+        if "rho0" not in self.layout.index:
+            return None
+        return Shears(self.layout, self._mask, self.legs, self._along_leg)
 
     @cached_property
     def _origin(self) -> Array:
         """Sheared start values of the free parameters."""
-        return self._shear(self.start, self.start, 1.0)[self.free]
+        return self._shear(self.start[None].copy(), 1.0)[0, self.free]
 
-    def _shear(self, theta: Array, source: Array, sign: float) -> Array:
-        result = theta.copy()
-        for symbol, shift in self._shifts(source).items():
-            index = self.layout.index[symbol]
-            result[..., index] += sign * np.where(self._mask[index], shift, 0.0)
-        return result
+    def _shear(self, theta: Array, sign: float) -> Array:
+        """Return parameter vectors (B, D) with the shears added to them, in place, times a sign."""
+        if self._shears is not None:
+            self._shears.apply(theta.T, sign)
+        return theta
+
+    @cached_property
+    def _quantiles(self) -> tuple[np.ndarray, np.ndarray, Array, Array] | None:
+        """Where parameters with bounds stand in y and in θ, their lower bounds and widths; None for none."""
+        inside = np.flatnonzero(self.by_quantile)
+        if not len(inside):
+            return None
+        return inside, self.free[inside], self.lower[inside], (self.upper - self.lower)[inside]
 
     def theta_from_y(self, y: Array) -> Array:
-        """Return full parameter vectors (..., D); NaN where a direction leaves the unit sphere."""
-        theta = np.broadcast_to(self.start, (*y.shape[:-1], self.layout.size)).copy()
-        theta[..., self.free] = self._origin + y * self.scale
-        if self.by_quantile.any():
-            inside = self.by_quantile
-            lower, width = self.lower[inside], (self.upper - self.lower)[inside]
-            theta[..., self.free[inside]] = lower + width * ndtr(y[..., inside])
+        """Return full parameter vectors (..., D); NaN where a direction leaves the unit sphere.
+
+        Batches have the parameters' values one after another in memory: that is how they are worked on.
+        """
+        flat = y.reshape(prod(y.shape[:-1]), y.shape[-1])
+        parameters = np.empty((self.layout.size, len(flat)))
+        parameters[:] = self.start[:, None]
+        parameters[self.free] = (self._origin + flat * self.scale).T
+        theta = parameters.T
+        if self._quantiles is not None:
+            inside, places, lower, width = self._quantiles
+            theta[:, places] = lower + width * ndtr(flat[:, inside])
         if self._circles is not None:
             legs, circles = self._circles
             gain, azimuth = self._on_circles
-            w = circles.gain + y[..., gain] * self.scale[gain] * circles.sine
-            found = circles.directions(w, y[..., azimuth] * self.scale[azimuth] / circles.sine)
+            w = circles.gain + flat[:, gain] * self.scale[gain] * circles.sine
+            found = circles.directions(w, flat[:, azimuth] * self.scale[azimuth] / circles.sine)
             for symbol, component in zip(self.layout.direction_symbols, found, strict=True):
-                theta[..., self.layout.index[symbol][legs]] = component
+                theta[:, self.layout.index[symbol][legs]] = component
         for _, places, ring in self.rings:
-            pairs = y[..., places]
-            theta[..., self.free[places]] = ring.components(pairs.reshape(-1, 2)).reshape(pairs.shape)
-        return self._shear(theta, theta, -1.0)
+            theta[:, self.free[places]] = ring.components(flat[:, places])
+        return self._shear(theta, -1.0).reshape(*y.shape[:-1], self.layout.size)
 
     def y_from_theta(self, theta: Array) -> Array:
         """Return the coordinates (..., n) of full parameter vectors (..., D)."""
-        y = (self._shear(theta, theta, 1.0)[..., self.free] - self._origin) / self.scale
-        y[..., self.by_quantile] = ndtri(self._share(theta))
+        sheared = self._shear(theta.reshape(-1, self.layout.size).copy(), 1.0).reshape(theta.shape)
+        y = (sheared[..., self.free] - self._origin) / self.scale
+        if self._quantiles is not None:
+            y[..., self._quantiles[0]] = ndtri(self._share(theta))
         for leg, places, ring in self.rings:
             u = local_directions(self.layout, theta)[..., leg, :]
             y[..., places] = ring.coordinates(u.reshape(-1, 3)).reshape(*u.shape[:-1], 2)
@@ -277,33 +280,14 @@ class Coordinates:
 
     def _share(self, theta: Array) -> Array:
         """Return where the parameters with bounds lie between them, from 0 to 1."""
-        lower, upper = self.lower[self.by_quantile], self.upper[self.by_quantile]
-        return (theta[..., self.free[self.by_quantile]] - lower) / (upper - lower)
+        assert self._quantiles is not None
+        _, places, lower, width = self._quantiles
+        return (theta[..., places] - lower) / width
 
     def jacobian(self, theta: Array) -> Array:
         """Return dθ/dy, shape (D, n), at one parameter vector (D,)."""
         index = self.layout.index
-        change = np.eye(self.layout.size)
-        if "rho0" in index:
-            direction = actuator_directions(self.layout, theta)
-            rho0 = self.layout.take(theta, "rho0")
-            slopes = differentiate_directions(self.layout, theta)
-            for k, axis in enumerate("xyz"):
-                rows = index[f"a_{axis}"]
-                change[rows, index["rho0"]] -= direction[:, k]
-                for m, symbol in enumerate(self.layout.direction_symbols):
-                    change[rows, index[symbol]] -= rho0 * slopes[:, m, k]
-            if "kappa" in index:
-                for m, symbol in enumerate(self.layout.direction_symbols):
-                    along = np.sum(self.legs * slopes[:, m], axis=-1)
-                    change[index["kappa"], index[symbol]] += np.where(self._rising, along, 0.0)
-            if self._along_leg.any():
-                change[index["l"], index["rho0"]] -= np.sum(self._along_leg * direction, axis=-1)
-                for m, symbol in enumerate(self.layout.direction_symbols):
-                    change[index["l"], index[symbol]] -= rho0 * np.sum(self._along_leg * slopes[:, m], axis=-1)
-            sheared = np.concatenate([index[s] for s in ("a_x", "a_y", "a_z", "kappa", "l") if s in index])
-            fixed = sheared[~self._mask[sheared]]
-            change[fixed] = np.eye(self.layout.size)[fixed]
+        change = np.eye(self.layout.size) if self._shears is None else self._shears.slope(theta)
         if self._circles is not None:
             legs, circles = self._circles
             first, second = (index[symbol][legs] for symbol in self.layout.direction_symbols)
@@ -312,13 +296,16 @@ class Coordinates:
             by_gain, by_azimuth = by_gain * circles.sine[:, None], by_azimuth / circles.sine[:, None]
             change[:, first] = x * by_gain[:, 0] + y * by_gain[:, 1]
             change[:, second] = x * by_azimuth[:, 0] + y * by_azimuth[:, 1]
-        scale = np.where(self.ringed, 1.0, self.scale)
+        scale = self.scale if not self.rings else np.where(self.ringed, 1.0, self.scale)
         for leg, places, ring in self.rings:
             columns = self.free[places]
             u = local_directions(self.layout, theta)[leg]
             change[:, columns] = change[:, columns] @ ring.slopes(ring.coordinates(u[None])[0])
-        normal_density = np.exp(-0.5 * ndtri(self._share(theta)) ** 2) / np.sqrt(2 * np.pi)
-        scale[self.by_quantile] = (self.upper - self.lower)[self.by_quantile] * normal_density
+        if self._quantiles is not None:
+            inside, _, _, width = self._quantiles
+            normal_density = np.exp(-0.5 * ndtri(self._share(theta)) ** 2) / np.sqrt(2 * np.pi)
+            scale = scale.copy()
+            scale[inside] = width * normal_density
         return change[:, self.free] * scale
 
 

@@ -44,21 +44,22 @@ class DirectionChart:
     frames: tuple[Rows, ...]
 
     @cached_property
-    def _frames(self) -> Array:
+    def axes(self) -> Array:
+        """The frames as an array, shape (N, 3, 3)."""
         return np.array(self.frames, dtype=np.float64)
 
     @cached_property
     def upright(self) -> bool:
         """Whether the frames are all that of the base, so that local components are those along x, y and z."""
-        return bool((self._frames == np.eye(3)).all())
+        return bool((self.axes == np.eye(3)).all())
 
     def to_local(self, vector: Array) -> Array:
         """Return the components along e1, e2 and pole of vectors in the base frame, shapes (..., N, 3)."""
-        return vector if self.upright else np.einsum("nmk,...nk->...nm", self._frames, vector)
+        return vector if self.upright else np.einsum("nmk,...nk->...nm", self.axes, vector)
 
     def to_base(self, local: Array) -> Array:
         """Return the vectors in the base frame of local components, shapes (..., N, 3)."""
-        return local if self.upright else np.einsum("nmk,...nm->...nk", self._frames, local)
+        return local if self.upright else np.einsum("nmk,...nm->...nk", self.axes, local)
 
     def complete(self, local: Array) -> None:
         """Turn arrays (3, N, B) that hold t1 and t2 into unit vectors in the base frame, in place; NaN for none."""
@@ -66,7 +67,7 @@ class DirectionChart:
         with np.errstate(invalid="ignore"):
             np.sqrt(1.0 - first * first - second * second, out=local[2])
         if not self.upright:
-            local[...] = np.einsum("nmk,mnb->knb", self._frames, local)
+            local[...] = np.einsum("nmk,mnb->knb", self.axes, local)
 
 
 def complete_components(first: Array, second: Array) -> Array:

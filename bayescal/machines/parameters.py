@@ -141,21 +141,23 @@ class ParameterLayout:
         return lower, upper
 
     @cached_property
-    def _limited(self) -> np.ndarray:
+    def _limited(self) -> tuple[np.ndarray, Array, Array]:
+        """Positions of the parameters with bounds, and these."""
         lower, upper = self.limits
-        return np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
+        some = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
+        return some, lower[some], upper[some]
 
     def inside(self, theta: Array) -> np.ndarray:
         """Return whether every parameter lies between its bounds, shape (..., D) to (...); False for NaN."""
-        some, (lower, upper) = self._limited, self.limits
+        some, lower, upper = self._limited
         values = theta[..., some]
-        result: np.ndarray = ((values > lower[some]) & (values < upper[some])).all(axis=-1)
+        result: np.ndarray = ((values > lower) & (values < upper)).all(axis=-1)
         return result
 
     def check(self, theta: Array) -> None:
         """Raise InputError that names the first parameter of a vector (D,) outside its bounds, with its value."""
         lower, upper = self.limits
-        for k in self._limited:
+        for k in self._limited[0]:
             if not lower[k] < theta[k] < upper[k]:
                 unit = "" if self.units[k] == "1" else f" {self.units[k]}"
                 below = f" and below {upper[k]:g}" if np.isfinite(upper[k]) else ""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from bayescal.machines.mechanism import Drive, Mechanism
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.scratch import Scratch
+
+if TYPE_CHECKING:
+    from bayescal.machines.models.home import BatchHome
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,14 @@ class BoundClosure(ABC):
 
     Arrays run over (leg, pose, batch), the batch last: there every operation is a long contiguous loop. What a method
     returns is scratch, valid until the method is called again.
+
+    Attributes
+    ----------
+    home : BatchHome or None
+        Home poses found by the last ``evaluate``, for models that need them.
     """
+
+    home: BatchHome | None = None
 
     @abstractmethod
     def evaluate(self, theta: Array) -> Array:
@@ -132,6 +142,11 @@ class KinematicModel(ABC):
         theta : ndarray, shape (D,) or (..., D)
             Parameter vectors, broadcast against the leading axes of the poses.
         """
+
+    def prepare_known(self, layout: ParameterLayout, theta: Array, home: BatchHome | None) -> Closure:
+        """Return the closure of one machine (D,) whose home pose may be known; a model with a use for it takes it."""
+        del home
+        return self.prepare(layout, theta)
 
     def linearise(
         self, layout: ParameterLayout, theta: Array, position: Array, rotation: Array, basis: DeformationBasis

@@ -18,8 +18,8 @@ from bayescal.errors import InputError
 from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.mechanism import Flexures, Mechanism
 from bayescal.machines.models.base import BoundClosure, Closure, KinematicModel, Linearisation
-from bayescal.machines.models.home import Home, home_solver, solve_home
-from bayescal.machines.models.legs import compute_leg_vectors, cross, dot, scatter
+from bayescal.machines.models.home import BatchHome, Home, home_solver, solve_home
+from bayescal.machines.models.legs import compute_leg_vectors, cross, dot
 from bayescal.machines.models.six_pus import SixPus, SixPusClosure
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.numerics.geometry import Array
@@ -64,7 +64,11 @@ class Beam(KinematicModel):
 
     def prepare(self, layout: ParameterLayout, theta: Array) -> Closure:
         """Return eq. (32), with the machines' home poses found."""
-        return partial(self._close, layout, theta, solve_home(layout, theta))
+        return self.prepare_known(layout, theta, None)
+
+    def prepare_known(self, layout: ParameterLayout, theta: Array, home: BatchHome | None) -> Closure:
+        """Return the closure of machines whose home poses may be known."""
+        return partial(self._close, layout, theta, solve_home(layout, theta, home))
 
     def _close(
         self,
@@ -100,13 +104,13 @@ class Beam(KinematicModel):
         toward = slope_a[..., None] * legs.axis + slope_b[..., None] * seen
         across = toward - dot(toward, start_a)[..., None] * start_a
         home_turn = np.concatenate([np.zeros_like(toward), -slope_b[..., None] * cross(start_a, seen)], axis=-1)
-        parameters = home.pull_back(across / home.legs.length[..., None], home_turn)
         columns = back.columns | {
             "l": np.ones_like(legs.length),
             "l_b": a_by_length + b_by_length - 1.0,
             "beta": a_by_beta + b_by_beta,
         }
-        return Linearisation(residual, pose, back.actuators, parameters + scatter(layout, columns))
+        parameters = home.pull_back(across / home.legs.length[..., None], home_turn, columns)
+        return Linearisation(residual, pose, back.actuators, parameters)
 
     def bind(self, layout: ParameterLayout, position: Array, rotation: Array, basis: DeformationBasis) -> BoundClosure:
         """Return the 6-PUS closure with the shifts added."""
@@ -123,7 +127,8 @@ class BeamClosure(SixPusClosure):
 
     def evaluate(self, theta: Array) -> Array:
         """Return f, shape (N, P, B)."""
-        home, parameters, index = self._homes.solve(theta), np.ascontiguousarray(theta.T), self._layout.index
+        self.home = home = self._homes.solve(theta)
+        parameters, index = np.ascontiguousarray(theta.T), self._layout.index
         length, flexure_length, beta = (parameters[index[symbol]] for symbol in ("l", "l_b", "beta"))
         carried = self._measure(theta)  # the lever arms, not needed any more
         vector, cosine = self._slope[:3], self._take("cosine")

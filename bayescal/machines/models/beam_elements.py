@@ -92,14 +92,10 @@ def compute_chain_stiffness(
 
 def differentiate_chain(values: Sequence[Array]) -> dict[str, ChainStiffness]:
     """Return the derivatives of the chain's stiffness by each of `SYMBOLS`, by complex steps: exact to rounding."""
-    steps = [COMPLEX_STEP * np.abs(value) for value in values]
-    moved = []
-    for k, (value, step) in enumerate(zip(values, steps, strict=True)):
-        several = np.repeat(value[None].astype(complex), len(SYMBOLS), axis=0)
-        several[k] += 1j * step
-        moved.append(several)
+    known = np.stack(np.broadcast_arrays(*values))
+    steps = COMPLEX_STEP * np.abs(known)
+    moved = np.repeat(known[:, None].astype(complex), len(SYMBOLS), axis=1)  # what, by what
+    np.einsum("kk...->k...", moved).imag += steps
     chain = compute_chain_stiffness(*moved)
-    return {
-        symbol: ChainStiffness(*(np.imag(part[k]) / steps[k] for part in vars(chain).values()))
-        for k, symbol in enumerate(SYMBOLS)
-    }
+    parts = np.imag(np.stack(list(vars(chain).values()), axis=1)) / steps[:, None]
+    return {symbol: ChainStiffness(*part) for symbol, part in zip(SYMBOLS, parts, strict=True)}

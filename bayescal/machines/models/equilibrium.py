@@ -27,10 +27,10 @@ from bayescal.machines.models.beam_elements import (
     compute_chain_stiffness,
     differentiate_chain,
 )
-from bayescal.machines.models.home import Home, compute_turn, solve_home
+from bayescal.machines.models.home import BatchHome, Home, compute_turn, solve_home
 from bayescal.machines.models.legs import LegVectors, compute_leg_vectors, cross, dot, scatter_rows
 from bayescal.machines.parameters import ParameterLayout
-from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian
+from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, skew_matrix
 
 N_GLOBAL = 6  # of `SYMBOLS`: those of the machine, not of a leg
 
@@ -167,11 +167,11 @@ class LegLoads:
         chain, axis = self.chain, self.state.axis
         along = (chain.torsional - chain.near)[..., None] * axis
         moment = chain.near[..., None, None] * np.eye(3) + along[..., :, None] * axis[..., None, :]
-        return self._at_origin(cross((self._slim * axis)[..., None, :], np.eye(3)), moment, 1)
+        return self._at_origin(skew_matrix(-self._slim * axis), moment, 1)
 
     def by_arm(self) -> Array:
         """Return the derivative of a x F by a, shape (..., N, 3, 3)."""
-        return cross(np.eye(3), self.force[..., None, :])
+        return skew_matrix(self.force)
 
     def _at_origin(self, force: Array, moment: Array, n_axes: int = 0) -> Array:
         """Return loads at the joints, with axes between those of the legs and the last, as wrenches at the origin."""
@@ -194,6 +194,8 @@ class Equilibrium:
     state : type of LegState
     load : callable
         From rotations (..., 3, 3) to P_E, shape (..., 6), in N and N mm, and its derivative by them, (..., 3, 6).
+    known : BatchHome, optional
+        The machines' home poses, where these are known.
     """
 
     layout: ParameterLayout
@@ -202,10 +204,11 @@ class Equilibrium:
     reference: AxialReference
     state: type[LegState]
     load: Callable[[Array], tuple[Array, Array]]
+    known: BatchHome | None = None
 
     @cached_property
     def _home(self) -> Home:
-        return solve_home(self.layout, self.theta)
+        return solve_home(self.layout, self.theta, self.known)
 
     @cached_property
     def _values(self) -> dict[str, Array]:

@@ -15,14 +15,14 @@ import numpy as np
 from bayescal.errors import InputError, NumericalError
 from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.models.base import newton_step
-from bayescal.machines.models.legs import LegVectors, chart_of, compute_leg_vectors, cross_first_axis, scatter
+from bayescal.machines.models.legs import LegVectors, add_columns, chart_of, compute_leg_vectors, cross_first_axis, scatter
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.parameters import HomeStart, ParameterLayout
 from bayescal.numerics.geometry import (
     DEGREES_OF_FREEDOM,
     Array,
     matrix_from_rotation_vector,
-    rotation_vector_from_matrix,
+    rotation_vector_of_turn,
     skew_matrix,
 )
 from bayescal.numerics.scratch import Scratch
@@ -31,9 +31,10 @@ ABOVE = HomeStart()
 MAX_STEPS = 30
 STEP_TOLERANCE = 1e-11
 CLOSED = 2e-14  # largest closure at a home pose by the machine's size: 1e-11 mm for half a metre
-INNER_STEPS = 3  # each gains what the machine is like the nominal one, two digits or one
+INNER_STEPS = 4  # each gains what the machine is like the nominal one, two digits or one
 LARGEST_STEP = 100.0  # mm, rad
 SMALLEST_VERSINE = 2.0**-53  # for which angle and sine are not yet zero
+ONE = np.eye(DEGREES_OF_FREEDOM)[..., None]
 SKEW = skew_matrix(np.eye(3)).reshape(3, 9).T  # w to the entries of its skew matrix
 
 
@@ -84,6 +85,8 @@ class BatchHome:
         u, R^0 b and g^0.
     length : ndarray, shape (N, B)
         |g^0|.
+    gain : ndarray, shape (6, N)
+        G.
     """
 
     position: Array
@@ -92,6 +95,7 @@ class BatchHome:
     arm: Array
     vector: Array
     length: Array
+    gain: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +163,8 @@ class HomeSolver:
             vector = (position[:, None] - lower) + body[:, 3:]
             length = np.sqrt(np.einsum("kib,kib->ib", vector, vector))
             residual = leg_length - length
-            seen = np.abs(residual if self.projection is None else self.projection @ residual)
-            moving = (seen > self._tolerance).any(axis=0)  # not where it is NaN
+            seen = np.abs(residual if self.projection is None else self.projection @ residual).max(axis=0)
+            moving = seen > self._tolerance  # not where it is NaN
             if not moving.any():
                 break
             np.divide(vector, length, out=slope[:3])
@@ -170,17 +174,21 @@ class HomeSolver:
             position = position + step[:3]
             body = np.einsum("kmb,mib->kib", turn_by(step[3:]), body)
         rotation, arm = body[:, :3], body[:, 3:]
-        lost = ~(seen <= self._tolerance).all(axis=0)
+        lost = ~(seen <= self._tolerance)
         if lost.any():
             for part in (position, body, vector, length):
                 part[..., lost] = np.nan
-        return BatchHome(position, rotation, direction, arm, vector, length)
+        return BatchHome(position, rotation, direction, arm, vector, length, self.gain)
 
     def _solve_step(self, slope: Array, residual: Array) -> Array:
         """Return the step s (6, B) with G (slope · s - residual) = 0, by iteration with the nominal inverse."""
-        step = self.gain @ residual
+        first = self.gain @ residual
+        change = self.gain @ slope  # (6, 6, B), of which component m of the pose comes first
+        np.subtract(ONE, change, out=change)
+        step = first
         for _ in range(INNER_STEPS):
-            step += self.gain @ (residual - np.einsum("kib,kb->ib", slope, step))
+            step = np.einsum("mkb,mb->kb", change, step)
+            step += first
         np.minimum(step, LARGEST_STEP, out=step)
         return np.maximum(step, -LARGEST_STEP, out=step)
 
@@ -201,6 +209,7 @@ def turn_by(rotation_vector: Array) -> Array:
     return turn
 
 
+@lru_cache(maxsize=64)
 def no_displacement(n_legs: int) -> DeformationBasis:
     """Return actuators at their initial positions, where no deformation acts."""
     return DeformationBasis(np.zeros(n_legs), np.zeros(n_legs), {}, np.zeros((n_legs, n_legs)))
@@ -246,41 +255,58 @@ class Home:
         p^0 in mm and R^0; NaN where there is none.
     legs : LegVectors
         Leg vectors there.
+    gain : ndarray, shape (6, N)
+        G.
     """
 
     position: Array
     rotation: Array
     legs: LegVectors
+    gain: Array
 
     @cached_property
     def slope(self) -> Array:
         """Derivative of the pose (position, rotation vector) by the parameters, shape (..., 6, D)."""
         legs = self.legs
-        back = legs.pull_back(legs.axis)
-        parameters = scatter(legs.layout, {"l": np.ones_like(legs.length)} | {s: -c for s, c in back.columns.items()})
-        gain = home_solver(legs.layout).gain
-        square = gain @ back.pose
+        columns = legs.columns(legs.axis, legs.axis)
+        parameters = scatter(legs.layout, {"l": np.ones_like(legs.length)} | {s: -c for s, c in columns.items()})
+        square = self.gain @ legs.pull_back_pose(legs.axis)
         square = np.where(np.isfinite(square).all(axis=(-1, -2), keepdims=True), square, np.eye(6))
         try:
-            return np.linalg.solve(square, gain @ parameters)
+            return np.linalg.solve(square, self.gain @ parameters)
         except np.linalg.LinAlgError as error:
             raise NumericalError("home pose: singular pose Jacobian") from error
 
-    def pull_back(self, covector: Array, pose: Array | None = None) -> Array:
-        """Return the parameter derivatives (..., N, D) of w_i · g_i, and of a covector (..., N, 6) on the pose."""
-        back = self.legs.pull_back(covector)
-        on_pose = back.pose if pose is None else back.pose + pose
-        return scatter(self.legs.layout, back.columns) + on_pose @ self.slope
+    def pull_back(self, covector: Array, pose: Array | None, columns: dict[str, Array]) -> Array:
+        """Return the parameter derivatives (..., N, D) of w_i · g_i, and of a covector (..., N, 6) on the pose.
+
+        Those by the legs' own parameters that have nothing to do with the home pose, (..., N) each, are added.
+        """
+        legs = self.legs
+        on_pose = legs.pull_back_pose(covector)
+        on_pose = on_pose if pose is None else on_pose + pose
+        own = legs.columns(covector, covector)
+        own |= {symbol: own[symbol] + column if symbol in own else column for symbol, column in columns.items()}
+        rows = on_pose @ self.slope
+        return add_columns(legs.layout, rows, own)
 
 
-def solve_home(layout: ParameterLayout, theta: Array) -> Home:
-    """Return the home poses of parameter vectors (..., D), NaN where there is none."""
+def solve_home(layout: ParameterLayout, theta: Array, known: BatchHome | None = None) -> Home:
+    """Return the home poses of parameter vectors (..., D), NaN where there is none; found where not yet known."""
     leading = theta.shape[:-1]
-    found = home_solver(layout).solve(theta.reshape(-1, layout.size))
-    position = np.ascontiguousarray(found.position.T).reshape(*leading, 3)
+    found = home_solver(layout).solve(theta.reshape(-1, layout.size)) if known is None else known
+
+    def batch_first(one: Array) -> Array:
+        return np.ascontiguousarray(one.T).reshape(*leading, *one.shape[-2::-1])
+
     rotation = np.ascontiguousarray(found.rotation.transpose(2, 0, 1)).reshape(*leading, 3, 3)
-    basis = no_displacement(len(layout.index["l"]))
-    return Home(position, rotation, compute_leg_vectors(layout, theta, position, rotation, basis))
+    direction, arm, vector, length = (
+        batch_first(one) for one in (found.direction, found.arm, found.vector, found.length)
+    )
+    axis, basis = vector / length[..., None], no_displacement(length.shape[-1])
+    travel = layout.take(theta, "rho0")
+    legs = LegVectors(layout, basis, rotation, direction, arm, vector, axis, travel, length)
+    return Home(batch_first(found.position), rotation, legs, found.gain)
 
 
 # --- turns since home -------------------------------------------------------------------------------------------------
@@ -290,7 +316,7 @@ def compute_turn(rotation: Array, home: Array) -> Array:
     """Return φ = Log(R R^0ᵀ), shape (..., 3); zero where there is no home pose."""
     turned = rotation @ np.swapaxes(home, -1, -2)
     good = np.isfinite(turned).all(axis=(-1, -2), keepdims=True)
-    return rotation_vector_from_matrix(np.where(good, turned, np.eye(3)))
+    return rotation_vector_of_turn(turned if good.all() else np.where(good, turned, np.eye(3)))
 
 
 class BatchTurns:
@@ -307,6 +333,7 @@ class BatchTurns:
             skew[k, :, n] -= 0.5 * rotation[:, m]
         self._skew = skew.reshape(3, -1, 9)
         self._scratch = Scratch()
+        self._back: Array | None = None
 
     def evaluate(self, home_rotation: Array) -> Array:
         """Return φ, shape (3, P, B), for home rotations (3, 3, B); keeps ``stretch``, |φ| / sin|φ|, shape (P, B)."""
@@ -320,28 +347,33 @@ class BatchTurns:
         np.subtract(2.0, versine, out=sine)
         sine *= versine
         np.divide(angle, np.sqrt(sine, out=sine), out=stretch)
-        self._versine, self._angle, self.stretch = versine, angle, stretch
+        self._versine, self._angle, self.stretch, self._back = versine, angle, stretch, None
         self._turn = np.matmul(self._skew, entries, out=self._scratch.take("turn", 3, *shape))
         self._turn *= stretch
         return self._turn
 
     def turn_back(self, rotation_vector: Array) -> Array:
-        """Return Jl⁻¹(φ) ω, how φ changes with small turns ω of the platform, shapes (3, P, B).
+        """Return Jl⁻¹(φ) ω, how φ changes with small turns ω of the platform, shapes (3, P, B)."""
+        if self._back is None:
+            self._back = self._find_back()
+        result = self._scratch.take("turned back", *rotation_vector.shape)
+        return np.einsum("kmpb,mpb->kpb", self._back, rotation_vector, out=result)
 
-        It is ω - φ x ω / 2 + (1 - |φ| / 2 cot(|φ| / 2)) / |φ|² φ x (φ x ω).
-        """
-        take, shape = self._scratch.take, self._turn.shape
-        result, across, factor = take("turned back", *shape), take("across", *shape), take("factor", *shape[1:])
-        cross_first_axis(self._turn, rotation_vector, out=across)
-        cross_first_axis(self._turn, across, out=result)
-        np.subtract(2.0, self._versine, out=factor)
-        factor *= self.stretch
-        factor *= -0.5
-        factor += 1.0
-        factor /= self._angle
-        factor /= self._angle
-        result *= factor
-        across *= 0.5
-        result -= across
-        result += rotation_vector
-        return result
+    def _find_back(self) -> Array:
+        """Return Jl⁻¹ = 1 - [φ]/2 + c (φ φᵀ - |φ|²), c = (1 - |φ| / 2 cot(|φ| / 2)) / |φ|², shape (3, 3, P, B)."""
+        turn, take = self._turn, self._scratch.take
+        back, diagonal = take("back", 3, *turn.shape), take("diagonal", *turn.shape[1:])
+        square = np.multiply(self._angle, self._angle, out=take("square", *turn.shape[1:]))
+        np.subtract(2.0, self._versine, out=diagonal)
+        diagonal *= self.stretch
+        diagonal *= 0.5  # |φ| / 2 cot(|φ| / 2)
+        factor = np.divide(np.subtract(1.0, diagonal), square, out=square)
+        scaled = np.multiply(turn, factor, out=take("scaled", *turn.shape))
+        half = np.multiply(turn, 0.5, out=take("half", *turn.shape))
+        for k, (m, n) in enumerate(((1, 2), (2, 0), (0, 1))):
+            np.multiply(scaled[k], turn[k], out=back[k, k])
+            back[k, k] += diagonal
+            np.multiply(scaled[m], turn[n], out=back[m, n])
+            np.subtract(back[m, n], half[k], out=back[n, m])
+            back[m, n] += half[k]
+        return back

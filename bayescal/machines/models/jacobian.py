@@ -18,8 +18,8 @@ import numpy as np
 from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.models.base import BoundClosure, Closure, KinematicModel, Linearisation
-from bayescal.machines.models.home import BatchTurns, Home, compute_turn, home_solver, solve_home
-from bayescal.machines.models.legs import cross, cross_first_axis, dot, scatter
+from bayescal.machines.models.home import BatchHome, BatchTurns, Home, compute_turn, home_solver, solve_home
+from bayescal.machines.models.legs import cross, cross_first_axis, dot
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian
@@ -38,7 +38,11 @@ class Jacobian(KinematicModel):
 
     def prepare(self, layout: ParameterLayout, theta: Array) -> Closure:
         """Return the closure of the module's docstring, with the machines' home poses found."""
-        return partial(self._close, layout, theta, solve_home(layout, theta))
+        return self.prepare_known(layout, theta, None)
+
+    def prepare_known(self, layout: ParameterLayout, theta: Array, home: BatchHome | None) -> Closure:
+        """Return the closure of machines whose home poses may be known."""
+        return partial(self._close, layout, theta, solve_home(layout, theta, home))
 
     def _close(
         self,
@@ -77,13 +81,13 @@ class Jacobian(KinematicModel):
         on_turn = moment @ np.swapaxes(left, -1, -2)  # the right inverse is the transposed left one
         on_turn = on_turn - cross(arm, across) - deflection[..., None] * cross(z_axis, g)
         on_home = np.concatenate([np.broadcast_to(g, on_turn.shape), on_turn], axis=-1)
-        parameters = home.pull_back(on_vector / size[..., None], on_home / size[..., None])
         local = across @ home.rotation
         columns = {f"b_{name}": -local[..., k] / size for k, name in enumerate("xyz")}
         columns |= {symbol: share / size * across for symbol, across in legs.pull_back_direction(g).items()}
         columns["l"] = legs.length / size
         columns |= {symbol: -gain * c for symbol, c in basis.coefficients.items()}
-        return Linearisation(residual, pose, actuators, parameters + scatter(layout, columns))
+        parameters = home.pull_back(on_vector / size[..., None], on_home / size[..., None], columns)
+        return Linearisation(residual, pose, actuators, parameters)
 
     def bind(self, layout: ParameterLayout, position: Array, rotation: Array, basis: DeformationBasis) -> BoundClosure:
         """Return the closure for batches: one home pose per machine, then products with the poses."""
@@ -111,7 +115,8 @@ class JacobianClosure(BoundClosure):
 
     def evaluate(self, theta: Array) -> Array:
         """Return f, shape (N, P, B)."""
-        home, take, index = self._homes.solve(theta), self._scratch.take, self._layout.index
+        self.home = home = self._homes.solve(theta)
+        take, index = self._scratch.take, self._layout.index
         parameters = np.ascontiguousarray(theta.T)
         n_legs, n_poses, n_batch = len(self._design), len(self._turn_design), len(theta)
         size = np.einsum("kib,kib->ib", home.direction, home.vector)

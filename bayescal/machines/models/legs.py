@@ -127,11 +127,15 @@ class LegVectors:
 
     def pull_back(self, covector: Array, with_parameters: bool = True) -> PulledBack:
         """Return the derivatives of w · g for covectors w, shape (..., N, 3), held fixed; columns where asked for."""
-        moment = cross(self.arm, covector)
-        pose = np.concatenate([np.broadcast_to(covector, moment.shape), moment], axis=-1)
+        pose = self.pull_back_pose(covector)
         actuators = dot(covector, self.platform_z)[..., None] * self.basis.actuator_gain
         actuators = actuators - np.eye(covector.shape[-2]) * dot(covector, self.direction)[..., None]
         return PulledBack(pose, actuators, self.columns(covector, covector) if with_parameters else {})
+
+    def pull_back_pose(self, covector: Array) -> Array:
+        """Return the derivatives of w · g by the pose for covectors w, shape (..., N, 3) to (..., N, 6)."""
+        moment = cross(self.arm, covector)
+        return np.concatenate([np.broadcast_to(covector, moment.shape), moment], axis=-1)
 
     def columns(self, covector: Array, joint_covector: Array) -> dict[str, Array]:
         """Return the derivatives by the legs' parameters, those by b* with covectors of their own, (..., N, 3)."""
@@ -179,25 +183,32 @@ def compute_leg_vectors(
     joint[..., 2] += basis.deflection(layout, theta)
     arm = np.einsum("...jk,...ik->...ij", rotation, joint)
     vector = position[..., None, :] + arm - layout.take_vector(theta, "a") - travel[..., None] * direction
-    length = np.linalg.norm(vector, axis=-1)
+    length = np.sqrt(dot(vector, vector))
     return LegVectors(layout, basis, rotation, direction, arm, vector, vector / length[..., None], travel, length)
 
 
 def scatter_rows(layout: ParameterLayout, *parts: dict[str, Array]) -> Array:
     """Return derivatives of every row by every leg's parameters, shapes (..., M, N), as rows (..., M, D), summed."""
-    rows = np.zeros((*np.broadcast_shapes(*(c.shape[:-1] for part in parts for c in part.values())), layout.size))
-    for part in parts:
-        for symbol, column in part.items():
-            where = layout.index[symbol]  # the values of a symbol stand together
-            rows[..., where[0] : where[-1] + 1] += column
-    return rows
+    leading = np.broadcast_shapes(*(c.shape[:-1] for part in parts for c in part.values()))
+    blocks = []
+    for symbol, where in layout.index.items():  # in the order of the parameters
+        block, *more = [part[symbol] for part in parts if symbol in part] or [np.zeros(1)]
+        for one in more:
+            block = block + one
+        blocks.append(np.broadcast_to(block, (*leading, len(where))))
+    return np.concatenate(blocks, axis=-1)
 
 
 def scatter(layout: ParameterLayout, columns: dict[str, Array]) -> Array:
     """Return the derivatives of leg i by leg i's own parameters, shapes (..., N), as rows (..., N, D)."""
-    first = next(iter(columns.values()))
-    rows = np.zeros((*np.broadcast_shapes(*(c.shape for c in columns.values())), layout.size))
-    legs = np.arange(first.shape[-1])
+    shape = np.broadcast_shapes(*(column.shape for column in columns.values()))
+    return add_columns(layout, np.zeros((*shape, layout.size)), columns)
+
+
+def add_columns(layout: ParameterLayout, rows: Array, columns: dict[str, Array]) -> Array:
+    """Return rows (..., N, D) with the derivatives of leg i by its own parameters, (..., N), added in place."""
     for symbol, column in columns.items():
-        rows[..., legs, layout.index[symbol]] = column
+        start = layout.index[symbol][0]  # the values of a symbol stand together
+        own = np.einsum("...ii->...i", rows[..., start : start + rows.shape[-2]])
+        own += column
     return rows

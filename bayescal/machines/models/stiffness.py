@@ -33,12 +33,12 @@ from bayescal.machines.models.base import BoundClosure, Closure, KinematicModel
 from bayescal.machines.models.beam import require_flexures
 from bayescal.machines.models.beam_elements import SYMBOLS, AxialReference, compute_chain_stiffness
 from bayescal.machines.models.equilibrium import Changes, Equilibrium, LegState
-from bayescal.machines.models.home import solve_home
+from bayescal.machines.models.home import BatchHome, solve_home
 from bayescal.machines.models.legs import LegVectors, cross, dot
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.models.stiffness_batch import FixedStiffnessClosure, StiffnessClosure
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
-from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, skew_matrix
 
 METRE = 1e-3  # m per mm: in the report's sum of squares moments count in N m
 
@@ -102,13 +102,13 @@ class HomeLegs(LegState):
 
     def by_vector(self) -> Changes:
         """Return the derivatives by g."""
-        by_turn = cross(self.axis[..., None, :], np.eye(3)) / self.length[..., None, None]
+        by_turn = skew_matrix(-self.axis) / self.length[..., None, None]
         return self.axis, np.zeros_like(by_turn), by_turn
 
     def by_home(self) -> Changes:
         """Return the derivatives by g⁰."""
         by_axis = np.broadcast_to(_differentiate_direction(self.home), (*self.axis.shape, 3))
-        by_turn = cross(by_axis, self._moved[..., None, :]) - cross(self.axis[..., None, :], np.eye(3))
+        by_turn = cross(by_axis, self._moved[..., None, :]) + skew_matrix(self.axis)
         return (by_axis @ self._moved[..., None])[..., 0], by_axis, by_turn / self.length[..., None, None]
 
     def turn_by_length(self) -> Array:
@@ -178,17 +178,23 @@ class Stiffness(KinematicModel):
 
     def prepare(self, layout: ParameterLayout, theta: Array) -> Closure:
         """Return s Q W; home poses and the stiffness of the legs are found once."""
-        return Equilibrium(layout, theta, self.to_elongation, self._reference, self.state, self._external)
+        return self.prepare_known(layout, theta, None)
+
+    def prepare_known(self, layout: ParameterLayout, theta: Array, home: BatchHome | None) -> Closure:
+        """Return s Q W of machines whose home poses may be known."""
+        return Equilibrium(layout, theta, self.to_elongation, self._reference, self.state, self._external, home)
 
     def _external(self, rotation: Array) -> tuple[Array, Array]:
         """Return P_E, shape (..., 6), in N and N mm, and its derivative (..., 3, 6) by the rotation."""
         load = self.mechanism.load
-        weight, lever = np.array(load.weight), rotation @ np.array(load.centre_of_mass)
-        force = np.broadcast_to(np.array(load.force) + weight, lever.shape)
-        moment = np.array(load.moment) + cross(lever, weight)
-        by_rotation = cross(cross(np.eye(3), lever[..., None, :]), weight)
-        by_rotation = np.concatenate([np.zeros_like(by_rotation), by_rotation], axis=-1)
-        return np.concatenate([force, moment], axis=-1), by_rotation
+        force, moment, weight = (np.array(part) for part in (load.force, load.moment, load.weight))
+        external, by_rotation = np.empty((*rotation.shape[:-2], 6)), np.zeros((*rotation.shape[:-1], 6))
+        external[..., :3], external[..., 3:] = force + weight, moment
+        if weight.any():
+            lever = rotation @ np.array(load.centre_of_mass)
+            external[..., 3:] += cross(lever, weight)
+            by_rotation[..., 3:] = cross(skew_matrix(lever), weight)
+        return external, by_rotation
 
     def bind(self, layout: ParameterLayout, position: Array, rotation: Array, basis: DeformationBasis) -> BoundClosure:
         """Return the closure for batches."""

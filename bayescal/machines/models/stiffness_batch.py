@@ -48,7 +48,7 @@ class EquilibriumClosure(SixPusClosure):
         values = {symbol: parameters[self._layout.index[symbol]] for symbol in SYMBOLS}
         length, scale = values["l"], self._reference.scale(values["k2_d"], values["k2_l"])
         chain = compute_chain_stiffness(*values.values()).times(scale)
-        home = self._homes.solve(theta)
+        self.home = home = self._homes.solve(theta)
         phi = self._turns.evaluate(home.rotation)
         balance = self._scratch.take("balance", 6, *phi.shape[1:])
         self._axial = self._balance_loads(balance, arm, chain, length, home, phi)
