@@ -9,7 +9,7 @@ import numpy as np
 from bayescal.density.exact import ExactDensity
 from bayescal.density.posterior import Posterior
 from bayescal.inference.correction import Correction, CostlyDensity, Move, correct
-from bayescal.inference.ensemble import run_ensemble
+from bayescal.inference.ensemble import run_ensembles
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import resample
 from bayescal.inference.sampling import Sample
@@ -77,7 +77,7 @@ def sample_exactly(
     """
     straight, (_, n_walkers, n_steps, _) = exploration.straight, sample.straight.shape
     density, proposal = build_costly(exact, exploration).log_density, move.move_proposal(exploration.proposal)
-    ensembles = [run_ensemble(density, proposal, seed, n_walkers, n_steps // 2, n_steps) for seed in seeds]
+    ensembles = run_ensembles(density, proposal, seeds, n_walkers, n_steps // 2, n_steps)
     draws = np.stack([ensemble.draws for ensemble in ensembles])
     y = straight.y_from_x(draws.reshape(-1, draws.shape[-1])).reshape(draws.shape)
     log_density = np.stack([ensemble.log_density for ensemble in ensembles])
