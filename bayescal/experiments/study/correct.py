@@ -17,9 +17,12 @@ from bayescal.inference.straightening import Straightening
 from bayescal.numerics.geometry import Array
 
 WEIGHED = 256  # draws of a posterior, a round
-WEIGHED_AT_ONCE = 128  # where only the evidence is wanted
 PROPOSED = 1500
 USED = 1024  # at most
+WEIGHED_AT_ONCE, PER_COORDINATE, PROPOSED_AT_ONCE = 128, 2, 1000
+"""The same where only the evidence is wanted, and the draws of a regression."""
+ENOUGH = 0.02
+"""Standard error in nats that is enough then: evidences under other priors are themselves known to 0.03."""
 STEP = 1e-4
 
 
@@ -37,16 +40,16 @@ def correct_draws(
 
 def correct_evidence(exact: ExactDensity, exploration: Exploration, seed: np.random.SeedSequence) -> Correction:
     """Return the correction from some draws of the proposal."""
-    draws, modes, covariance = draw_to_correct(exploration, np.random.default_rng(seed), USED // 2)
-    return correct(build_costly(exact, exploration), draws, modes, covariance, WEIGHED_AT_ONCE)
+    drawn = draw_to_correct(exploration, np.random.default_rng(seed), USED // 2, PROPOSED_AT_ONCE)
+    return correct(build_costly(exact, exploration), *drawn, WEIGHED_AT_ONCE, PER_COORDINATE, ENOUGH)
 
 
 def draw_to_correct(
-    exploration: Exploration, rng: np.random.Generator, n_draws: int
+    exploration: Exploration, rng: np.random.Generator, n_draws: int, n_proposed: int = PROPOSED
 ) -> tuple[Array, np.ndarray, Array]:
     """Return draws of the posterior (S, n) in straight coordinates, their modes (S,), a mode's covariance (n, n)."""
     proposal = exploration.proposal
-    draws = resample(exploration.straight.log_density, proposal, rng, PROPOSED, n_draws).draws
+    draws = resample(exploration.straight.log_density, proposal, rng, n_proposed, n_draws).draws
     main = proposal.factors[np.argmax(proposal.weights)]
     return draws, _sort(exploration, draws), main @ main.T
 
