@@ -25,6 +25,7 @@ PER_COORDINATE = 3  # draws for a regression
 ENOUGH = 0.8
 """Share of effective draws from which on another round is not worth its evaluations."""
 ROUNDS = 3
+BLOCK = 32  # draws that are weighed between looks at the error, where one is enough
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +85,10 @@ class Correction:
         """Whether another round would hardly make moved draws better."""
         return self.efficiency >= ENOUGH and self.pareto_k <= PARETO_K_LIMIT
 
+    def is_known_to(self, error: float) -> bool:
+        """Whether the log-ratio has a standard error that is that small, by weights whose scatter tells it."""
+        return 0.0 < error >= self.standard_error and self.pareto_k <= PARETO_K_LIMIT
+
     @property
     def is_trusted(self) -> bool:
         """Whether moved draws are good for draws of the costly density."""
@@ -122,7 +127,15 @@ class CostlyDensity:
         return self.log_density(move(x)) - self.explored(x) + move.log_volume
 
 
-def correct(density: CostlyDensity, draws: Array, modes: np.ndarray, covariance: Array, n_weights: int) -> Correction:
+def correct(
+    density: CostlyDensity,
+    draws: Array,
+    modes: np.ndarray,
+    covariance: Array,
+    n_weights: int,
+    per_coordinate: int = PER_COORDINATE,
+    enough: float = 0.0,
+) -> Correction:
     """Return the correction from independent draws of the explored density.
 
     Parameters
@@ -135,8 +148,13 @@ def correct(density: CostlyDensity, draws: Array, modes: np.ndarray, covariance:
     covariance : ndarray, shape (n, n)
         Of the explored density around a mode.
     n_weights : int
-        How many draws are weighed in a round; as many of them as a regression needs, at least, are used for the first
+        How many draws are weighed in a round, at most; half as many, or as a regression needs, are used for the first
         one.
+    per_coordinate : int
+        Draws that a regression needs.
+    enough : float
+        Standard error of the log-ratio from which on no other draw is weighed. To stop there biases it by a small part
+        of that error.
 
     Raises
     ------
@@ -144,23 +162,36 @@ def correct(density: CostlyDensity, draws: Array, modes: np.ndarray, covariance:
         Where no draw has a finite weight.
     """
     n = draws.shape[1]
-    n_first = min(max(n_weights // 2, PER_COORDINATE * n), len(draws) // 2)
+    n_first = min(max(n_weights // 2, per_coordinate * n), len(draws) // 2)
     centred = draws - _find_centres(draws, modes)
     excess = density.excess(draws[:n_first])
     found = [_summarise(Move(np.zeros(n), np.zeros(n), np.eye(n)), excess)]
+    if found[0].is_known_to(enough):
+        return found[0]
     move = _fit_move(density, draws.mean(axis=0), centred[:n_first], excess, covariance, bool(np.ptp(modes)))
     for start in range(n_first, min(n_first + ROUNDS * n_weights, len(draws)), n_weights):
-        part = slice(start, start + n_weights)
-        log_weights = density.weigh(move, draws[part])
+        log_weights = _weigh(density, move, draws[start : start + n_weights], enough)
         found.append(_summarise(move, log_weights))
-        if found[-1].is_enough:
+        if found[-1].is_enough or found[-1].is_known_to(enough):
             break
         spread = move.matrix @ covariance @ move.matrix.T
-        move = move.shifted(spread @ _regress(log_weights, centred[part] @ move.matrix.T))
+        used = centred[start : start + len(log_weights)]
+        move = move.shifted(spread @ _regress(log_weights, used @ move.matrix.T))
     best = max(found, key=lambda correction: correction.efficiency)
     if not np.isfinite(best.log_ratio):
         raise NumericalError("exact density: no draw of the posterior has a finite weight")
     return best
+
+
+def _weigh(density: CostlyDensity, move: Move, draws: Array, enough: float) -> Array:
+    """Return the log-weights of moved draws (B, n), or of as many as are enough for that error."""
+    if not enough:
+        return density.weigh(move, draws)
+    log_weights = np.empty(0)
+    while len(log_weights) < len(draws) and not _summarise(move, log_weights).is_known_to(enough):
+        block = draws[len(log_weights) : len(log_weights) + BLOCK]
+        log_weights = np.concatenate([log_weights, density.weigh(move, block)])
+    return log_weights
 
 
 def _find_centres(x: Array, modes: np.ndarray) -> Array:

@@ -37,12 +37,13 @@ def judge_draws(draws: Array) -> tuple[Array, Array, Array]:
         return _judge_plainly(by_walker)
     found = np.empty((3, n))
     for k, values in enumerate(by_walker):
-        scores, folded = _score(values), _score(np.abs(values - np.median(values)))
+        scores, folded, low, high = _rank(values)
+        in_time = np.stack([_halve(_in_time(one)) for one in (scores, folded)])
         with np.errstate(divide="ignore", invalid="ignore"):  # ensembles that stand still
-            rhat = [float(array_stats.rhat(_halve(_in_time(one)), method="identity")) for one in (scores, folded)]
-        below = [values <= quantile for quantile in np.quantile(values, TAILS)]
-        bulk, *tail = (float(array_stats.ess(_halve(one), method="identity")) for one in (scores, *below))
-        found[:, k] = max(rhat), bulk, min(tail)
+            rhat = array_stats.rhat(in_time, method="identity")
+        walking = np.stack([_halve(one) for one in (scores, values <= low, values <= high)])
+        bulk, *tail = array_stats.ess(walking, method="identity")
+        found[:, k] = max(rhat.tolist()), bulk, min(tail)
     return found[0], found[1], found[2]
 
 
@@ -69,17 +70,39 @@ def _halve(values: Array) -> Array:
     return np.concatenate([chains[:, :half], chains[:, half:]])
 
 
-def _score(values: Array) -> Array:
-    """Return the normal scores of the ranks of values (...), those of equal ones the same."""
+def _rank(values: Array) -> tuple[Array, Array, float, float]:
+    """Return normal scores of the ranks of values (...), those of the ranks of |values - median|, and both quantiles.
+
+    In the order of the values their distances from the median fall, then rise: two runs, which a stable sort merges.
+    """
     flat = values.ravel()
     order = np.argsort(flat)
     ordered = flat[order]
+    half = len(flat) // 2
+    distances = np.abs(ordered - 0.5 * (ordered[half - 1] + ordered[half]))
+    fold = np.argsort(distances, kind="stable")
+    folded = _score(distances[fold], order[fold])
+    low, high = (_interpolate(ordered, share) for share in TAILS)
+    return _score(ordered, order).reshape(values.shape), folded.reshape(values.shape), low, high
+
+
+def _interpolate(ordered: Array, share: float) -> float:
+    """Return a quantile of ordered values (S,), between two of them along a line, to the bit as NumPy does."""
+    place = share * (len(ordered) - 1)
+    below = int(place)
+    first, second = ordered[below : below + 2]
+    part, step = place - below, second - first
+    return float(second - step * (1.0 - part) if part >= 0.5 else first + step * part)
+
+
+def _score(ordered: Array, order: np.ndarray) -> Array:
+    """Return the normal scores of the ranks of values (S,), those of equal ones the same, from their order."""
     first = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
-    last = np.append(first[1:], len(flat))
+    last = np.append(first[1:], len(ordered))
     twice = first + last - 1  # twice the mean rank, from zero
-    scores = np.empty(len(flat))
-    scores[order] = np.repeat(_list_scores(len(flat))[twice], last - first)
-    return scores.reshape(values.shape)
+    scores = np.empty(len(ordered))
+    scores[order] = np.repeat(_list_scores(len(ordered))[twice], last - first)
+    return scores
 
 
 @lru_cache(maxsize=4)

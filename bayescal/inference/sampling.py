@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.inference.diagnostics import Diagnostics, diagnose
-from bayescal.inference.ensemble import JUMP_SHARE, run_ensemble
+from bayescal.inference.ensemble import JUMP_SHARE, run_ensembles
 from bayescal.inference.exploration import GOOD_ENOUGH, Exploration, count_walkers
 from bayescal.numerics.geometry import Array
 
@@ -53,13 +53,12 @@ def sample_posterior(
     posterior = straight.posterior
     walkers = count_walkers(posterior.n_parameters, n_walkers)
     share = GOOD_JUMP_SHARE if exploration.efficiency >= GOOD_ENOUGH else JUMP_SHARE
-    ensembles = [
-        run_ensemble(straight.log_density, exploration.proposal, own, walkers, n_burn_in, n_steps, jump_share=share)
-        for own in seed.spawn(n_ensembles)
-    ]
+    seeds = seed.spawn(n_ensembles)
+    density, proposal = straight.log_density, exploration.proposal
+    ensembles = run_ensembles(density, proposal, seeds, walkers, n_burn_in, n_steps, jump_share=share)
     draws = np.stack([ensemble.draws for ensemble in ensembles])
     y = straight.y_from_x(draws.reshape(-1, posterior.n_parameters)).reshape(draws.shape)
     natural = posterior.natural(y)
-    density = np.stack([ensemble.log_density for ensemble in ensembles])
+    log_density = np.stack([ensemble.log_density for ensemble in ensembles])
     acceptance = np.array([ensemble.acceptance for ensemble in ensembles])
-    return Sample(draws, y, natural, density, acceptance)
+    return Sample(draws, y, natural, log_density, acceptance)

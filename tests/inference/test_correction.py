@@ -78,6 +78,28 @@ def test_errors_are_those_claimed():
     assert 0.7 < np.std(z) < 1.3
 
 
+def test_errors_are_those_claimed_where_the_error_ends_it():
+    """Fewer draws, whose scatter says when they are enough: errors are still those claimed, about as large as asked."""
+    rng, z, n_draws = np.random.default_rng(2), [], []
+    explored = log_normal(np.zeros(2), np.eye(2))
+    line = np.linspace(-10, 10, 2001)
+    truth = 2 * np.log(np.trapezoid(norm.pdf(line) * np.exp(-0.005 * line**4), line))
+
+    def excess(x):
+        return -0.005 * (x**4).sum(axis=-1)
+
+    for _ in range(200):
+        draws = rng.standard_normal((400, 2))
+        density = CostlyDensity(explored, excess, np.zeros((2, 2)))
+        found = correct(density, draws, np.zeros(400, int), np.eye(2), 128, 2, 0.01)
+        z.append((found.log_ratio - truth) / found.standard_error)
+        n_draws.append(found.n_draws)
+        assert found.standard_error <= 0.01 or found.n_draws == 128
+    assert len(set(n_draws)) > 1
+    assert abs(np.mean(z)) < 4 / np.sqrt(200) + 0.3
+    assert 0.7 < np.std(z) < 1.5
+
+
 def test_two_modes_move_together():
     """Modes far apart, moved alike: their distance has no part in slope or covariance."""
     rng = np.random.default_rng(3)

@@ -8,7 +8,7 @@ import pytest
 from arviz_stats.base import array_stats
 
 from bayescal.errors import NumericalError
-from bayescal.inference.ensemble import run_ensemble
+from bayescal.inference.ensemble import JUMP_SHARE, run_ensemble, run_ensembles
 from bayescal.inference.proposal import MixtureProposal
 
 N_ENSEMBLES, N_WALKERS, N_BURN_IN, N_STEPS = 4, 160, 60, 125  # a step costs as much with many walkers as with few
@@ -102,6 +102,53 @@ def test_a_wrong_moment_is_found_out(chains):
     """Negative control: the scores see variances that are ten per cent off."""
     mean, covariance = moments_of_gaussian()
     assert np.abs(z_scores(chains["gaussian"], mean, covariance * (1 + 0.1 * np.eye(3)))).max() > LIMIT
+
+
+def run_with_emcee(log_density, proposal, seed, n_walkers, n_burn_in, n_steps):
+    """Return chain, densities and acceptance of one ensemble that emcee runs, from the same random numbers."""
+    seed_start, seed_moves = seed.spawn(2)
+
+    def jump(coordinates, random):
+        own = np.random.default_rng(random.randint(2**32, size=4, dtype=np.uint64))
+        drawn = proposal.draw(len(coordinates), own)
+        return drawn, proposal.log_density(coordinates) - proposal.log_density(drawn)
+
+    moves = [(emcee.moves.MHMove(jump), JUMP_SHARE), (emcee.moves.DEMove(), 1.0 - JUMP_SHARE)]
+    sampler = emcee.EnsembleSampler(n_walkers, proposal.means.shape[1], log_density, moves=moves, vectorize=True)
+    start = proposal.draw(n_walkers, np.random.default_rng(seed_start))
+    random = np.random.RandomState(seed_moves.generate_state(8)).get_state()
+    state = sampler.run_mcmc(emcee.State(start, random_state=random), n_burn_in, store=False)
+    sampler.reset()
+    sampler.run_mcmc(state, n_steps)
+    return np.swapaxes(sampler.get_chain(), 0, 1), sampler.get_log_prob().T, sampler.acceptance_fraction.mean()
+
+
+@pytest.mark.parametrize("name", TARGETS)
+@pytest.mark.parametrize("n_walkers", [20, 33])
+def test_ensembles_abreast_are_those_that_emcee_runs_one_by_one(name, n_walkers, proposal):
+    log_density = TARGETS[name][0]
+    abreast = run_ensembles(log_density, proposal, np.random.SeedSequence(5).spawn(3), n_walkers, 7, 40)
+    for run, seed in zip(abreast, np.random.SeedSequence(5).spawn(3), strict=True):
+        chain, density, acceptance = run_with_emcee(log_density, proposal, seed, n_walkers, 7, 40)
+        np.testing.assert_allclose(run.draws, chain, rtol=1e-12)
+        np.testing.assert_allclose(run.log_density, density, rtol=1e-12)
+        assert run.acceptance == pytest.approx(acceptance, rel=1e-12)
+
+
+def test_a_density_that_is_no_number_is_an_error(proposal):
+    for bad in (np.nan, np.inf):
+        calls = iter([*[0.0] * 3, *[bad] * 100])
+        with pytest.raises(NumericalError, match="not finite"):
+            run_ensemble(lambda y, c=calls: gaussian(y) + next(c), proposal, np.random.SeedSequence(5), 20, 0, 20)
+
+
+def test_walkers_that_span_too_little_are_an_error(proposal):
+    def draw_flat(n, rng):
+        return np.column_stack([rng.standard_normal((n, 2)), np.zeros(n)])
+
+    for n_walkers, starts in ((20, draw_flat), (5, None)):
+        with pytest.raises(NumericalError, match="do not span all 3 coordinates"):
+            run_ensemble(gaussian, proposal, np.random.SeedSequence(5), n_walkers, 0, 20, starts)
 
 
 def test_same_seed_gives_the_same_bits(proposal):

@@ -9,7 +9,7 @@ import numpy as np
 from bayescal.density.exact import ExactDensity
 from bayescal.density.posterior import Posterior
 from bayescal.inference.correction import Correction, CostlyDensity, Move, correct
-from bayescal.inference.ensemble import run_ensemble
+from bayescal.inference.ensemble import run_ensembles
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import resample
 from bayescal.inference.sampling import Sample
@@ -17,9 +17,12 @@ from bayescal.inference.straightening import Straightening
 from bayescal.numerics.geometry import Array
 
 WEIGHED = 256  # draws of a posterior, a round
-WEIGHED_AT_ONCE = 128  # where only the evidence is wanted
 PROPOSED = 1500
 USED = 1024  # at most
+WEIGHED_AT_ONCE, PER_COORDINATE, PROPOSED_AT_ONCE = 128, 2, 1000
+"""The same where only the evidence is wanted, and the draws of a regression."""
+ENOUGH = 0.02
+"""Standard error in nats that is enough then: evidences under other priors are themselves known to 0.03."""
 STEP = 1e-4
 
 
@@ -37,16 +40,16 @@ def correct_draws(
 
 def correct_evidence(exact: ExactDensity, exploration: Exploration, seed: np.random.SeedSequence) -> Correction:
     """Return the correction from some draws of the proposal."""
-    draws, modes, covariance = draw_to_correct(exploration, np.random.default_rng(seed), USED // 2)
-    return correct(build_costly(exact, exploration), draws, modes, covariance, WEIGHED_AT_ONCE)
+    drawn = draw_to_correct(exploration, np.random.default_rng(seed), USED // 2, PROPOSED_AT_ONCE)
+    return correct(build_costly(exact, exploration), *drawn, WEIGHED_AT_ONCE, PER_COORDINATE, ENOUGH)
 
 
 def draw_to_correct(
-    exploration: Exploration, rng: np.random.Generator, n_draws: int
+    exploration: Exploration, rng: np.random.Generator, n_draws: int, n_proposed: int = PROPOSED
 ) -> tuple[Array, np.ndarray, Array]:
     """Return draws of the posterior (S, n) in straight coordinates, their modes (S,), a mode's covariance (n, n)."""
     proposal = exploration.proposal
-    draws = resample(exploration.straight.log_density, proposal, rng, PROPOSED, n_draws).draws
+    draws = resample(exploration.straight.log_density, proposal, rng, n_proposed, n_draws).draws
     main = proposal.factors[np.argmax(proposal.weights)]
     return draws, _sort(exploration, draws), main @ main.T
 
@@ -77,7 +80,7 @@ def sample_exactly(
     """
     straight, (_, n_walkers, n_steps, _) = exploration.straight, sample.straight.shape
     density, proposal = build_costly(exact, exploration).log_density, move.move_proposal(exploration.proposal)
-    ensembles = [run_ensemble(density, proposal, seed, n_walkers, n_steps // 2, n_steps) for seed in seeds]
+    ensembles = run_ensembles(density, proposal, seeds, n_walkers, n_steps // 2, n_steps)
     draws = np.stack([ensemble.draws for ensemble in ensembles])
     y = straight.y_from_x(draws.reshape(-1, draws.shape[-1])).reshape(draws.shape)
     log_density = np.stack([ensemble.log_density for ensemble in ensembles])

@@ -242,20 +242,23 @@ def _evaluate(
     variant, flat = inputs.variant(task.variant), kept.reshape(-1, kept.shape[-1])
     theta, errors = posterior.theta(flat), posterior.model_errors(flat)
     chosen = spread(len(flat), limit_draws(SAVED_DRAWS, POSE_NUMBERS * len(inputs.verification)))
-    some = SomeDraws(theta[chosen], errors if errors.ndim == 1 else errors[chosen])
+    every = SomeDraws(theta, errors)
+    some = every.choose(chosen)
     pieces: dict[str, list[Array]] = {}
     together: Arrays = {}
     held = inputs.verification
     for use, rng_seed in zip((False, True), seed.spawn(2), strict=True):
         if not np.any(held == use):
             continue
-        likelihood, rng = posterior.as_fine(inputs.likelihood(variant, use)), np.random.default_rng(rng_seed)
+        likelihood, rng = posterior.likelihood, np.random.default_rng(rng_seed)
+        if use or isinstance(posterior, StructuredPosterior):  # otherwise that of the same poses is at hand
+            likelihood = posterior.as_fine(inputs.likelihood(variant, use))
         found: Arrays
         if isinstance(posterior, StructuredPosterior):
             found, more = evaluate_structured(posterior, likelihood, theta, errors, chosen, use, rng)
             together |= more
         else:
-            found = evaluate_poses(posterior, likelihood, flat, some, rng)
+            found = evaluate_poses(posterior, likelihood, flat, every, some, rng)
         for name, value in found.items():
             pieces.setdefault(name, []).append(value)
     order = np.concatenate([np.flatnonzero(held == use) for use in (False, True)])

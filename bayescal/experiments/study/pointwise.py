@@ -22,11 +22,33 @@ class SomeDraws:
     theta: Array
     model_error: Array
 
+    def choose(self, chosen: np.ndarray) -> SomeDraws:
+        """Return some of them."""
+        errors = self.model_error
+        return SomeDraws(self.theta[chosen], errors if errors.ndim == 1 else errors[chosen])
+
 
 def evaluate_poses(
-    posterior: Posterior, likelihood: Likelihood, y: Array, some: SomeDraws, rng: np.random.Generator
+    posterior: Posterior,
+    likelihood: Likelihood,
+    y: Array,
+    every: SomeDraws,
+    some: SomeDraws,
+    rng: np.random.Generator,
 ) -> dict[str, Array]:
-    """Return densities of the poses, from draws (S, n), and what some of them predict.
+    """Return densities of the poses, from draws, and what some of them predict.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    likelihood : Likelihood
+        Of the poses.
+    y : ndarray, shape (S, n)
+        All draws, in sampling coordinates.
+    every, some : SomeDraws
+        The same, and those that predict.
+    rng : Generator
+        For the noise of what they predict.
 
     Returns
     -------
@@ -36,15 +58,23 @@ def evaluate_poses(
     """
     pieces: dict[str, list[Array]] = {}
     for _, part in likelihood.parts():
-        for name, value in _evaluate(posterior, part, y, some, rng).items():
+        for name, value in _evaluate(posterior, part, y, every, some, rng).items():
             pieces.setdefault(name, []).append(value)
     return {name: values[0] if len(values) == 1 else np.concatenate(values) for name, values in pieces.items()}
 
 
 def _evaluate(
-    posterior: Posterior, likelihood: Likelihood, y: Array, some: SomeDraws, rng: np.random.Generator
+    posterior: Posterior,
+    likelihood: Likelihood,
+    y: Array,
+    every: SomeDraws,
+    some: SomeDraws,
+    rng: np.random.Generator,
 ) -> dict[str, Array]:
-    density = np.concatenate([posterior.evaluate_poses(likelihood, y[part]) for part in batches(len(y))])
+    if isinstance(posterior, RobustPosterior):
+        density = np.concatenate([posterior.evaluate_poses(likelihood, y[part]) for part in batches(len(y))])
+    else:
+        density = likelihood.pointwise(every.theta, every.model_error)
     made = replicate(likelihood, some.theta, some.model_error, rng)
     misfit = made.misfit.astype(np.float32).swapaxes(0, 1)
     found = {"log_likelihood": density.T, **vars(made.summarise()), "misfit": misfit}
