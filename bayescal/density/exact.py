@@ -183,6 +183,10 @@ class ExactDensity:
         basis = self._bend(theta)
         error = self._likelihood.pose_errors(theta)
         error[~(np.isfinite(error).all(axis=-1) & (np.abs(error).max(axis=-1) < FAR))] = np.nan
+        deflects = self._shared is not None or self._mixes
+        if deflects:  # with actuators that deflect their own joints as well as without
+            gain = basis.actuator_gain
+            basis = replace(basis, actuator_gain=np.stack([gain, gain + np.eye(gain.shape[-1])]))
         known = np.nan_to_num(error)
         position = poses.position - known[..., :3]
         rotation = matrix_from_rotation_vector(-known[..., 3:]) @ poses.rotation
@@ -196,10 +200,10 @@ class ExactDensity:
         left = here.residual + np.einsum("bpij,bpj->bpi", here.pose, step)  # redundant legs do not close
         exact = compute_pose_error(poses.position, poses.rotation, position, rotation)
         by_deflection, legs = np.empty(0), here.actuators
-        if self._shared is not None or self._mixes:
-            more = replace(basis, actuator_gain=basis.actuator_gain + np.eye(legs.shape[-1]))
-            by_deflection = closure(position, rotation, more, with_parameters=False).actuators - legs
-            legs = legs - by_deflection @ _leave_diagonal(basis.actuator_gain)
+        if deflects:
+            actuators, more = np.broadcast_to(legs, (2, *left.shape, left.shape[-1]))
+            by_deflection, here = more - actuators, replace(here, actuators=actuators)
+            legs = actuators - by_deflection @ _leave_diagonal(gain)
         return _Here(np.where(np.isnan(error), np.nan, exact), replace(here, residual=left), by_deflection, legs)
 
     def _bend(self, theta: Array) -> DeformationBasis:

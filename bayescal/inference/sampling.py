@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from bayescal.inference.diagnostics import Diagnostics, diagnose
-from bayescal.inference.ensemble import JUMP_SHARE, run_ensembles
+from bayescal.inference.ensemble import JUMP_SHARE, Ensemble, run_ensembles
 from bayescal.inference.exploration import GOOD_ENOUGH, Exploration, count_walkers
+from bayescal.inference.straightening import Straightening
 from bayescal.numerics.geometry import Array
 
 GOOD_JUMP_SHARE = 0.9  # of moves, by a proposal that is good enough: then they move walkers farther than others
@@ -17,22 +19,41 @@ GOOD_JUMP_SHARE = 0.9  # of moves, by a proposal that is good enough: then they 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Draws of E ensembles of W walkers in S steps, of n parameters.
+    """Draws of E ensembles of W walkers in S steps, of n parameters; in other coordinates when these are asked for.
 
     Attributes
     ----------
-    straight, y, natural : ndarray, shape (E, W, S, n)
-        In the proposal's coordinates, in sampling coordinates, in natural units.
+    straightening : Straightening
+        To the proposal's coordinates.
+    straight : ndarray, shape (E, W, S, n)
+        In the proposal's coordinates.
     log_density : ndarray, shape (E, W, S)
         In the proposal's coordinates.
     acceptance : ndarray, shape (E,)
     """
 
+    straightening: Straightening
     straight: Array
-    y: Array
-    natural: Array
     log_density: Array
     acceptance: Array
+
+    @classmethod
+    def from_ensembles(cls, straightening: Straightening, ensembles: Sequence[Ensemble]) -> Sample:
+        """Return the draws of several ensembles."""
+        draws = np.stack([ensemble.draws for ensemble in ensembles])
+        log_density = np.stack([ensemble.log_density for ensemble in ensembles])
+        return cls(straightening, draws, log_density, np.array([ensemble.acceptance for ensemble in ensembles]))
+
+    @cached_property
+    def y(self) -> Array:
+        """In sampling coordinates, shape (E, W, S, n)."""
+        flat = self.straight.reshape(-1, self.straight.shape[-1])
+        return self.straightening.y_from_x(flat).reshape(self.straight.shape)
+
+    @cached_property
+    def natural(self) -> Array:
+        """In natural units, shape (E, W, S, n)."""
+        return self.straightening.posterior.natural(self.y)
 
     @cached_property
     def diagnostics(self) -> Diagnostics:
@@ -50,15 +71,9 @@ def sample_posterior(
 ) -> Sample:
     """Return draws from ensembles that start at the exploration's proposal; a seed of its own for each."""
     straight = exploration.straight
-    posterior = straight.posterior
-    walkers = count_walkers(posterior.n_parameters, n_walkers)
+    walkers = count_walkers(straight.posterior.n_parameters, n_walkers)
     share = GOOD_JUMP_SHARE if exploration.efficiency >= GOOD_ENOUGH else JUMP_SHARE
     seeds = seed.spawn(n_ensembles)
     density, proposal = straight.log_density, exploration.proposal
     ensembles = run_ensembles(density, proposal, seeds, walkers, n_burn_in, n_steps, jump_share=share)
-    draws = np.stack([ensemble.draws for ensemble in ensembles])
-    y = straight.y_from_x(draws.reshape(-1, posterior.n_parameters)).reshape(draws.shape)
-    natural = posterior.natural(y)
-    log_density = np.stack([ensemble.log_density for ensemble in ensembles])
-    acceptance = np.array([ensemble.acceptance for ensemble in ensembles])
-    return Sample(draws, y, natural, log_density, acceptance)
+    return Sample.from_ensembles(straight, ensembles)

@@ -63,12 +63,9 @@ def _sort(exploration: Exploration, draws: Array) -> np.ndarray:
 
 def move_sample(sample: Sample, exploration: Exploration, correction: Correction) -> Sample:
     """Return a sample whose draws are those of the exact density, as far as the correction is enough."""
-    straight, shape = exploration.straight, sample.straight.shape
-    moved = correction.move(sample.straight.reshape(-1, shape[-1]))
-    y = straight.y_from_x(moved).reshape(shape)
-    natural = straight.posterior.natural(y)
+    moved = correction.move(sample.straight.reshape(-1, sample.straight.shape[-1])).reshape(sample.straight.shape)
     density = sample.log_density - correction.move.log_volume + correction.log_ratio
-    return Sample(moved.reshape(shape), y, natural, density, sample.acceptance)
+    return Sample(exploration.straight, moved, density, sample.acceptance)
 
 
 def sample_exactly(
@@ -81,11 +78,7 @@ def sample_exactly(
     straight, (_, n_walkers, n_steps, _) = exploration.straight, sample.straight.shape
     density, proposal = build_costly(exact, exploration).log_density, move.move_proposal(exploration.proposal)
     ensembles = run_ensembles(density, proposal, seeds, n_walkers, n_steps // 2, n_steps)
-    draws = np.stack([ensemble.draws for ensemble in ensembles])
-    y = straight.y_from_x(draws.reshape(-1, draws.shape[-1])).reshape(draws.shape)
-    log_density = np.stack([ensemble.log_density for ensemble in ensembles])
-    acceptance = np.array([ensemble.acceptance for ensemble in ensembles])
-    return Sample(draws, y, straight.posterior.natural(y), log_density, acceptance)
+    return Sample.from_ensembles(straight, ensembles)
 
 
 def list_corrected(arrays: Mapping[str, Array], correction: Correction | None) -> dict[str, Array]:

@@ -153,7 +153,8 @@ def _sample(
     # thin in time, the same steps of every walker, and keep the order walker by walker
     most = limit_draws(KEPT_DRAWS, sampler.ensembles * len(inputs.verification))
     keep = max(1, -(-sampler.steps * walkers // most))
-    kept = y[:, :, ::keep].reshape(sampler.ensembles, -1, posterior.n_parameters)
+    kept, own = (values[:, :, ::keep].reshape(sampler.ensembles, -1, posterior.n_parameters) for values in (y, natural))
+    low, high = np.quantile(natural, (0.05, 0.95), axis=(0, 1, 2))
     arrays = {
         "bridge": np.array([bridge.log_evidence, bridge.standard_error]),
         "bridge_converged": np.array(bridge.converged, dtype=float),
@@ -163,12 +164,12 @@ def _sample(
         "tails": np.array([tails.expected, tails.found, tails.error]),
         "mean": natural.mean(axis=(0, 1, 2)),
         "sd": natural.std(axis=(0, 1, 2)),
-        "q05": np.quantile(natural, 0.05, axis=(0, 1, 2)),
-        "q95": np.quantile(natural, 0.95, axis=(0, 1, 2)),
+        "q05": low,
+        "q95": high,
         "rhat": diagnostics.rhat,
         "ess_bulk": diagnostics.ess_bulk,
         "ess_tail": diagnostics.ess_tail,
-        "draws": posterior.natural(kept),
+        "draws": own,
         "log_density": density[:, :, ::keep].reshape(sampler.ensembles, -1),
         **_evaluate(inputs, task, posterior, kept, predict_seed),
         **_check_evidence(inputs, task, posterior),

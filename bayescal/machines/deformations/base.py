@@ -31,8 +31,8 @@ class DeformationBasis:
         The part of Δb_z without parameters, mm.
     coefficients : mapping of symbol to ndarray, shape (..., N)
         The factor of each per-leg parameter, mm.
-    actuator_gain : ndarray, shape (N, N)
-        dΔb_z,i / dΔρ_j at the nominal parameters.
+    actuator_gain : ndarray, shape (..., N, N)
+        dΔb_z,i / dΔρ_j at the nominal parameters; leading axes broadcast against those of the poses.
     """
 
     displacement: Array

@@ -71,7 +71,7 @@ class Jacobian(KinematicModel):
         turn = moment @ left
         pose = -np.concatenate([np.broadcast_to(g, turn.shape), turn], axis=-1) / size[..., None]
         actuators = np.eye(size.shape[-1]) - gain[..., None] * basis.actuator_gain
-        actuators = np.broadcast_to(actuators, (*share.shape, share.shape[-1]))
+        actuators = np.broadcast_to(actuators, np.broadcast_shapes(actuators.shape, (*share.shape, share.shape[-1])))
         residual = basis.displacement - share
         if not with_parameters:
             return Linearisation(residual, pose, actuators)
