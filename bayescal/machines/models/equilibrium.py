@@ -27,8 +27,9 @@ from bayescal.machines.models.beam_elements import (
     compute_chain_stiffness,
     differentiate_chain,
 )
-from bayescal.machines.models.home import BatchHome, Home, compute_turn, solve_home
+from bayescal.machines.models.home import BatchHome, Home, solve_home
 from bayescal.machines.models.legs import LegVectors, compute_leg_vectors, cross, dot, scatter_rows
+from bayescal.machines.models.turns import compute_turn
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, skew_matrix
 
