@@ -255,14 +255,14 @@ class Equilibrium:
         external, by_rotation = self.load(rotation)
         external, by_rotation = self._scale * external, self._scale[..., None] * by_rotation
         residual = (external - loads.wrench().sum(axis=-2)) @ to_rows
-        rows = -loads.by_state(state.changes() if with_parameters else state.by_vector()) @ to_rows
+        rows = _take_to_rows(loads.by_state(state.changes() if with_parameters else state.by_vector()), -to_rows)
         by_vector = _covectors(rows[..., :3, :])
-        by_joint = by_vector - _covectors(loads.by_arm() @ to_rows[3:])  # the upper joint moves g and a
-        by_phi = np.swapaxes(-loads.by_phi().sum(axis=-3) @ to_rows, -1, -2)
+        by_joint = by_vector - _covectors(_take_to_rows(loads.by_arm(), to_rows[3:]))  # the upper joint moves g and a
+        by_phi = np.swapaxes(_take_to_rows(_sum_legs(loads.by_phi()), -to_rows), -1, -2)
         left = compute_left_inverse_jacobian(phi)
         by_turn = _sum_moments(legs.arm, by_joint) + by_phi @ left
-        by_turn = by_turn + np.swapaxes(by_rotation @ to_rows, -1, -2)
-        pose = np.concatenate([by_vector.sum(axis=-2), by_turn], axis=-1)
+        by_turn = by_turn + np.swapaxes(_take_to_rows(by_rotation, to_rows), -1, -2)
+        pose = np.concatenate([np.einsum("...nk->...k", by_vector), by_turn], axis=-1)
         actuators = dot(by_joint, legs.platform_z[..., None, :, :]) @ basis.actuator_gain
         actuators = actuators - dot(by_vector, legs.direction[..., None, :, :])
         if not with_parameters:
@@ -275,7 +275,7 @@ class Equilibrium:
             self._stiffness_columns(loads, external, rows[..., 6, :]),
         )
         by_turn = _sum_moments(home.legs.arm, by_home) - by_phi @ np.swapaxes(left, -1, -2)
-        parameters += np.concatenate([by_home.sum(axis=-2), by_turn], axis=-1) @ home.slope
+        parameters += np.concatenate([np.einsum("...nk->...k", by_home), by_turn], axis=-1) @ home.slope
         return Linearisation(residual, pose, actuators, parameters)
 
     def _stiffness_columns(self, loads: LegLoads, external: Array, by_length: Array) -> dict[str, Array]:
@@ -284,7 +284,7 @@ class Equilibrium:
         ``by_length`` are the rows' derivatives by l through the legs' state, shape (..., N, 6).
         """
         to_rows = self.to_elongation.T
-        rows = self._chain_slopes @ (-loads.by_chain() @ to_rows)
+        rows = self._chain_slopes @ _take_to_rows(loads.by_chain(), -to_rows)
         rows[..., SYMBOLS.index("l"), :] += by_length
         columns = dict(zip(SYMBOLS, np.moveaxis(rows, (-2, -1), (0, -2)), strict=True))
         of_machine = np.einsum("...nkr->k...r", rows[..., :N_GLOBAL, :])[..., None]
@@ -292,6 +292,17 @@ class Equilibrium:
         for symbol, slope in self._scale_slopes.items():
             columns[symbol] = columns[symbol] + (slope * external @ to_rows)[..., None]
         return columns
+
+
+def _take_to_rows(wrenches: Array, to_rows: Array) -> Array:
+    """Return wrenches (..., k) times Qᵀ, shape (k, 6): one product for all, where NumPy would make one of each leg."""
+    flat = wrenches.reshape(-1, wrenches.shape[-1]) @ to_rows
+    return np.asarray(flat.reshape(*wrenches.shape[:-1], to_rows.shape[-1]))
+
+
+def _sum_legs(slope: Array) -> Array:
+    """Return the sum over legs of derivatives (..., N, 3, 6)."""
+    return np.asarray(np.einsum("...nkm->...km", slope))
 
 
 def _sum_moments(arm: Array, covector: Array) -> Array:
