@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from bayescal.numerics.geometry import Array
 
 
@@ -31,6 +33,16 @@ class Local(NamedTuple):
     change: Array
     counts: Array | None = None
     blunder: Array | None = None
+
+    def inform(self) -> Array:
+        """Return the information of the data on the geometry, shape (m, m)."""
+        m = self.slope.shape[-1]
+        return np.asarray(self.slope.reshape(-1, m).T @ (self.precision @ self.slope).reshape(-1, m))
+
+
+def turn_to_coordinates(slope: Array, change: Array) -> Array:
+    """Return derivatives by y, (P, K, m), from those by θ, (P, K, D), and dθ/dy (D, m): one product for all rows."""
+    return np.asarray((slope.reshape(-1, len(change)) @ change).reshape(*slope.shape[:-1], change.shape[1]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,7 +64,7 @@ class PoseLikelihood(Likelihood):
         self._basis = machine.basis(poses.actuators)
         self._bound = machine.model.bind(layout, poses.position, poses.rotation, self._basis)
         self._closing = self._find_closing_poses()
-        nominal = machine.linearise(layout.nominal, *self._closing, poses.actuators)
+        nominal = machine.model.prepare(layout, layout.nominal)(*self._closing, self._basis, with_parameters=False)
         pose, actuators = nominal.pose, nominal.actuators
         self._pose_jacobian = pose
         try:

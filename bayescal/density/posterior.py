@@ -15,7 +15,7 @@ from bayescal.density.geometry_prior import GeometryPrior, build_coordinates, ch
 from bayescal.density.independent_error import ModelError
 from bayescal.density.leg_parameters import find_curved_ridges, find_legs, mirror_lone_components
 from bayescal.density.likelihood import Likelihood
-from bayescal.density.local import Funnel, Local
+from bayescal.density.local import Funnel, Local, turn_to_coordinates
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import HalfNormalPrior, Prior
 from bayescal.errors import InputError
@@ -225,14 +225,9 @@ class Posterior:
     def information(self, y: Array) -> tuple[Array, Array]:
         """Return the information of the data and the precision of the prior on the geometry at y, shapes (m, m)."""
         local = self._linearise(y)
-        data = self._inform(local)
+        data = local.inform()
         rows = self._prior_slope(local.change)
         return data, rows.T @ rows
-
-    def _inform(self, local: Local) -> Array:
-        """Return the information of the data on the geometry, shape (m, m)."""
-        m = self.n_geometry
-        return np.asarray(local.slope.reshape(-1, m).T @ (local.precision @ local.slope).reshape(-1, m))
 
     def pose_information(self, y: Array, pose: int) -> Array:
         """Return one pose's part of the information of the data on the geometry at y, shape (m, m)."""
@@ -250,7 +245,7 @@ class Posterior:
     def residual_slope(self, theta: Array) -> tuple[Array, Array]:
         """Return dr/dy, shape (P, K, m), and the derivative of `prior_residual`, shape (m, m), at θ, shape (D,)."""
         change = self.coordinates.jacobian(theta)
-        return times_change(self.likelihood.error_jacobian(theta)[1], change), self._prior_slope(change)
+        return turn_to_coordinates(self.likelihood.error_jacobian(theta)[1], change), self._prior_slope(change)
 
     def groups(self) -> list[np.ndarray]:
         """Return which geometric coordinates a model error makes uncertain together: each leg's.
@@ -274,7 +269,7 @@ class Posterior:
         precision = np.linalg.inv(self.likelihood.error_covariance(self.model_errors_at(y)))
         errors, slope = self.likelihood.error_jacobian(theta)
         change = self.coordinates.jacobian(theta)
-        return Local(theta, errors, times_change(slope, change), precision, change)
+        return Local(theta, errors, turn_to_coordinates(slope, change), precision, change)
 
     def gradient(self, y: Array) -> tuple[Array, Array]:
         """Return the exact gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
@@ -319,7 +314,7 @@ class Posterior:
         rows = self._prior_slope(change)
         gradient[:n] = -weighted.ravel() @ slope.reshape(-1, n) - self.prior_residual(y, theta) @ rows
         gradient[:n] += self.coordinates.log_volume_slope(theta) @ change + self.coordinates.log_ring_ratio_slope(y[:n])
-        hessian[:n, :n] = -self._inform(local) - rows.T @ rows
+        hessian[:n, :n] = -local.inform() - rows.T @ rows
         if self.model_error.scale is not None:
             self._add_model_error(y, local, weighted, gradient, hessian)
         return gradient, hessian
@@ -415,8 +410,3 @@ class Posterior:
         rest = np.maximum(variance / likelihood.actuator_weight.mean(axis=0) - tau**2, 1e-12)
         information, prior = self.information(y)
         return Funnel(information, prior, rest, tau)
-
-
-def times_change(slope: Array, change: Array) -> Array:
-    """Return derivatives by the coordinates, from those by θ (P, K, D) and dθ/dy (D, m): one product for all rows."""
-    return np.asarray((slope.reshape(-1, len(change)) @ change).reshape(*slope.shape[:-1], change.shape[1]))

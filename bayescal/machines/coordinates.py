@@ -245,7 +245,9 @@ class Coordinates:
         flat = y.reshape(prod(y.shape[:-1]), y.shape[-1])
         parameters = np.empty((self.layout.size, len(flat)))
         parameters[:] = self.start[:, None]
-        parameters[self.free] = (self._origin + flat * self.scale).T
+        moved = np.multiply(flat.T, self.scale[:, None], out=np.empty(flat.shape[::-1]))
+        moved += self._origin[:, None]
+        parameters[self.free] = moved
         theta = parameters.T
         if self._quantiles is not None:
             inside, places, lower, width = self._quantiles

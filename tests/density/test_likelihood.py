@@ -227,6 +227,24 @@ def test_the_kept_whitening_follows_the_model_error(rng):
     assert np.all(np.abs(first - second) > 1)
 
 
+def test_what_is_kept_of_one_machine_is_not_taken_for_anothers(rng):
+    likelihood, theta = build("matrix", 5e-3, rng)
+    first, second = theta[:1].copy(), theta[1:2]
+    errors = likelihood.leg_errors(theta)
+    np.testing.assert_allclose(likelihood.leg_errors(first)[0], errors[0], rtol=0, atol=1e-11)
+    kept = likelihood.leg_errors(first)
+    np.testing.assert_allclose(likelihood.leg_error_jacobian(second[0])[0], errors[1], rtol=0, atol=1e-11)
+    likelihood(first, TAU)
+    np.testing.assert_array_equal(likelihood.leg_error_jacobian(first[0])[0], kept[0])
+    kept *= 2.0  # what was returned is the caller's
+    np.testing.assert_allclose(likelihood.leg_errors(first)[0], errors[0], rtol=0, atol=1e-11)
+    first[:] = second  # in place: what was kept must not be compared with itself
+    np.testing.assert_allclose(likelihood.leg_errors(first)[0], errors[1], rtol=0, atol=1e-11)
+    for other in (likelihood.refined(), likelihood.solved()):
+        assert np.any(other.leg_errors(second) != likelihood.leg_errors(second))
+        np.testing.assert_allclose(other.leg_errors(second)[0], other.leg_errors(theta)[1], rtol=0, atol=1e-11)
+
+
 def test_no_machine_has_no_density(rng):
     likelihood, theta = build("matrix", 5e-3, rng)
     theta[1, likelihood.machine.layout.index["u_y"][4]] = -1.5

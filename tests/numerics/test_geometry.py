@@ -11,6 +11,7 @@ from bayescal.numerics.geometry import (
     compute_relative_pose,
     matrix_from_rotation_vector,
     rotation_vector_from_matrix,
+    rotation_vector_of_turn,
     skew_matrix,
 )
 
@@ -51,6 +52,20 @@ def test_rotation_vector_inverts_the_matrix(angle, rng):
     found = rotation_vector_from_matrix(rotations)
     # entries of order one are rounded to 1e-16: so is the vector, relative to the angle for those above 1e-3
     np.testing.assert_allclose(found, angle * axes, rtol=0, atol=1e-15 * max(1.0, angle))
+
+
+@pytest.mark.parametrize("angle", [*ANGLES, 2.6, 2.7])
+def test_vectors_of_turns_are_rotation_vectors(angle, rng):
+    axes = rng.standard_normal((20, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    turns = np.stack([np.eye(3) + rodrigues_minus_identity(axis, angle) for axis in axes]).reshape(4, 5, 3, 3)
+    found = rotation_vector_of_turn(turns)
+    np.testing.assert_allclose(found, angle * axes.reshape(4, 5, 3), rtol=0, atol=2e-15 * max(1.0, angle))
+
+
+def test_a_turn_that_is_no_number_has_no_vector():
+    turns = np.stack([np.eye(3), np.full((3, 3), np.nan)])
+    np.testing.assert_array_equal(np.isnan(rotation_vector_of_turn(turns)), [[False] * 3, [True] * 3])
 
 
 @pytest.mark.parametrize("angle", [1e-12, 1e-8, 1e-4, 1e-2])

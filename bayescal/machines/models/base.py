@@ -144,7 +144,10 @@ class KinematicModel(ABC):
         """
 
     def prepare_known(self, layout: ParameterLayout, theta: Array, home: BatchHome | None) -> Closure:
-        """Return the closure of one machine (D,) whose home pose may be known; a model with a use for it takes it."""
+        """Return the closure of one machine (D,) whose home pose may be known, as `prepare` does without it.
+
+        A model with a use for it takes it; one that is derived from such a model and prepares otherwise has both.
+        """
         del home
         return self.prepare(layout, theta)
 

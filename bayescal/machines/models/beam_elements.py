@@ -90,12 +90,14 @@ def compute_chain_stiffness(
     )
 
 
-def differentiate_chain(values: Sequence[Array]) -> dict[str, ChainStiffness]:
-    """Return the derivatives of the chain's stiffness by each of `SYMBOLS`, by complex steps: exact to rounding."""
+def differentiate_chain(values: Sequence[Array]) -> Array:
+    """Return the derivatives of axial, torsional, near and far stiffness by each of `SYMBOLS`, shape (8, 4, ...).
+
+    By complex steps: exact to rounding.
+    """
     known = np.stack(np.broadcast_arrays(*values))
     steps = COMPLEX_STEP * np.abs(known)
     moved = np.repeat(known[:, None].astype(complex), len(SYMBOLS), axis=1)  # what, by what
     np.einsum("kk...->k...", moved).imag += steps
     chain = compute_chain_stiffness(*moved)
-    parts = np.imag(np.stack(list(vars(chain).values()), axis=1)) / steps[:, None]
-    return {symbol: ChainStiffness(*part) for symbol, part in zip(SYMBOLS, parts, strict=True)}
+    return np.asarray(np.imag(np.stack(list(vars(chain).values()), axis=1)) / steps[:, None])

@@ -27,12 +27,14 @@ from bayescal.machines.models.beam_elements import (
     compute_chain_stiffness,
     differentiate_chain,
 )
-from bayescal.machines.models.home import BatchHome, Home, compute_turn, solve_home
+from bayescal.machines.models.home import BatchHome, Home, solve_home
 from bayescal.machines.models.legs import LegVectors, compute_leg_vectors, cross, dot, scatter_rows
+from bayescal.machines.models.turns import compute_turn
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, skew_matrix
 
 N_GLOBAL = 6  # of `SYMBOLS`: those of the machine, not of a leg
+NEAR, FAR = 2, 3  # of what a `ChainStiffness` has
 
 type Changes = tuple[Array, Array, Array]
 """Derivatives of e (..., N, m), z and ψ (..., N, m, 3) by m numbers of each leg."""
@@ -231,16 +233,16 @@ class Equilibrium:
     @cached_property
     def _chain_slopes(self) -> Array:
         """Derivatives of k_a, k_t, k_n, k_f and (k_n + k_f) / l, all times s, by `SYMBOLS`, shape (..., N, 8, 5)."""
-        slopes, length = differentiate_chain(list(self._values.values())), self._values["l"]
-        slim, rows = (self._chain.near + self._chain.far) / length, []
-        for symbol in SYMBOLS:
-            parts = [self._scale * part for part in vars(slopes[symbol]).values()]
-            if symbol in self._scale_slopes:
-                whole = vars(self._chain).values()
-                parts = [p + self._scale_slopes[symbol] * w for p, w in zip(parts, whole, strict=True)]
-            parts.append((parts[2] + parts[3] - (slim if symbol == "l" else 0.0)) / length)
-            rows.append(np.stack(parts, axis=-1))
-        return np.stack(rows, axis=-2)
+        length, whole = self._values["l"], np.stack(np.broadcast_arrays(*vars(self._chain).values()))
+        slopes = np.empty((len(SYMBOLS), len(whole) + 1, *whole.shape[1:]))
+        own, slim = slopes[:, :-1], slopes[:, -1]
+        np.multiply(differentiate_chain(list(self._values.values())), self._scale, out=own)
+        for symbol, slope in self._scale_slopes.items():
+            own[SYMBOLS.index(symbol)] += slope * whole
+        np.add(own[:, NEAR], own[:, FAR], out=slim)
+        slim[SYMBOLS.index("l")] -= (whole[NEAR] + whole[FAR]) / length
+        slim /= length
+        return np.moveaxis(slopes, (0, 1), (-2, -1))
 
     def __call__(
         self, position: Array, rotation: Array, basis: DeformationBasis, with_parameters: bool = True
@@ -253,14 +255,14 @@ class Equilibrium:
         external, by_rotation = self.load(rotation)
         external, by_rotation = self._scale * external, self._scale[..., None] * by_rotation
         residual = (external - loads.wrench().sum(axis=-2)) @ to_rows
-        rows = -loads.by_state(state.changes() if with_parameters else state.by_vector()) @ to_rows
+        rows = _take_to_rows(loads.by_state(state.changes() if with_parameters else state.by_vector()), -to_rows)
         by_vector = _covectors(rows[..., :3, :])
-        by_joint = by_vector - _covectors(loads.by_arm() @ to_rows[3:])  # the upper joint moves g and a
-        by_phi = np.swapaxes(-loads.by_phi().sum(axis=-3) @ to_rows, -1, -2)
+        by_joint = by_vector - _covectors(_take_to_rows(loads.by_arm(), to_rows[3:]))  # the upper joint moves g and a
+        by_phi = np.swapaxes(_take_to_rows(_sum_legs(loads.by_phi()), -to_rows), -1, -2)
         left = compute_left_inverse_jacobian(phi)
-        by_turn = cross(legs.arm[..., None, :, :], by_joint).sum(axis=-2) + by_phi @ left
-        by_turn = by_turn + np.swapaxes(by_rotation @ to_rows, -1, -2)
-        pose = np.concatenate([by_vector.sum(axis=-2), by_turn], axis=-1)
+        by_turn = _sum_moments(legs.arm, by_joint) + by_phi @ left
+        by_turn = by_turn + np.swapaxes(_take_to_rows(by_rotation, to_rows), -1, -2)
+        pose = np.concatenate([np.einsum("...nk->...k", by_vector), by_turn], axis=-1)
         actuators = dot(by_joint, legs.platform_z[..., None, :, :]) @ basis.actuator_gain
         actuators = actuators - dot(by_vector, legs.direction[..., None, :, :])
         if not with_parameters:
@@ -272,8 +274,8 @@ class Equilibrium:
             home.legs.with_rows().columns(by_home, by_home),
             self._stiffness_columns(loads, external, rows[..., 6, :]),
         )
-        by_turn = cross(home.legs.arm[..., None, :, :], by_home).sum(axis=-2) - by_phi @ np.swapaxes(left, -1, -2)
-        parameters += np.concatenate([by_home.sum(axis=-2), by_turn], axis=-1) @ home.slope
+        by_turn = _sum_moments(home.legs.arm, by_home) - by_phi @ np.swapaxes(left, -1, -2)
+        parameters += np.concatenate([np.einsum("...nk->...k", by_home), by_turn], axis=-1) @ home.slope
         return Linearisation(residual, pose, actuators, parameters)
 
     def _stiffness_columns(self, loads: LegLoads, external: Array, by_length: Array) -> dict[str, Array]:
@@ -282,14 +284,32 @@ class Equilibrium:
         ``by_length`` are the rows' derivatives by l through the legs' state, shape (..., N, 6).
         """
         to_rows = self.to_elongation.T
-        rows = self._chain_slopes @ (-loads.by_chain() @ to_rows)
+        rows = self._chain_slopes @ _take_to_rows(loads.by_chain(), -to_rows)
         rows[..., SYMBOLS.index("l"), :] += by_length
         columns = dict(zip(SYMBOLS, np.moveaxis(rows, (-2, -1), (0, -2)), strict=True))
-        for symbol in SYMBOLS[:N_GLOBAL]:
-            columns[symbol] = columns[symbol].sum(axis=-1, keepdims=True)
+        of_machine = np.einsum("...nkr->k...r", rows[..., :N_GLOBAL, :])[..., None]
+        columns |= zip(SYMBOLS[:N_GLOBAL], of_machine, strict=True)
         for symbol, slope in self._scale_slopes.items():
             columns[symbol] = columns[symbol] + (slope * external @ to_rows)[..., None]
         return columns
+
+
+def _take_to_rows(wrenches: Array, to_rows: Array) -> Array:
+    """Return wrenches (..., k) times Qᵀ, shape (k, 6): one product for all, where NumPy would make one of each leg."""
+    flat = wrenches.reshape(-1, wrenches.shape[-1]) @ to_rows
+    return np.asarray(flat.reshape(*wrenches.shape[:-1], to_rows.shape[-1]))
+
+
+def _sum_legs(slope: Array) -> Array:
+    """Return the sum over legs of derivatives (..., N, 3, 6)."""
+    return np.asarray(np.einsum("...nkm->...km", slope))
+
+
+def _sum_moments(arm: Array, covector: Array) -> Array:
+    """Return the sum over legs of a x w for arms (..., N, 3) and covectors (..., 6, N, 3), shape (..., 6, 3)."""
+    shape = covector.shape
+    across = skew_matrix(-arm).reshape(*arm.shape[:-2], -1, 3)  # w to a x w, from the left
+    return np.asarray(covector.reshape(*shape[:-2], -1) @ across)
 
 
 def _covectors(derivative: Array) -> Array:

@@ -144,9 +144,9 @@ class LegVectors:
             for symbol, by_component in self.pull_back_direction(covector).items():
                 columns[symbol] = -self.travel * by_component
             columns["rho0"] = -dot(covector, self.direction)
-        local, along_z = joint_covector @ self.rotation, dot(joint_covector, self.platform_z)
+        local = joint_covector @ self.rotation
         columns |= {f"b_{name}": local[..., k] for k, name in enumerate("xyz")}
-        return columns | {symbol: along_z * c for symbol, c in self.basis.coefficients.items()}
+        return columns | {symbol: local[..., 2] * c for symbol, c in self.basis.coefficients.items()}
 
     def pull_back_direction(self, covector: Array) -> dict[str, Array]:
         """Return the derivatives of w · u by the components of u for covectors w, shapes (..., N, 3), held fixed."""

@@ -16,9 +16,10 @@ import numpy as np
 
 from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.models.beam_elements import SYMBOLS, AxialReference, ChainStiffness, compute_chain_stiffness
-from bayescal.machines.models.home import BatchHome, BatchTurns, home_solver
+from bayescal.machines.models.home import BatchHome, home_solver
 from bayescal.machines.models.legs import cross_first_axis
 from bayescal.machines.models.six_pus import SixPusClosure
+from bayescal.machines.models.turns import BatchTurns
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
