@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import emcee
 import numpy as np
 
 from bayescal.errors import NumericalError
@@ -61,6 +60,8 @@ def run_ensemble(
     NumericalError
         Where walkers cannot be placed or the density is NaN.
     """
+    import emcee  # a second to import, for those who sample
+
     seed_start, seed_moves = seed.spawn(2)
     start = _draw_start(log_density, starts or proposal.draw, np.random.default_rng(seed_start), n_walkers)
     state = emcee.State(start, random_state=np.random.RandomState(seed_moves.generate_state(8)).get_state())

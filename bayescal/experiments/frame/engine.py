@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
 import joblib
@@ -96,6 +97,39 @@ def open_engine(workers: int = 1, scheduler: str | None = None, quiet: bool = Tr
     return connect(scheduler, quiet)
 
 
+@contextmanager
+def start_ahead(workers: int, modules: Sequence[str]) -> Iterator[Callable[[], None]]:
+    """Start the processes that tasks will be handed to, and yield what waits for them; on a fault they are killed.
+
+    Starting them takes seconds, in which this process reads its inputs.
+
+    Parameters
+    ----------
+    workers : int
+        Processes; none is started for a single one.
+    modules : sequence of str
+        What they import; without any nothing is known of the tasks, and none is started.
+    """
+    if workers == 1 or not modules:
+        yield lambda: None
+        return
+    calls = [(str(k), (_import_all, modules)) for k in range(workers)]
+    with closing(_call_in_workers(workers, calls)) as started:
+        yield lambda: _exhaust(started)
+
+
+def _import_all(modules: Iterable[str]) -> None:
+    for module in modules:
+        with suppress(Exception):  # whoever needs it says so
+            import_module(module)
+
+
+def _exhaust(calls: Iterator[object]) -> None:
+    with suppress(TerminatedWorkerError):  # others are started
+        for _ in calls:
+            pass
+
+
 def call_side_by_side[R](workers: int, calls: Mapping[str, Callable[[], R]]) -> dict[str, R]:
     """Return what calls give, by their names and in their order, as they are; what one raises is raised here."""
     if workers == 1 or len(calls) < 2:
@@ -107,11 +141,14 @@ def call_side_by_side[R](workers: int, calls: Mapping[str, Callable[[], R]]) -> 
     return {name: found[name] for name in calls}
 
 
-def _call_in_workers(workers: int, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> Iterator[tuple[str, Any]]:
+def _call_in_workers(workers: int, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> Generator[tuple[str, Any]]:
     """Yield names and what their functions make of their arguments, as they end; no worker outlives this process."""
     parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", inner_max_num_threads=1)
     with shield_children():
-        return iter(parallel(joblib.delayed(_call_in_worker)(os.getpid(), name, *call) for name, call in calls))
+        found: Generator[tuple[str, Any]] = parallel(
+            joblib.delayed(_call_in_worker)(os.getpid(), name, *call) for name, call in calls
+        )
+        return found
 
 
 def _call_in_worker[R](parent: int, name: str, function: Callable[..., R], *arguments: Any) -> tuple[str, R]:
