@@ -31,6 +31,8 @@ class Engine(ABC):
     ) -> Iterator[tuple[str, Record | Failure]]:
         """Yield each task's name with its record, or in words why it failed, as they end, in any order.
 
+        Workers may begin before the first is asked for.
+
         Parameters
         ----------
         function : callable
@@ -62,15 +64,9 @@ class Processes(Engine):
     ) -> Iterator[tuple[str, Record | Failure]]:
         """Yield each task's name with its record or failure; see `Engine.compute`."""
         if self.workers == 1 or len(tasks) < 2:
-            for name, task in tasks.items():
-                yield name, run_guarded(function, shared, task)
-            return
+            return ((name, run_guarded(function, shared, task)) for name, task in tasks.items())
         calls = [(run_guarded, function, shared, task) for task in tasks.values()]
-        outcomes = _call_in_workers(self.workers, list(zip(tasks, calls, strict=True)))
-        try:
-            yield from outcomes
-        except TerminatedWorkerError as error:
-            raise NumericalError("a worker was killed, perhaps for want of memory; go on with --resume") from error
+        return _watch(_call_in_workers(self.workers, list(zip(tasks, calls, strict=True))))
 
 
 def open_engine(workers: int = 1, scheduler: str | None = None, quiet: bool = True) -> AbstractContextManager[Engine]:
@@ -95,6 +91,13 @@ def open_engine(workers: int = 1, scheduler: str | None = None, quiet: bool = Tr
     from bayescal.experiments.frame.distributed import connect
 
     return connect(scheduler, quiet)
+
+
+def _watch[R](outcomes: Iterator[R]) -> Iterator[R]:
+    try:
+        yield from outcomes
+    except TerminatedWorkerError as error:
+        raise NumericalError("a worker was killed, perhaps for want of memory; go on with --resume") from error
 
 
 @contextmanager
