@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
@@ -12,6 +14,7 @@ from typing import Any
 
 import joblib
 import numpy as np
+from joblib.externals.loky import get_reusable_executor
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 from threadpoolctl import threadpool_limits
 
@@ -121,6 +124,12 @@ def start_ahead(workers: int, modules: Sequence[str]) -> Iterator[Callable[[], N
         yield lambda: _exhaust(started)
 
 
+def stop_workers() -> None:
+    """End the processes that stand ready for more tasks, at once: a program that ends would wait for them."""
+    if multiprocessing.active_children():  # without any, asking would make ready for some
+        get_reusable_executor(reuse=True).shutdown(kill_workers=True)
+
+
 def _import_all(modules: Iterable[str]) -> None:
     for module in modules:
         with suppress(Exception):  # whoever needs it says so
@@ -148,10 +157,23 @@ def _call_in_workers(workers: int, calls: Sequence[tuple[str, tuple[Any, ...]]])
     """Yield names and what their functions make of their arguments, as they end; no worker outlives this process."""
     parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", inner_max_num_threads=1)
     with shield_children():
-        found: Generator[tuple[str, Any]] = parallel(
-            joblib.delayed(_call_in_worker)(os.getpid(), name, *call) for name, call in calls
+        found = _close_quietly(
+            parallel(joblib.delayed(_call_in_worker)(os.getpid(), name, *call) for name, call in calls)
         )
-        return found
+    next(found)
+    return found
+
+
+def _close_quietly(calls: Generator[Any]) -> Generator[Any]:
+    """Yield nothing, then what calls give; those that nobody wants any more are cancelled without a warning."""
+    try:
+        yield None
+        for one in calls:  # noqa: UP028  # `yield from` would close them itself, with a warning
+            yield one
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            calls.close()
 
 
 def _call_in_worker[R](parent: int, name: str, function: Callable[..., R], *arguments: Any) -> tuple[str, R]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -221,8 +221,9 @@ def _find_doubts(experiment: AnyExperiment, inputs: Any) -> list[str]:
 def _write(experiment: AnyExperiment, results: Results, folder: Path, workers: int) -> Page:
     """Write results and page into an empty directory; the page is made from what was written."""
     summary = {**results.summary, "config_sha256": results.provenance["config_sha256"]}
-    write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
-    page = _write_page(experiment, folder, workers)
+    with start_ahead(workers, experiment.page_imports) as await_workers:
+        write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
+        page = _write_page(experiment, folder, workers, await_workers)
     said = {"headline": page.headline, "verdict": [_say(one) for one in page.verdict]}
     write_json(folder / SUMMARY_FILE, {**summary, **said})
     list_written(folder)
@@ -233,13 +234,17 @@ def _say(statement: Statement) -> dict[str, str]:
     return {"lead": statement.lead, "text": statement.text, "level": statement.level}
 
 
-def _write_page(experiment: AnyExperiment, folder: Path, workers: int) -> Page:
+def _write_page(
+    experiment: AnyExperiment, folder: Path, workers: int, await_workers: Callable[[], None] = lambda: None
+) -> Page:
     results = read_results(folder)
     page = experiment.page(results)
     earlier = results.provenance.get(WRITTEN)
     if not isinstance(earlier, list):  # new ones, or of an earlier version: all figures are its own
         earlier = [path.relative_to(folder).as_posix() for path in folder.glob("figures/*.png")]
     many = sum(1 for _ in page.figures()) >= MANY_PICTURES
+    if many:
+        await_workers()
     render = partial(call_side_by_side, workers if many else 1)
     write_page(page, folder, (show_provenance(results.provenance),), earlier, render)
     return page

@@ -49,6 +49,7 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
     schema = StudyConfig
     tables_in = "tables"
     imports = ("bayescal.experiments.study.compute", "arviz_stats", "emcee")
+    page_imports = ("bayescal.report.canvas", "bayescal.experiments.study.page.build")
 
     def read(self, config: StudyConfig, folder: Path) -> StudyTask:
         """Return everything the study computes with."""
