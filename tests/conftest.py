@@ -37,6 +37,8 @@ pytest.register_assert_rewrite("browser")
 def call(monkeypatch, capsys):
     """Return a function that calls the command line in this process: exit code, standard output, standard error."""
 
+    monkeypatch.setattr("bayescal.experiments.frame.engine.stop_workers", lambda: None)  # the next call takes them
+
     def call_main(*arguments: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["bayescal", *map(str, arguments)])
         capsys.readouterr()

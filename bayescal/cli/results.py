@@ -23,9 +23,11 @@ def report(
     """Write the page of a results directory anew, from its files alone."""
     from joblib import cpu_count
 
+    from bayescal.experiments.frame.engine import stop_workers
     from bayescal.experiments.frame.run import write_report
 
     typer.echo(f"wrote {write_report(results, kind, cpu_count())}")
+    stop_workers()
 
 
 @app.command(epilog="Example: bayescal show experiments/audit/m2_hexapod_mechanism.toml --out m2.html")

@@ -74,6 +74,7 @@ def run_config(config: ExperimentConfig, path: Path, options: RunOptions) -> Non
     """Run a config that was read from a file, show what it found, and fail where it did not converge."""
     from joblib import cpu_count
 
+    from bayescal.experiments.frame.engine import stop_workers
     from bayescal.experiments.frame.run import run_experiment
 
     workers, scheduler = options.workers, options.scheduler
@@ -85,6 +86,7 @@ def run_config(config: ExperimentConfig, path: Path, options: RunOptions) -> Non
         finished = run_experiment(
             config, path.parent, where, workers or cpu_count(), options.resume, options.quiet, scheduler
         )
+    stop_workers()
     if not options.quiet:
         finished.show(make_console())
     if not finished.converged:

@@ -6,7 +6,6 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 from scipy.special import erf, ndtri
 
 from bayescal.numerics.geometry import Array
@@ -132,6 +131,8 @@ class HalfNormalPrior(Prior):
 
     def at_quantile(self, share: Array) -> Array:
         """Return the half-normal quantiles."""
+        from scipy import stats  # a second to import, for those who scale priors
+
         return np.asarray(stats.halfnorm.ppf(share, scale=self.scale))
 
     @property
@@ -142,4 +143,6 @@ class HalfNormalPrior(Prior):
     @property
     def sd(self) -> float:
         """The scale times sqrt(1 - 2 / π)."""
+        from scipy import stats
+
         return float(stats.halfnorm.std(scale=self.scale))

@@ -14,8 +14,6 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from emcee.ensemble import walkers_independent
-from emcee.moves import DEMove
 
 from bayescal.errors import NumericalError
 from bayescal.inference.importance import LogDensity, evaluate_in_batches
@@ -103,6 +101,8 @@ class _Walkers:
     """The walkers of one ensemble; its random numbers are drawn in the order in which emcee draws them."""
 
     def __init__(self, proposal: MixtureProposal, draw: Draw, jump_share: float, seed: np.random.SeedSequence) -> None:
+        from emcee.moves import DEMove  # a second to import, for those who sample
+
         seed_start, seed_moves = seed.spawn(2)
         self._proposal, self._draw, self._shares = proposal, draw, [jump_share, 1.0 - jump_share]
         self._start_rng = np.random.default_rng(seed_start)
@@ -140,6 +140,8 @@ class _Walkers:
 
     def _check_spread(self) -> None:
         """Raise NumericalError where the walkers lie in a plane, which differential evolution does not leave."""
+        from emcee.ensemble import walkers_independent
+
         n_walkers, n = self._points.shape
         if n_walkers < 2 * n or not walkers_independent(self._points):
             raise NumericalError(f"sampling: {n_walkers} walkers do not span all {n} coordinates")

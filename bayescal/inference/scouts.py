@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binom
 
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import Exploration
@@ -36,6 +35,8 @@ class Scouts:
 
 def send_scouts(exploration: Exploration, sample: Sample, far: FarDraws, seed: np.random.SeedSequence) -> Scouts:
     """Return where walkers that start far out end, against draws of ensembles that did not."""
+    from scipy.stats import binom  # a second to import, for those who sample
+
     n_walkers, n = sample.straight.shape[1], sample.straight.shape[-1]
     known = np.flatnonzero(np.isfinite(far.log_weights))
 

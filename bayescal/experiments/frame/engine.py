@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
 import joblib
 import numpy as np
+from joblib.externals.loky import get_reusable_executor
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 from threadpoolctl import threadpool_limits
 
@@ -29,6 +33,8 @@ class Engine(ABC):
         self, function: Callable[[S, T], Any], shared: S, tasks: Mapping[str, T]
     ) -> Iterator[tuple[str, Record | Failure]]:
         """Yield each task's name with its record, or in words why it failed, as they end, in any order.
+
+        Workers may begin before the first is asked for.
 
         Parameters
         ----------
@@ -61,15 +67,9 @@ class Processes(Engine):
     ) -> Iterator[tuple[str, Record | Failure]]:
         """Yield each task's name with its record or failure; see `Engine.compute`."""
         if self.workers == 1 or len(tasks) < 2:
-            for name, task in tasks.items():
-                yield name, run_guarded(function, shared, task)
-            return
+            return ((name, run_guarded(function, shared, task)) for name, task in tasks.items())
         calls = [(run_guarded, function, shared, task) for task in tasks.values()]
-        outcomes = _call_in_workers(self.workers, list(zip(tasks, calls, strict=True)))
-        try:
-            yield from outcomes
-        except TerminatedWorkerError as error:
-            raise NumericalError("a worker was killed, perhaps for want of memory; go on with --resume") from error
+        return _watch(_call_in_workers(self.workers, list(zip(tasks, calls, strict=True))))
 
 
 def open_engine(workers: int = 1, scheduler: str | None = None, quiet: bool = True) -> AbstractContextManager[Engine]:
@@ -96,6 +96,52 @@ def open_engine(workers: int = 1, scheduler: str | None = None, quiet: bool = Tr
     return connect(scheduler, quiet)
 
 
+def _watch[R](outcomes: Iterator[R]) -> Iterator[R]:
+    try:
+        yield from outcomes
+    except TerminatedWorkerError as error:
+        raise NumericalError("a worker was killed, perhaps for want of memory; go on with --resume") from error
+
+
+@contextmanager
+def start_ahead(workers: int, modules: Sequence[str]) -> Iterator[Callable[[], None]]:
+    """Start the processes that tasks will be handed to, and yield what waits for them; on a fault they are killed.
+
+    Starting them takes seconds, in which this process reads its inputs.
+
+    Parameters
+    ----------
+    workers : int
+        Processes; none is started for a single one.
+    modules : sequence of str
+        What they import; without any nothing is known of the tasks, and none is started.
+    """
+    if workers == 1 or not modules:
+        yield lambda: None
+        return
+    calls = [(str(k), (_import_all, modules)) for k in range(workers)]
+    with closing(_call_in_workers(workers, calls)) as started:
+        yield lambda: _exhaust(started)
+
+
+def stop_workers() -> None:
+    """End the processes that stand ready for more tasks, at once: a program that ends would wait for them."""
+    if multiprocessing.active_children():  # without any, asking would make ready for some
+        get_reusable_executor(reuse=True).shutdown(kill_workers=True)
+
+
+def _import_all(modules: Iterable[str]) -> None:
+    for module in modules:
+        with suppress(Exception):  # whoever needs it says so
+            import_module(module)
+
+
+def _exhaust(calls: Iterator[object]) -> None:
+    with suppress(TerminatedWorkerError):  # others are started
+        for _ in calls:
+            pass
+
+
 def call_side_by_side[R](workers: int, calls: Mapping[str, Callable[[], R]]) -> dict[str, R]:
     """Return what calls give, by their names and in their order, as they are; what one raises is raised here."""
     if workers == 1 or len(calls) < 2:
@@ -107,11 +153,27 @@ def call_side_by_side[R](workers: int, calls: Mapping[str, Callable[[], R]]) -> 
     return {name: found[name] for name in calls}
 
 
-def _call_in_workers(workers: int, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> Iterator[tuple[str, Any]]:
+def _call_in_workers(workers: int, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> Generator[tuple[str, Any]]:
     """Yield names and what their functions make of their arguments, as they end; no worker outlives this process."""
     parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", inner_max_num_threads=1)
     with shield_children():
-        return iter(parallel(joblib.delayed(_call_in_worker)(os.getpid(), name, *call) for name, call in calls))
+        found = _close_quietly(
+            parallel(joblib.delayed(_call_in_worker)(os.getpid(), name, *call) for name, call in calls)
+        )
+    next(found)
+    return found
+
+
+def _close_quietly(calls: Generator[Any]) -> Generator[Any]:
+    """Yield nothing, then what calls give; those that nobody wants any more are cancelled without a warning."""
+    try:
+        yield None
+        for one in calls:  # noqa: UP028  # `yield from` would close them itself, with a warning
+            yield one
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            calls.close()
 
 
 def _call_in_worker[R](parent: int, name: str, function: Callable[..., R], *arguments: Any) -> tuple[str, R]:

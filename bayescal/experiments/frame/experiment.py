@@ -40,11 +40,17 @@ class Experiment[C: ExperimentConfig, I](ABC):
         Folder of its tables within the results directory; the directory itself by default.
     digits : int
         Significant ones of its tables; zero for all.
+    imports : tuple of str
+        Modules that its tasks need: where any is named, workers are started while inputs are read, and import them.
+    page_imports : tuple of str
+        Modules that its many pictures need: workers import them while results are written and the page is made.
     """
 
     schema: ClassVar[type[ExperimentConfig]]
     tables_in: ClassVar[str] = ""
     digits: ClassVar[int] = 9
+    imports: ClassVar[tuple[str, ...]] = ()
+    page_imports: ClassVar[tuple[str, ...]] = ()
 
     def files(self, config: C, folder: Path) -> list[str]:
         """Return the input files that belong to the experiment's identity, relative to the config's folder.

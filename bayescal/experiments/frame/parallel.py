@@ -6,7 +6,7 @@ import re
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import chain, islice
 from typing import Any
 
 from bayescal.errors import InputError, NumericalError
@@ -74,12 +74,36 @@ class Run:
         NumericalError
             Where tasks fail; all others have been finished and are kept.
         """
-        found, failures = self.attempt(stage, function, shared, tasks, returns)
-        if failures:
-            said = "; ".join(f"{name}: {fault}" for name, fault in islice(failures.items(), SAID))
-            said += f"; and {len(failures) - SAID} more" if len(failures) > SAID else ""
-            raise NumericalError(said + self._say_kept(len(found), len(tasks)))
-        return found
+        return self.begin(stage, function, shared, tasks, returns)()
+
+    def begin[S, T, R](
+        self,
+        stage: str,
+        function: Callable[[S, T], R],
+        shared: S,
+        tasks: Mapping[str, T],
+        returns: Iterable[Any] = (),
+    ) -> Callable[[], dict[str, R]]:
+        """Begin what `map` does and return what waits for it: this process may do something else meanwhile.
+
+        Workers compute at once; without any this process does when it waits. Finished tasks are kept from then on.
+        Parameters are those of `map`.
+        """
+        names, classes = _name_files(stage, tasks), tuple(returns)
+        kept = dict(self._read_kept(names, classes))
+        missing = {name: task for name, task in tasks.items() if name not in kept}
+        outcomes = self.engine.compute(function, shared, missing)
+
+        def wait() -> dict[str, R]:
+            fresh = self._follow(stage, names, len(kept), outcomes, classes)
+            found, failures = _sort(tasks, chain(kept.items(), fresh))
+            if failures:
+                said = "; ".join(f"{name}: {fault}" for name, fault in islice(failures.items(), SAID))
+                said += f"; and {len(failures) - SAID} more" if len(failures) > SAID else ""
+                raise NumericalError(said + self._say_kept(len(found), len(tasks)))
+            return found
+
+        return wait
 
     def attempt[S, T, R](
         self,
@@ -93,14 +117,7 @@ class Run:
 
         Parameters are those of `map`.
         """
-        found: dict[str, R] = {}
-        failures: dict[str, str] = {}
-        for name, outcome in self.stream(stage, function, shared, tasks, returns):
-            if isinstance(outcome, Failed):
-                failures[name] = outcome.reason
-            else:
-                found[name] = outcome
-        return {name: found[name] for name in tasks if name in found}, failures
+        return _sort(tasks, self.stream(stage, function, shared, tasks, returns))
 
     def stream[S, T, R](
         self,
@@ -114,19 +131,30 @@ class Run:
 
         For stages of more results than there is memory for. Parameters are those of `map`.
         """
-        names = {name: f"{_slug(stage)}-{_slug(name)}" for name in tasks}
-        classes, missing = tuple(returns), dict(tasks)
-        for name in tasks:
-            kept = None if self.store is None else self.store.load_task(names[name])
+        names, classes, missing = _name_files(stage, tasks), tuple(returns), dict(tasks)
+        for name, result in self._read_kept(names, classes):
+            del missing[name]
+            yield name, result
+        outcomes = self.engine.compute(function, shared, missing)
+        yield from self._follow(stage, names, len(tasks) - len(missing), outcomes, classes)
+
+    def _read_kept(self, names: Mapping[str, str], classes: tuple[Any, ...]) -> Iterator[tuple[str, Any]]:
+        """Yield the results of tasks that were finished before."""
+        for name, file in names.items():
+            kept = None if self.store is None else self.store.load_task(file)
             if kept is not None:
                 try:
                     result = decode(kept, classes)
                 except (ValueError, KeyError, TypeError):
                     continue  # of another version, or damaged: computed anew
-                del missing[name]
                 yield name, result
-        with self.progress.follow(stage, len(tasks), len(tasks) - len(missing)) as progress:
-            for name, outcome in self.engine.compute(function, shared, missing):
+
+    def _follow(
+        self, stage: str, names: Mapping[str, str], done: int, outcomes: Iterable[Any], classes: tuple[Any, ...]
+    ) -> Iterator[tuple[str, Any]]:
+        """Yield what tasks end with, each kept before."""
+        with self.progress.follow(stage, len(names), done) as progress:
+            for name, outcome in outcomes:
                 if isinstance(outcome, tuple):
                     kind, fault = outcome
                     if issubclass(kind, InputError):
@@ -145,6 +173,22 @@ class Run:
 
     def _say_kept(self, n: int, total: int) -> str:
         return "" if self.store is None else f"; {n} of {total} tasks are kept in {self.store.partial}"
+
+
+def _sort[R](tasks: Iterable[str], outcomes: Iterable[tuple[str, R | Failed]]) -> tuple[dict[str, R], dict[str, str]]:
+    """Return results in the tasks' order, and in words why others failed."""
+    found: dict[str, R] = {}
+    failures: dict[str, str] = {}
+    for name, outcome in outcomes:
+        if isinstance(outcome, Failed):
+            failures[name] = outcome.reason
+        else:
+            found[name] = outcome
+    return {name: found[name] for name in tasks if name in found}, failures
+
+
+def _name_files(stage: str, tasks: Iterable[str]) -> dict[str, str]:
+    return {name: f"{_slug(stage)}-{_slug(name)}" for name in tasks}
 
 
 def _call[S, R](both: tuple[Callable[[S], R], S], _: None) -> R:

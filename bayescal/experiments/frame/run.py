@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from bayescal.config.load import read_extended
 from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError, name_faults
-from bayescal.experiments.frame.engine import Processes, call_side_by_side, open_engine
+from bayescal.experiments.frame.engine import Processes, call_side_by_side, open_engine, start_ahead
 from bayescal.experiments.frame.identity import describe_provenance, identify
 from bayescal.experiments.frame.load import AnyExperiment, find_kind, load, read_inputs
 from bayescal.experiments.frame.lock import hold_lock
@@ -120,7 +120,8 @@ def run_experiment(
         Where a computation fails; the finished tasks are kept for ``resume``.
     """
     experiment, store = find_kind(config.kind, folder, folder), Store(out)
-    with threadpool_limits(1):
+    ahead = start_ahead(workers if scheduler is None else 1, experiment.imports)
+    with threadpool_limits(1), ahead as await_workers:
         inputs = read_inputs(experiment, config, folder)
         check_memory(experiment.estimate_memory(inputs), workers if scheduler is None else 0)
         modules = hash_modules([type(experiment)]) | experiment.modules(config, folder)
@@ -128,6 +129,7 @@ def run_experiment(
         store.check(identity, resume)
         with open_engine(workers, scheduler, quiet) as engine, hold_lock(store.lock, out):
             store = store.begin(identity, resume)
+            await_workers()
             try:
                 results = _compute(experiment, inputs, Run(engine, store, Progress(quiet)))
             except InputError:
@@ -219,8 +221,9 @@ def _find_doubts(experiment: AnyExperiment, inputs: Any) -> list[str]:
 def _write(experiment: AnyExperiment, results: Results, folder: Path, workers: int) -> Page:
     """Write results and page into an empty directory; the page is made from what was written."""
     summary = {**results.summary, "config_sha256": results.provenance["config_sha256"]}
-    write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
-    page = _write_page(experiment, folder, workers)
+    with start_ahead(workers, experiment.page_imports) as await_workers:
+        write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
+        page = _write_page(experiment, folder, workers, await_workers)
     said = {"headline": page.headline, "verdict": [_say(one) for one in page.verdict]}
     write_json(folder / SUMMARY_FILE, {**summary, **said})
     list_written(folder)
@@ -231,13 +234,17 @@ def _say(statement: Statement) -> dict[str, str]:
     return {"lead": statement.lead, "text": statement.text, "level": statement.level}
 
 
-def _write_page(experiment: AnyExperiment, folder: Path, workers: int) -> Page:
+def _write_page(
+    experiment: AnyExperiment, folder: Path, workers: int, await_workers: Callable[[], None] = lambda: None
+) -> Page:
     results = read_results(folder)
     page = experiment.page(results)
     earlier = results.provenance.get(WRITTEN)
     if not isinstance(earlier, list):  # new ones, or of an earlier version: all figures are its own
         earlier = [path.relative_to(folder).as_posix() for path in folder.glob("figures/*.png")]
     many = sum(1 for _ in page.figures()) >= MANY_PICTURES
+    if many:
+        await_workers()
     render = partial(call_side_by_side, workers if many else 1)
     write_page(page, folder, (show_provenance(results.provenance),), earlier, render)
     return page

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from typing import Any
@@ -58,20 +59,21 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
     run : Run
     """
     posteriors = compute_posteriors(inputs, run)
-    widths = compute_widths(inputs, posteriors, run)
+    await_widths = begin_widths(inputs, posteriors, run)  # while workers compute them, all that needs none
     identified = run.once("least squares", identify_variants, inputs, (LeastSquaresFit,))
     summary, files = _summarise(inputs, posteriors)
     slip = find_study_slip(inputs)
     if slip is not None:
         summary["slip"] = asdict(slip)
-    tables = {
+    before = {
         "ranking": tabulate_ranking(summary, compare_variants(_choose_free(posteriors))),
         "parameters": tabulate_parameters(summary),
         "predictions": tabulate_predictions(inputs, posteriors),
         "left_out": tabulate_left_out(inputs, posteriors),
         "power_scaling": tabulate_power_scaling(inputs, posteriors),
         "blunders": tabulate_blunders(inputs, posteriors),
-        "sensitivity": tabulate_sensitivity(inputs, posteriors, widths),
+    }
+    after = {
         "tau_scale": tabulate_tau_scale(inputs, posteriors),
         "least_squares": tabulate_least_squares(inputs, identified),
         "flexure": tabulate_flexure(inputs.mechanism),
@@ -80,11 +82,12 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
         "joints": tabulate_joints(inputs.mechanism, inputs.measured.actuators, inputs.names),
     }
     if has_kernels(inputs.config):
-        tables["structured"] = tabulate_structured(inputs, posteriors)
+        after["structured"] = tabulate_structured(inputs, posteriors)
     if claims is not None:
-        tables["claims"] = run.once("claims", _judge, (claims, inputs, summary, identified))
+        after["claims"] = run.once("claims", _judge, (claims, inputs, summary, identified))
         summary["publication"] = claims.describe()
-    return Results(summary, tables, {**files, **describe_nominal(inputs)})
+    sensitivity = {"sensitivity": tabulate_sensitivity(inputs, posteriors, await_widths())}
+    return Results(summary, before | sensitivity | after, {**files, **describe_nominal(inputs)})
 
 
 def compute_posteriors(inputs: StudyInputs, run: Run) -> dict[Task, Arrays]:
@@ -101,11 +104,16 @@ def fit_and_pack(inputs: StudyInputs, task: Task) -> Arrays:
     return {name: values for name, values in arrays.items() if name not in ONLY_SAVED} | {"tree": tree}
 
 
-def compute_widths(inputs: StudyInputs, posteriors: dict[Task, Arrays], run: Run) -> dict[tuple[float, str], Arrays]:
-    """Return the evidence of every variant, with model error, for every factor on the priors that is not one."""
+def begin_widths(
+    inputs: StudyInputs, posteriors: dict[Task, Arrays], run: Run
+) -> Callable[[], dict[tuple[float, str], Arrays]]:
+    """Begin with every factor on the priors that is not one, and return what waits for the evidence of every variant.
+
+    It is that with model error, by factor and variant.
+    """
     tasks = {task.key: task for task in list_width_tasks(inputs, posteriors)}
-    found = run.map("prior widths", weigh_widths, inputs, tasks)
-    return {(tasks[key].factor, tasks[key].variant): arrays for key, arrays in found.items()}
+    wait = run.begin("prior widths", weigh_widths, inputs, tasks)
+    return lambda: {(tasks[key].factor, tasks[key].variant): arrays for key, arrays in wait().items()}
 
 
 def _judge(task: tuple[Claims, StudyInputs, dict[str, Any], dict[str, LeastSquaresFit]]) -> Any:

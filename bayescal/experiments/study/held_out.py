@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from arviz_stats.base import array_stats
 from scipy.special import logsumexp
 
 from bayescal.density.batches import POSES
@@ -77,6 +76,8 @@ def compute_pits(arrays: Arrays, held: np.ndarray) -> Array:
 
 def _compute_pits(misfit: Array, flat: Array, held: np.ndarray) -> Array:
     """Return `compute_pits` from measured minus replicated poses (P, T, 6) and log-densities (P, S)."""
+    from arviz_stats.base import array_stats  # seconds to import, for those who sample
+
     misfit = misfit.astype(np.float64)
     log_weights = np.zeros(misfit.shape[:2])
     if not held.all():

@@ -24,17 +24,12 @@ from bayescal.experiments.frame.results import Results
 from bayescal.experiments.frame.terminal import print_text
 from bayescal.experiments.shared.calibrating import Calibrating
 from bayescal.experiments.shared.measured import MeasuredVariant, Measuring, VariantChoice
-from bayescal.experiments.study.calibrated import calibrate_study, load_same
 from bayescal.experiments.study.claims import Claims
-from bayescal.experiments.study.common_offset import doubt_zero
-from bayescal.experiments.study.compute import compute_study
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
 from bayescal.experiments.study.look import list_file_faults
 from bayescal.experiments.study.memory import estimate_study
-from bayescal.experiments.study.page.build import build_page
 from bayescal.experiments.study.schema import StudyConfig, VariantConfig, name_variant
-from bayescal.experiments.study.slips import find_study_slip
 from bayescal.experiments.study.terminal import show_comparison, show_doubts, show_ranking
 from bayescal.numerics.units import MICROMETRE
 from bayescal.report.blocks import Page
@@ -53,6 +48,8 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
 
     schema = StudyConfig
     tables_in = "tables"
+    imports = ("bayescal.experiments.study.compute", "arviz_stats", "emcee")
+    page_imports = ("bayescal.report.canvas", "bayescal.experiments.study.page.build")
 
     def read(self, config: StudyConfig, folder: Path) -> StudyTask:
         """Return everything the study computes with."""
@@ -84,15 +81,22 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
 
     def doubt(self, inputs: StudyTask) -> list[str]:
         """Return what may have happened to data that no machine explains, or only one within wide tolerances."""
+        from bayescal.experiments.study.common_offset import doubt_zero
+        from bayescal.experiments.study.slips import find_study_slip
+
         slip = find_study_slip(inputs.inputs)
         return doubt_zero(inputs.inputs) if slip is None else [slip.say()]
 
     def compute(self, inputs: StudyTask, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""
+        from bayescal.experiments.study.compute import compute_study  # seconds to import, as its inputs are read first
+
         return compute_study(inputs.inputs, inputs.claims, run)
 
     def page(self, results: Results) -> Page:
         """Return the page."""
+        from bayescal.experiments.study.page.build import build_page  # a second to import, while workers compute
+
         return build_page(results)
 
     def show(self, results: Results, page: Page, console: Console) -> None:
@@ -148,6 +152,8 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
 
     def calibrate(self, results: Results, variant: str | None, experiment: Path | None) -> CalibratedMachine:
         """Return the machine of a variant of the study."""
+        from bayescal.experiments.study.calibrated import calibrate_study, load_same
+
         config = self.config_of(results) if experiment is None else load_same(results, experiment)
         return calibrate_study(results, config, variant, experiment)
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from arviz_stats.base import array_stats
 from scipy.special import logsumexp
 
 from bayescal.density.posterior import Posterior
@@ -70,12 +69,16 @@ class LeftOut:
 
     def summarise(self) -> tuple[float, float]:
         """Return the elpd of all poses, each left out, and its standard error over the poses."""
+        from arviz_stats.base import array_stats
+
         summary = array_stats.loo_summary(self.elpd, self.effective)
         return float(summary[0]), float(summary[1])
 
 
 def leave_out(draws: Array, log_likelihood: Array) -> LeftOut:
     """Return leave-one-out by weights, from draws (E, S, n) and each pose's log-likelihood (E, S, P)."""
+    from arviz_stats.base import array_stats  # seconds to import, for those who sample
+
     n_draws = log_likelihood.shape[0] * log_likelihood.shape[1]
     by_parameter = np.moveaxis(draws, -1, 0)
     size = float(np.mean(array_stats.ess(by_parameter, method="mean"))) / n_draws if len(draws) > 1 else 1.0

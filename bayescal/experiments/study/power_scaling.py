@@ -8,7 +8,6 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-from arviz_stats.base import array_stats
 
 from bayescal.numerics.geometry import Array
 
@@ -28,6 +27,8 @@ def measure_sensitivity(draws: Array, log_prior: Array, log_likelihood: Array) -
 
 
 def _measure_one(draws: Array, component: Array) -> Array:
+    from arviz_stats.base import array_stats  # seconds to import, for those who sample
+
     weights = [_weigh(component, power) for power in POWERS]
     shares = [np.broadcast_to(one / one.sum(), draws.shape) for one in weights]
     return np.asarray(array_stats.power_scale_sense(draws, *shares, *POWERS))
@@ -35,6 +36,8 @@ def _measure_one(draws: Array, component: Array) -> Array:
 
 def _weigh(component: Array, power: float) -> Array:
     """Return the weights (E, S) of a component raised to a power; smoothed where they have a tail."""
+    from arviz_stats.base import array_stats
+
     try:
         with warnings.catch_warnings():  # of very few draws the tail is that of five
             warnings.filterwarnings("ignore", message="Number of tail draws")

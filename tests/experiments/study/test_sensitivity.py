@@ -12,7 +12,7 @@ from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.study.compute import compute_posteriors, compute_widths
+from bayescal.experiments.study.compute import begin_widths, compute_posteriors
 from bayescal.experiments.study.fit import list_tasks, run_task
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.prior_widths import (
@@ -68,7 +68,7 @@ def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(tmp_path, 
     scaled = (("sd = 2.0", f"sd = {2.0 * factor}"), ("sd = 0.01", f"sd = {0.01 * factor}"))
     other = load(tmp_path / "other", *scaled, EFFORT)
     posteriors = compute_posteriors(inputs, Run())
-    widths = compute_widths(inputs, posteriors, Run())
+    widths = begin_widths(inputs, posteriors, Run())()
     table = tabulate_sensitivity(inputs, posteriors, widths).set_index(["factor", "variant"])
     for task in list_tasks(other)[:2]:
         expected = run_task(other, task)["importance"]
