@@ -7,7 +7,7 @@ import os
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
@@ -105,9 +105,9 @@ def _watch[R](outcomes: Iterator[R]) -> Iterator[R]:
 
 @contextmanager
 def start_ahead(workers: int, modules: Sequence[str]) -> Iterator[Callable[[], None]]:
-    """Start the processes that tasks will be handed to, and yield what waits for them; on a fault they are killed.
+    """Start the processes that tasks will be handed to, and yield what waits for them; nothing leaves them halfway.
 
-    Starting them takes seconds, in which this process reads its inputs.
+    Starting them takes seconds, in which this process may do something else.
 
     Parameters
     ----------
@@ -119,9 +119,12 @@ def start_ahead(workers: int, modules: Sequence[str]) -> Iterator[Callable[[], N
     if workers == 1 or not modules:
         yield lambda: None
         return
-    calls = [(str(k), (_import_all, modules)) for k in range(workers)]
-    with closing(_call_in_workers(workers, calls)) as started:
+    calls = [(str(k), (import_all, modules)) for k in range(workers)]
+    started = _call_in_workers(workers, calls)
+    try:
         yield lambda: _exhaust(started)
+    finally:  # calls that are cancelled before they begin may leave an error in loky's thread
+        _exhaust(started)
 
 
 def stop_workers() -> None:
@@ -130,7 +133,8 @@ def stop_workers() -> None:
         get_reusable_executor(reuse=True).shutdown(kill_workers=True)
 
 
-def _import_all(modules: Iterable[str]) -> None:
+def import_all(modules: Iterable[str]) -> None:
+    """Import modules, as far as they can be."""
     for module in modules:
         with suppress(Exception):  # whoever needs it says so
             import_module(module)

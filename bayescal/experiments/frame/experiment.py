@@ -41,7 +41,7 @@ class Experiment[C: ExperimentConfig, I](ABC):
     digits : int
         Significant ones of its tables; zero for all.
     imports : tuple of str
-        Modules that its tasks need: where any is named, workers are started while inputs are read, and import them.
+        Modules that its tasks need, first the one that computes: workers import them while this process imports that.
     page_imports : tuple of str
         Modules that its many pictures need: workers import them while results are written and the page is made.
     """

@@ -16,7 +16,7 @@ from bayescal.config.load import read_extended
 from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError, name_faults
-from bayescal.experiments.frame.engine import Processes, call_side_by_side, open_engine, start_ahead
+from bayescal.experiments.frame.engine import Processes, call_side_by_side, import_all, open_engine, start_ahead
 from bayescal.experiments.frame.identity import describe_provenance, identify
 from bayescal.experiments.frame.load import AnyExperiment, find_kind, load, read_inputs
 from bayescal.experiments.frame.lock import hold_lock
@@ -120,8 +120,7 @@ def run_experiment(
         Where a computation fails; the finished tasks are kept for ``resume``.
     """
     experiment, store = find_kind(config.kind, folder, folder), Store(out)
-    ahead = start_ahead(workers if scheduler is None else 1, experiment.imports)
-    with threadpool_limits(1), ahead as await_workers:
+    with threadpool_limits(1):
         inputs = read_inputs(experiment, config, folder)
         check_memory(experiment.estimate_memory(inputs), workers if scheduler is None else 0)
         modules = hash_modules([type(experiment)]) | experiment.modules(config, folder)
@@ -129,7 +128,8 @@ def run_experiment(
         store.check(identity, resume)
         with open_engine(workers, scheduler, quiet) as engine, hold_lock(store.lock, out):
             store = store.begin(identity, resume)
-            await_workers()
+            with start_ahead(workers if scheduler is None else 1, experiment.imports):
+                import_all(experiment.imports[:1])
             try:
                 results = _compute(experiment, inputs, Run(engine, store, Progress(quiet)))
             except InputError:

@@ -46,10 +46,12 @@ def test_workers_that_start_ahead_have_imported_what_tasks_need():
     assert os.getpid() not in {process for process, _ in found.values()}
 
 
-def test_workers_that_start_ahead_end_on_a_fault():
+def test_a_fault_leaves_workers_ready_and_says_nothing_else(capfd):
     with pytest.raises(InputError), start_ahead(2, (MODULE,)):
         raise InputError("found nothing")
+    stop_workers()
     assert not multiprocessing.active_children()
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize(("workers", "modules"), [(1, (MODULE,)), (2, ())])
