@@ -215,10 +215,10 @@ def add_clusters(found: Exploration, seed: np.random.SeedSequence, n_walkers: in
     return Exploration(straight, proposal, found.modes, _try_out(straight, proposal, rng))
 
 
-def _peak_in(straight: Straightening, mode: Mode) -> Peak:
-    """Return a mode as a peak in straight coordinates."""
+def _peak_in(straight: Straightening, mode: Mode, *, follow: bool = True) -> Peak:
+    """Return a mode as a peak in straight coordinates; see `Straightening.carry`."""
     centre = straight.x_from_y(mode.y[None])
-    factor = np.linalg.cholesky(straight.carry(mode.y, mode.covariance))
+    factor = np.linalg.cholesky(straight.carry(mode.y, mode.covariance, follow=follow))
     return Peak(centre[0], factor, float(straight.log_density(centre)[0]))
 
 
@@ -228,7 +228,11 @@ def _try_peaks(straight: Straightening, peaks: list[Peak], modes: list[Mode], rn
 
 
 def _sharpen(straight: Straightening, main: Peak, modes: list[Mode], curve: bool) -> tuple[Straightening, list[Peak]]:
-    """Fit the coordinates to the main peak, then all peaks in them; a peak that climbs into another is dropped."""
+    """Fit the coordinates to the main peak, then all peaks in them; a peak that climbs into another is dropped.
+
+    Coordinates that are straight at the best mode may be anything at another: what cannot be refined there is two peaks,
+    with and without how the geometry follows the model errors.
+    """
     straight, main = bend_at(straight, main)
     main = refine_peak(straight.log_density, main)
     if curve:
@@ -237,14 +241,13 @@ def _sharpen(straight: Straightening, main: Peak, modes: list[Mode], curve: bool
         straight = curved
     peaks = [main]
     for mode in modes[1:]:
-        rough = _peak_in(straight, mode)
-        if mode.log_evidence < modes[0].log_evidence - WORTH_REFINING:
-            peaks.append(rough)
-            continue
-        other = refine_peak(straight.log_density, rough)
-        other = other if other.log_evidence > rough.log_evidence - PLAUSIBLE else rough
-        if all(np.linalg.norm(np.linalg.solve(p.factor, other.centre - p.centre)) > 1.0 for p in peaks):
-            peaks.append(other)
+        start = _peak_in(straight, mode, follow=False)
+        worth = mode.log_evidence > modes[0].log_evidence - WORTH_REFINING
+        found = refine_peak(straight.log_density, start) if worth else start
+        if found is start or found.log_evidence < start.log_evidence - PLAUSIBLE:
+            peaks += [start, _peak_in(straight, mode)]
+        elif all(np.linalg.norm(np.linalg.solve(p.factor, found.centre - p.centre)) > 1.0 for p in peaks):
+            peaks.append(found)
     return straight, peaks
 
 

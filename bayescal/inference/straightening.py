@@ -268,15 +268,16 @@ class Straightening:
         wanted = [(base, others) for base, others in self.posterior.curved_ridges() if base not in traced]
         return replace(self, bend=bend, curves=tuple(fit_curve(y, base, others) for base, others in wanted))
 
-    def carry(self, y: Array, covariance: Array) -> Array:
-        """Return a covariance (n, n) around y, shape (n,), as it is in straight coordinates.
+    def carry(self, y: Array, covariance: Array, *, follow: bool = True) -> Array:
+        """Return a covariance (n, n) around y, shape (n,), as it is in straight coordinates, to first order.
 
-        To first order, but for how the geometry follows the model errors: that is about another mode's centre.
+        That the geometry follows the model errors, about the centre of a mode that may be another one, may be left out.
         """
         steps = DIFFERENCE * np.diag(np.sqrt(np.diag(covariance)))
         ahead, behind = np.split(self.x_from_y(np.concatenate([y + steps, y - steps])), 2)
         slopes = (ahead - behind).T / (2.0 * np.diag(steps))
-        slopes[: self.posterior.n_geometry, self.posterior.n_geometry :] = 0.0
+        if not follow:
+            slopes[: self.posterior.n_geometry, self.posterior.n_geometry :] = 0.0
         return np.asarray(slopes @ covariance @ slopes.T)
 
 
