@@ -230,8 +230,8 @@ def _try_peaks(straight: Straightening, peaks: list[Peak], modes: list[Mode], rn
 def _sharpen(straight: Straightening, main: Peak, modes: list[Mode], curve: bool) -> tuple[Straightening, list[Peak]]:
     """Fit the coordinates to the main peak, then all peaks in them; a peak that climbs into another is dropped.
 
-    Coordinates that are straight at the best mode may be anything at another: what cannot be refined there is two peaks,
-    with and without how the geometry follows the model errors.
+    Coordinates that are straight at the best mode may be anything at another: what cannot be refined there is two
+    peaks, with and without how the geometry follows the model errors.
     """
     straight, main = bend_at(straight, main)
     main = refine_peak(straight.log_density, main)
