@@ -18,7 +18,11 @@ from bayescal.numerics.geometry import Array
 
 GRADIENT_TOLERANCE = 1e-3  # per prior sd: a Newton step would gain below 1e-6
 DECREMENT_TOLERANCE = 1e-4
-TOP = 5e-5  # decrement where a climb ends: 2.5e-5 nats below the mode
+TOP = 1e-6  # decrement where a climb ends
+STALLED, NO_GAIN = (
+    5e-5,
+    1e-6,
+)  # decrement where it ends if its last step gained no more nats than that: rounding is next
 SAME = 0.03  # prior sds: two climbs that stop at a decrement of 1e-4 may end so far apart
 HESSIAN_STEP = 0.1  # posterior sds
 PATIENCE, HOPELESS = 20, 40.0  # steps after which a climb this many nats below the best is given up
@@ -221,13 +225,14 @@ def _climb(posterior: Target, start: Array, floor: float = -np.inf) -> Climb:
         raise NumericalError("mode search: the density is not finite at the start, expected a machine near nominal")
     y = posterior.polish(start)
     surface = _Surface(posterior)
-    steps = 0
+    steps, last = 0, np.inf
 
     def give_up(intermediate_result: OptimizeResult) -> None:
-        nonlocal steps
-        steps += 1
-        hopeless = steps >= PATIENCE and -intermediate_result.fun < floor
-        if hopeless or surface.is_top(intermediate_result.x):
+        nonlocal steps, last
+        value = float(intermediate_result.fun)
+        gained, steps, last = last - value, steps + 1, value
+        hopeless = steps >= PATIENCE and -value < floor
+        if hopeless or surface.decrement(intermediate_result.x) < (STALLED if gained < NO_GAIN else TOP):
             raise StopIteration
 
     result = minimize(
@@ -263,14 +268,14 @@ class _Surface:
             self._known[key] = gradient, hessian
         return self._known[key]
 
-    def is_top(self, x: Array) -> bool:
-        """Whether a Newton step from x, shape (n,), would gain next to nothing."""
+    def decrement(self, x: Array) -> float:
+        """Return twice what a Newton step from x, shape (n,), would gain; infinite where the density is not concave."""
         gradient, hessian = self.at(x)
         try:
             white = solve_triangular(cholesky(-hessian, lower=True), gradient, lower=True)
         except np.linalg.LinAlgError:
-            return False
-        return bool(white @ white < TOP)
+            return np.inf
+        return float(white @ white)
 
 
 def _characterise(posterior: Target, y: Array, log_density: float) -> Mode:
