@@ -7,8 +7,8 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 .PHONY: study real audits test test-runs test-browser test-dask test-slow check docs dist data picture benchmark soak clean help
 
 help:
-	@echo "make study      the telescope study: environment, run, ranking, report (two to three minutes on two cores)"
-	@echo "make real       a real machine, really measured: the Hangprinter HP4 (about two minutes)"
+	@echo "make study      the telescope study: environment, run, ranking, report (one to two minutes on two cores)"
+	@echo "make real       a real machine, really measured: the Hangprinter HP4 (one to two minutes)"
 	@echo "make audits     all shipped identifiability audits"
 	@echo "make test       environment and the quick tests"
 	@echo "make test-runs  whole small experiments, seconds each"

@@ -77,11 +77,17 @@ def _is_installed(top: str, root: Path) -> bool:
 
 @contextmanager
 def import_from(root: Path, modules: dict[str, Path]) -> Iterator[None]:
-    """Let a file import from beside itself: what modules of these names were before, of other files, is forgotten."""
+    """Let a file import from beside itself: what modules of these names were before, of other files, is forgotten.
+
+    No bytecode is left there: somebody's folder is read, and a file that changes within a second would be taken for the
+    one that was.
+    """
     for name in modules:
         sys.modules.pop(name, None)
+    before, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     sys.path.append(str(root))
     try:
         yield
     finally:
         sys.path.remove(str(root))
+        sys.dont_write_bytecode = before

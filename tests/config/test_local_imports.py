@@ -116,3 +116,11 @@ def test_files_beside_are_no_installed_modules(folder):
     found = load_class("MACHINES", "own.py:Own", folder)
     assert "base.py" in list_sources("MACHINES", "own.py:Own", folder)
     assert hash_modules([found]) == {}
+
+
+def test_nothing_is_left_beside_the_file(folder, monkeypatch):
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    before = sorted(folder.rglob("*"))
+    load_class("MACHINES", "own.py:Own", folder)
+    assert sorted(folder.rglob("*")) == before
+    assert not sys.dont_write_bytecode
