@@ -99,6 +99,10 @@ def test_workers_begin_before_they_are_waited_for(tmp_path):
 
 def test_what_nobody_waits_for_is_cancelled_without_a_word(tmp_path):
     wait = Run(Processes(2)).begin("squares", touch, tmp_path, {str(n): n for n in range(3)})
+    end = time.monotonic() + 60.0
+    while not (tmp_path / "0").exists():  # what loky has not handed on yet it may stumble over when it is cancelled
+        assert time.monotonic() < end
+        time.sleep(0.05)
     del wait
     gc.collect()
     assert call_side_by_side(2, {"a": partial(str, 1), "b": partial(str, 2)}) == {"a": "1", "b": "2"}
