@@ -40,9 +40,8 @@ def differentiate_model_errors(
     scaled, surplus = weight * model_errors, told**2 - np.diagonal(seen, axis1=1, axis2=2)
     across = 2.0 * np.einsum("pi,pim->mi", scaled * told, steered)
     pulled = scaled * told
-    own = 2.0 * np.einsum("pi,pij,pj->ij", scaled, seen**2, scaled) - 4.0 * np.einsum(
-        "pi,pij,pj->ij", pulled, seen, pulled
-    )
+    own = 2.0 * np.einsum("pi,pij,pj->ij", scaled, seen**2, scaled)
+    own -= 4.0 * np.einsum("pi,pij,pj->ij", pulled, seen, pulled)
     own += np.diag(np.sum(weight * surplus, axis=0))
     by_errors = np.sum(scaled * surplus, axis=0)
     return across @ moves.T, moves @ own @ moves.T + np.diag(bends @ by_errors)

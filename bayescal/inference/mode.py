@@ -19,10 +19,7 @@ from bayescal.numerics.geometry import Array
 GRADIENT_TOLERANCE = 1e-3  # per prior sd: a Newton step would gain below 1e-6
 DECREMENT_TOLERANCE = 1e-4
 TOP = 1e-6  # decrement where a climb ends
-STALLED, NO_GAIN = (
-    5e-5,
-    1e-6,
-)  # decrement where it ends if its last step gained no more nats than that: rounding is next
+STALLED, NO_GAIN = 5e-5, 1e-6  # decrement where it ends if its last step gained no more nats: rounding is next
 SAME = 0.03  # prior sds: two climbs that stop at a decrement of 1e-4 may end so far apart
 HESSIAN_STEP = 0.1  # posterior sds
 PATIENCE, HOPELESS = 20, 40.0  # steps after which a climb this many nats below the best is given up
