@@ -14,6 +14,7 @@ from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
+from bayescal.machines.kinematics import STEP_TOLERANCE
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 TELESCOPE = EXPERIMENTS / "telescope"
@@ -21,6 +22,7 @@ N_CALIBRATION = 13
 N_VERIFICATION = 3
 SEED = 20
 
+NUMBER = re.compile(r"-?\d+\.\d+(?:e[+-]?\d+)?")
 PROGRESS = re.compile(r"[A-Za-z -]+: \d+ of \d+ done, \d+ s(, about \d+ s left)?")
 
 SIMULATION = """
@@ -213,3 +215,15 @@ def snapshot(folder: Path) -> dict[str, bytes | None]:
         str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
         for path in sorted(folder.rglob("*"))
     }
+
+
+def assert_same_text(found: str, expected: str, name: str = "") -> None:
+    """Check that two texts are the same but for numbers, and these but for what another CPU makes of their last digits.
+
+    A pose is solved for until a step is below `STEP_TOLERANCE`; of what is rounded to fewer digits the last may turn.
+    """
+    assert NUMBER.sub("#", found) == NUMBER.sub("#", expected), name
+    for one, other in zip(NUMBER.findall(found), NUMBER.findall(expected), strict=True):
+        digits, _, exponent = other.partition("e")
+        last = 10.0 ** (int(exponent or 0) - len(digits.partition(".")[2]))
+        assert abs(float(one) - float(other)) <= max(STEP_TOLERANCE, 1.01 * last), f"{name}: {one}, expected {other}"

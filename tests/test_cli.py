@@ -402,7 +402,9 @@ def test_simulate_writes_the_survey(call, study):
 def test_shipped_data_come_from_the_shipped_config(call, tmp_path, folder):
     shipped = studies.EXPERIMENTS / folder
     assert call("simulate", shipped / "simulate.toml", "--out", tmp_path)[0] == 0
-    assert studies.snapshot(tmp_path) == studies.snapshot(shipped / "data")
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in (shipped / "data").iterdir()}
+    for path in tmp_path.iterdir():
+        studies.assert_same_text(path.read_text(), (shipped / "data" / path.name).read_text(), path.name)
 
 
 def test_simulation_out_of_reach_is_3(call, study):

@@ -107,7 +107,15 @@ def test_shipped_data_are_those_of_the_shipped_config(folder):
     texts = format_survey(survey, config.origin) | format_truth(twin, survey.poses, poses)
     assert set(texts) == {file.name for file in (path.parent / "data").iterdir()}
     for name, text in texts.items():
-        assert (path.parent / "data" / name).read_bytes() == text.encode(), name
+        studies.assert_same_text(text, (path.parent / "data" / name).read_text(), name)
+
+
+def test_numbers_are_compared_as_numbers_and_all_else_as_text():
+    shipped = "pose,x_mm\nC01,6.946746589799\n"
+    studies.assert_same_text("pose,x_mm\nC01,6.946746589801\n", shipped)  # what another CPU's rounding makes of it
+    for other in ("pose,x_mm\nC01,6.946746599799\n", "pose,x_m\nC01,6.946746589799\n", shipped + "C02,1.0\n"):
+        with pytest.raises(AssertionError):
+            studies.assert_same_text(other, shipped)
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -7,6 +7,7 @@ import sys
 import calibrations
 import pandas as pd
 import pytest
+import studies
 from saved_trees import check_tree
 
 from bayescal.experiments.frame.load import load
@@ -82,7 +83,7 @@ def test_simulation_gives_the_shipped_data(tmp_path, call):
     folder = calibrations.copy_delta(tmp_path)
     assert call("simulate", folder / "simulate.toml", "--out", tmp_path / "data")[0] == 0
     for path in sorted((folder / "data").glob("*.csv")):
-        assert path.read_bytes() == (tmp_path / "data" / path.name).read_bytes(), path.name
+        studies.assert_same_text((tmp_path / "data" / path.name).read_text(), path.read_text(), path.name)
 
 
 def test_truth_fed_back_gives_the_same_readings(tmp_path, call):
@@ -90,7 +91,8 @@ def test_truth_fed_back_gives_the_same_readings(tmp_path, call):
     path = folder / "simulate.toml"
     path.write_text(path.read_text() + '\n[truth]\nparameters = "data/true_parameters.csv"\n')
     assert call("simulate", path, "--out", tmp_path / "data")[0] == 0
-    assert (folder / "data" / "readings.csv").read_bytes() == (tmp_path / "data" / "readings.csv").read_bytes()
+    found, shipped = (base / "data" / "readings.csv" for base in (tmp_path, folder))
+    studies.assert_same_text(found.read_text(), shipped.read_text(), "readings.csv")
 
 
 def test_the_class_is_short():

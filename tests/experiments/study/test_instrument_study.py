@@ -346,7 +346,7 @@ def test_shipped_readings_are_those_of_the_documented_command():
     made = compute_experiment(load_simulation(CAMERA / "simulate.toml"), CAMERA).files
     assert set(made) == {path.name for path in (CAMERA / "data").iterdir()}
     for name, text in made.items():
-        assert (CAMERA / "data" / name).read_text() == str(text)
+        studies.assert_same_text(str(text), (CAMERA / "data" / name).read_text(), name)
 
 
 def test_shipped_example_finds_its_machine_and_frames():
