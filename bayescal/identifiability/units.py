@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,3 +25,8 @@ class Units:
     def name(self, unit: str) -> str:
         """Return the design's name of an inner unit."""
         return {"mm": self.length, "rad": self.angle}.get(unit, unit)
+
+
+def units_like(unit: str) -> Mapping[str, float]:
+    """Return the units that a number may be in instead of an inner one, each with its size in it."""
+    return {"mm": LENGTHS, "rad": {name: float(size) for name, size in ANGLES.items()}}.get(unit, {unit: 1.0})

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 
+from bayescal.errors import InputError
 from bayescal.experiments.calibration.compute import compute_calibration
 from bayescal.experiments.calibration.inputs import CalibrationInputs, list_machines, read_inputs
 from bayescal.experiments.calibration.machine_kind import MachineExperiment
@@ -16,10 +18,11 @@ from bayescal.experiments.calibration.slips import find_calibration_slip
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.measured import MeasuredReadings, MeasuringReadings
 from bayescal.report.blocks import Page
 
 
-class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs]):
+class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs], MeasuringReadings):
     """Any machine calibrated from any of its readings."""
 
     schema = CalibrationConfig
@@ -40,6 +43,30 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs]):
         """Return what may have happened to readings that no machine within its priors comes near."""
         said = find_calibration_slip(inputs.variants.values())
         return [] if said is None else [f"the readings are far off: {said}"]
+
+    def measure_readings(
+        self, config: CalibrationConfig, folder: Path, names: Sequence[str]
+    ) -> dict[str, MeasuredReadings]:
+        """Return the posteriors of the calibration poses."""
+        known = [one.name for one in config.variants]
+        for name in names:
+            if name not in known:
+                raise InputError(f"variant {name!r}: unknown here, expected one of {', '.join(known)}")
+        found = read_inputs(config, folder).variants
+        origin, slip = config.origin, find_calibration_slip(found.values())
+        return {
+            name: MeasuredReadings(
+                name,
+                f"{origin.status.capitalize()}: {origin.text}",
+                one.posterior(),
+                one.workspace.low,
+                one.workspace.high,
+                one.internal,
+                slip,
+            )
+            for name, one in found.items()
+            if not names or name in names
+        }
 
     def compute(self, inputs: CalibrationInputs, run: Run) -> Results:
         """Return the posteriors of all variants and what they predict."""

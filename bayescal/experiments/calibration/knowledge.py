@@ -13,11 +13,13 @@ from bayescal.experiments.calibration.schema import NextConfig
 from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.identifiability.directions import find_directions
 from bayescal.identifiability.information import information_of_rows
+from bayescal.identifiability.reading_rows import Slopes, View, differentiate_poses, name_tool, rms, see, typical_given
 from bayescal.identifiability.ridges import describe_move, round_below
 from bayescal.identifiability.units import Units
 from bayescal.identifiability.verdicts import judge_parameters
-from bayescal.machines.readings import Given, ReadingModel
+from bayescal.machines.readings import Given
 from bayescal.numerics.geometry import Array
+from bayescal.pose_selection.next_pose import compute_gains
 
 N_WORKSPACE = 200
 
@@ -55,54 +57,6 @@ class Knowledge:
     next_pose: Array
     next_sensors: tuple[str, ...]
     next_gain: Array
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """Poses (W, q) seen by some channels at one machine, to first order; those where it cannot stand are left out.
-
-    ``rows`` (W, K, m): white derivative of the readings by the coordinates of the posterior, poses eliminated; ``tool``
-    (W, t, m): what the tool's place, as located with these channels, errs by them; ``noise`` (W, t): its variance, that
-    of ``located`` (W, t, K), how white readings move it.
-    """
-
-    pose: Array
-    rows: Array
-    tool: Array
-    noise: Array
-    located: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Slopes:
-    """Derivatives at poses (W, q) of one machine.
-
-    ``white`` (K,): one over the noise of each channel; ``by_pose`` (W, K, q) and ``by_parameters`` (W, K, D) of the
-    readings, ``tool_by_pose`` (W, t, q) and ``tool_by_parameters`` (W, t, D) of the tool; ``moves`` (m, D): what the
-    posterior's coordinates move; ``half`` (q,): half widths of the workspace.
-    """
-
-    pose: Array
-    white: Array
-    by_pose: Array
-    by_parameters: Array
-    tool_by_pose: Array
-    tool_by_parameters: Array
-    moves: Array
-    half: Array
-
-    def seen_by(self, some: np.ndarray) -> View:
-        """Return the poses seen by the channels of a mask (K,)."""
-        white = np.where(some, self.white, 0.0)[:, None]
-        slope, seen = white * self.by_pose, (white * self.by_parameters) @ self.moves.T
-        gain = np.linalg.pinv(slope)
-        told = np.linalg.matrix_rank(slope * self.half) == slope.shape[-1]
-        rows = seen - slope @ (gain @ seen)
-        located = self.tool_by_pose @ gain
-        tool = self.tool_by_parameters @ self.moves.T - self.tool_by_pose @ (gain @ seen)
-        unknown = ~told[:, None]
-        noise = np.where(unknown, np.nan, (located**2).sum(axis=-1))
-        return View(self.pose, rows, np.where(unknown[..., None], np.nan, tool), noise, located)
 
 
 class Asked(Protocol):
@@ -164,14 +118,6 @@ def look_around(variant: Variant, posterior: CalibrationPosterior, y: Array, rng
     return look(posterior, variant, y, variant.workspace.draw(N_WORKSPACE, rng), variant.internal)
 
 
-def name_tool(model: ReadingModel, n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return names and units of the n numbers that have to be accurate."""
-    coordinates = model.coordinates
-    if n == len(coordinates):
-        return tuple(one.name for one in coordinates), tuple(one.unit for one in coordinates)
-    return tuple(f"tool[{k + 1}]" for k in range(n)), ("mm",) * n
-
-
 def look(
     posterior: CalibrationPosterior,
     variant: Variant,
@@ -191,42 +137,8 @@ def differentiate(
 
     What the machine has to know of each pose is the median of the data's where nothing is given.
     """
-    theta, model = posterior.theta(y[None])[0], variant.model
-    white = _typical_noise(posterior, variant, y, np.ones(len(model.channels), dtype=bool))
-    here = model.linearise(theta, pose, True, _typical_given(variant, len(pose)) if given is None else given)
-    good = np.isfinite(here.by_pose).all(axis=(1, 2)) & np.isfinite(here.by_parameters).all(axis=(1, 2))
-    pose = pose[good]
-    _, by_pose, direct = model.tool(theta, pose)
-    return Slopes(
-        pose,
-        white,
-        here.by_pose[good],
-        here.by_parameters[good],
-        by_pose,
-        direct,
-        posterior.moves(y),
-        variant.workspace.half,
-    )
-
-
-def _typical_noise(posterior: CalibrationPosterior, variant: Variant, y: Array, some: np.ndarray) -> Array:
-    """Return one over the noise of a channel, the median of its readings, zero for channels not in a mask, (K,)."""
-    own, tau = posterior.deviations(y[None])
-    present = posterior.likelihood.data.present
-    total = np.where(present, np.sqrt(own[0] ** 2 + tau[0] ** 2), np.nan)
-    result = np.zeros(len(some))
-    for k in np.flatnonzero(some & present.any(axis=0)):
-        result[k] = 1.0 / np.nanmedian(total[:, k])
-    return result
-
-
-def _typical_given(variant: Variant, n: int) -> Given:
-    return {name: np.full(n, np.median(value)) for name, value in variant.data.given.items()}
-
-
-def rms(tool: Array, covariance: Array) -> Array:
-    """Return the root mean square over poses of what parameters of a covariance leave unknown of the tool, (t,)."""
-    return np.sqrt(np.einsum("wti,ij,wtj->wt", tool, covariance, tool, optimize=True).mean(axis=0))
+    given = typical_given(variant.data.given, len(pose)) if given is None else given
+    return differentiate_poses(posterior, variant.workspace.half, y, pose, given)
 
 
 def _rank(
@@ -253,31 +165,6 @@ def weigh(variant: Variant, at: View) -> Array:
     """Return W (m, m) such that tr(W C) is the sum over poses of the tool's squared error, of lengths only."""
     lengths = at.tool[:, : max(1, variant.model.pose_units.count("mm"))]
     return np.asarray(np.einsum("wti,wtj->ij", lengths, lengths))
-
-
-def compute_gains(rows: Array, covariance: Array, weight: Array) -> Array:
-    """Return by what part tr(W C) falls with the readings of each pose: tr(W C Rᵀ (1 + R C Rᵀ)⁻¹ R C) / tr(W C).
-
-    Parameters
-    ----------
-    rows : ndarray, shape (c, K, m)
-        R, white, poses eliminated.
-    covariance, weight : ndarray, shape (m, m)
-        C and W.
-    """
-    seen = rows @ covariance
-    inner = np.eye(rows.shape[1]) + seen @ np.swapaxes(rows, -1, -2)
-    fall = np.einsum("cki,ij,clj->ckl", seen, weight, seen, optimize=True)
-    gain = np.trace(np.linalg.solve(inner, fall), axis1=-2, axis2=-1) / np.trace(weight @ covariance)
-    return np.asarray(gain)
-
-
-def see(posterior: CalibrationPosterior, y: Array) -> Array:
-    """Return the white derivative of the readings by the parameters' coordinates, poses eliminated, (P, K, m)."""
-    white, stand = posterior.stand(y[None])
-    error, slope, by_parameters = posterior.rows(y, white, stand.pose)
-    del error
-    return np.asarray(by_parameters - slope @ (np.linalg.pinv(slope) @ by_parameters))
 
 
 def _judge(

@@ -16,14 +16,14 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.schema import DataTableConfig
+from bayescal.experiments.shared.coordinates import pose_names
 from bayescal.files.csv_tables import Table, read_table
-from bayescal.identifiability.units import ANGLES, LENGTHS
+from bayescal.identifiability.units import units_like
 from bayescal.machines.readings import Channel
 from bayescal.numerics.geometry import Array
 
 USES = ("calibration", "verification")
 TURN_LIMIT = {"rad": 2.0 * float(np.pi)}
-FACTORS: Mapping[str, Mapping[str, float]] = {"mm": LENGTHS, "rad": {name: float(v) for name, v in ANGLES.items()}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +52,6 @@ class PoseReadings:
 def stem_of(name: str) -> str:
     """Return a channel's name as columns have it: ``motor[2]`` is ``motor_2``."""
     return name.replace("[", "_").rstrip("]")
-
-
-def units_like(unit: str) -> Mapping[str, float]:
-    """Return the units that a column may be in instead of a channel's, each with its size in it."""
-    return FACTORS.get(unit, {unit: 1.0})
 
 
 @dataclass(frozen=True)
@@ -140,17 +135,6 @@ def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channe
         if not any(name in (one, one.partition("[")[0]) for one in read):
             raise InputError(f"{table.path}: found no column of channel {name!r}, which data.channels asks for")
     return table
-
-
-def pose_names(table: Table) -> list[str]:
-    """Return the names of a table's poses; InputError where one stands there twice."""
-    names = table.text("pose")
-    for row, name in enumerate(names):
-        if (first := names.index(name)) != row:
-            raise InputError(
-                f"{table.where(row)}: pose {name!r} stands already on line {table.lines[first]}, expected it once"
-            )
-    return names
 
 
 def _fill(

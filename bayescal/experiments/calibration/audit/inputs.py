@@ -18,7 +18,6 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.audit.planned_poses import PlannedPoses, plan_poses
 from bayescal.experiments.calibration.audit.sensor_sets import Choice, list_choices
 from bayescal.experiments.calibration.inputs import Variant
-from bayescal.experiments.calibration.knowledge import name_tool
 from bayescal.experiments.calibration.noise import noise_of_channels
 from bayescal.experiments.calibration.priors import choose_priors
 from bayescal.experiments.calibration.schema import (
@@ -27,6 +26,7 @@ from bayescal.experiments.calibration.schema import (
     CalibrationVariantConfig,
 )
 from bayescal.experiments.calibration.workspace import Workspace, build_workspace, check_told
+from bayescal.identifiability.reading_rows import name_tool
 from bayescal.identifiability.units import Units
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import ReadingModel

@@ -11,7 +11,7 @@ import pandas as pd
 from bayescal.experiments.calibration.audit.inputs import AuditInputs
 from bayescal.experiments.calibration.audit.set_search import FoundSets, find_hopeless
 from bayescal.experiments.calibration.inputs import Variant
-from bayescal.experiments.calibration.knowledge import name_tool
+from bayescal.identifiability.reading_rows import name_tool
 
 
 def tabulate_sets(inputs: AuditInputs, found: FoundSets) -> dict[str, pd.DataFrame]:
