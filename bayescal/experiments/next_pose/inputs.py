@@ -232,7 +232,7 @@ def _check_same_readings(found: Mapping[str, MeasuredReadings]) -> None:
         if not same or not np.array_equal(theirs.data.present, data.present):
             raise InputError(
                 f"variants: found other readings in {other!r} than in {name!r}, whose evidences then do not compare, "
-                "expected variants of the same readings"
+                "expected such that take in the same, listed in variants = [...]"
             )
 
 
