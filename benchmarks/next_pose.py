@@ -28,7 +28,6 @@ import numpy as np
 from bayescal.data.actuators import read_moves
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.next_pose.inputs import read_next
 from bayescal.experiments.next_pose.legs import LegsSubject
@@ -141,10 +140,9 @@ def join(one: MeasuredPoses | None, other: MeasuredPoses) -> MeasuredPoses:
 
 def find(problem: Problem, poses: MeasuredPoses, start: Array | None) -> State:
     """Return what is known after poses, updated from a mode."""
-    measured, old = problem.measured, problem.measured.posterior
-    posterior = Posterior(
-        PoseLikelihood(measured.machine, poses, measured.actuator_noise), old.priors, old.model_error, old.fixed
-    )
+    measured = problem.measured
+    likelihood = PoseLikelihood(measured.machine, poses, measured.actuator_noise)
+    posterior = replace(measured.posterior, likelihood=likelihood)
     own = replace(measured, poses=poses, posterior=posterior)
     return find_state(replace(problem.subject, measured=own), start, DRAWS, SEED)
 
