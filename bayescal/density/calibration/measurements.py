@@ -103,6 +103,13 @@ class Comparison:
             error[..., three] = _turn(*np.broadcast_arrays(measured[..., three], read[..., three]))
         return np.asarray(error)
 
+    def add(self, read: Array, error: Array) -> Array:
+        """Return what differs from readings by errors as `subtract` returns them, both (..., K)."""
+        result = read + error
+        for three in self.rotations:
+            result[..., three] = _turn(*np.broadcast_arrays(error[..., three], -read[..., three]))
+        return np.asarray(result)
+
     def pull_back(self, error: Array, read: Array, slope: Array) -> Array:
         """Return the derivative of read minus measured from that of the readings, both (..., K, n)."""
         if not self.rotations:

@@ -17,7 +17,9 @@ class Calibrating(ABC):
     """A kind of experiment whose results hold a calibrated machine."""
 
     @abstractmethod
-    def calibrate(self, results: Results, variant: str | None, experiment: Path | None) -> CalibratedMachine:
+    def calibrate(
+        self, results: Results, variant: str | None, experiment: Path | None, trust: bool
+    ) -> CalibratedMachine:
         """Return the machine of a variant, of the best where none is named.
 
         Parameters
@@ -26,6 +28,8 @@ class Calibrating(ABC):
         variant : str or None
         experiment : Path or None
             The config of the results, for those that do not hold the nominal machine.
+        trust : bool
+            Whether the code of classes of its own that the results keep may be run.
 
         Raises
         ------
@@ -35,29 +39,37 @@ class Calibrating(ABC):
 
 
 def load_calibrated(
-    path: Path, variant: str | None = None, experiment: Path | None = None, force: bool = False
+    path: Path | str,
+    variant: str | None = None,
+    experiment: Path | str | None = None,
+    force: bool = False,
+    trust: bool = False,
 ) -> CalibratedMachine:
     """Return the calibrated machine of a results directory, or of one that `bayescal export` wrote.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
     variant : str, optional
         Of the results; the best by default.
-    experiment : Path, optional
+    experiment : Path or str, optional
         The config of the results, for those that do not hold the nominal machine.
     force : bool
         Take a posterior that did not converge, too.
+    trust : bool
+        Run the code of classes that are the machine's own: results keep it, and loading a stranger's runs none unasked.
 
     Raises
     ------
     InputError
-        For results without a machine or such a variant, and for a posterior that did not converge.
+        For results without a machine or such a variant, for a posterior that did not converge, and for code that nobody
+        has allowed to run.
     """
+    path = Path(path)
     if (path / CALIBRATED).is_file():
-        found = _check_exported(read_exported(path), path, variant)
+        found = _check_exported(read_exported(path, trust), path, variant)
     else:
-        found = _calibrate(path, variant, experiment)
+        found = _calibrate(path, variant, None if experiment is None else Path(experiment), trust)
     if found.source.problems and not force:
         problems = "; ".join(found.source.problems)
         raise InputError(
@@ -66,14 +78,17 @@ def load_calibrated(
     return found
 
 
-def _calibrate(path: Path, variant: str | None, experiment: Path | None) -> CalibratedMachine:
+def _calibrate(path: Path, variant: str | None, experiment: Path | None, trust: bool) -> CalibratedMachine:
     provenance = read_json(path / PROVENANCE_FILE)
     results = Results(read_json(path / SUMMARY_FILE), provenance=provenance, folder=path)
     name = provenance.get("kind")
     kind: object = None if not isinstance(name, str) or ":" in name else find_kind(name, path, None)
     if not isinstance(kind, Calibrating):
-        raise InputError(f"{path}: found results of kind {name!r}, which hold no mechanism on legs, expected a study's")
-    return kind.calibrate(results, variant, experiment)
+        raise InputError(
+            f"{path}: found results of kind {name!r}, which hold no calibrated machine, expected those of a study or a "
+            "calibration"
+        )
+    return kind.calibrate(results, variant, experiment, trust)
 
 
 def _check_exported(found: CalibratedMachine, path: Path, variant: str | None) -> CalibratedMachine:

@@ -19,7 +19,7 @@ from bayescal.calibrated.exported import (
     read_matrix_covariance,
     read_measured,
 )
-from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors, Source, build_calibrated
+from bayescal.calibrated.machine import CalibratedMachine, Source, build_calibrated_legs, build_leg_errors
 from bayescal.calibrated.mechanism_file import format_mechanism
 from bayescal.config.registry import list_references
 from bayescal.density.schema import FixedConfig
@@ -37,6 +37,7 @@ from bayescal.machines.deformations import NominalDeformation
 from bayescal.machines.kinematics import Machine
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.read import build_named_machine, load_mechanism
+from bayescal.machines.readings import LegsModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
@@ -50,7 +51,7 @@ def describe_nominal(inputs: StudyInputs) -> dict[str, str]:
     comments = [f"Nominal mechanism of study {inputs.config.name}; what calibrated it stands in the results"]
     texts = {
         MECHANISM: format_mechanism(inputs.mechanism, comments),
-        MEASURED: format_measured(inputs.measured.actuators[~inputs.verification]),
+        MEASURED: format_measured(_see(inputs), inputs.measured.actuators[~inputs.verification], {}),
     }
     if any(inputs.machine(variant).deformation.uses_matrix for variant in inputs.config.variants):
         texts[MATRIX] = format_matrix(inputs.matrix)
@@ -58,6 +59,10 @@ def describe_nominal(inputs: StudyInputs) -> dict[str, str]:
         if covariance is not None:
             texts[MATRIX_COVARIANCE] = format_matrix_covariance(covariance)
     return {f"{NOMINAL}/{name}": text for name, text in texts.items()}
+
+
+def _see(inputs: StudyInputs) -> LegsModel:
+    return LegsModel(inputs.machine(inputs.config.variants[0]))
 
 
 def find_matrix_covariance(inputs: StudyInputs) -> Array | None:
@@ -70,7 +75,7 @@ def find_matrix_covariance(inputs: StudyInputs) -> Array | None:
 
 
 def calibrate_study(
-    results: Results, config: StudyConfig, variant: str | None, experiment: Path | None
+    results: Results, config: StudyConfig, variant: str | None, experiment: Path | None, trust: bool
 ) -> CalibratedMachine:
     """Return the machine of a variant of a study's results; see `Calibrating.calibrate`."""
     chosen, name = _choose(results, config, variant)
@@ -81,12 +86,11 @@ def calibrate_study(
         machine, covariance = _load_nominal(config, chosen, experiment.parent)
     theta = _fix(config, machine.layout)
     _set_named(theta, machine.layout, {name: one["mean"] for name, one in fit["parameters"].items()})
-    errors = IndependentErrors(
-        config.data.actuator_noise_um * MICROMETRE, _find_model_variance(fit["parameters"], machine), covariance
-    )
+    variance = _find_model_variance(fit["parameters"], machine)
+    errors = build_leg_errors(machine, theta, config.data.actuator_noise_um * MICROMETRE, variance, covariance)
     source = Source(config.name, name, config.data.origin, tuple(fit["problems"]))
     draws = _read_draws(results, name, machine.layout, theta)
-    return build_calibrated(machine, theta, draws, errors, source, _read_measured(results, machine))
+    return build_calibrated_legs(machine, theta, draws, errors, source, _read_measured(results, machine))
 
 
 def load_same(results: Results, path: Path) -> StudyConfig:
@@ -152,7 +156,7 @@ def _read_measured(results: Results, machine: Machine) -> Array | None:
     """Return the actuator positions of the calibration's poses; None of results of earlier versions."""
     assert results.folder is not None
     path = results.folder / NOMINAL / MEASURED
-    return read_measured(path, machine.mechanism.n_legs) if path.is_file() else None
+    return read_measured(path, LegsModel(machine))[0] if path.is_file() else None
 
 
 # --- the posterior -----------------------------------------------------------------------------------------------

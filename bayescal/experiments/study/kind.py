@@ -150,12 +150,14 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
             for one in config.variants
         }
 
-    def calibrate(self, results: Results, variant: str | None, experiment: Path | None) -> CalibratedMachine:
+    def calibrate(
+        self, results: Results, variant: str | None, experiment: Path | None, trust: bool
+    ) -> CalibratedMachine:
         """Return the machine of a variant of the study."""
         from bayescal.experiments.study.calibrated import calibrate_study, load_same
 
         config = self.config_of(results) if experiment is None else load_same(results, experiment)
-        return calibrate_study(results, config, variant, experiment)
+        return calibrate_study(results, config, variant, experiment, trust)
 
     def show_comparison(self, table: pd.DataFrame, console: Console) -> None:
         """Print variants of several studies ranked together."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.priors import choose_priors
-from bayescal.experiments.calibration.reading_tables import pose_names, units_like
+from bayescal.experiments.calibration.reading_tables import pose_names
 from bayescal.experiments.calibration.schema import CalibrationAuditConfig
 from bayescal.experiments.calibration.workspace import Workspace, check_given, draw_given, draw_standing
 from bayescal.files.csv_tables import Table, read_table
