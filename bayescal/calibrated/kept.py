@@ -1,7 +1,8 @@
 """A machine of functions as files: its own, and the code of a class of its own, which nothing runs unasked.
 
-Results and exported machines keep the file that a machine is read from and, where its class stands in a file beside it,
-that file with what it imports from beside itself. Whoever loads a stranger's results runs that code only if they say so.
+Results and exported machines keep the file that a machine is read from and, where its class stands in a file beside
+it, that file with what it imports from beside itself. Whoever loads a stranger's results runs that code only if they
+say so.
 """
 
 from __future__ import annotations
@@ -22,12 +23,13 @@ BUILT_IN = "sliding_platform"
 
 def keep_machines(paths: Iterable[Path]) -> tuple[dict[str, bytes], dict[Path, str]]:
     """Return the files that machines are read from, by names in one folder, and each machine's own name there."""
-    machines = [Path(os.path.abspath(path)) for path in dict.fromkeys(paths)]  # not where links lead: names matter
-    sources = {path: [path, *(path.parent / one for one in list_machine_sources(path))] for path in machines}
-    every = {Path(os.path.normpath(one)): one for some in sources.values() for one in some}
+    machines = {path: path.resolve() for path in paths}
+    every = dict.fromkeys(machines.values())
+    for path in machines:
+        every |= dict.fromkeys((path.parent / one).resolve() for one in list_machine_sources(path))
     root = Path(os.path.commonpath([one.parent for one in every]))
     files = {one.relative_to(root).as_posix(): one.read_bytes() for one in every}
-    return files, {path: path.relative_to(root).as_posix() for path in machines}
+    return files, {path: one.relative_to(root).as_posix() for path, one in machines.items()}
 
 
 def read_kept(path: Path, trust: bool, known: Collection[str] | None = None) -> ReadingModel:

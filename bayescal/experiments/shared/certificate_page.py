@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib import figure as mpl
 
 from bayescal.calibrated.machine import MATRIX, MODEL, NOISE
+from bayescal.calibrated.standards import PoseFigures
 from bayescal.calibrated.uncertainty import GEOMETRY
 from bayescal.experiments.shared.certify import AGREED, BOUND, Certificate
 from bayescal.machines.readings import LegsModel
-from bayescal.calibrated.standards import PoseFigures
 from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import (
     Cell,

@@ -125,7 +125,7 @@ class SlidingPlatform(ReadingModel):
 
     @property
     def tool_channels(self) -> tuple[Channel, ...]:
-        """x and y of the tool's centre."""
+        """X and y of the tool's centre."""
         return tuple(Channel(name, "mm") for name in TOOL[:2])
 
     @property
