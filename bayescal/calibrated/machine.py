@@ -1,7 +1,7 @@
 """A calibrated machine: where its parameters are, how well they are known, and by what its commands err besides.
 
-Any machine is one of readings (`machines.readings`), legs too. Those on legs have their geometry as the nominal one of a
-mechanism of their own where drawings hold it (see `settle`), so that whatever takes a mechanism takes them.
+Any machine is one of readings (`machines.readings`), legs too. Those on legs have their geometry as the nominal one of
+a mechanism of their own where drawings hold it (see `settle`), so that whatever takes a mechanism takes them.
 """
 
 from __future__ import annotations
@@ -100,8 +100,8 @@ class Errors:
 class LegErrors(Errors):
     """Errors of the closures of legs, mm, as a pose's density has them (see `density.pose_likelihood`).
 
-    τ_i and what K's rest leaves of Δb_z are errors of a leg's own closure, e_i = A_ii ε_i with A = ∂F/∂ρ; the deflection
-    does not pass them on: δ = A⁻¹ diag(A_ii) ε.
+    τ_i and what K's rest leaves of Δb_z are errors of a leg's own closure, e_i = A_ii ε_i with A = ∂F/∂ρ; the
+    deflection does not pass them on: δ = A⁻¹ diag(A_ii) ε.
 
     Attributes
     ----------
@@ -275,7 +275,7 @@ def build_calibrated(
     machine_file: str = "",
     files: Mapping[str, bytes] | None = None,
 ) -> CalibratedMachine:
-    """Return a calibrated machine from its posterior: mean θ (D,) and draws (S, D), or None; see `CalibratedMachine`."""
+    """Return a calibrated machine by its posterior's mean θ (D,) and draws (S, D), or None; see `CalibratedMachine`."""
     free, covariance, kept = np.empty(0, dtype=int), None, None
     if draws is not None:
         free = np.flatnonzero(np.ptp(draws, axis=0) > LEAST_SPREAD * (1.0 + np.abs(theta)))

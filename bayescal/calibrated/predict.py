@@ -2,10 +2,10 @@
 
 A machine θ that is told to read s stands where h_c(θ, v) = s + δ, δ its errors. Near the posterior mean θ̄ and the pose
 v̄ that it has there, v = v̄ + H⁺ (δ - r(θ)), with H = ∂h_c/∂v, its inverse weighed by the commands' noise where there are
-more of them than coordinates, and r(θ) = h_c(θ, v̄) - s; the tool t(θ, v) moves with both. Commands that hold a pose are
-s = h_c(θ, v) - δ. Where draws of the posterior keep to the tangent, A (θ - θ̄) stands for r, A = ∂h_c/∂θ: the mean is that
-of the machine θ̄, and the covariance follows from that of θ. Along a curved ridge they do not: some draws are put into h
-and t as they are.
+more of them than coordinates, and r(θ) = h_c(θ, v̄) - s; the tool t(θ, v) moves with both. Commands that hold a pose
+are s = h_c(θ, v) - δ. Where draws of the posterior keep to the tangent, A (θ - θ̄) stands for r, A = ∂h_c/∂θ: the mean is
+that of the machine θ̄, and the covariance follows from that of θ. Along a curved ridge they do not: some draws are put
+into h and t as they are.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ def is_pose(calibrated: CalibratedMachine) -> bool:
 
 
 def check_determined(calibrated: CalibratedMachine) -> None:
-    """Raise InputError where no commands tell the pose of a machine: fewer of them than coordinates, or no coordinate."""
+    """Raise InputError where commands do not determine a pose: fewer of them than coordinates, or no coordinate."""
     model, n = calibrated.model, len(calibrated.commanded)
     q = len(model.coordinates)
     if not q:

@@ -141,7 +141,7 @@ def read_commanded(path: Path, calibrated: CalibratedMachine) -> Commanded:
 
 
 def read_commands(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str, ...], Array, dict[str, Array]]:
-    """Return names (P), commands (P, C) in the channels' units and what is given of a table; InputError out of range."""
+    """Return names (P), commands (P, C) in the channels' units and what is given; InputError where out of range."""
     model, channels = calibrated.model, _list_commanded(calibrated)
     others = ("use", REACHED, *_name_sd(channels))
     expected = [_name(one) for one in channels]
@@ -200,8 +200,8 @@ def format_command(
     ]
     comments = [
         *calibrated.source.describe(),
-        "Commands that hold the poses: posterior mean, and standard deviation (sd) of all but the controller's own part:",
-        "geometry, model error, noise of the actuators' readings.",
+        "Commands that hold the poses: posterior mean, and standard deviation (sd) by geometry, model error and noise of",
+        "the actuators' readings.",
     ]
     columns = ["pose", REACHED, *given, *(_name(one) for one in channels), *_name_sd(channels)]
     return format_table(comments, columns, rows)
@@ -212,7 +212,7 @@ def format_prediction(
 ) -> str:
     """Return tools, and coordinates where these are others, as CSV text; rotation vectors in degrees.
 
-    The covariance of the tool is in µm and µrad, those of a machine on legs as `bayescal poses-from-targets` writes them.
+    The covariance of the tool is in µm and µrad, that of a machine on legs as `bayescal poses-from-targets` has it.
     """
     model, whole = calibrated.model, is_pose(calibrated)
     tool, pose = model.tool_channels, model.pose_channels

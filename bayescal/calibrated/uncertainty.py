@@ -1,4 +1,4 @@
-"""How well the tool of a calibrated machine is known over its workspace: GUM's budget by source, Monte Carlo of JCGM 101.
+"""How well the tool of a calibrated machine is known over its workspace: GUM's budget, Monte Carlo of JCGM 101.
 
 The law of propagation gives each pose's covariance: that of the geometry and those of what commands err by besides. By
 Monte Carlo draws of the posterior go through the kinematics, each with errors of its own; where both agree the expanded

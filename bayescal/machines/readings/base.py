@@ -140,14 +140,14 @@ class ReadingModel(ABC):
         return ()
 
     @property
+    def commanded(self) -> tuple[str, ...]:
+        """Names of the channels that a controller can command: by default all that are the machine's own."""
+        return tuple(one.name for one in self.channels if not one.external)
+
+    @property
     def member(self) -> str:
         """What one of many is called: that ``l[2]`` is of leg, line, joint or belt 2."""
         return "leg"
-
-    @property
-    def commanded(self) -> tuple[str, ...]:
-        """Names of the channels that a controller sets, C of them: the machine's own, where it says nothing else."""
-        return tuple(channel.name for channel in self.channels if not channel.external)
 
     @property
     def command_range(self) -> Array:
@@ -359,14 +359,14 @@ class _Picked(ReadingModel):
         return self.whole.given
 
     @property
+    def commanded(self) -> tuple[str, ...]:
+        """What the whole machine can be commanded by, of the sensors left."""
+        return tuple(name for name in self.whole.commanded if name in self.names)
+
+    @property
     def member(self) -> str:
         """What the whole machine says."""
         return self.whole.member
-
-    @property
-    def commanded(self) -> tuple[str, ...]:
-        """Those of the whole machine's that it has."""
-        return tuple(name for name in self.whole.commanded if name in self.names)
 
     @property
     def command_range(self) -> Array:

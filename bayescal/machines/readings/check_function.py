@@ -42,14 +42,11 @@ def check_members(name: str, machine: ReadingMachine) -> None:
     if not machine.parameters or not machine.channels:
         raise InputError(f"{where}: found no parameter or no channel, expected at least one of each")
     _check_rotations(f"{where}: channels", machine.channels)
-    _check_commanded(where, machine)
-
-
-def _check_commanded(where: str, machine: ReadingMachine) -> None:
+    known = {name for one in machine.channels for name in (one.name, one.kind)}
     for name in machine.commanded:
-        if not any(name in (one.name, one.kind) for one in machine.channels):
-            known = ", ".join(one.name for one in machine.channels)
-            raise InputError(f"{where}: commanded: found {name!r}, expected some of the channels {known}")
+        if name not in known:
+            channels = ", ".join(one.name for one in machine.channels)
+            raise InputError(f"{where}: commanded: found {name!r}, expected some of {channels}")
 
 
 def check_tool(model: FunctionModel) -> None:

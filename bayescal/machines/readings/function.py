@@ -38,21 +38,21 @@ class ReadingMachine(ABC):
         Its section of the machine's file; nothing by default.
     given : tuple of str
         Columns of the data that `read` needs beside coordinates: a temperature, a commanded value.
+    commanded : sequence of str
+        Channels, or kinds of them, that a controller can command; all that are not external where it is empty.
     frame_parameters : tuple of str
         Names of parameters that only say where a frame is, such as ``a_x[1]``.
     member : str
         What one of many is called in texts: leg, line, joint, belt.
-    commanded : sequence of str
-        Names of the channels that a controller sets; empty for all that are not external.
     tool_channels : sequence of Channel
         Names and units of what has to be accurate: what `tool` returns, or the coordinates themselves.
     """
 
     Config: ClassVar[type[Section]] = Section
     given: tuple[str, ...] = ()
+    commanded: Sequence[str] = ()
     frame_parameters: tuple[str, ...] = ()
     member: str = "leg"
-    commanded: Sequence[str] = ()
     tool_channels: Sequence[Channel] = ()
     parameters: Sequence[ParameterBlock]
     coordinates: Sequence[Coordinate]
@@ -187,16 +187,16 @@ class FunctionModel(ReadingModel):
         return tuple(self.machine.given)
 
     @property
+    def commanded(self) -> tuple[str, ...]:
+        """What the machine says that a controller can command, else all channels of its own."""
+        if not self.machine.commanded:
+            return super().commanded
+        return tuple(one.name for one in self.channels if {one.name, one.kind} & set(self.machine.commanded))
+
+    @property
     def member(self) -> str:
         """What one of many is called."""
         return self.machine.member
-
-    @cached_property
-    def commanded(self) -> tuple[str, ...]:
-        """What the machine says, of the sensors it has."""
-        stated = tuple(self.machine.commanded)
-        wanted = [one.name for one in self.channels if one.name in stated or one.kind in stated]
-        return tuple(wanted) if stated else super().commanded
 
     @cached_property
     def pose_channels(self) -> tuple[Channel, ...]:

@@ -121,7 +121,7 @@ class SlidingPlatform(ReadingModel):
     @property
     def commanded(self) -> tuple[str, ...]:
         """The carriages."""
-        return self.names[: self.n_legs]
+        return tuple(one.name for one in self.channels if one.kind == "s")
 
     @property
     def tool_channels(self) -> tuple[Channel, ...]:

@@ -89,7 +89,7 @@ class SpatialMachine(ReadingModel):
     @property
     def commanded(self) -> tuple[str, ...]:
         """The actuators."""
-        return self.names[: self.n_legs]
+        return tuple(one.name for one in self.channels if one.kind == "rho")
 
     @property
     def tool_channels(self) -> tuple[Channel, ...]:
