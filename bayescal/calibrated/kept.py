@@ -51,7 +51,7 @@ def read_kept(path: Path, trust: bool, known: Collection[str] | None = None) -> 
     """
     kind = read_toml(path)[0].get("kind")
     if isinstance(kind, str) and kind != BUILT_IN and kind not in list_references("MACHINES"):
-        check_trust(path, f"machine of class {kind!r}", trust)
+        check_trust(path, f"machine of its own class {kind!r}", trust)
         check_same(path.parent, list_machine_sources(path), known)
     check_same(path.parent, [path.name], known)
     return read_reading_model(path)
@@ -61,8 +61,8 @@ def check_trust(path: Path, what: str, trust: bool) -> None:
     """Raise InputError for somebody's own class that nobody has allowed to run."""
     if not trust:
         raise InputError(
-            f"{path}: found a {what}, whose code loading it would run, expected --trust-code (in Python trust=True) "
-            "from whoever knows that code"
+            f"{path}: found a {what}, whose code would be run, expected --trust-code (in Python trust=True) from "
+            "whoever knows it"
         )
 
 

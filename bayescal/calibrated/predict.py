@@ -3,9 +3,9 @@
 A machine θ that is told to read s stands where h_c(θ, v) = s + δ, δ its errors. Near the posterior mean θ̄ and the pose
 v̄ that it has there, v = v̄ + H⁺ (δ - r(θ)), with H = ∂h_c/∂v, its inverse weighed by the commands' noise where there are
 more of them than coordinates, and r(θ) = h_c(θ, v̄) - s; the tool t(θ, v) moves with both. Commands that hold a pose
-are s = h_c(θ, v) - δ. Where draws of the posterior keep to the tangent, A (θ - θ̄) stands for r, A = ∂h_c/∂θ: the mean is
-that of the machine θ̄, and the covariance follows from that of θ. Along a curved ridge they do not: some draws are put
-into h and t as they are.
+are s = h_c(θ, v) - δ. Where draws of the posterior keep to the tangent, A (θ - θ̄) stands for r, A = ∂h_c/∂θ: the mean
+is that of the machine θ̄, and the covariance follows from that of θ. Along a curved ridge they do not: some draws are
+put into h and t as they are.
 """
 
 from __future__ import annotations
@@ -310,9 +310,8 @@ def command_poses(
     parts = [
         _command_some(calibrated, poses[part], _pick(given, part), coordinates, curved) for part in split(len(poses))
     ]
-    commands, covariance = (_join([one[k] for one in parts]) for k in (0, 1))
-    assert commands is not None
-    return Command(commands, covariance, tuple(fault for *_, faults in parts for fault in faults))
+    commands = np.concatenate([one for one, _, _ in parts])
+    return Command(commands, _join([one for _, one, _ in parts]), tuple(fault for *_, some in parts for fault in some))
 
 
 def _command_some(
@@ -461,8 +460,8 @@ def spread_commands(calibrated: CalibratedMachine) -> tuple[Array, Given]:
         return np.empty((0, len(low))), NOTHING
     if np.isfinite([low, high]).all():
         return 0.5 * (low + high) + 0.5 * (high - low) * rng.uniform(-1.0, 1.0, (COMPARED, len(low))), given
-    reach = bound_workspace(calibrated)
-    pose = rng.uniform(*reach, (COMPARED, len(model.coordinates)))
+    least, most = bound_workspace(calibrated)
+    pose = rng.uniform(least, most, (COMPARED, len(model.coordinates)))
     commands = model.read(calibrated.theta, pose, given)[:, calibrated.commanded]
     there = np.isfinite(commands).all(axis=1)
     return commands[there], _pick(given, there)

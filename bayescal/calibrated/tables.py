@@ -200,8 +200,8 @@ def format_command(
     ]
     comments = [
         *calibrated.source.describe(),
-        "Commands that hold the poses: posterior mean, and standard deviation (sd) by geometry, model error and noise of",
-        "the actuators' readings.",
+        "Commands that hold the poses: posterior mean, and standard deviation (sd) by geometry, model error and noise",
+        "of the actuators' readings.",
     ]
     columns = ["pose", REACHED, *given, *(_name(one) for one in channels), *_name_sd(channels)]
     return format_table(comments, columns, rows)

@@ -93,10 +93,13 @@ def _read_region(
             raise InputError(f"{name}: found {' '.join(f'{v:g}' for v in values)}, expected half extents of 0 or more")
     units = [one.unit for one in calibrated.model.coordinates]
     half = np.zeros(len(units))
-    for unit, name, values in (("mm", "--position-mm", position_mm), ("rad", "--rotation-deg", np.radians(turned))):
+    for unit, name, extents in (
+        ("mm", "--position-mm", np.array(position_mm)),
+        ("rad", "--rotation-deg", np.radians(turned)),
+    ):
         places = [k for k, other in enumerate(units) if other == unit]
-        if len(places) == len(values):
-            half[places] = values
+        if len(places) == len(extents):
+            half[places] = extents
         elif unit == "mm" or places or rotation_deg is not None:
             names = ", ".join(one.name for one in calibrated.model.coordinates)
             raise InputError(f"{name}: found three for coordinates {names}, expected a machine with three of that kind")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.calibrated.kept import keep_machines
 from bayescal.density.calibration.likelihood import GAUSSIAN, CalibrationLikelihood
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.noise import NoiseModel
@@ -95,12 +96,18 @@ class CalibrationInputs:
         Its name.
     variants : dict of name to Variant
     beside : list of Beside
+    files : dict of str to bytes
+        Those that the machines are read from, by names in one folder.
+    machine_files : dict of str to str
+        The names there of the machines' own files, by those in the config.
     """
 
     config: CalibrationConfig
     machine: str
     variants: dict[str, Variant]
     beside: list[Beside]
+    files: dict[str, bytes]
+    machine_files: dict[str, str]
 
 
 def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
@@ -118,7 +125,9 @@ def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
         with name_faults(f"variant {one.name!r}"):
             variants[one.name] = _build(config, one, models[one.machine or config.machine], readings, deviations)
     beside = [read_beside(one, folder, model) for one in config.beside]
-    return CalibrationInputs(config, getattr(model, "name", config.machine), variants, beside)
+    files, kept = keep_machines(folder / name for name in models)
+    machine_files = {name: kept[folder / name] for name in models}
+    return CalibrationInputs(config, getattr(model, "name", config.machine), variants, beside, files, machine_files)
 
 
 def list_machines(config: CalibrationConfig) -> list[str]:

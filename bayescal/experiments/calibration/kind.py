@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 
+from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.experiments.calibration.compute import compute_calibration
 from bayescal.experiments.calibration.inputs import CalibrationInputs, list_machines, read_inputs
 from bayescal.experiments.calibration.machine_kind import MachineExperiment
@@ -16,10 +18,11 @@ from bayescal.experiments.calibration.slips import find_calibration_slip
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.calibrating import Calibrating, load_same
 from bayescal.report.blocks import Page
 
 
-class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs]):
+class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs], Calibrating):
     """Any machine calibrated from any of its readings."""
 
     schema = CalibrationConfig
@@ -48,6 +51,22 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs]):
     def page(self, results: Results) -> Page:
         """Return the page."""
         return build_page(results.tables, results.summary)
+
+    def calibrate(
+        self, results: Results, variant: str | None, experiment: Path | None, trust: bool
+    ) -> CalibratedMachine:
+        """Return the machine of a variant of the calibration."""
+        from bayescal.experiments.calibration.calibrated import calibrate_machine
+
+        config = self.config_of(results) if experiment is None else load_same(results, experiment, self.schema)
+        return calibrate_machine(results, config, variant, experiment, trust)
+
+    def config_of(self, results: Results) -> CalibrationConfig:
+        """Return the config that results were made with, its variants' names for their titles."""
+        content = dict(results.config)
+        for section in ("variants", "beside"):
+            content[section] = [{"title": one.get("name", section), **one} for one in content.get(section, [])]
+        return super().config_of(replace(results, provenance={**results.provenance, "config": content}))
 
     def show(self, results: Results, page: Page, console: Console) -> None:
         """Print the verdict, then the variants."""

@@ -7,10 +7,17 @@ from pathlib import Path
 
 from bayescal.calibrated.exported import CALIBRATED, read_exported
 from bayescal.calibrated.machine import CalibratedMachine
+from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
-from bayescal.experiments.frame.load import find_kind
-from bayescal.experiments.frame.results import PROVENANCE_FILE, SUMMARY_FILE, Results
+from bayescal.experiments.frame.identity import identify
+from bayescal.experiments.frame.load import find_kind, load
+from bayescal.experiments.frame.results import PROVENANCE_FILE, Results, Writer, read_results
+from bayescal.experiments.shared.trees import read_draws
 from bayescal.files.atomic import read_json
+from bayescal.numerics.geometry import Array
+
+KEPT = "machine"
+"""Folder of the results that holds what the machine is read from."""
 
 
 class Calibrating(ABC):
@@ -79,19 +86,56 @@ def load_calibrated(
 
 
 def _calibrate(path: Path, variant: str | None, experiment: Path | None, trust: bool) -> CalibratedMachine:
-    provenance = read_json(path / PROVENANCE_FILE)
-    results = Results(read_json(path / SUMMARY_FILE), provenance=provenance, folder=path)
-    name = provenance.get("kind")
+    name = read_json(path / PROVENANCE_FILE).get("kind")
     kind: object = None if not isinstance(name, str) or ":" in name else find_kind(name, path, None)
     if not isinstance(kind, Calibrating):
         raise InputError(
             f"{path}: found results of kind {name!r}, which hold no calibrated machine, expected those of a study or a "
             "calibration"
         )
-    return kind.calibrate(results, variant, experiment, trust)
+    return kind.calibrate(read_results(path), variant, experiment, trust)
 
 
 def _check_exported(found: CalibratedMachine, path: Path, variant: str | None) -> CalibratedMachine:
     if variant not in (None, found.source.variant):
         raise InputError(f"{path}: found an exported variant {found.source.variant!r}, expected {variant!r}")
     return found
+
+
+# --- for those kinds -----------------------------------------------------------------------------------------------
+
+
+def load_same[C: ExperimentConfig](results: Results, path: Path, schema: type[C]) -> C:
+    """Return the config of a file, which must be that of the results."""
+    experiment, config = load(path)
+    if not isinstance(config, schema):
+        wanted = results.provenance.get("kind")
+        raise InputError(f"{path}: kind: found {config.kind!r}, expected {wanted!r}")
+    identity = identify(config, path.parent, experiment.files(config, path.parent))
+    if any(results.provenance.get(key) != identity[key] for key in ("config", "files")):
+        raise InputError(
+            f"{path}: found another {config.kind} than that of {results.folder}, expected the same config and files"
+        )
+    return config
+
+
+def read_hashes(results: Results) -> set[str]:
+    """Return the SHA-256 of all files that results go back to."""
+    files = results.provenance.get("files")
+    return {str(one) for one in files.values()} if isinstance(files, dict) else set()
+
+
+def read_draws_of(results: Results, name: str) -> dict[str, Array] | None:
+    """Return the posterior's draws by parameter, (S,) each, of a file of the results; None where there is none."""
+    assert results.folder is not None
+    path = results.folder / name
+    return read_draws(path) if path.is_file() else None
+
+
+def write_bytes(content: bytes) -> Writer:
+    """Return what writes a file as it was."""
+
+    def write(path: Path) -> None:
+        path.write_bytes(content)
+
+    return write

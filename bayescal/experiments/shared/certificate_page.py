@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 from matplotlib import figure as mpl
@@ -35,6 +36,8 @@ SOURCES = {
     MATRIX: "deformation matrix, as measured",
 }
 COLOURS = dict(zip(SOURCES, (LEG_COLOURS[4], LEG_COLOURS[1], LEG_COLOURS[0], LEG_COLOURS[3]), strict=True))
+STATED = {"_um": "µm", "_mm": "mm", "_arcsec": "arcsec", "_deg": "°", "_rad": "rad", " noise": ""}
+"""Endings of keys that state standard deviations, and their units."""
 HELD_BACK = "from the data's held-back poses"
 PREDICTED = "predicted"
 MUCH_BEYOND = 0.05
@@ -291,11 +294,15 @@ def _list_inputs(found: Certificate) -> tuple[Table, ...]:
     if not provenance:
         row = ("exported machine", "its results, which name files and versions, are not beside it")
         return (make_table("", columns, [row]),)
-    data = provenance["config"].get("data", {})
+    config, known = provenance["config"], dict[str, Any]()
+    for name, section in (("", config.get("data", {})), *config.get("sensors", {}).items()):
+        pairs = section.items() if isinstance(section, dict) else ()
+        known |= {f"{name} {key}".strip(): value for key, value in pairs}
     stated = [
-        (key.removesuffix("_um").replace("_", " "), f"{value:g} µm")
-        for key, value in data.items()
-        if key.endswith("_um") and isinstance(value, int | float)
+        (f"{key[: -len(ending)].replace('_', ' ')}", f"{value:g} {unit}")
+        for key, value in known.items()
+        for ending, unit in STATED.items()
+        if key.endswith(ending) and isinstance(value, int | float)
     ]
     stated.append(("seed", str(provenance["seed"])))
     stated += [(name, version) for name, version in provenance["versions"].items()]

@@ -230,13 +230,16 @@ def certify(calibrated: CalibratedMachine, path: Path, wishes: Wishes) -> Certif
     without = check_standards(calibrated)
     if without and wishes.cube_mm is not None:
         raise InputError(f"cube: not meaningful: {without}")
+    cube, poses, axes = (0.0, None, ()) if without else _judge(calibrated, wishes, region, budget)
     return Certificate(
         calibrated,
         wishes,
         budget,
         coverage_factor(wishes.coverage),
         spread,
-        *((0.0, None, ()) if without else _judge(calibrated, wishes, region, budget)),
+        cube,
+        poses,
+        axes,
         _read(path / SUMMARY_FILE),
         _read(path / PROVENANCE_FILE),
         region,
