@@ -64,7 +64,7 @@ def read_quantities(table: Table, wanted: Sequence[Channel | Coordinate], prefix
             continue
         stem = one.stem if isinstance(one, Channel) else one.name
         known = {f"{prefix}{stem}_{unit}": factor for unit, factor in units_like(one.unit).items()}
-        there = [name for name in known if name in table.columns]
+        there = [name for name in table.columns if name in known]
         if not there:
             listed = " or ".join(dict.fromkeys([f"{prefix}{stem}_{one.unit}", *known]))
             raise InputError(f"{table.path}: found no column '{prefix}{stem}_{one.unit}', expected {listed}")

@@ -26,6 +26,7 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs], Calib
     """Any machine calibrated from any of its readings."""
 
     schema = CalibrationConfig
+    tables_of_machine = ("parameters", "errors")
 
     def machines(self, config: CalibrationConfig) -> list[str]:
         """Return the files of the machine, those of single variants too."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from pathlib import Path
+from typing import ClassVar
 
 from bayescal.calibrated.exported import CALIBRATED, read_exported
 from bayescal.calibrated.machine import CalibratedMachine
@@ -21,7 +22,15 @@ KEPT = "machine"
 
 
 class Calibrating(ABC):
-    """A kind of experiment whose results hold a calibrated machine."""
+    """A kind of experiment whose results hold a calibrated machine.
+
+    Attributes
+    ----------
+    tables_of_machine : tuple of str
+        Tables of the results that it is made from.
+    """
+
+    tables_of_machine: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def calibrate(
@@ -93,7 +102,7 @@ def _calibrate(path: Path, variant: str | None, experiment: Path | None, trust: 
             f"{path}: found results of kind {name!r}, which hold no calibrated machine, expected those of a study or a "
             "calibration"
         )
-    return kind.calibrate(read_results(path), variant, experiment, trust)
+    return kind.calibrate(read_results(path, kind.tables_of_machine), variant, experiment, trust)
 
 
 def _check_exported(found: CalibratedMachine, path: Path, variant: str | None) -> CalibratedMachine:
