@@ -19,7 +19,6 @@ from jax.scipy.special import ndtr, ndtri
 
 from bayescal.density.pose_likelihood import REFINEMENTS
 from bayescal.density.posterior import Posterior
-from bayescal.density.structured_posterior import StructuredPosterior
 
 jax.config.update("jax_enable_x64", True)
 
@@ -36,7 +35,7 @@ def build_log_likelihood(problem: Problem, posterior: Posterior, exact_solve: bo
     return log_likelihood
 
 
-def build_structured_log_density(problem: Problem, posterior: StructuredPosterior) -> Callable[[jax.Array], jax.Array]:
+def build_structured_log_density(problem: Problem, posterior: Posterior) -> Callable[[jax.Array], jax.Array]:
     """Return the log-density of geometry, τ of each leg and one scale, all standardised, up to an additive constant.
 
     There is a structured error: whether there is one is a switch, which gradients do not see.

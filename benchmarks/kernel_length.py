@@ -29,15 +29,14 @@ from scipy.special import logsumexp
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.free_length import FreeLengthLikelihood
-from bayescal.density.free_length_posterior import FreeLengthPosterior
 from bayescal.density.batches import BATCH
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.model_error import KernelScale, LengthPrior, build_kernel
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import KernelLength, KernelScale
+from bayescal.density.model_error import LengthPrior, build_kernel
+from bayescal.density.errors import ModelError
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.density.structured import StructuredLikelihood
-from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import estimate_by_importance, resample
 from bayescal.machines.deformations import NoDeformation
@@ -70,19 +69,19 @@ class Twin:
             for name, value in zip(block.names, block.nominal, strict=True)
         }
 
-    def fixed(self, kernel: str, length: float) -> StructuredPosterior:
+    def fixed(self, kernel: str, length: float) -> Posterior:
         """Return the posterior with a length that is known."""
         travel = self.likelihood.machine.mechanism.actuator_range
         likelihood = StructuredLikelihood(self.likelihood, build_kernel(kernel, length), travel)
-        return StructuredPosterior(likelihood, self.priors(), ModelError(MODEL_ERROR_SCALE), kernel_scale=SCALE)
+        return Posterior(likelihood, self.priors(), ModelError(MODEL_ERROR_SCALE), terms=(SCALE,))
 
-    def free(self, kernel: str, lengths: LengthPrior) -> FreeLengthPosterior:
+    def free(self, kernel: str, lengths: LengthPrior) -> Posterior:
         """Return the posterior with a length that is not."""
         likelihood = FreeLengthLikelihood(
             self.likelihood, kernel, lengths, self.likelihood.machine.mechanism.actuator_range
         )
         error = ModelError(MODEL_ERROR_SCALE)
-        return FreeLengthPosterior(likelihood, self.priors(), error, kernel_scale=SCALE, lengths=lengths)
+        return Posterior(likelihood, self.priors(), error, terms=(SCALE, KernelLength(lengths)))
 
 
 def simulate(kernel: str, lengths: LengthPrior, seed: int) -> Twin:
@@ -146,7 +145,7 @@ def compare_evidences(twin: Twin, kernel: str, lengths: LengthPrior, seed: int) 
     return {"free": free[0], "free_se": free[1], "integrated": total, "integrated_se": error, "off": free[0] - total}
 
 
-def evaluate_evidence(posterior: StructuredPosterior, seed: int, n_draws: int) -> tuple[float, float]:
+def evaluate_evidence(posterior: Posterior, seed: int, n_draws: int) -> tuple[float, float]:
     """Return a log-evidence and its standard error."""
     found = explore(posterior, np.random.SeedSequence(seed), max_pilots=0)
     rng = np.random.default_rng(seed)

@@ -34,13 +34,13 @@ from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.data.simulation import Twin, build_twin, simulate_survey
 from bayescal.density.batches import BATCH
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.model_error import KernelScale, LinearKernel, SmoothKernel
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import KernelScale
+from bayescal.density.model_error import LinearKernel, SmoothKernel
+from bayescal.density.errors import ModelError
 from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import replicate
 from bayescal.density.schema import BlundersConfig, NormalConfig
 from bayescal.density.structured import StructuredLikelihood
-from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.density.structured_prediction import predict_structured
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.simulation.load import load_simulation
@@ -128,7 +128,7 @@ def judge(
 
 def judge_scale(inputs: StudyInputs, posterior: Posterior, y: Array, truth: float | None) -> dict[str, float]:
     """Return what draws tell of the kernel's scale where there is an error, and how far that is from the truth."""
-    if not isinstance(posterior, StructuredPosterior):
+    if not isinstance(posterior, Posterior):
         return {}
     scale = posterior.scales(y)[:, 0]
     there = scale > 0.0
@@ -161,7 +161,7 @@ def time_density(repeats: int) -> None:
     for kernel in (LinearKernel(), SmoothKernel(5.0)):
         likelihood = StructuredLikelihood(plain.likelihood, kernel, problem.machine.mechanism.actuator_range)
         scale = KernelScale(0.02, 0.05)
-        one = StructuredPosterior(likelihood, plain.priors, ModelError(MODEL_ERROR_SCALE), kernel_scale=scale)
+        one = Posterior(likelihood, plain.priors, ModelError(MODEL_ERROR_SCALE), terms=(scale,))
         contestants[kernel.name] = lambda one=one: one.log_density(y)
     seconds = time_interleaved(contestants, repeats)
     for name, times in seconds.items():

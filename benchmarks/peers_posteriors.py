@@ -10,7 +10,7 @@ from telescope_problem import SEED, Problem, simulate  # first: sets one thread
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.inference.mode import Mode

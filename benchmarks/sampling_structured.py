@@ -25,26 +25,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal.density.model_error import KernelScale, LinearKernel
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import KernelScale
+from bayescal.density.model_error import LinearKernel
+from bayescal.density.errors import ModelError
 from bayescal.density.structured import StructuredLikelihood
-from bayescal.density.structured_posterior import StructuredPosterior
+from bayescal.density.posterior import Posterior
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import Machine
 from bayescal.numerics.geometry import Array
 
 
-def build_problem() -> tuple[Problem, StructuredPosterior]:
+def build_problem() -> tuple[Problem, Posterior]:
     """Return the problem seen by a model that leaves the deformation out, and its posterior."""
     problem = simulate()
     machine = Machine(problem.machine.mechanism, problem.machine.model, NoDeformation())
     problem = replace(problem, machine=machine)
     likelihood = StructuredLikelihood(problem.likelihood(), LinearKernel(), machine.mechanism.actuator_range)
     scale = KernelScale(0.02, 0.5)
-    return problem, StructuredPosterior(likelihood, problem.priors(), ModelError(MODEL_ERROR_SCALE), kernel_scale=scale)
+    return problem, Posterior(likelihood, problem.priors(), ModelError(MODEL_ERROR_SCALE), terms=(scale,))
 
 
-def standardise(posterior: StructuredPosterior, draws: Array) -> Array:
+def standardise(posterior: Posterior, draws: Array) -> Array:
     """Return natural draws (..., n) as NUTS' coordinates."""
     coordinates, m, scale = posterior.coordinates, posterior.n_geometry, posterior.kernel_scale
     z = draws.copy()
@@ -55,7 +56,7 @@ def standardise(posterior: StructuredPosterior, draws: Array) -> Array:
     return z
 
 
-def compare(posterior: StructuredPosterior, density, z: Array) -> float:
+def compare(posterior: Posterior, density, z: Array) -> float:
     """Return by how much the densities differ at draws z (n, d) but for a constant; AssertionError where it is much."""
     coordinates, m = posterior.coordinates, posterior.n_geometry
     theta = np.tile(coordinates.start, (len(z), 1))

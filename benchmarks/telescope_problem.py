@@ -23,7 +23,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", 
 import numpy as np  # noqa: E402 - after the number of threads is set
 
 from bayescal.data.measured_poses import MeasuredPoses  # noqa: E402
-from bayescal.density.independent_error import ModelError  # noqa: E402
+from bayescal.density.errors import ModelError  # noqa: E402
 from bayescal.density.pose_likelihood import PoseLikelihood  # noqa: E402
 from bayescal.density.posterior import Posterior  # noqa: E402
 from bayescal.density.priors import NormalPrior  # noqa: E402

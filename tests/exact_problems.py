@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import telescope_machines as machines
 
+from bayescal.density.errors import ModelError
 from bayescal.density.exact import CommonErrors, ExactDensity
-from bayescal.density.independent_error import ModelError
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior

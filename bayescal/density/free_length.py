@@ -9,9 +9,12 @@ the nodes, and batched over vectors that each have a length of their own.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from bayescal.density.columns import factor_by_columns
+from bayescal.density.likelihood import Likelihood
 from bayescal.density.model_error import Kernel, LengthPrior, build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.structured import StructuredLikelihood, factor_kernel
@@ -76,21 +79,56 @@ class FreeLengthLikelihood(StructuredLikelihood):
         lower = np.minimum(along.astype(int), len(self.log_nodes) - 2)
         return lower, along - lower
 
-    def nearest(self, model_error: Array) -> np.ndarray:
+    def find_node(self, model_error: Array) -> np.ndarray:
         """Return the node nearest to the length of model errors (..., 2 N + 1)."""
         lower, share = self.place(model_error[..., -1])
         return np.asarray(lower + (share > 0.5))
 
     def at_node(self, node: int) -> StructuredLikelihood:
-        """Return the density at the length of a node, whose model errors have 2 N entries."""
-        kernel = build_kernel(self._name, float(np.exp(self.log_nodes[node])))
-        return self._median.with_kernel(kernel, self.values[node], self._rows[node].T)
+        """Return the density at the length of a node; model errors' derivatives by the length are those there."""
+        kernel = self.kernel_at(node)
+        return self._median.with_kernel(kernel, self.values[node], self._rows[node].T, lambda: self.slope_at(node))
+
+    def kernel_at(self, node: int) -> Kernel:
+        """Return the kernel at the length of a node."""
+        return build_kernel(self._name, float(np.exp(self.log_nodes[node])))
+
+    def kernel_of(self, length: Array) -> Kernel:
+        """Return the kernel at the node nearest to a length (1,)."""
+        return self.kernel_at(int(self.find_node(length)))
 
     def slope_at(self, node: int) -> Array:
         """Return the derivative of the kernel's matrix by log L at a node, in its combinations, shape (P, P)."""
-        kernel = build_kernel(self._name, float(np.exp(self.log_nodes[node])))
         rows = self._rows[node]
-        return np.asarray(rows @ kernel.slope(self._inputs, self._inputs) @ rows.T)
+        return np.asarray(rows @ self.kernel_at(node).slope(self._inputs, self._inputs) @ rows.T)
+
+    def views(self, model_error: Array) -> list[tuple[float, Likelihood]]:
+        """Return the densities at the nodes beside the length of model errors (2 N + 1,); one and none at the ends.
+
+        Beyond the ends the density does not depend on the length.
+        """
+        lower, share = (one[0] for one in self.place(model_error[-1:]))
+        inside = self.log_nodes[0] < np.log(model_error[-1]) < self.log_nodes[-1]
+        found = [(1.0 - share, self.at_node(int(lower))), (share, self.at_node(int(lower) + 1))]
+        if not inside:
+            for _, one in found:
+                one._turn = lambda: np.zeros((self.n_poses, self.n_poses))
+        return list(found)
+
+    def nearest(self, model_error: Array) -> Likelihood:
+        """Return the density at the node nearest to the length of model errors (2 N + 1,)."""
+        return self.at_node(int(self.find_node(model_error)))
+
+    def _level_values(self, model_error: Array) -> Array:
+        lower, share = self.place(model_error[..., -1])
+        share, values = share[..., None], self._levels_by_node
+        return np.asarray((1.0 - share) * values[lower] + share * values[lower + 1])
+
+    @cached_property
+    def _levels_by_node(self) -> Array:
+        """Mean eigenvalue of the combinations of each level at every node, shape (G, L)."""
+        chosen = np.eye(self.levels.max() + 1)[self.levels]
+        return np.asarray(self.values @ (chosen / chosen.sum(axis=0)))
 
     # --- rows ----------------------------------------------------------------------------------------------------
 
@@ -103,12 +141,12 @@ class FreeLengthLikelihood(StructuredLikelihood):
         """Return the covariance of q, shape (B, P, N, N), for model errors (B, 2 N + 1), each at its nearest node."""
         n = self.n_legs
         own, function = (self._legs_weight * model_error[..., None, k : k + n] ** 2 for k in (0, n))
-        added = own + self.values[self.nearest(model_error)][..., None] * function
+        added = own + self.values[self.find_node(model_error)][..., None] * function
         return np.asarray(self._mean_known + np.eye(n) * added[..., None, :])
 
     def _solve(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
         precision = np.linalg.inv(self.error_covariance(model_error))
-        errors = self._rows[self.nearest(model_error)] @ self._map_errors(theta)
+        errors = self._rows[self.find_node(model_error)] @ self._map_errors(theta)
         return precision, np.einsum("bkij,bkj->bki", precision, errors)
 
     def _map_errors(self, theta: Array) -> Array:
@@ -116,16 +154,16 @@ class FreeLengthLikelihood(StructuredLikelihood):
         return np.asarray(np.einsum("pij,bpj->bpi", self._unmap, self.base.leg_errors(theta)))
 
     def _combinations(self, model_error: Array) -> Array:
-        return np.swapaxes(self._rows[self.nearest(model_error)], -1, -2)
+        return np.swapaxes(self._rows[self.find_node(model_error)], -1, -2)
 
     def factor(self, model_error: Array) -> Array:
         """Return F with F Fᵀ the kernel's matrix over the poses at the node nearest to each length, (B, P, R)."""
-        return factor_kernel(self.values[self.nearest(model_error)], self._combinations(model_error))
+        return factor_kernel(self.values[self.find_node(model_error)], self._combinations(model_error))
 
     # --- density -------------------------------------------------------------------------------------------------
 
     @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
-    def _evaluate(self, theta: Array, model_error: Array) -> Array:
+    def _add_up(self, theta: Array, model_error: Array) -> Array:
         errors = self.base.leg_errors_by_leg(theta)
         n, n_poses, n_batch = errors.shape
         mapped = self._scratch.take("mapped", n_poses, n, n_batch)
@@ -157,5 +195,5 @@ class FreeLengthLikelihood(StructuredLikelihood):
         return self._kernels(model_error[:, -1])(inputs, inputs)
 
     def _see(self, poses: PoseLikelihood, model_error: Array) -> Array:
-        kernels = self._kernels(np.exp(self.log_nodes[self.nearest(model_error)]))
+        kernels = self._kernels(np.exp(self.log_nodes[self.find_node(model_error)]))
         return np.asarray(kernels(self.inputs_of(poses), self._inputs) @ self._combinations(model_error))

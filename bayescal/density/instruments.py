@@ -88,6 +88,11 @@ class InstrumentLikelihood(Likelihood):
         """Number of poses P."""
         return self.instrument.n_poses
 
+    @property
+    def n_rows(self) -> np.ndarray:
+        """How many rows each pose has, shape (P,): what was read, and the conditions of redundant legs."""
+        return np.asarray(self.instrument.rows.count + self._no_pose.shape[-1])
+
     # --- residuals -----------------------------------------------------------------------------------------------
 
     def errors(self, theta: Array) -> Array:
@@ -192,14 +197,15 @@ class InstrumentLikelihood(Likelihood):
     # --- density -------------------------------------------------------------------------------------------------
 
     @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
-    def _pointwise(self, theta: Array, model_error: Array) -> Array:
+    def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
         errors = self._errors(theta)
         factor = np.linalg.cholesky(self.error_covariance(model_error))
         half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
         good = np.isfinite(errors).all(axis=-1)
         white = np.linalg.solve(factor, np.where(good[..., None], errors, 0.0)[..., None])[..., 0]
-        density = self._constant - half_log_det - 0.5 * np.einsum("bpk,bpk->bp", white, white)
-        return np.where(good & np.isfinite(density), density, -np.inf)
+        square = np.einsum("bpk,bpk->bp", white, white)
+        density = self._constant - half_log_det - 0.5 * square
+        return np.where(good & np.isfinite(density), density, -np.inf), np.where(good, square, np.inf)
 
 
 _FAR = 1e4

@@ -22,8 +22,8 @@ class Local(NamedTuple):
         Of r, as far as each pose counts.
     change : ndarray, shape (D, m)
         dθ/dy.
-    counts, blunder : ndarray, shape (P,), optional
-        How much each pose counts, and how probably it is a blunder; None where all count in full.
+    counts, outlier : ndarray, shape (P,), optional
+        How much each pose counts, and how probably it is an outlier; None where all count in full.
     """
 
     theta: Array
@@ -32,7 +32,12 @@ class Local(NamedTuple):
     precision: Array
     change: Array
     counts: Array | None = None
-    blunder: Array | None = None
+    outlier: Array | None = None
+
+    @property
+    def weighted(self) -> Array:
+        """C⁻¹ r, shape (P, K)."""
+        return np.asarray((self.precision @ self.errors[..., None])[..., 0])
 
     def inform(self) -> Array:
         """Return the information of the data on the geometry, shape (m, m)."""

@@ -109,6 +109,16 @@ class PoseLikelihood(Likelihood):
         other._last = None
         return other
 
+    @property
+    def of_poses(self) -> PoseLikelihood:
+        """Itself."""
+        return self
+
+    @property
+    def closing_poses(self) -> MeasuredPoses | None:
+        """The poses, where a deformation leaves the joints hardly known."""
+        return self.poses if self.machine.deformation.hides_joints else None
+
     def parts(self) -> list[tuple[slice, Likelihood]]:
         """Return at most `POSES` poses at a time, each with their density; they share the memory that they work in."""
         return list(self._parts)

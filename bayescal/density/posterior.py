@@ -1,23 +1,34 @@
-"""The posterior density of one variant in sampling coordinates, with its gradient and least-squares form."""
+"""The posterior density of one variant in sampling coordinates, with its gradient and least-squares form.
+
+One class, whatever the legs err by: the coordinates of the geometry, a density of the measured rows, and the errors
+(`bayescal.density.errors`), whose coordinates come behind those of the geometry.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import final
 
 import numpy as np
 
-from bayescal.density.curvature import differentiate_model_errors
+from bayescal.density.batches import batches
+from bayescal.density.errors import NO_MODEL_ERROR, TAU, Errors, ErrorTerm, ModelError, Outliers
 from bayescal.density.geometry_fit import fit_geometry
-from bayescal.density.geometry_prior import GeometryPrior, build_coordinates, check_bounds
-from bayescal.density.independent_error import ModelError
-from bayescal.density.leg_parameters import find_curved_ridges, find_legs, mirror_lone_components
+from bayescal.density.geometry_prior import (
+    GeometryPrior,
+    build_coordinates,
+    check_bounds,
+    find_curved_ridges,
+    find_legs,
+    mirror_lone_components,
+)
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.local import Funnel, Local, turn_to_coordinates
-from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import HalfNormalPrior, Prior
+from bayescal.density.model_error import BORDER, LENGTH, SCALE, Kernel
+from bayescal.density.priors import Prior
+from bayescal.density.structured import root_of
 from bayescal.errors import InputError
 from bayescal.machines.closing_coordinates import close_at_mean
 from bayescal.machines.coordinates import Coordinates
@@ -26,12 +37,14 @@ from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
 APPROACH = (1.0, 0.1)  # model errors in mm with which the search for the mode begins
+REWEIGHTINGS = 6
 HALF_LOG_TWO_PI = 0.5 * np.log(2 * np.pi)
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Posterior of the free parameters and model errors of one variant.
+    """Posterior of the free parameters and errors of one variant; a `bayescal.inference.target.Target`.
 
     Attributes
     ----------
@@ -39,16 +52,22 @@ class Posterior:
         Density of the measurements at the calibration poses.
     priors : mapping of parameter name to Prior
         Priors of the free parameters.
+    model_error : ModelError
+        The model error τ, or none.
     fixed : mapping of parameter name to float
         Values of fixed parameters that are not nominal.
-    model_error : ModelError
-        Free model error, or none.
+    terms : sequence of ErrorTerm
+        What else the likelihood takes: scale and length of an error that is a function of the pose.
+    outliers : Outliers or None
+        Where poses may be outliers.
     """
 
     likelihood: Likelihood
     priors: Mapping[str, Prior]
-    model_error: ModelError
+    model_error: ModelError = NO_MODEL_ERROR
     fixed: Mapping[str, float] = field(default_factory=dict)
+    terms: Sequence[ErrorTerm] = ()
+    outliers: Outliers | None = None
 
     def __post_init__(self) -> None:
         """Check that every name exists."""
@@ -70,18 +89,18 @@ class Posterior:
         return self.likelihood.layout
 
     @cached_property
-    def coordinates(self) -> Coordinates:
-        """Coordinates of the geometry."""
-        lines = compute_leg_lines(self.likelihood.machine)
-        return self._close_lengths(build_coordinates(self._layout, lines, self.priors, self.fixed))
+    def errors(self) -> Errors:
+        """All errors."""
+        return Errors(self.likelihood.n_legs, (self.model_error, *self.terms), self.outliers)
 
-    def _close_lengths(self, known: Coordinates) -> Coordinates:
-        """Return coordinates whose lengths follow the joints where a deformation leaves these hardly known."""
-        likelihood = self.likelihood
-        if not (isinstance(likelihood, PoseLikelihood) and likelihood.machine.deformation.hides_joints):
+    @cached_property
+    def coordinates(self) -> Coordinates:
+        """Coordinates of the geometry; lengths follow the joints where the likelihood hardly determines these."""
+        lines, poses = compute_leg_lines(self.likelihood.machine), self.likelihood.closing_poses
+        known = build_coordinates(self._layout, lines, self.priors, self.fixed)
+        if poses is None:
             return known
-        poses = likelihood.poses
-        return close_at_mean(known, likelihood.machine, poses.position, poses.rotation, poses.actuators)
+        return close_at_mean(known, self.likelihood.machine, poses.position, poses.rotation, poses.actuators)
 
     @cached_property
     def _prior(self) -> GeometryPrior:
@@ -89,42 +108,34 @@ class Posterior:
 
     @cached_property
     def _standard(self) -> np.ndarray:
-        """Which coordinates are standard normal under the prior, whatever the others are."""
-        return np.append(np.flatnonzero(self.coordinates.standard), np.arange(self.n_geometry, self.n_parameters))
+        """Which coordinates of the geometry are standard normal under the prior, whatever the others are."""
+        return np.flatnonzero(self.coordinates.standard)
 
     @cached_property
     def _log_constant(self) -> float:
         """What the log-prior in the coordinates has that does not vary."""
         *_, scale = self._prior.normal
-        return float(self.coordinates.log_scale - np.log(scale).sum() - self.n_parameters * HALF_LOG_TWO_PI)
+        volume = float(self.coordinates.log_scale - np.log(scale).sum() - self.n_parameters * HALF_LOG_TWO_PI)
+        return volume + self.errors.log_mass
 
     @property
     def n_geometry(self) -> int:
         """Number of free geometric parameters."""
         return len(self.priors)
 
-    @cached_property
+    @property
     def n_parameters(self) -> int:
-        """Number n of sampling coordinates: free parameters and model errors."""
-        return self.n_geometry + self.model_error.n_parameters(self.likelihood.n_legs)
+        """Number n of sampling coordinates: free parameters and errors."""
+        return self.n_geometry + self.errors.n_parameters
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the free parameters and model errors."""
-        names = tuple(self._layout.names[k] for k in self.coordinates.free)
-        return names + self.model_error.names(self.likelihood.n_legs)
+        """Names of the free parameters and errors."""
+        return (*(self._layout.names[k] for k in self.coordinates.free), *self.errors.names)
 
     def all_priors(self) -> dict[str, Prior]:
-        """Return the priors of the free parameters and of the model errors by name, in order."""
-        return self._name_priors(self.names)
-
-    def _name_priors(self, names: Sequence[str]) -> dict[str, Prior]:
-        """Return the priors of the geometry, then of the model errors τ, of these names."""
-        result = dict(zip(names, self._prior.ordered, strict=False))
-        for name in names[self.n_geometry :]:
-            assert self.model_error.scale is not None
-            result[name] = HalfNormalPrior(self.model_error.scale)
-        return result
+        """Return the priors of everything that is free by name, in order."""
+        return dict(zip(self.names, (*self._prior.ordered, *self.errors.priors), strict=True))
 
     # --- transformations -----------------------------------------------------------------------------------------
 
@@ -132,37 +143,30 @@ class Posterior:
         """Return full parameter vectors (B, D) of coordinates (B, n)."""
         return self.coordinates.theta_from_y(y[..., : self.n_geometry])
 
-    def tau(self, y: Array) -> Array:
-        """Return the model error of each leg in mm, shape (B, N), or zeros (N,) if there is none."""
-        n_legs = self.likelihood.n_legs
-        if self.model_error.scale is None:
-            return np.zeros(n_legs)
-        tau = self.model_error.tau_from_zeta(y[..., self.n_geometry :])
-        return np.broadcast_to(tau, (*tau.shape[:-1], n_legs))
+    def _zeta(self, y: Array) -> Array:
+        """Return the coordinates of the errors."""
+        return y[..., self.n_geometry :]
 
-    def funnel_errors(self, y: Array) -> Array:
-        """Return the errors that the geometry's uncertainty depends on, shape (B, N); see `funnel`."""
-        return self.tau(y)
+    def tau(self, y: Array) -> Array:
+        """Return the model error of each leg in mm, shape (B, N), or zeros (N,) if no error is free."""
+        return self.errors.tau(self._zeta(y))
 
     def model_errors(self, y: Array) -> Array:
-        """Return what the likelihood takes as model errors, shape (B, N) or (N,), mm."""
-        return self.tau(y)
-
-    def mean_square_tau(self, natural: Array) -> float:
-        """Return the mean of τ² over draws in natural units (..., n) and over legs, mm²; zero without model error."""
-        tau = natural[..., self._taus]
-        return float(np.mean(tau**2)) if tau.shape[-1] else 0.0
+        """Return what the likelihood takes as model errors, shape (B, K), or (K,) if none is free."""
+        return self.errors.amplitudes(self._zeta(y))
 
     def model_errors_at(self, y: Array) -> Array:
         """Return `model_errors` at one vector y, shape (n,)."""
-        return np.broadcast_to(self.model_errors(y[None]), (1, self.likelihood.n_model_errors))[0]
+        return self.errors.amplitudes(self._zeta(y))
+
+    def mean_square_tau(self, natural: Array) -> float:
+        """Return the mean of τ² over draws in natural units (..., n) and over legs, mm²; zero without model error."""
+        tau = self._zeta(natural)[..., self.errors.place(TAU)]
+        return float(np.mean(tau**2)) if tau.shape[-1] else 0.0
 
     def natural(self, y: Array) -> Array:
-        """Return the free parameters and model errors in their own units, shape (B, n)."""
-        free = self.theta(y)[..., self.coordinates.free]
-        if self.model_error.scale is None:
-            return free
-        return np.concatenate([free, self.model_error.tau_from_zeta(y[..., self.n_geometry :])], axis=-1)
+        """Return everything that is free in its own unit, shape (B, n)."""
+        return np.concatenate([self.theta(y)[..., self.coordinates.free], self.errors.natural(self._zeta(y))], axis=-1)
 
     # --- density -------------------------------------------------------------------------------------------------
 
@@ -171,10 +175,10 @@ class Posterior:
         return self._log_prior(y, self.theta(y))
 
     def _log_prior(self, y: Array, theta: Array) -> Array:
-        """Add the normal priors to the coordinates that are standard normal themselves: bounded ones, model errors."""
+        """Add the normal priors to the coordinates that are standard normal themselves: bounded ones, errors."""
         _, places, centre, scale = self._prior.normal
         z = (theta[..., places] - centre) / scale
-        standard = self._deviations(y)
+        standard = np.concatenate([y[..., self._standard], self.errors.deviations(self._zeta(y))], axis=-1)
         total = -0.5 * (np.einsum("...i,...i->...", z, z) + np.einsum("...i,...i->...", standard, standard))
         total = total + self.coordinates.log_volume(theta) + self.coordinates.log_ring_ratio(y[..., : self.n_geometry])
         return np.asarray(total + self._log_constant)
@@ -183,11 +187,8 @@ class Posterior:
         """Return draws of the prior in the coordinates, shape (n_draws, n); NaN where they are no coordinates."""
         y = rng.standard_normal((n_draws, self.n_parameters))
         y[:, : self.n_geometry] = self._prior.draw(y)
+        y[:, self.n_geometry :] = self.errors.draw(y[:, self.n_geometry :], rng)
         return y
-
-    def _deviations(self, y: Array) -> Array:
-        """Return what is standard normal under the prior, whatever the other coordinates are, (..., n) to (..., k)."""
-        return y[..., self._standard]
 
     def log_density(self, y: Array) -> Array:
         """Return log-likelihood plus log-prior, shape (B,), for coordinates (B, n); -inf where there is no machine."""
@@ -201,9 +202,21 @@ class Posterior:
 
     def _log_likelihood(self, y: Array, theta: Array) -> Array:
         """Return the log-likelihood, shape (B,), of coordinates (B, n) and their parameters (B, D)."""
-        return self.likelihood(theta, self.model_errors(y))
+        if self.outliers is None:
+            return self.likelihood(theta, self.model_errors(y))
+        return self._mix(self.likelihood, y, theta)[0].sum(axis=1)
 
-    def finer(self) -> Self | None:
+    def _mix(self, likelihood: Likelihood, y: Array, theta: Array) -> tuple[Array, Array]:
+        """Return the log-density of poses that may be outliers, and the probability that they are, shapes (B, P)."""
+        assert self.outliers is not None
+        density, square = likelihood.evaluate(theta, self.model_errors(y))
+        share = self.errors.shares(self._zeta(y))[:, None]
+        with np.errstate(all="ignore"):  # where there is no machine
+            both = density + self.outliers.add(square, likelihood.n_rows, share)
+            outlier = self.outliers.probability(square, likelihood.n_rows, share)
+        return np.where(np.isfinite(both), both, -np.inf), outlier
+
+    def finer(self) -> Posterior | None:
         """Return the same posterior without what the likelihood's hot path leaves out; None where that is nothing."""
         likelihood = self.likelihood.solved()
         return None if likelihood is None else replace(self, likelihood=likelihood)
@@ -218,21 +231,28 @@ class Posterior:
 
     def evaluate_poses(self, likelihood: Likelihood, y: Array) -> Array:
         """Return the log-likelihood of each pose, of these or of others, shape (B, P), for coordinates (B, n)."""
-        return likelihood.pointwise(self.theta(y), self.model_errors(y))
+        if self.outliers is None:
+            return likelihood.pointwise(self.theta(y), self.model_errors(y))
+        parts = [self._mix(likelihood, y[part], self.theta(y[part]))[0] for part in batches(len(y))]
+        return np.concatenate(parts)
+
+    def outlier_probabilities(self, likelihood: Likelihood, y: Array) -> Array:
+        """Return how probable it is that each pose is an outlier, for every draw (B, n), shape (B, P)."""
+        parts = [self._mix(likelihood, y[part], self.theta(y[part]))[1] for part in batches(len(y))]
+        return np.concatenate(parts)
 
     # --- derivatives ---------------------------------------------------------------------------------------------
 
     def information(self, y: Array) -> tuple[Array, Array]:
         """Return the information of the data and the precision of the prior on the geometry at y, shapes (m, m)."""
-        local = self._linearise(y)
-        data = local.inform()
+        local = self._linearise(y, self._nearest(y))
         rows = self._prior_slope(local.change)
-        return data, rows.T @ rows
+        return local.inform(), rows.T @ rows
 
     def pose_information(self, y: Array, pose: int) -> Array:
-        """Return one pose's part of the information of the data on the geometry at y, shape (m, m)."""
-        local = self._linearise(y)
-        return np.asarray(local.slope[pose].T @ local.precision[pose] @ local.slope[pose])
+        """Return what one pose tells of the geometry at y beyond all others, shape (m, m); see `pointwise`."""
+        likelihood = self._nearest(y)
+        return likelihood.inform_by_pose(self._linearise(y, likelihood), pose)
 
     def prior_residual(self, y: Array, theta: Array) -> Array:
         """Return the geometry's prior as residuals of unit variance, shape (m,), at coordinates (m,) and θ (D,)."""
@@ -242,17 +262,19 @@ class Posterior:
         """Return the derivative of `prior_residual` by the coordinates, shape (m, m), from dθ/dy."""
         return self._prior.slope(change)
 
-    def residual_slope(self, theta: Array) -> tuple[Array, Array]:
+    def residual_slope(self, theta: Array, likelihood: Likelihood | None = None) -> tuple[Array, Array]:
         """Return dr/dy, shape (P, K, m), and the derivative of `prior_residual`, shape (m, m), at θ, shape (D,)."""
-        change = self.coordinates.jacobian(theta)
-        return turn_to_coordinates(self.likelihood.error_jacobian(theta)[1], change), self._prior_slope(change)
+        change, likelihood = self.coordinates.jacobian(theta), likelihood or self.likelihood
+        return turn_to_coordinates(likelihood.error_jacobian(theta)[1], change), self._prior_slope(change)
 
     def groups(self) -> list[np.ndarray]:
         """Return which geometric coordinates a model error makes uncertain together: each leg's.
 
-        Frames that are free tie the legs together; with one model error for all legs everything is one group then.
+        With an error that is a function of the pose, or where free frames tie the legs together and all have one model
+        error, everything is one group.
         """
-        return [np.arange(self.n_geometry)] if self._ties_legs and self.model_error.shared else self._legs()
+        one = self.likelihood.levels is not None or (self._ties_legs and self.model_error.shared)
+        return [np.arange(self.n_geometry)] if one else self._legs()
 
     @property
     def _ties_legs(self) -> bool:
@@ -263,130 +285,124 @@ class Posterior:
         """Return which geometric coordinates belong to each leg."""
         return find_legs(self._layout, self.coordinates.free, self.likelihood.n_legs)
 
-    def _linearise(self, y: Array) -> Local:
-        """Return the likelihood around y, shape (n,)."""
+    def _nearest(self, y: Array) -> Likelihood:
+        return self.likelihood.nearest(self.model_errors_at(y))
+
+    def _linearise(self, y: Array, likelihood: Likelihood) -> Local:
+        """Return a likelihood around y, shape (n,), with the precision of r as far as each pose counts."""
         theta = self.theta(y[None])[0]
-        precision = np.linalg.inv(self.likelihood.error_covariance(self.model_errors_at(y)))
-        errors, slope = self.likelihood.error_jacobian(theta)
+        precision = np.linalg.inv(likelihood.error_covariance(self.model_errors_at(y)))
+        errors, slope = likelihood.error_jacobian(theta)
         change = self.coordinates.jacobian(theta)
-        return Local(theta, errors, turn_to_coordinates(slope, change), precision, change)
+        local = Local(theta, errors, turn_to_coordinates(slope, change), precision, change)
+        if self.outliers is None:
+            return local
+        counts, outlier = self._weigh_poses(y, errors, precision)
+        return local._replace(precision=counts[:, None, None] * precision, counts=counts, outlier=outlier)
+
+    def _weigh_poses(self, y: Array, errors: Array, precision: Array) -> tuple[Array, Array]:
+        """Return how much each pose counts, shape (P,), and its probability of being an outlier."""
+        assert self.outliers is not None
+        square = np.einsum("pi,pij,pj->p", errors, precision, errors)
+        return self.outliers.weigh(square, self.likelihood.n_rows, self.errors.shares(self._zeta(y)))
 
     def gradient(self, y: Array) -> tuple[Array, Array]:
         """Return the exact gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
-        return self._differentiate(y, self._linearise(y))
+        return self._differentiate(y, newton=False)
 
     def newton(self, y: Array) -> tuple[Array, Array]:
         """Return the exact gradient (n,) at y, shape (n,), and the Hessian (n, n) but for the errors' own curvature.
 
-        It is that of Newton's steps: exact in the model errors, and so not always negative definite.
+        It is that of Newton's steps: exact in the model errors, and so not always negative definite. That of `gradient`
+        where how much a pose counts depends on the model errors, too, or the density is interpolated.
         """
-        local = self._linearise(y)
-        gradient, hessian = self._differentiate(y, local)
-        if self.model_error.scale is not None:
-            m, errors = self.n_geometry, self.model_errors_at(y)
-            across, own = differentiate_model_errors(self.likelihood, local, errors, self._moves(y), self._bends(y))
-            hessian[:m, m:], hessian[m:, :m] = across, across.T
-            hessian[m:, m:] = own - np.eye(len(own))
+        return self._differentiate(y, newton=True)
+
+    def _differentiate(self, y: Array, newton: bool) -> tuple[Array, Array]:
+        m, zeta = self.n_geometry, self._zeta(y)
+        gradient, hessian = np.zeros(self.n_parameters), np.zeros((self.n_parameters, self.n_parameters))
+        amplitudes, slopes = self.model_errors_at(y), self.errors.slopes(zeta)
+        views = self.likelihood.views(amplitudes)
+        exact = newton and len(views) == 1 and self.outliers is None and bool(len(slopes))
+        inside = slice(m, m + len(slopes))
+        for share, likelihood in views:
+            local = self._linearise(y, likelihood)
+            gradient[:m] -= share * (local.weighted.ravel() @ local.slope.reshape(-1, m))
+            hessian[:m, :m] -= share * local.inform()
+            if exact:
+                across, own, by_errors = likelihood.curve_by_errors(local, amplitudes)
+                hessian[:m, inside] = across @ slopes.T
+                hessian[inside, :m] = hessian[:m, inside].T
+                own = slopes @ own @ slopes.T + np.diag(self.errors.curvatures(zeta) @ by_errors)
+            elif len(slopes):
+                by_errors, curvature = likelihood.differentiate_by_errors(local, amplitudes)
+                own = slopes @ curvature @ slopes.T
+            if len(slopes):
+                gradient[inside] += share * (slopes @ by_errors)
+                hessian[inside, inside] += share * own
+            if self.outliers is not None:
+                self._add_share(zeta, local, gradient, hessian)
+        rows = self._prior_slope(local.change)
+        gradient[:m] -= self.prior_residual(y, local.theta) @ rows
+        gradient[:m] += self.coordinates.log_volume_slope(local.theta) @ local.change
+        gradient[:m] += self.coordinates.log_ring_ratio_slope(y[:m])
+        hessian[:m, :m] -= rows.T @ rows
+        gradient[m:] -= self.errors.deviations(zeta)
+        hessian[m:, m:] -= np.eye(len(zeta))
         return gradient, hessian
 
-    def _moves(self, y: Array) -> Array:
-        """Return the derivative of `model_errors` by their coordinates at y, shape (k, N)."""
-        zeta = y[self._taus]
-        return self._spread(self.model_error.slope(zeta, self.model_error.tau_from_zeta(zeta)))
+    def _add_share(self, zeta: Array, local: Local, gradient: Array, hessian: Array) -> None:
+        """Add the part of ε, the last of the coordinates."""
+        assert local.outlier is not None
+        assert self.outliers is not None
+        share, slope = self.errors.shares(zeta), self.outliers.share.slope(zeta[-1])
+        by_share = local.outlier / share - (1.0 - local.outlier) / (1.0 - share)
+        gradient[-1] += by_share.sum() * slope
+        hessian[-1, -1] -= np.sum(by_share**2) * slope**2
 
-    def _bends(self, y: Array) -> Array:
-        """Return the second derivative of `model_errors` by their coordinates at y, shape (k, N)."""
-        zeta = y[self._taus]
-        return self._spread(self.model_error.bend(zeta, self.model_error.tau_from_zeta(zeta)))
-
-    def _spread(self, values: Array) -> Array:
-        """Return something of each model error, shape (k,), at the legs that it is of, shape (k, N)."""
-        n_legs = self.likelihood.n_legs
-        return values[:, None] * (np.eye(n_legs) if len(values) == n_legs else np.ones((1, n_legs)))
-
-    def _differentiate(self, y: Array, local: Local) -> tuple[Array, Array]:
-        """Return `gradient` at y, shape (n,), from the likelihood around it."""
-        theta, errors, slope, precision, change, *_ = local
-        weighted = (precision @ errors[..., None])[..., 0]
-        gradient = np.zeros(self.n_parameters)
-        hessian = np.zeros((self.n_parameters, self.n_parameters))
-        n = self.n_geometry
-        rows = self._prior_slope(change)
-        gradient[:n] = -weighted.ravel() @ slope.reshape(-1, n) - self.prior_residual(y, theta) @ rows
-        gradient[:n] += self.coordinates.log_volume_slope(theta) @ change + self.coordinates.log_ring_ratio_slope(y[:n])
-        hessian[:n, :n] = -local.inform() - rows.T @ rows
-        if self.model_error.scale is not None:
-            self._add_model_error(y, local, weighted, gradient, hessian)
-        return gradient, hessian
-
-    @cached_property
-    def _taus(self) -> slice:
-        """Coordinates of the model errors τ."""
-        return slice(self.n_geometry, self.n_geometry + self.model_error.n_parameters(self.likelihood.n_legs))
-
-    def _add_model_error(self, y: Array, local: Local, weighted: Array, gradient: Array, hessian: Array) -> None:
-        """Add the model errors' part."""
-        inside, zeta = self._taus, y[self._taus]
-        speed = self.model_error.slope(zeta, self.model_error.tau_from_zeta(zeta))
-        per_leg, curvature = self._differentiate_by_errors(self.model_errors_at(y), local, weighted)
-        if self.model_error.shared:
-            per_leg, curvature = per_leg.sum(keepdims=True), curvature.sum(keepdims=True)
-        gradient[inside] = per_leg * speed - zeta
-        hessian[inside, inside] = -curvature * np.outer(speed, speed) - np.eye(len(zeta))
-
-    def _differentiate_by_errors(self, model_errors: Array, local: Local, weighted: Array) -> tuple[Array, Array]:
-        """Return the log-likelihood's gradient by the model errors (K,), and its expected curvature, shape (K, K).
-
-        The log-determinant of a pose counts in full, however little the pose does.
-        """
-        square, precision = self.likelihood.on_legs(weighted) ** 2, self._see_by_legs(local.precision)
-        if local.counts is not None:
-            square, precision = square / local.counts[:, None], precision / local.counts[:, None, None]
-        scaled = self.likelihood.actuator_weight * model_errors
-        by_errors = np.sum(scaled * (square - np.diagonal(precision, axis1=1, axis2=2)), axis=0)
-        return by_errors, 2.0 * np.einsum("pi,pij,pj->ij", scaled, precision**2, scaled)
-
-    def _see_by_legs(self, precision: Array) -> Array:
-        """Return Wᵀ C⁻¹ W, what the rows tell of each leg's error, shape (P, K, K) to (P, N, N)."""
-        return np.swapaxes(self.likelihood.on_legs(np.swapaxes(self.likelihood.on_legs(precision), 1, 2)), 1, 2)
-
-    # --- climbing ------------------------------------------------------------------------------------------------
+    # --- search for the mode -------------------------------------------------------------------------------------
 
     def approach(self) -> Array:
-        """Return a start near the mode, shape (n,): the nominal machine, led to the data by ever smaller model errors.
+        """Return initial values near the mode, shape (n,): the nominal machine, led to the data by ever smaller errors.
 
-        Far off, everything seems to be the fault of every parameter; a coarse look moves only those that matter, and
-        what is hardly determined stays near its prior.
+        Far off, everything seems to be the fault of every parameter; a coarse fit moves only those that matter, and
+        what is hardly determined stays near its prior. Outliers are weighed down on the way.
         """
         y = np.zeros(self.n_parameters)
-        for tau in APPROACH:
-            y = self._fit_geometry(y, np.full(self.likelihood.n_model_errors, tau))
-        return y
+        sizes = APPROACH if self.outliers is None else (*APPROACH, APPROACH[-1] / 3.0)
+        for size in sizes:
+            y = self._fit_geometry(y, self.errors.uniform(size))
+        return y if self.outliers is None else self.polish(y)
 
     def polish(self, y: Array) -> Array:
-        """Return y, shape (n,), with the geometry of least squares at its model errors."""
+        """Return y, shape (n,), with the geometry of least squares at its errors, reweighted where outliers may be."""
         return self._fit_geometry(y, self.model_errors_at(y))
 
-    def _fit_geometry(self, start: Array, tau: Array, weight: Array | None = None) -> Array:
-        """Return y with the geometry of least squares, whitened errors and priors together, at model errors (N,).
-
-        A ``weight``, shape (P,), says how much each pose counts.
-        """
-        whitening = np.linalg.inv(np.linalg.cholesky(self.likelihood.error_covariance(tau)))
-        if weight is not None:
-            whitening *= np.sqrt(weight)[:, None, None]
-        found = start.copy()
-        found[: self.n_geometry] = fit_geometry(self, start[: self.n_geometry], whitening)
+    def _fit_geometry(self, start: Array, model_errors: Array) -> Array:
+        """Return y with the geometry of least squares, whitened errors and priors together, at model errors (K,)."""
+        likelihood, found = self.likelihood.nearest(model_errors), start.copy()
+        covariance = likelihood.error_covariance(model_errors)
+        whitening, m = np.linalg.inv(np.linalg.cholesky(covariance)), self.n_geometry
+        if self.outliers is None:
+            found[:m] = fit_geometry(self, likelihood, start[:m], whitening)
+            return found
+        precision = np.linalg.inv(covariance)
+        for _ in range(REWEIGHTINGS):
+            errors = likelihood.errors(self.theta(found[None]))[0]
+            weight, _ = self._weigh_poses(found, errors, precision)
+            found[:m] = fit_geometry(self, likelihood, found[:m], whitening * np.sqrt(weight)[:, None, None])
         return found
 
     def jumps(self, y: Array) -> list[tuple[int, Array]]:
         """Return legs, and coordinates with the leg's direction mirrored to the other solution of the same gain.
 
         With one component of u free and κ fixed the actuator's gain along the leg, z · u, has two solutions in every
-        leg. With both components free a circle of equal gain joins the two.
+        leg. With both components free a circle of equal gain joins the two. Each switch of an error jumps, too.
         """
-        images = mirror_lone_components(self.coordinates, y[: self.n_geometry])
-        return [(leg, np.concatenate([image, y[self.n_geometry :]])) for leg, image in images]
+        m = self.n_geometry
+        found = [(leg, np.append(image, y[m:])) for leg, image in mirror_lone_components(self.coordinates, y[:m])]
+        first, images = self.likelihood.n_legs + m, self.errors.jumps(self._zeta(y))
+        return found + [(first + k, np.append(y[:m], image)) for k, image in images]
 
     def curved_ridges(self) -> list[tuple[int, np.ndarray]]:
         """Return the coordinates of free directions' components, each with the other coordinates of its leg.
@@ -395,18 +411,66 @@ class Posterior:
         """
         return find_curved_ridges(self._layout, self.coordinates.free, self._legs())
 
+    # --- straightening -------------------------------------------------------------------------------------------
+
+    def funnel_errors(self, y: Array) -> Array:
+        """Return the errors that the geometry's uncertainty depends on, shape (B, N) or (B, L N); see `funnel`."""
+        return self.likelihood.errors_by_level(self.model_errors(y))
+
     def funnel(self, y: Array) -> Funnel | None:
-        """Return how the geometry depends on the model errors at y, shape (n,); None where there are none.
+        """Return how the geometry depends on the errors at y, shape (n,); None where there are none.
 
         None, too, where free frames tie legs together that each have an error: no leg is uncertain by itself then.
+
+        Where the error is a function of the pose, what the geometry is worth hangs on its scale s: the larger it is,
+        the less do combinations of poses tell in which the kernel's error is. The joint mode of scale and geometry is
+        therefore none of the scale's density; that is seen in straight coordinates only (as restricted likelihood has
+        it: Patterson and Thompson 1971).
         """
-        if self.model_error.scale is None or (self._ties_legs and not self.model_error.shared):
+        if not self.errors.n_amplitudes or (self._ties_legs and not self.model_error.shared):
             return None
-        likelihood = self.likelihood
-        tau = np.broadcast_to(self.tau(y[None]), (1, likelihood.n_legs))[0]
-        inverse = self._see_by_legs(np.linalg.inv(likelihood.error_covariance(tau)))
-        precision = np.diagonal(inverse, axis1=-2, axis2=-1).mean(axis=0)
-        variance = 1.0 / np.maximum(precision, np.finfo(float).tiny)
-        rest = np.maximum(variance / likelihood.actuator_weight.mean(axis=0) - tau**2, 1e-12)
-        information, prior = self.information(y)
-        return Funnel(information, prior, rest, tau)
+        level, likelihood = self.likelihood.levels, self._nearest(y)
+        own, tau = self.funnel_errors(y[None])[0], self.tau(y[None])[0]
+        if level is None:
+            inverse = likelihood.see_by_legs(np.linalg.inv(likelihood.error_covariance(self.model_errors_at(y))))
+            precision = np.diagonal(inverse, axis1=-2, axis2=-1).mean(axis=0)
+            variance = 1.0 / np.maximum(precision, np.finfo(float).tiny)
+            rest = np.maximum(variance / likelihood.actuator_weight.mean(axis=0) - tau**2, 1e-12)
+            information, prior = self.information(y)
+            return Funnel(information, prior, rest, own)
+        local, n_legs, m = self._linearise(y, likelihood), self.likelihood.n_legs, self.n_geometry
+        whitening, _ = root_of(local.precision)
+        rows, white = whitening @ local.slope, (whitening @ local.errors[..., None])[..., 0]
+        chosen = np.eye(level.max() + 1)[level]
+        parts = np.einsum("kl,kia,kib->liab", chosen, rows, rows, optimize=True)
+        scores = -np.einsum("kl,kia,ki->lia", chosen, rows, white, optimize=True)
+        weight = likelihood.actuator_weight[:, :n_legs]
+        variance = 1.0 / np.diagonal(local.precision, axis1=-2, axis2=-1) / weight
+        rest = (chosen.T @ variance / chosen.sum(axis=0)[:, None]).ravel() - own**2
+        prior_rows = self._prior_slope(local.change)
+        return Funnel(
+            parts.sum(axis=(0, 1)),
+            prior_rows.T @ prior_rows,
+            np.maximum(rest, 1e-12),
+            own,
+            parts.reshape(-1, m, m),
+            scores.reshape(-1, m),
+        )
+
+    # --- errors that are a function of the pose --------------------------------------------------------------------
+
+    def function_of_pose(self, natural: Array) -> tuple[Kernel, Array] | None:
+        """Return the kernel, of the draws' median length, and the rms of each leg's scale (N,), mm, over draws (S, n).
+
+        None where there is no such error; the draws are in natural units.
+        """
+        structured, zeta = self.likelihood.structured, self._zeta(natural)
+        if structured is None:
+            return None
+        scale = np.sqrt(np.mean(zeta[:, self.errors.place(SCALE)] ** 2, axis=0))
+        kernel = structured.kernel_of(np.median(zeta[:, self.errors.place(LENGTH)], axis=0))
+        return kernel, np.broadcast_to(scale, self.likelihood.n_legs)
+
+    def probability_of_error(self, y: Array) -> Array:
+        """Return the share of draws (B, n) with an error that is a function of the pose, of each scale."""
+        return np.asarray((self._zeta(y)[..., self.errors.place(SCALE)] > BORDER).mean(axis=0))

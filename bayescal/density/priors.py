@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import erf, ndtri
+from scipy.special import erf, log_ndtr, ndtri, ndtri_exp
 
 from bayescal.numerics.geometry import Array
 
@@ -146,3 +146,56 @@ class HalfNormalPrior(Prior):
         from scipy import stats
 
         return float(stats.halfnorm.std(scale=self.scale))
+
+
+@dataclass(frozen=True)
+class SharePrior(Prior):
+    """The share of outliers, Beta(1, b) with b = 1 / m - 1: the fewer the likelier.
+
+    Its sampling coordinate ζ is standard normal under the prior.
+    """
+
+    expected: float
+
+    @property
+    def exponent(self) -> float:
+        """Return b."""
+        return 1.0 / self.expected - 1.0
+
+    def log_density(self, value: Array) -> Array:
+        """Return the log-density, -inf outside of zero to one."""
+        inside = (value >= 0.0) & (value < 1.0)
+        left = np.log1p(-np.where(inside, value, 0.0))
+        return np.where(inside, np.log(self.exponent) + (self.exponent - 1.0) * left, -np.inf)
+
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """Return n draws."""
+        return self.share_from_zeta(rng.standard_normal(n))
+
+    def standardise(self, value: Array) -> Array:
+        """Return ζ."""
+        return np.asarray(-ndtri_exp(self.exponent * np.log1p(-value)))
+
+    def at_quantile(self, share: Array) -> Array:
+        """Return shares by the prior's mass below them."""
+        return np.asarray(-np.expm1(np.log1p(-share) / self.exponent))
+
+    @property
+    def mean(self) -> float:
+        """The share that is expected."""
+        return self.expected
+
+    @property
+    def sd(self) -> float:
+        """Of Beta(1, b)."""
+        b = self.exponent
+        return float(np.sqrt(b / ((1.0 + b) ** 2 * (2.0 + b))))
+
+    def share_from_zeta(self, zeta: Array) -> Array:
+        """Return ε."""
+        return np.asarray(-np.expm1(log_ndtr(-zeta) / self.exponent))
+
+    def slope(self, zeta: Array) -> Array:
+        """Return dε/dζ."""
+        hazard = np.exp(-0.5 * zeta**2 - 0.5 * np.log(2.0 * np.pi) - log_ndtr(-zeta))
+        return np.asarray((1.0 - self.share_from_zeta(zeta)) / self.exponent * hazard)

@@ -18,15 +18,19 @@ T_n in place of the legs. Where these differ by more than `ALIKE` the poses are 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
+from functools import cached_property
 from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.linalg import eigh
 
+from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.batches import batches
 from bayescal.density.columns import factor_by_columns
 from bayescal.density.likelihood import Likelihood
+from bayescal.density.local import Local
 from bayescal.density.model_error import Kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
@@ -34,6 +38,8 @@ from bayescal.numerics.geometry import Array
 from bayescal.numerics.scratch import Scratch
 
 ALIKE = 0.25  # largest entry of T - 1
+ALIKE_LEVELS = 1.5  # ratio of eigenvalues that count as one level
+NO_LEVEL = 1e-9
 FEWEST_POSES = 3
 NOTHING = 1e-8  # share of the kernel's largest eigenvalue below which a direction is left out
 
@@ -110,6 +116,7 @@ class StructuredLikelihood(Likelihood):
         self._take_kernel(kernel, *eigh(kernel(inputs, inputs)))
         if not self.eigenvalues.max() > 0.0:
             raise InputError("model_error.kernel: found all calibration poses at home, expected actuators that move")
+        self._turn: Callable[[], Array] | None = None
         self._log_constant = float(poses.log_constant.sum() - np.linalg.slogdet(self._map)[1].sum())
         self._scratch = Scratch()
 
@@ -119,11 +126,36 @@ class StructuredLikelihood(Likelihood):
         own = np.broadcast_to(self._legs_weight, (self.n_poses, self.n_legs))
         self.actuator_weight = np.concatenate([own, self.eigenvalues[:, None] * own], axis=1)
 
-    def with_kernel(self, kernel: Kernel, values: Array, combination: Array) -> Self:
-        """Return the density with another kernel, whose eigenvalues (P,) and eigenvectors (P, P) are known."""
+    def with_kernel(self, kernel: Kernel, values: Array, combination: Array, turn: Callable[[], Array]) -> Self:
+        """Return the density with another kernel, whose eigenvalues (P,) and eigenvectors (P, P) are known.
+
+        ``turn`` finds the derivative Uᵀ K' U of the kernel's matrix by log L, shape (P, P): model errors end with the
+        length L then.
+        """
         other = copy(self)
         other._take_kernel(kernel, values, combination)
+        other._turn = turn
         return other
+
+    @property
+    def of_poses(self) -> PoseLikelihood:
+        """The density without structured error."""
+        return self.base
+
+    @property
+    def structured(self) -> StructuredLikelihood:
+        """Itself."""
+        return self
+
+    @property
+    def closing_poses(self) -> MeasuredPoses:
+        """The poses: joints are hardly known where the error may be a function of the pose."""
+        return self.base.poses
+
+    def kernel_of(self, length: Array) -> Kernel:
+        """Return the kernel of a length (1,), or of none that is free (0,)."""
+        del length
+        return self.kernel
 
     def factor(self, model_error: Array) -> Array:
         """Return F with F Fᵀ the kernel's matrix over the poses, of model errors (B, ...): (1 or B, P, R).
@@ -175,9 +207,9 @@ class StructuredLikelihood(Likelihood):
         return self._combine(errors[..., None])[..., 0], self._combine(slope)
 
     def error_covariance(self, model_error: Array) -> Array:
-        """Return the covariance of q, shape (..., P, N, N), for model errors (..., 2 N) in mm."""
-        added = self.actuator_weight * model_error[..., None, :] ** 2
+        """Return the covariance of q, shape (..., P, N, N), for model errors (..., 2 N or more) in mm."""
         n = self.n_legs
+        added = self.actuator_weight * model_error[..., None, : 2 * n] ** 2
         return self._mean_known + np.eye(n) * (added[..., :n] + added[..., n:])[..., None, :]
 
     def on_legs(self, rows: Array) -> Array:
@@ -199,11 +231,11 @@ class StructuredLikelihood(Likelihood):
         result = np.empty(len(theta))
         model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
         for part in batches(len(theta)):
-            result[part] = self._evaluate(theta[part], model_error[part])
+            result[part] = self._add_up(theta[part], model_error[part])
         return result
 
     @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
-    def _evaluate(self, theta: Array, model_error: Array) -> Array:
+    def _add_up(self, theta: Array, model_error: Array) -> Array:
         errors = self.base.leg_errors_by_leg(theta)
         n, n_poses, n_batch = errors.shape
         mapped = self._scratch.take("mapped", n_poses, n, n_batch)
@@ -222,8 +254,8 @@ class StructuredLikelihood(Likelihood):
         density[~np.isfinite(density)] = -np.inf
         return np.asarray(density)
 
-    def _pointwise(self, theta: Array, model_error: Array) -> Array:
-        """Return log p(r_n | all other poses, θ, τ, s) of each pose, shape (B, P).
+    def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
+        """Return log p(r_n | all other poses, θ, τ, s) of each pose and its squared deviation, shapes (B, P).
 
         With A the inverse of the covariance of all poses and α = A r the density of r_n given the others is normal with
         precision A_nn, and its deviation from its mean is A_nn⁻¹ α_n.
@@ -236,7 +268,8 @@ class StructuredLikelihood(Likelihood):
         deviation = np.linalg.solve(own, alpha[..., None])[..., 0]
         _, log_det = np.linalg.slogdet(own)
         constant = self.base.log_constant - np.linalg.slogdet(self._map)[1]
-        return np.asarray(constant + 0.5 * log_det - 0.5 * np.einsum("bpi,bpi->bp", alpha, deviation))
+        square = np.einsum("bpi,bpi->bp", alpha, deviation)
+        return np.asarray(constant + 0.5 * log_det - 0.5 * square), square
 
     def _combinations(self, model_error: Array) -> Array:
         """Return U, shape (P, P), or of each model error, (B, P, P)."""
@@ -246,6 +279,55 @@ class StructuredLikelihood(Likelihood):
         """Return the precisions of the combinations (B, P, N, N) and these times q, shape (B, P, N)."""
         precision = np.linalg.inv(self.error_covariance(model_error))
         return precision, np.einsum("bkij,bkj->bki", precision, self.errors(theta))
+
+    # --- derivatives and straightening ---------------------------------------------------------------------------
+
+    def differentiate_by_errors(self, local: Local, model_error: Array) -> tuple[Array, Array]:
+        """Return gradient and expected curvatures by model errors; see `Likelihood.differentiate_by_errors`.
+
+        With A the precision of all combinations, α = A q, and E = Uᵀ K' U where the length is free:
+        d log p / d log L = ½ (αᵀ (E x D) α - tr A (E x D)), D = diag(w s²).
+        """
+        n, rest = self.n_legs, model_error[: 2 * self.n_legs]
+        by_errors, curvature = super().differentiate_by_errors(local, rest)
+        if self._turn is None or len(model_error) == 2 * n:
+            return by_errors, curvature
+        turn, length = self._turn(), model_error[-1]
+        size = self.actuator_weight[0, :n] * rest[n:] ** 2
+        solved, scaled, own = local.weighted, local.precision * size, np.diagonal(turn)
+        first = np.sum(turn * ((solved * size) @ solved.T)) - own @ np.trace(scaled, axis1=1, axis2=2)
+        both = np.einsum("kij,lji->kl", scaled, scaled, optimize=True)
+        seen = np.tile(np.einsum("kij,kji->ki", scaled, local.precision), 2)
+        mixed = -(own @ (seen * self.actuator_weight)) * rest / length
+        second = -0.5 * np.sum(turn**2 * both) / length**2
+        return np.append(by_errors, 0.5 * first / length), np.block([[curvature, mixed[:, None]], [mixed, second]])
+
+    def inform_by_pose(self, local: Local, pose: int) -> Array:
+        """Return what one pose tells of the geometry beyond all others, shape (m, m)."""
+        share = self.combination[pose]
+        seen = np.einsum("k,kij,kjm->im", share, local.precision, local.slope)
+        own = np.einsum("k,kij->ij", share**2, local.precision)
+        return np.asarray(seen.T @ np.linalg.solve(own, seen))
+
+    @cached_property
+    def levels(self) -> np.ndarray:
+        """Which level each combination of poses has, (P,): eigenvalues of the kernel that are alike are one."""
+        values = self.eigenvalues
+        there = values > NO_LEVEL * values.max()
+        rounded = np.full(len(values), -np.inf)
+        rounded[there] = np.round(np.log(values[there]) / np.log(ALIKE_LEVELS))
+        return np.unique(rounded, return_inverse=True)[1]
+
+    def errors_by_level(self, model_error: Array) -> Array:
+        """Return the error of each leg in the combinations of poses of each level, shape (..., L N), mm."""
+        n, level = self.n_legs, self._level_values(model_error)
+        square = model_error[..., None, :n] ** 2 + level[..., None] * model_error[..., None, n : 2 * n] ** 2
+        return np.asarray(np.sqrt(square).reshape(*model_error.shape[:-1], -1))
+
+    def _level_values(self, model_error: Array) -> Array:
+        """Return the mean eigenvalue of each level, (L,), or of each of model errors, (..., L)."""
+        del model_error
+        return np.bincount(self.levels, self.eigenvalues) / np.bincount(self.levels)
 
     # --- prediction ----------------------------------------------------------------------------------------------
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.inference.mode import find_mode
 
 SCALE = 0.01

@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
+from bayescal.density.errors import KernelLength, KernelScale, ModelError
 from bayescal.density.exact import ExactDensity
 from bayescal.density.free_length import REACH, FreeLengthLikelihood, count_nodes
-from bayescal.density.free_length_posterior import FreeLengthPosterior
-from bayescal.density.independent_error import ModelError
-from bayescal.density.model_error import LENGTH, KernelScale, LengthPrior, QuadraticKernel, SmoothKernel, build_kernel
+from bayescal.density.model_error import LENGTH, LengthPrior, QuadraticKernel, SmoothKernel, build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.density.structured import StructuredLikelihood
-from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.density.structured_prediction import pointwise_given
 from bayescal.inference.mode import Mode
 from bayescal.inference.straightening import straighten
@@ -113,8 +112,8 @@ def build_posterior(poses, likelihood, shared=True):
     priors = {n: NormalPrior(nominal[n], machines.PRIOR_SD.get(n.split("[")[0], 2.0)) for n in names}
     scale, error = KernelScale(0.02, 0.3, shared), ModelError(0.01)
     if isinstance(likelihood, FreeLengthLikelihood):
-        return FreeLengthPosterior(likelihood, priors, error, kernel_scale=scale, lengths=LENGTHS)
-    return StructuredPosterior(likelihood, priors, error, kernel_scale=scale)
+        return Posterior(likelihood, priors, error, terms=(scale, KernelLength(LENGTHS)))
+    return Posterior(likelihood, priors, error, terms=(scale,))
 
 
 @pytest.fixture(scope="module")
@@ -149,15 +148,15 @@ def test_gradient_is_that_of_the_dense_kernel(poses, free, start):
 def test_curvature_by_length_is_expected_curvature(poses, free, start):
     """The mean over data of the outer product of scores, of whitened errors drawn from the density itself."""
     (posterior, y), n = start, 1000
-    likelihood, rng = posterior.likelihood, np.random.default_rng(5)
-    node = int(likelihood.nearest(posterior.length(y)))
-    local, errors = posterior._linearise(y), posterior.model_errors(y[None])[0, :-1]
+    errors, rng = posterior.model_errors_at(y), np.random.default_rng(5)
+    likelihood = posterior.likelihood.nearest(errors)
+    local = posterior._linearise(y, likelihood)
     root = np.linalg.cholesky(np.linalg.inv(local.precision))
     scores = []
     for _ in range(n):
         drawn = np.einsum("kij,kj->ki", root, rng.standard_normal(local.errors.shape))
-        scores.append(posterior._differentiate_by_length(local._replace(errors=drawn), errors, node)[0])
-    second = posterior._differentiate_by_length(local, errors, node)[1]
+        scores.append(likelihood.differentiate_by_errors(local._replace(errors=drawn), errors)[0][-1])
+    second = -likelihood.differentiate_by_errors(local, errors)[1][-1, -1]
     assert np.mean(scores) == pytest.approx(0.0, abs=4.0 * np.std(scores) / np.sqrt(n))
     assert np.var(scores) == pytest.approx(second, rel=0.2)
 
@@ -197,7 +196,7 @@ def test_straight_coordinates_lead_back_and_keep_volumes(start):
 
 def test_pose_information_is_that_of_the_nearest_length(poses, free, start):
     (_, likelihood), (posterior, y) = free, start
-    known = build_posterior(poses, likelihood.at_node(int(likelihood.nearest(posterior.length(y)))))
+    known = build_posterior(poses, likelihood.nearest(posterior.model_errors_at(y)))
     np.testing.assert_allclose(posterior.pose_information(y, 3), known.pose_information(y[:-1], 3), rtol=1e-9)
 
 

@@ -5,14 +5,13 @@ import pytest
 import telescope_machines as machines
 from scipy.special import logsumexp
 
+from bayescal.density.errors import KernelLength, KernelScale, ModelError
 from bayescal.density.free_length import FreeLengthLikelihood
-from bayescal.density.free_length_posterior import FreeLengthPosterior
-from bayescal.density.independent_error import ModelError
-from bayescal.density.model_error import KernelScale, LengthPrior, build_kernel
+from bayescal.density.model_error import LengthPrior, build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.density.structured import StructuredLikelihood
-from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import estimate_by_importance, resample
 
@@ -46,9 +45,9 @@ def build(poses, kernel, length=None):
     error = ModelError(5e-3, shared=True)
     if length is None:
         likelihood = FreeLengthLikelihood(poses, kernel, LENGTHS, machines.ACTUATOR_RANGE)
-        return FreeLengthPosterior(likelihood, priors, error, kernel_scale=SCALE, lengths=LENGTHS)
+        return Posterior(likelihood, priors, error, terms=(SCALE, KernelLength(LENGTHS)))
     likelihood = StructuredLikelihood(poses, build_kernel(kernel, length), machines.ACTUATOR_RANGE)
-    return StructuredPosterior(likelihood, priors, error, kernel_scale=SCALE)
+    return Posterior(likelihood, priors, error, terms=(SCALE,))
 
 
 def evaluate(posterior, n_draws):

@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 
 from bayescal.data.instruments.points import PointReadings
 from bayescal.data.instruments.poses import PoseReadings
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior

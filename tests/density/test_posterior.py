@@ -7,7 +7,7 @@ import pytest
 import telescope_machines as machines
 from scipy import stats
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import HalfNormalPrior, NormalPrior, UniformPrior
 from bayescal.errors import InputError
@@ -170,7 +170,7 @@ def test_prior_matches_scipy(prior, reference, values):
 
 def test_model_error_quantiles_are_half_normal():
     zeta = np.linspace(-8, 8, 161)
-    found = ModelError(SCALE).tau_from_zeta(zeta)
+    found = ModelError(SCALE).value(zeta)
     lower, upper = stats.halfnorm.ppf(stats.norm.cdf(zeta)), stats.halfnorm.isf(stats.norm.sf(zeta))
     expected = SCALE * np.where(zeta > 0, upper, lower)
     assert found[zeta == 0] == pytest.approx(SCALE * stats.halfnorm.median())
@@ -182,13 +182,12 @@ def test_model_error_quantiles_are_half_normal():
 
 def test_slope_of_the_model_error():
     model_error, zeta = ModelError(SCALE), np.linspace(-5, 7, 49)
-    tau = model_error.tau_from_zeta(zeta)
     step = 1e-5
-    expected = (model_error.tau_from_zeta(zeta + step) - model_error.tau_from_zeta(zeta - step)) / (2 * step)
-    np.testing.assert_allclose(model_error.slope(zeta, tau), expected, rtol=1e-6, atol=1e-10 * SCALE)
-    sides = [model_error.slope(z, model_error.tau_from_zeta(z)) for z in (zeta + step, zeta - step)]
-    bend = (sides[0] - sides[1]) / (2 * step)
-    np.testing.assert_allclose(model_error.bend(zeta, tau), bend, rtol=1e-5, atol=1e-9 * SCALE)
+    expected = (model_error.value(zeta + step) - model_error.value(zeta - step)) / (2 * step)
+    np.testing.assert_allclose(model_error.slope(zeta), expected, rtol=1e-6, atol=1e-10 * SCALE)
+    sides = [model_error.slope(z) for z in (zeta + step, zeta - step)]
+    curvature = (sides[0] - sides[1]) / (2 * step)
+    np.testing.assert_allclose(model_error.curvature(zeta), curvature, rtol=1e-5, atol=1e-9 * SCALE)
 
 
 @pytest.mark.parametrize("shared", [False, True])

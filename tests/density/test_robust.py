@@ -9,9 +9,9 @@ import pytest
 import telescope_machines as machines
 from scipy import stats
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import FREEDOM, SHARE, WIDER, ModelError, Outliers, compare_outlier
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.robust import FREEDOM, SHARE, WIDER, SharePrior, build_robust, compare_blunder
+from bayescal.density.priors import SharePrior
 from bayescal.inference.mode import find_modes
 
 PRIOR = SharePrior(0.02)
@@ -46,7 +46,7 @@ def spoil(poses, rng):
 
 
 def build(poses, model_error=ERRORS["per leg"], share=PRIOR):
-    return build_robust(machines.build_posterior("matrix", poses, model_error), share.expected)
+    return replace(machines.build_posterior("matrix", poses, model_error), outliers=Outliers(share))
 
 
 def draw(posterior, mode, n, rng):
@@ -57,7 +57,7 @@ def draw(posterior, mode, n, rng):
 def suspect(posterior, rng):
     """Return how probable it is that each calibration pose is a blunder."""
     y = draw(posterior, find_modes(posterior)[0], 200, rng)
-    return posterior.blunder_probabilities(posterior.likelihood, y).mean(axis=0)
+    return posterior.outlier_probabilities(posterior.likelihood, y).mean(axis=0)
 
 
 # --- density ---------------------------------------------------------------------------------------------------------
@@ -87,14 +87,14 @@ def test_blunders_are_t_distributed(rng):
     square = np.einsum("bi,ij,bj->b", errors, np.linalg.inv(covariance), errors)
     blunder = stats.multivariate_t(np.zeros(6), WIDER**2 * covariance, FREEDOM).logpdf(errors)
     normal = stats.multivariate_normal(np.zeros(6), covariance).logpdf(errors)
-    np.testing.assert_allclose(compare_blunder(square, 6), blunder - normal, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(compare_outlier(square, 6), blunder - normal, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("model_error", ERRORS.values(), ids=ERRORS.keys())
 def test_density_is_the_mixture(twin, model_error, rng):
     posterior = build(spoil(twin, rng)[0], model_error)
     y = 0.3 * rng.standard_normal((3, posterior.n_parameters))
-    theta, tau, share = posterior.theta(y), posterior.tau(y), posterior.shares(y)
+    theta, tau, share = posterior.theta(y), posterior.tau(y), posterior.errors.shares(y)
     errors = posterior.likelihood.pose_errors(theta)
     expected = posterior.log_prior(y)
     for b in range(3):

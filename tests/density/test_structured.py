@@ -5,10 +5,9 @@ import pytest
 import telescope_machines as machines
 from scipy.stats import multivariate_normal
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import KernelScale, ModelError
 from bayescal.density.model_error import (
     OFF,
-    KernelScale,
     KernelScalePrior,
     LinearKernel,
     QuadraticKernel,
@@ -19,7 +18,6 @@ from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.density.structured import StructuredLikelihood, map_covariance
-from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.density.structured_prediction import pointwise_given, predict_structured
 from bayescal.errors import InputError
 from bayescal.inference.exploration import explore
@@ -161,7 +159,7 @@ def build_posterior(poses, kernel, shared):
     position = {name: k for k, name in enumerate(layout.names)}
     priors = {n: NormalPrior(layout.nominal[position[n]], machines.PRIOR_SD.get(n.split("[")[0], 2.0)) for n in names}
     scale = KernelScale(0.02, 0.3, shared)
-    return StructuredPosterior(build(poses, kernel), priors, ModelError(0.01), kernel_scale=scale)
+    return Posterior(build(poses, kernel), priors, ModelError(0.01), terms=(scale,))
 
 
 @pytest.mark.parametrize("shared", [True, False], ids=["shared", "per leg"])
@@ -208,7 +206,7 @@ def test_lengths_follow_the_joints(poses):
     y[:, [k for k, name in enumerate(posterior.names[:n]) if name.startswith("l[")]] = 0.0
     y = np.vstack([np.zeros(n), y])
     moved = likelihood.leg_errors(coordinates.theta_from_y(y)).mean(axis=1)
-    plain = Posterior.coordinates.func(posterior).theta_from_y(y)
+    plain = Posterior(likelihood, posterior.priors).coordinates.theta_from_y(y)
     assert np.abs(moved - moved[0]).max() < 5e-3
     assert np.abs(likelihood.leg_errors(plain).mean(axis=1) - moved[0]).max() > 0.1
 
@@ -216,15 +214,15 @@ def test_lengths_follow_the_joints(poses):
 def test_switch_has_the_probability_of_its_prior():
     scale, prior = KernelScale(0.02, 0.3), KernelScalePrior(0.02, 0.3)
     c = np.concatenate([np.random.default_rng(5).standard_normal(100_000) + place for place in (0.0, OFF)])
-    values = scale.scale_from_switch(c)
+    values = scale.value(c)
     assert (values == 0.0).mean() == pytest.approx(0.5, abs=1e-3)
     assert values.mean() == pytest.approx(prior.mean, rel=0.01)
     assert values.std() == pytest.approx(prior.sd, rel=0.01)
     grid = np.geomspace(1e-3, 0.2, 20_000)
     assert np.trapezoid(np.exp(prior.log_density(grid)), grid) == pytest.approx(0.5, abs=1e-3)
-    assert scale.scale_from_switch(np.array(scale.flip(0.3))) == 0.0
-    assert scale.scale_from_switch(np.array(scale.flip(OFF))) == pytest.approx(0.02)
-    assert KernelScale.deviation(np.array([0.5, OFF + 0.5])) == pytest.approx([0.5, 0.5])
+    assert scale.value(np.array(scale.flip(0.3))) == 0.0
+    assert scale.value(np.array(scale.flip(OFF))) == pytest.approx(0.02)
+    assert scale.deviation(np.array([0.5, OFF + 0.5])) == pytest.approx([0.5, 0.5])
 
 
 def test_log_prior_is_normalised_over_the_switch(poses):
@@ -300,7 +298,7 @@ def test_proposal_holds_a_scale_that_is_hardly_known(wrong):
 def test_information_of_a_pose_is_what_is_lost_without_it(wrong):
     """Against all poses' covariance written out, and without the pose's rows and columns."""
     posterior, y = wrong
-    local, u = posterior._linearise(y), posterior.likelihood.combination
+    local, u = posterior._linearise(y, posterior.likelihood), posterior.likelihood.combination
     covariance = np.einsum("pk,qk,kij->piqj", u, u, np.linalg.inv(local.precision)).reshape(24 * 6, 24 * 6)
     slope = np.einsum("pk,kim->pim", u, local.slope).reshape(24 * 6, -1)
     rest = np.delete(np.arange(24 * 6), np.arange(6 * 5, 6 * 6))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.density.priors import NormalPrior
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.ensemble import run_ensemble

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior

@@ -7,7 +7,7 @@ import pytest
 import telescope_machines as machines
 from scipy.stats import multivariate_normal, skewnorm
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import explore

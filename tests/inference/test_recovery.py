@@ -12,7 +12,7 @@ import pytest
 import telescope_machines as machines
 from scipy import stats
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import evaluate_in_batches
 

@@ -7,7 +7,7 @@ import pytest
 import telescope_machines as machines
 from scipy import stats
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.mode import find_modes
 from bayescal.inference.peaks import Peak, proposal_from_peaks

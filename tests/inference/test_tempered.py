@@ -10,7 +10,7 @@ import telescope_machines as machines
 from scipy import stats
 from scipy.special import logsumexp
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior

@@ -10,7 +10,7 @@ import pytest
 import telescope_machines as machines
 from scipy import stats
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.errors import InputError
 from bayescal.machines.coordinates import mirror_direction
 from bayescal.machines.directions import choose_chart

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.machines.circles import find_circles
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 

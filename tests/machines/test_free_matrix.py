@@ -1,18 +1,18 @@
 """The free matrix: the matrix deformation whose entries are parameters."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import telescope_machines as machines
 
 from bayescal.calibrated.settle import find_hindrance
-from bayescal.density.independent_error import ModelError
-from bayescal.density.model_error import KernelScale, LinearKernel
+from bayescal.density.errors import KernelScale, ModelError, Outliers
+from bayescal.density.model_error import LinearKernel
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
-from bayescal.density.priors import NormalPrior
-from bayescal.density.robust import build_robust
+from bayescal.density.priors import NormalPrior, SharePrior
 from bayescal.density.structured import StructuredLikelihood
-from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.machines.closing_coordinates import ClosingCoordinates
 from bayescal.machines.kinematics import solve_forward_kinematics
 
@@ -89,7 +89,7 @@ def test_explicit_entries_leave_of_the_geometry_what_the_linear_kernel_leaves(li
     poses = PoseLikelihood(machine, likelihood.poses, machines.ACTUATOR_NOISE)
     kernel = StructuredLikelihood(poses, LinearKernel(), machines.ACTUATOR_RANGE)
     rest = {name: prior for name, prior in priors.items() if not name.startswith("K_")}
-    other = StructuredPosterior(kernel, rest, ModelError(0.01), kernel_scale=KernelScale(0.02, 0.05))
+    other = Posterior(kernel, rest, ModelError(0.01), terms=(KernelScale(0.02, 0.05),))
     start = np.concatenate([other.polish(other.approach())[: len(rest)], y[len(priors) :], [0.0]])
     expected = find_sds(other, start)
     assert np.abs(find_sds(plain, y)[: len(rest)] / expected - 1.0).max() < 0.02
@@ -98,7 +98,7 @@ def test_explicit_entries_leave_of_the_geometry_what_the_linear_kernel_leaves(li
 
 def test_stands_beside_blunders(likelihood):
     plain = Posterior(likelihood, build_priors(likelihood), ModelError(0.01))
-    robust = build_robust(plain, 0.02)
+    robust = replace(plain, outliers=Outliers(SharePrior(0.02)))
     assert isinstance(robust.coordinates, ClosingCoordinates)
     y = robust.polish(robust.approach())
     assert np.isfinite(robust.log_density(y[None])).all()

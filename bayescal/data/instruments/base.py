@@ -32,12 +32,15 @@ class Rows:
         From rows to the pose error as seen, measured minus expected, mm and rad; zero rows where it is not measured.
     measured : ndarray of bool, shape (P, 6)
         Which coordinates of the pose error the rows determine.
+    count : ndarray of int, shape (P,)
+        How many rows each pose has.
     """
 
     covariance: Array
     log_constant: Array
     to_pose: Array
     measured: np.ndarray
+    count: np.ndarray
 
     def select(self, chosen: np.ndarray) -> Rows:
         """Return the rows of some poses."""

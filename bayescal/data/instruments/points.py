@@ -73,7 +73,8 @@ class PointReadings(Instrument):
         to_pose, measured = self._find_poses(weights)
         n_rows = weights.shape[2]
         covariance = np.broadcast_to(np.eye(n_rows), (self.n_poses, n_rows, n_rows))
-        object.__setattr__(self, "rows", Rows(covariance, constant, to_pose, measured))
+        count = weights.any(axis=(0, 3, 4)).sum(axis=1)
+        object.__setattr__(self, "rows", Rows(covariance, constant, to_pose, measured, count))
 
     @property
     def n_stations(self) -> int:

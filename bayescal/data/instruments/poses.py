@@ -55,7 +55,8 @@ class PoseReadings(Instrument):
         both = measured[:, :, None] & measured[:, None, :]
         covariance = np.where(both, self.covariance, np.eye(DEGREES_OF_FREEDOM))
         constant = -0.5 * LOG_TWO_PI * measured.sum(axis=1)
-        object.__setattr__(self, "rows", Rows(covariance, constant, np.eye(6) * measured[:, None, :], measured))
+        rows = Rows(covariance, constant, np.eye(6) * measured[:, None, :], measured, measured.sum(axis=1))
+        object.__setattr__(self, "rows", rows)
 
     @property
     def n_stations(self) -> int:

@@ -13,7 +13,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bayescal.density.elimination import half_log_volume
-from bayescal.density.model_error import BORDER, OFF, KernelScale
+from bayescal.density.errors import KernelScale
+from bayescal.density.model_error import BORDER, OFF
 from bayescal.density.readings.absorbed import Absorbed, Absorber, Strength, condition_each, condition_others
 from bayescal.density.readings.change import change_density
 from bayescal.density.readings.functions import SensorFunctions
@@ -65,7 +66,7 @@ class StructuredReadingPosterior(SelfCalibrationPosterior):
 
     def scales(self, y: Array) -> Array:
         """Return the scales (..., G), mm and rad."""
-        return self._kernel_scale.scale_from_switch(y[..., self._switches]) * self.functions.scale
+        return self._kernel_scale.value(y[..., self._switches]) * self.functions.scale
 
     def _length(self, y: Array) -> Array:
         """Return the length (...,)."""

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.numerics.geometry import Array
 
@@ -173,8 +173,8 @@ class SessionModel:
         n = self.n_model_errors
         tau = np.zeros((*zeta.shape[:-1], self.n_legs))
         if n:
-            tau = np.broadcast_to(self.model_error.tau_from_zeta(zeta[..., :n]), tau.shape)
-        return tau, ModelError(self.drift.scale).tau_from_zeta(zeta[..., n:])
+            tau = np.broadcast_to(self.model_error.value(zeta[..., :n]), tau.shape)
+        return tau, ModelError(self.drift.scale).value(zeta[..., n:])
 
     def split(self, z: Array, scales: Array) -> tuple[Array, Array]:
         """Return deviations of x_s from the priors' means (..., S, m), mm, and α (..., A), of states (..., n).

@@ -18,7 +18,6 @@ import numpy as np
 
 from bayescal.config.classes import label_class
 from bayescal.density.posterior import Posterior
-from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.audit.schema import NOT_STRUCTURED, AuditConfig
 from bayescal.experiments.frame.load import load
@@ -80,7 +79,7 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredVariant:
         label_class(config.variant.model), label_class(config.variant.deformation), config.data.variant
     )
     found = experiment.measure(study, where, choice, config.data.with_model_error)
-    if isinstance(found.posterior, StructuredPosterior):
+    if found.posterior.likelihood.structured is not None:
         refuse_independent(config)
     free = config.variant.free
     if free is not None and set(free) != set(found.free):
@@ -137,7 +136,5 @@ def draw(task: tuple[Posterior, DrawsConfig, int, int]) -> Draws:
 
 def _find_function(posterior: Posterior, natural: Array) -> FunctionOfPose | None:
     """Return what the legs err by as a function of the pose, of draws in natural units (S, n); None where nothing."""
-    if not isinstance(posterior, StructuredPosterior):
-        return None
-    kernel, scale = posterior.describe_function(natural)
-    return FunctionOfPose(kernel, scale) if scale.any() else None
+    function = posterior.function_of_pose(natural)
+    return FunctionOfPose(*function) if function is not None and function[1].any() else None

@@ -22,7 +22,6 @@ import numpy as np
 from scipy.linalg import subspace_angles
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.independent_error import ModelError
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
@@ -200,7 +199,7 @@ def build_expected_posterior(inputs: AuditInputs) -> Posterior | LeftOut:
     poses = MeasuredPoses(names, found.position, found.rotation, np.linalg.inv(information), plan.actuators)
     model_error = np.full(plan.actuators.shape, plan.model_error**2)
     likelihood = PoseLikelihood(machine, poses, plan.actuator_noise, model_error)
-    posterior = Posterior(likelihood, list_priors(inputs), ModelError(None), knowledge.fixed)
+    posterior = Posterior(likelihood, list_priors(inputs), fixed=knowledge.fixed)
     posterior.check_machine()
     return posterior
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.check.schema import CheckConfig
 from bayescal.experiments.check.subject import Subject
@@ -62,9 +61,9 @@ def read_check(config: CheckConfig, folder: Path) -> CheckInputs:
 def _refuse_function(measured: MeasuredVariant, where: str) -> None:
     """Raise InputError where legs err by a function of the pose."""
     posterior = measured.posterior
-    if isinstance(posterior, StructuredPosterior):
-        kernel, _ = posterior.describe_function(posterior.natural(np.zeros((1, posterior.n_parameters))))
+    function = posterior.function_of_pose(posterior.natural(np.zeros((1, posterior.n_parameters))))
+    if function is not None:
         raise InputError(
-            f"{where}: found kernel {kernel.name!r} of its model error, expected 'independent', or deformation "
+            f"{where}: found kernel {function[0].name!r} of its model error, expected 'independent', or deformation "
             "'free_matrix' for linear errors: checks have no errors that are functions of the pose"
         )

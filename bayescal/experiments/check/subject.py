@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import UniformPrior
@@ -56,7 +56,7 @@ class Subject:
     def posterior_of(self, poses: MeasuredPoses, with_model_error: bool = True) -> Posterior:
         """Return the posterior of other poses of the plan."""
         error = self.posterior.model_error if with_model_error else ModelError(None)
-        return Posterior(self.likelihood(poses), self.posterior.priors, error, self.posterior.fixed)
+        return replace(self.posterior, likelihood=self.likelihood(poses), model_error=error)
 
     def theta_of(self, natural: Array) -> tuple[Array, Array]:
         """Return θ (D,) and τ (N,) of parameters and model errors in natural units, shape (n,)."""

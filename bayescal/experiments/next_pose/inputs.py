@@ -9,7 +9,6 @@ import numpy as np
 
 from bayescal.data.actuators import read_moves
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import check_arrays
@@ -114,8 +113,7 @@ def take_poses(measured: MeasuredVariant, n: int) -> MeasuredVariant:
     some, variance = measured.poses.select(np.arange(n)), measured.actuator_variance
     variance = None if variance is None else variance[:n]
     likelihood = PoseLikelihood(measured.machine, some, measured.actuator_noise, variance)
-    old = measured.posterior
-    posterior = Posterior(likelihood, old.priors, old.model_error, old.fixed)
+    posterior = replace(measured.posterior, likelihood=likelihood)
     return replace(measured, poses=some, posterior=posterior, actuator_variance=variance)
 
 

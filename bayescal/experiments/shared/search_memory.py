@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bayescal.density.batches import BATCH, POSES
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
-from bayescal.density.structured import StructuredLikelihood
 from bayescal.experiments.frame.memory import check_arrays
 from bayescal.inference.exploration import count_walkers
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
@@ -28,7 +26,7 @@ def list_search(posterior: Posterior) -> list[Sequence[float]]:
     """Return the arrays of a posterior's derivatives and hot loop; see `estimate_arrays`."""
     likelihood = posterior.likelihood
     rows = likelihood.n_poses * likelihood.n_legs
-    hot = OF_POSES if isinstance(likelihood, PoseLikelihood | StructuredLikelihood) else ARRAYS
+    hot = ARRAYS if likelihood.of_poses is None else OF_POSES
     return [
         (DERIVATIVES, rows, posterior.n_parameters + likelihood.n_legs),
         (hot, BATCH, min(rows, POSES * likelihood.n_legs)),

@@ -10,8 +10,6 @@ import numpy as np
 
 from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import Prediction
-from bayescal.density.robust import RobustPosterior
-from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.experiments.shared.misfit import measure_misfit
 from bayescal.experiments.shared.trees import SAVED_DRAWS, choose_draws, limit_draws, spread
 from bayescal.experiments.study.correct import (
@@ -214,10 +212,10 @@ def _check(
 def _measure_misfit(inputs: StudyInputs, task: Task, posterior: Posterior, mode: Array) -> Array:
     """Return χ² at a mode (n,) of the poses that are no blunders there, and its degrees of freedom."""
     clean = None
-    if isinstance(posterior, StructuredPosterior):
+    if posterior.likelihood.structured is not None:
         return measure_misfit(posterior, mode, posterior.likelihood)
-    if isinstance(posterior, RobustPosterior):
-        clean = posterior.blunder_probabilities(posterior.likelihood, mode[None])[0] < BLUNDER
+    if posterior.outliers is not None:
+        clean = posterior.outlier_probabilities(posterior.likelihood, mode[None])[0] < BLUNDER
     return measure_misfit(posterior, mode, *inputs.without_shared_errors(task.variant), clean)
 
 
@@ -251,12 +249,13 @@ def _evaluate(
     for use, rng_seed in zip((False, True), seed.spawn(2), strict=True):
         if not np.any(held == use):
             continue
-        likelihood, rng = posterior.likelihood, np.random.default_rng(rng_seed)
-        if use or isinstance(posterior, StructuredPosterior):  # otherwise that of the same poses is at hand
+        structured, rng = posterior.likelihood.structured, np.random.default_rng(rng_seed)
+        likelihood = posterior.likelihood
+        if use or structured is not None:  # otherwise that of the same poses is at hand
             likelihood = posterior.as_fine(inputs.likelihood(variant, use))
         found: Arrays
-        if isinstance(posterior, StructuredPosterior):
-            found, more = evaluate_structured(posterior, likelihood, theta, errors, chosen, use, rng)
+        if structured is not None and likelihood.of_poses is not None:
+            found, more = evaluate_structured(structured, likelihood.of_poses, theta, errors, chosen, use, rng)
             together |= more
         else:
             found = evaluate_poses(posterior, likelihood, flat, every, some, rng)

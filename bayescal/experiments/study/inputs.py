@@ -10,16 +10,13 @@ import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import JointDeflection, KappaEstimate, MatrixEstimate
+from bayescal.density.errors import ErrorTerm, ModelError, Outliers
 from bayescal.density.exact import CommonErrors, ExactDensity
-from bayescal.density.independent_error import ModelError
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.model_error import INDEPENDENT
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
-from bayescal.density.priors import NormalPrior, Prior, UniformPrior
-from bayescal.density.robust import RobustPosterior, build_robust
+from bayescal.density.priors import NormalPrior, Prior, SharePrior, UniformPrior
 from bayescal.density.schema import FixedConfig, NormalConfig
-from bayescal.density.structured import StructuredLikelihood
 from bayescal.errors import InputError
 from bayescal.experiments.shared.per_leg import spread_over_legs, spread_widths
 from bayescal.experiments.study.kernels import give_kernel, name_kernel
@@ -154,10 +151,8 @@ class StudyInputs:
 
         None where these are not measured, and where they may be blunders: to these it hardly matters.
         """
-        likelihood = posterior.likelihood
-        structured = likelihood if isinstance(likelihood, StructuredLikelihood) else None
-        poses = likelihood if structured is None else structured.base
-        if not isinstance(poses, PoseLikelihood) or isinstance(posterior, RobustPosterior):
+        poses, structured = posterior.likelihood.of_poses, posterior.likelihood.structured
+        if poses is None or posterior.outliers is not None:
             return None
         noise = self.config.data.actuator_noise_um * MICROMETRE
         return ExactDensity(poses, noise, self.matrix_errors(variant, verification=False), structured=structured)
@@ -202,11 +197,12 @@ class StudyInputs:
         if with_model_error:
             scale = self.config.model_error.scale_um * MICROMETRE
             error = ModelError(scale, shared=not self.config.model_error.per_leg)
-        likelihood = self.likelihood(variant, verification=False)
-        plain, blunders = Posterior(likelihood, priors, error, fixed), self.config.blunders
+        likelihood, terms = self.likelihood(variant, verification=False), list[ErrorTerm]()
         if with_model_error and name_kernel(self.config, variant) != INDEPENDENT:
-            return give_kernel(plain, self.config, variant, self.mechanism.actuator_range)
-        return plain if blunders is None else build_robust(plain, blunders.expected_share)
+            likelihood, terms = give_kernel(likelihood, self.config, variant, self.mechanism.actuator_range)
+        blunders = self.config.blunders
+        outliers = None if blunders is None else Outliers(SharePrior(blunders.expected_share))
+        return Posterior(likelihood, priors, error, fixed, terms, outliers)
 
     def priors(self, variant: VariantConfig, factor: float = 1.0) -> tuple[dict[str, Prior], dict[str, float]]:
         """Return the priors of a variant's free parameters and frames, and what is fixed off nominal.

@@ -6,12 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.density.batches import batches
 from bayescal.density.likelihood import Likelihood
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import replicate
-from bayescal.density.robust import RobustPosterior
 from bayescal.numerics.geometry import Array
 
 
@@ -71,10 +68,10 @@ def _evaluate(
     some: SomeDraws,
     rng: np.random.Generator,
 ) -> dict[str, Array]:
-    if isinstance(posterior, RobustPosterior):
-        density = np.concatenate([posterior.evaluate_poses(likelihood, y[part]) for part in batches(len(y))])
-    else:
+    if posterior.outliers is None:
         density = likelihood.pointwise(every.theta, every.model_error)
+    else:
+        density = posterior.evaluate_poses(likelihood, y)
     made = replicate(likelihood, some.theta, some.model_error, rng)
     misfit = made.misfit.astype(np.float32).swapaxes(0, 1)
     found = {"log_likelihood": density.T, **vars(made.summarise()), "misfit": misfit}
@@ -83,6 +80,6 @@ def _evaluate(
 
 def _suspect(posterior: Posterior, likelihood: Likelihood, y: Array) -> dict[str, Array]:
     """Return how probable it is that each pose is a blunder, shape (P,), where they may be."""
-    if not isinstance(posterior, RobustPosterior) or not isinstance(likelihood, PoseLikelihood):
+    if posterior.outliers is None:
         return {}
-    return {"blunder_probability": posterior.blunder_probabilities(likelihood, y).mean(axis=0)}
+    return {"blunder_probability": posterior.outlier_probabilities(likelihood, y).mean(axis=0)}

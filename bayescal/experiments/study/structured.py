@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayescal.density.batches import batches
-from bayescal.density.likelihood import Likelihood
 from bayescal.density.model_error import LENGTH, LENGTHY, SCALE, is_model_error
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.structured import StructuredLikelihood
-from bayescal.density.structured_posterior import StructuredPosterior
 from bayescal.density.structured_prediction import pointwise_given, predict_structured
 from bayescal.experiments.study.kernels import name_kernel
 from bayescal.numerics.geometry import Array
@@ -24,8 +22,8 @@ FEWEST_DRAWS = 20  # with an error, that its scale is told
 
 
 def evaluate_structured(
-    posterior: StructuredPosterior,
-    poses: Likelihood,
+    likelihood: StructuredLikelihood,
+    poses: PoseLikelihood,
     theta: Array,
     errors: Array,
     chosen: np.ndarray,
@@ -36,9 +34,6 @@ def evaluate_structured(
 
     The density of a calibration pose is that given all other poses; that of a verification pose given the calibration.
     """
-    likelihood = posterior.likelihood
-    assert isinstance(likelihood, StructuredLikelihood)
-    assert isinstance(poses, PoseLikelihood)
     made, error = predict_structured(likelihood, poses, theta[chosen], errors[chosen], rng)
     more: dict[str, Array] = {}
     if verification:

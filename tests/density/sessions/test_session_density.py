@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.density.sessions.linear import LinearSessions
 from bayescal.density.sessions.model import DAYS_IN_MONTH, Drift, Expansion, Part, SessionModel, walk_loadings
 

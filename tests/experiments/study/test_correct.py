@@ -8,7 +8,7 @@ import exact_problems as problems
 import numpy as np
 import pytest
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.density.posterior import Posterior
 from bayescal.experiments.study.correct import (
     build_costly,

@@ -7,7 +7,7 @@ import studies
 from bayescal.data.instruments.points import PointReadings
 from bayescal.data.instruments.poses import PoseReadings
 from bayescal.data.instruments.read_points import PointNoise, convert_polar, spread_polar
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior

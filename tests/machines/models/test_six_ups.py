@@ -12,7 +12,7 @@ import telescope_machines as machines
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.density.least_squares import identify
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior

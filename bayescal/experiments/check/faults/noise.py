@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
-from bayescal.density.independent_error import ModelError
+from bayescal.density.errors import ModelError
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.experiments.check.faults.finding import Finding

@@ -1,0 +1,393 @@
+"""What measurements err by beside their stated noise: terms, each with coordinates of its own, and outliers.
+
+A term has amplitudes, standard deviations in mm (a kernel's length in ranges of the actuators), and coordinates ζ of
+them whose deviations are standard normal under the prior. A likelihood takes the amplitudes of all terms one behind the
+other: τ of each of the N legs; then, where the error is also a function of the pose, its scale s of each leg; then the
+function's length where that is free. What outliers do is taken after everything else: see `Outliers`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from scipy.special import erfcinv, erfinv, gammaln, ndtr
+
+from bayescal.density.model_error import BORDER, LENGTH, OFF, SCALE, KernelScalePrior, LengthPrior
+from bayescal.density.priors import HalfNormalPrior, Prior, SharePrior
+from bayescal.numerics.geometry import Array
+
+TAU, SHARE = "tau", "epsilon"
+FREEDOM, WIDER = 1.0, 3.0  # ν and κ of an outlier
+
+
+class ErrorTerm(ABC):
+    """A term of the errors: amplitudes of each leg, or of all alike where it is ``shared``."""
+
+    label: str
+    shared: bool
+    log_mass: float = 0.0
+    """What the log-prior has of each coordinate beside the normal density of its deviation."""
+
+    @property
+    @abstractmethod
+    def prior(self) -> Prior:
+        """Prior of each amplitude."""
+
+    def n_parameters(self, n_legs: int) -> int:
+        """Return the number of coordinates."""
+        return 1 if self.shared else n_legs
+
+    def names(self, n_legs: int) -> tuple[str, ...]:
+        """Return the names of the amplitudes that are free."""
+        count = self.n_parameters(n_legs)
+        return (self.label,) if self.shared else tuple(f"{self.label}[{leg}]" for leg in range(1, count + 1))
+
+    @abstractmethod
+    def value(self, zeta: Array) -> Array:
+        """Return the amplitudes of coordinates (..., k)."""
+
+    @abstractmethod
+    def slope(self, zeta: Array) -> Array:
+        """Return the derivative of the amplitudes by their coordinates, (..., k)."""
+
+    @abstractmethod
+    def curvature(self, zeta: Array) -> Array:
+        """Return the second derivative, (..., k)."""
+
+    def at_legs(self, values: Array, n_legs: int) -> Array:
+        """Return something of the coordinates (..., k) at all amplitudes of the term, (..., N)."""
+        return np.broadcast_to(values, (*values.shape[:-1], n_legs))
+
+    def deviation(self, zeta: Array) -> Array:
+        """Return what is standard normal under the prior, (..., k)."""
+        return zeta
+
+    def draw(self, standard: Array, rng: np.random.Generator) -> Array:
+        """Return coordinates (S, k) of standard normal numbers."""
+        del rng
+        return standard
+
+    def flip(self, zeta: float) -> float | None:
+        """Return where another mode of a coordinate may be; None where none is expected."""
+        del zeta
+        return None
+
+
+@dataclass(frozen=True)
+class ModelError(ErrorTerm):
+    """The model error τ, drawn anew at every pose: half-normal with the given scale in mm, or none (scale None).
+
+    Φ(ζ) is the prior probability of a smaller τ.
+    """
+
+    scale: float | None
+    shared: bool = False
+    label = TAU
+
+    @property
+    def prior(self) -> Prior:
+        """Half-normal."""
+        assert self.scale is not None
+        return HalfNormalPrior(self.scale)
+
+    def n_parameters(self, n_legs: int) -> int:
+        """Return the number of free model errors."""
+        return 0 if self.scale is None else super().n_parameters(n_legs)
+
+    def names(self, n_legs: int) -> tuple[str, ...]:
+        """Return their names."""
+        return (TAU,) if self.n_parameters(n_legs) == 1 else super().names(n_legs) if self.scale is not None else ()
+
+    def at_legs(self, values: Array, n_legs: int) -> Array:
+        """Return something of the coordinates at each leg: zeros without a model error."""
+        return np.zeros((*values.shape[:-1], n_legs)) if self.scale is None else super().at_legs(values, n_legs)
+
+    def value(self, zeta: Array) -> Array:
+        """Return τ in mm."""
+        if self.scale is None:
+            return zeta
+        tail = ndtr(-np.abs(zeta))
+        return self.scale * np.sqrt(2.0) * np.where(zeta > 0, erfcinv(tail), erfinv(tail))
+
+    def slope(self, zeta: Array) -> Array:
+        """Return dτ/dζ in mm."""
+        if self.scale is None:
+            return zeta
+        return 0.5 * self.scale * np.exp(0.5 * ((self.value(zeta) / self.scale) ** 2 - zeta**2))
+
+    def curvature(self, zeta: Array) -> Array:
+        """Return d²τ/dζ² in mm."""
+        if self.scale is None:
+            return zeta
+        slope = self.slope(zeta)
+        return slope * (self.value(zeta) * slope / self.scale**2 - zeta)
+
+
+NO_MODEL_ERROR = ModelError(None)
+
+
+@dataclass(frozen=True)
+class KernelScale(ErrorTerm):
+    """The scale s of an error that is a function of the pose (`bayescal.density.model_error`), of each leg or of all.
+
+    How large it is in directions that the geometry imitates cannot be learnt from those that it does not: the scale is
+    a tolerance, stated by whoever knows the machine, within a factor exp(spread). Whether there is such an error at all
+    is for the data to say. The sampling coordinate c is a switch and a magnitude in one: about `OFF` s is zero, about
+    zero it is scale · exp(spread · c); either way c is standard normal about its place.
+
+    Attributes
+    ----------
+    scale : float
+        Median of s where there is an error, mm.
+    spread : float
+        Standard deviation of log s.
+    shared : bool
+        One scale for all legs.
+    """
+
+    scale: float
+    spread: float
+    shared: bool = True
+    label = SCALE
+    log_mass = -float(np.log(2.0))  # on or off with probability one half
+
+    @property
+    def prior(self) -> Prior:
+        """Zero with probability one half, else log-normal."""
+        return KernelScalePrior(self.scale, self.spread)
+
+    def value(self, zeta: Array) -> Array:
+        """Return s in mm."""
+        return np.where(zeta > BORDER, self.scale * np.exp(self.spread * np.maximum(zeta, BORDER)), 0.0)
+
+    def slope(self, zeta: Array) -> Array:
+        """Return ds/dc in mm."""
+        return self.spread * self.value(zeta)
+
+    def curvature(self, zeta: Array) -> Array:
+        """Return d²s/dc² in mm."""
+        return self.spread * self.slope(zeta)
+
+    def deviation(self, zeta: Array) -> Array:
+        """Return c less its place."""
+        return np.where(zeta > BORDER, zeta, zeta - OFF)
+
+    def draw(self, standard: Array, rng: np.random.Generator) -> Array:
+        """Return coordinates, half of them switched off."""
+        return standard + np.where(rng.random(standard.shape) < 0.5, OFF, 0.0)
+
+    def flip(self, zeta: float) -> float:
+        """Return the coordinate switched on, or off."""
+        return OFF if zeta > BORDER else 0.0
+
+
+@dataclass(frozen=True)
+class KernelLength(ErrorTerm):
+    """The length of a kernel, in ranges of the actuators: log-normal, one amplitude for all legs."""
+
+    lengths: LengthPrior
+    label = LENGTH
+    shared = True
+
+    @property
+    def prior(self) -> Prior:
+        """Log-normal."""
+        return self.lengths
+
+    def at_legs(self, values: Array, n_legs: int) -> Array:
+        """Return the one value there is."""
+        return values
+
+    def value(self, zeta: Array) -> Array:
+        """Return L."""
+        return self.lengths.length(zeta)
+
+    def slope(self, zeta: Array) -> Array:
+        """Return dL/dc."""
+        return self.lengths.spread * self.value(zeta)
+
+    def curvature(self, zeta: Array) -> Array:
+        """Return d²L/dc²."""
+        return self.lengths.spread * self.slope(zeta)
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """Poses that may be outliers, with a probability that is inferred.
+
+    A measured pose errs by e_n, of covariance C_n as everywhere, or it is an outlier: it was named wrongly, a target
+    was covered, the machine had not settled. With the share ε of outliers
+
+        p(e_n) = (1 - ε) N(e_n; 0, C_n) + ε t_ν(e_n; 0, κ² C_n),    ε ~ Beta(1, 1/m - 1),
+
+    m the share that is expected, ν = 1 and κ = 3: so heavy a tail holds outliers of ten and of a thousand deviations
+    alike (contaminated normal, Tukey 1960; the weights are those of Box and Tiao 1968). The probability that pose n is
+    one, ε t_ν(e_n) / p(e_n), is averaged over the posterior. Outliers have nothing to do with the model error τ, which
+    all poses have.
+
+    Attributes
+    ----------
+    share : SharePrior
+        Of ε, whose coordinate is standard normal under the prior.
+    """
+
+    share: SharePrior
+
+    def shares(self, zeta: Array) -> Array:
+        """Return ε of coordinates (...)."""
+        return self.share.share_from_zeta(zeta)
+
+    def add(self, square: Array, n_rows: np.ndarray, share: Array) -> Array:
+        """Return log p(e_n) - log N(e_n; 0, C_n) from eᵀ C⁻¹ e (..., P) of poses with rows (P,) and ε (..., 1)."""
+        return np.logaddexp(np.log1p(-share), np.log(share) + compare_outlier(square, n_rows))
+
+    def probability(self, square: Array, n_rows: np.ndarray, share: Array) -> Array:
+        """Return ε t / p; arguments as in `add`."""
+        odds = np.log(share) - np.log1p(-share) + compare_outlier(square, n_rows)
+        return np.asarray(1.0 / (1.0 + np.exp(-odds)))
+
+    def weigh(self, square: Array, n_rows: np.ndarray, share: Array) -> tuple[Array, Array]:
+        """Return how much each pose counts, -2 d log p / d square, and its probability of being an outlier."""
+        outlier = self.probability(square, n_rows, share)
+        tail = (FREEDOM + n_rows) / (FREEDOM * WIDER**2 + square)
+        return (1.0 - outlier) + outlier * tail, outlier
+
+
+def compare_outlier(square: Array, n_rows: np.ndarray | int) -> Array:
+    """Return log t_ν(e; 0, κ² C) - log N(e; 0, C) from eᵀ C⁻¹ e of K rows, elementwise."""
+    half, nu = 0.5 * np.asarray(n_rows), FREEDOM
+    constant = gammaln(0.5 * nu + half) - gammaln(0.5 * nu) - half * np.log(0.5 * nu) - n_rows * np.log(WIDER)
+    return np.asarray(constant + 0.5 * square - (0.5 * nu + half) * np.log1p(square / (nu * WIDER**2)))
+
+
+@dataclass(frozen=True)
+class Errors:
+    """All errors of a posterior: terms and outliers, in the order of their coordinates.
+
+    Attributes
+    ----------
+    n_legs : int
+        N.
+    terms : sequence of ErrorTerm
+        The model error τ first, even where there is none.
+    outliers : Outliers or None
+    """
+
+    n_legs: int
+    terms: Sequence[ErrorTerm]
+    outliers: Outliers | None = None
+
+    @cached_property
+    def _places(self) -> list[slice]:
+        """Where each term's coordinates are."""
+        ends = np.cumsum([0, *(term.n_parameters(self.n_legs) for term in self.terms)])
+        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+    def place(self, label: str) -> slice:
+        """Return where the coordinates of a term are, none where there is no such term."""
+        found = [place for term, place in zip(self.terms, self._places, strict=True) if term.label == label]
+        return found[0] if found else slice(0, 0)
+
+    @property
+    def n_amplitudes(self) -> int:
+        """Number of coordinates that amplitudes have."""
+        return int(self._places[-1].stop)
+
+    @property
+    def n_parameters(self) -> int:
+        """Number k of coordinates ζ."""
+        return self.n_amplitudes + (self.outliers is not None)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of what is free."""
+        names = tuple(name for term in self.terms for name in term.names(self.n_legs))
+        return names if self.outliers is None else (*names, SHARE)
+
+    @property
+    def priors(self) -> tuple[Prior, ...]:
+        """Priors of what is free, in order."""
+        found = [term.prior for term in self.terms for _ in term.names(self.n_legs)]
+        return tuple(found if self.outliers is None else [*found, self.outliers.share])
+
+    def _each(self, zeta: Array) -> list[tuple[ErrorTerm, Array]]:
+        return [(term, zeta[..., place]) for term, place in zip(self.terms, self._places, strict=True)]
+
+    def natural(self, zeta: Array) -> Array:
+        """Return what is free in its own unit, (..., k)."""
+        found = [term.value(own) for term, own in self._each(zeta)]
+        return np.concatenate(found if self.outliers is None else [*found, self.shares(zeta)[..., None]], axis=-1)
+
+    def amplitudes(self, zeta: Array) -> Array:
+        """Return the amplitudes of all terms, (..., K), or (K,) for any ζ where none is free."""
+        if not self.n_amplitudes:
+            zeta = np.zeros(0)
+        return np.concatenate([term.at_legs(term.value(own), self.n_legs) for term, own in self._each(zeta)], axis=-1)
+
+    def uniform(self, size: float) -> Array:
+        """Return amplitudes (K,) that are alike for all legs, mm, with which a search for the mode begins."""
+        alike = [np.full(self.n_legs, size) if term.label != LENGTH else term.value(np.zeros(1)) for term in self.terms]
+        return np.concatenate(alike)
+
+    def tau(self, zeta: Array) -> Array:
+        """Return the model error of each leg, mm: the first of the amplitudes."""
+        return self.amplitudes(zeta)[..., : self.n_legs]
+
+    def shares(self, zeta: Array) -> Array:
+        """Return ε, (...)."""
+        assert self.outliers is not None
+        return self.outliers.shares(zeta[..., -1])
+
+    def slopes(self, zeta: Array) -> Array:
+        """Return the derivative of the amplitudes by their coordinates at ζ (k,), shape (k', K)."""
+        return self._spread([term.slope(own) for term, own in self._each(zeta)])
+
+    def curvatures(self, zeta: Array) -> Array:
+        """Return the second derivative, shape (k', K)."""
+        return self._spread([term.curvature(own) for term, own in self._each(zeta)])
+
+    def _spread(self, values: list[Array]) -> Array:
+        own = [
+            np.diag(value) if len(value) and not term.shared else term.at_legs(value[:, None], self.n_legs)
+            for term, value in zip(self.terms, values, strict=True)
+        ]
+        result = np.zeros((self.n_amplitudes, sum(one.shape[1] for one in own)))
+        column = 0
+        for one, place in zip(own, self._places, strict=True):
+            result[place, column : column + one.shape[1]] = one
+            column += one.shape[1]
+        return result
+
+    # --- prior ---------------------------------------------------------------------------------------------------
+
+    def deviations(self, zeta: Array) -> Array:
+        """Return what is standard normal under the prior, (..., k)."""
+        found = [term.deviation(own) for term, own in self._each(zeta)]
+        return np.concatenate([*found, zeta[..., self.n_amplitudes :]], axis=-1)
+
+    @property
+    def log_mass(self) -> float:
+        """What the log-prior has beside the normal density of the deviations."""
+        return float(sum(term.log_mass * term.n_parameters(self.n_legs) for term in self.terms))
+
+    def draw(self, standard: Array, rng: np.random.Generator) -> Array:
+        """Return coordinates of the prior from standard normal numbers (S, k)."""
+        found = [term.draw(own, rng) for term, own in self._each(standard)]
+        return np.concatenate([*found, standard[..., self.n_amplitudes :]], axis=-1)
+
+    def jumps(self, zeta: Array) -> list[tuple[int, Array]]:
+        """Return coordinates (k,) where other modes may be, seen from ζ (k,), and which of them is another there."""
+        found = []
+        for term, place in zip(self.terms, self._places, strict=True):
+            for k in range(place.start, place.stop):
+                other = term.flip(float(zeta[k]))
+                if other is not None:
+                    image = zeta.copy()
+                    image[k] = other
+                    found.append((k, image))
+        return found
