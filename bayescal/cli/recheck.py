@@ -9,7 +9,7 @@ import typer
 
 from bayescal.cli.app import app
 from bayescal.cli.console import check_out, put
-from bayescal.cli.machine import Calibrated, Config, Force, Table, Variant
+from bayescal.cli.machine import Calibrated, Config, Force, Table, Trust, Variant
 from bayescal.errors import InputError, name_faults
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ def recheck(
     out: Table = None,
     experiment: Config = None,
     force: Force = False,
+    trust: Trust = False,
 ) -> None:
     """Name the fewest poses that tell whether a calibration still holds, or judge what was measured at them."""
     from bayescal.api import load_calibrated
@@ -56,7 +57,7 @@ def recheck(
     from bayescal.numerics.units import MICROMETRE
 
     orientation_arcsec = _choose_arcseconds(orientation_arcsec, orientation_urad)
-    calibrated = load_calibrated(results, variant, experiment, force)
+    calibrated = load_calibrated(results, variant, experiment, force, trust)
     if calibrated.covariance is None:
         raise InputError(f"{results}: found no draws of the posterior (posterior/*.nc), expected those of a run")
     check_out(out)

@@ -11,6 +11,11 @@ LENGTHS = {"um": 1e-3, "mm": 1.0, "m": 1e3}
 ANGLES = {"arcsec": np.pi / 180 / 3600, "mrad": 1e-3, "deg": np.pi / 180, "rad": 1.0}
 
 
+def units_like(unit: str) -> Mapping[str, float]:
+    """Return the units that a column may be in instead of a channel's, each with its size in it."""
+    return {"mm": LENGTHS, "rad": {name: float(v) for name, v in ANGLES.items()}}.get(unit, {unit: 1.0})
+
+
 @dataclass(frozen=True)
 class Units:
     """Units of lengths and of angles by name."""
@@ -25,8 +30,3 @@ class Units:
     def name(self, unit: str) -> str:
         """Return the design's name of an inner unit."""
         return {"mm": self.length, "rad": self.angle}.get(unit, unit)
-
-
-def units_like(unit: str) -> Mapping[str, float]:
-    """Return the units that a number may be in instead of an inner one, each with its size in it."""
-    return {"mm": LENGTHS, "rad": {name: float(size) for name, size in ANGLES.items()}}.get(unit, {unit: 1.0})

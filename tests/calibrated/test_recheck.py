@@ -12,7 +12,7 @@ import telescope_machines as machines
 from scipy.stats import norm
 
 from bayescal.api import export_machine
-from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors
+from bayescal.calibrated.machine import CalibratedMachine, build_leg_errors
 from bayescal.calibrated.recheck.judge import judge_recheck
 from bayescal.calibrated.recheck.plan import Demand, list_candidates, plan_recheck
 from bayescal.calibrated.recheck.statistics import build_test, compute_knowledge, predict_knowledge
@@ -24,6 +24,7 @@ from bayescal.experiments.shared.measured_slips import find_recheck_slip
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import build_machine, solve_forward_kinematics
 from bayescal.machines.models.six_pus import SixPus
+from bayescal.machines.readings import LegsModel
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
 NOISE = build_covariance(15.0, 15.0)
@@ -47,13 +48,20 @@ def plan(calibrated, candidates):
     return plan_recheck(calibrated, candidates, NOISE, DEMAND)
 
 
+def spread_legs(calibrated, position, rotation, actuators) -> np.ndarray:
+    """Return the covariance of the closures' errors, (P, N, N), mm²."""
+    here = calibrated.legs.linearise(calibrated.theta, position, rotation, actuators).actuators
+    pose = np.concatenate([position, rotation_vector_from_matrix(rotation)], axis=1)
+    return here @ calibrated.errors.covariance(pose, actuators) @ np.swapaxes(here, 1, 2)
+
+
 def measure(calibrated, actuators, rng, shift=0.0, leg=0) -> MeasuredPoses:
     """Return measured poses of a machine with one leg longer by a shift, mm."""
     theta = calibrated.theta.copy()
-    theta[calibrated.machine.layout.index["l"][leg]] += shift
-    found = solve_forward_kinematics(calibrated.machine, theta, actuators)
-    here = calibrated.machine.linearise(theta, found.position, found.rotation, actuators)
-    spread = calibrated.errors.covariance(actuators * 0.0, here.actuators)
+    theta[calibrated.legs.layout.index["l"][leg]] += shift
+    found = solve_forward_kinematics(calibrated.legs, theta, actuators)
+    here = calibrated.legs.linearise(theta, found.position, found.rotation, actuators)
+    spread = spread_legs(calibrated, found.position, found.rotation, actuators)
     legs = np.einsum("pij,pj->pi", np.linalg.cholesky(spread), rng.standard_normal(actuators.shape))
     noise = rng.multivariate_normal(np.zeros(6), NOISE, len(actuators))
     noise += np.linalg.solve(here.pose, legs[..., None])[..., 0]
@@ -67,13 +75,13 @@ def test_scores_are_those_of_generalised_least_squares(calibrated, plan, rng):
     session = measure(calibrated, plan.actuators[:3], rng)
     arguments = (session.position, session.rotation, session.actuators)
     knowledge = compute_knowledge(calibrated, *arguments, session.covariance)
-    here = calibrated.machine.linearise(calibrated.theta, *arguments)
-    legs = calibrated.errors.covariance(session.actuators * 0.0, here.actuators)
+    here = calibrated.legs.linearise(calibrated.theta, *arguments)
+    legs = spread_legs(calibrated, *arguments)
     slope = here.parameters[..., calibrated.free].reshape(18, -1)
     covariance = slope @ calibrated.covariance @ slope.T
     for k, block in enumerate(here.pose @ session.covariance @ np.swapaxes(here.pose, 1, 2) + legs):
         covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += block
-    moves = -here.parameters[..., calibrated.machine.layout.index["l"]].reshape(18, 6)
+    moves = -here.parameters[..., calibrated.legs.layout.index["l"]].reshape(18, 6)
     weighted = np.linalg.solve(covariance, np.column_stack([moves, here.residual.ravel()]))
     score, information = knowledge.score(knowledge.gram.sum(axis=0))
     np.testing.assert_allclose(information, moves.T @ weighted[:, :6], rtol=1e-6, atol=1e-6 * information.max())
@@ -116,7 +124,7 @@ def test_more_sessions_take_fewer_poses(calibrated, candidates, plan):
 
 
 def test_candidates_lie_within_the_share_of_the_range(calibrated):
-    mechanism = calibrated.machine.mechanism
+    mechanism = calibrated.legs.mechanism
     moves = list_candidates(calibrated, 0.5) - mechanism.initial_actuator_positions
     assert np.abs(moves).max() == pytest.approx(0.5 * mechanism.actuator_range)
     assert len(moves) > 700
@@ -126,10 +134,10 @@ def test_redundant_legs_close_at_the_candidates():
     """Actuators of eight legs cannot be combined at will: the platform is moved, and the legs follow."""
     mechanism = guided_machines.build_guided("star", 3, n_legs=8)
     machine = build_machine(SixPus, mechanism, NoDeformation())
-    source, errors = made_up.SOURCE, IndependentErrors(1e-3, np.zeros(8))
+    source, errors = made_up.SOURCE, build_leg_errors(machine, machine.layout.nominal, 1e-3, np.zeros(8))
     free = np.arange(machine.layout.size)
     covariance = 1e-6 * np.eye(len(free))
-    calibrated = CalibratedMachine(machine, machine.layout.nominal, free, covariance, None, errors, source)
+    calibrated = CalibratedMachine(LegsModel(machine), machine.layout.nominal, free, covariance, None, errors, source)
     actuators = list_candidates(calibrated, 0.5)
     assert len(actuators) > 100
     moves = np.abs(actuators - mechanism.initial_actuator_positions)

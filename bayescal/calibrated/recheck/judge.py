@@ -83,7 +83,7 @@ def judge_recheck(
     statistic = score / np.sqrt(own)
     holds = bool(np.abs(statistic).max() <= test.threshold)
     square = knowledge.left_over(pooled[-1])
-    n_rows = sum(s.n_poses for s in sessions) * calibrated.n_legs
+    n_rows = sum(s.n_poses for s in sessions) * calibrated.legs.mechanism.n_legs
     explained = 0.0 if holds else float((statistic[-1] ** 2).max())
     odd = chi2.sf(square - explained, n_rows - (not holds))
     return Recheck(

@@ -82,7 +82,7 @@ def list_candidates(calibrated: CalibratedMachine, share: float) -> Array:
 
     Those of redundant legs, which cannot be combined at will, hold random poses about home.
     """
-    mechanism = calibrated.machine.mechanism
+    mechanism = calibrated.legs.mechanism
     reach = share * mechanism.actuator_range
     if mechanism.n_legs == DEGREES_OF_FREEDOM:
         moves = reach * np.array(list(product(LEVELS, repeat=mechanism.n_legs)))
@@ -92,7 +92,7 @@ def list_candidates(calibrated: CalibratedMachine, share: float) -> Array:
 
 def _place_near_home(calibrated: CalibratedMachine, reach: float) -> Array:
     """Return the actuator positions (C, N) of random poses at which the one that moves most moves by about a reach."""
-    machine, theta = calibrated.machine, calibrated.theta
+    machine, theta = calibrated.legs, calibrated.theta
     mechanism = machine.mechanism
     start = mechanism.initial_actuator_positions
     home = solve_forward_kinematics(machine, theta, start)
@@ -108,7 +108,7 @@ def _place_near_home(calibrated: CalibratedMachine, reach: float) -> Array:
 
 
 def _keep_reached(calibrated: CalibratedMachine, actuators: Array) -> Array:
-    found = solve_forward_kinematics(calibrated.machine, calibrated.theta, actuators, check=False)
+    found = solve_forward_kinematics(calibrated.legs, calibrated.theta, actuators, check=False)
     return actuators[found.converged]
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import solve_forward_kinematics
-from bayescal.numerics.geometry import Array
+from bayescal.numerics.geometry import Array, rotation_vector_from_matrix
 
 SIMULATED = 100_000
 """Tests simulated for a threshold: a false alarm of 1 % is met to 0.03 %."""
@@ -82,7 +82,7 @@ def predict_knowledge(calibrated: CalibratedMachine, actuators: Array, covarianc
     InputError
         Where the machine has no pose at one of them.
     """
-    found = solve_forward_kinematics(calibrated.machine, calibrated.theta, actuators, check=False)
+    found = solve_forward_kinematics(calibrated.legs, calibrated.theta, actuators, check=False)
     if not found.converged.all():
         raise InputError(f"pose {int(np.argmin(found.converged)) + 1}: found no pose of the machine, expected one")
     noise = np.broadcast_to(covariance, (len(actuators), 6, 6))
@@ -99,21 +99,22 @@ def compute_knowledge(
     InputError
         Where the calibrated machine has no covariance, or its legs have no length.
     """
-    machine = calibrated.machine
+    machine = calibrated.legs
     if calibrated.covariance is None:
         raise InputError("found no draws of the posterior, expected them: a recheck needs to know what is known")
     if LENGTH not in machine.layout.index:
         raise InputError("found legs without a length l, expected some: a recheck looks for shifts of lengths")
     here = machine.linearise(calibrated.theta, position, rotation, actuators)
-    displacement = actuators - machine.mechanism.initial_actuator_positions
-    errors = calibrated.errors.covariance(displacement, here.actuators)
+    pose = np.concatenate([position, rotation_vector_from_matrix(rotation)], axis=1)
+    errors = here.actuators @ calibrated.errors.covariance(pose, actuators) @ np.swapaxes(here.actuators, 1, 2)
+    shift = -np.einsum("pij,pj->pi", here.actuators, calibrated.errors.mean(pose, actuators))
     spread = here.pose @ covariance @ np.swapaxes(here.pose, 1, 2) + errors
     root = _find_root(calibrated.covariance)
     columns = np.concatenate(
         [
             -here.parameters[..., calibrated.free] @ root,
             -here.parameters[..., machine.layout.index[LENGTH]],
-            (here.residual - calibrated.errors.mean(displacement))[..., None],
+            (here.residual - shift)[..., None],
         ],
         axis=-1,
     )

@@ -9,7 +9,7 @@ import numpy as np
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.recheck.judge import Recheck
 from bayescal.calibrated.recheck.plan import RecheckPlan
-from bayescal.calibrated.tables import read_positions
+from bayescal.calibrated.tables import read_commands
 from bayescal.data.actuators import check_range, name_actuators
 from bayescal.data.instruments.plausible import check_units
 from bayescal.data.instruments.poses import COORDINATES, PoseReadings
@@ -42,7 +42,7 @@ def read_mean_covariance(path: Path) -> Array:
 
 def read_candidates(path: Path, calibrated: CalibratedMachine) -> Array:
     """Return the actuator positions (C, N), mm, that a plan may choose from."""
-    return read_positions(path, calibrated)[1]
+    return read_commands(path, calibrated)[1]
 
 
 def has_noise(path: Path) -> bool:
@@ -59,11 +59,11 @@ def read_session(path: Path, actuators: Path | None, noise: PoseNoise, calibrate
     InputError
         For anything at fault in the tables, a pose that is not measured whole, and positions out of range.
     """
-    readings = _read(path, actuators, noise, calibrated.n_legs)
-    mechanism = calibrated.machine.mechanism
+    readings = _read(path, actuators, noise, calibrated.legs.mechanism.n_legs)
+    mechanism = calibrated.legs.mechanism
     with name_faults(path if actuators is None else actuators):
         check_range(readings.actuators, mechanism.initial_actuator_positions, mechanism.actuator_range, readings.names)
-    check_units(calibrated.machine, readings, path)
+    check_units(calibrated.legs, readings, path)
     return readings.poses
 
 
@@ -82,7 +82,7 @@ def format_plan(calibrated: CalibratedMachine, plan: RecheckPlan, title: str) ->
         "Measure position and orientation of the platform at each, in the base frame, as pose, x_mm, y_mm, z_mm,",
         "rx_deg, ry_deg, rz_deg; then: bayescal recheck RESULTS --measured THAT.csv --actuators THIS.csv",
     ]
-    columns = ["pose", "use", *name_actuators(calibrated.n_legs)]
+    columns = ["pose", "use", *name_actuators(calibrated.legs.mechanism.n_legs)]
     rows = [(f"R{k:02d}", "calibration", *(f"{x:.6f}" for x in one)) for k, one in enumerate(plan.actuators, start=1)]
     return format_table(comments, columns, rows)
 

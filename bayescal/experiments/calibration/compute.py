@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+import pandas as pd
 
+from bayescal.experiments.calibration.calibrated import ERRORS, keep_machine, tabulate_errors
 from bayescal.experiments.calibration.fit import Fit, fit_variant
 from bayescal.experiments.calibration.inputs import CalibrationInputs
 from bayescal.experiments.calibration.knowledge import Knowledge, assess
@@ -53,9 +55,14 @@ def compute_calibration(inputs: CalibrationInputs, run: Run) -> Results:
         for name, one in fitted.items()
     }
     tables = tabulate(inputs, found)
+    errors = [
+        tabulate_errors(inputs.config, inputs.variants[name], one.fit.names, one.fit.natural)
+        for name, one in found.items()
+    ]
+    tables[ERRORS] = pd.concat(errors, ignore_index=True)
     summary, slip = summarise(inputs, tables), find_calibration_slip(inputs.variants.values())
     summary |= {} if slip is None else {"slip": slip}
-    return Results(summary, tables, _list_files(inputs, found))
+    return Results(summary, tables, {**_list_files(inputs, found), **keep_machine(inputs)})
 
 
 def _list_files(inputs: CalibrationInputs, found: dict[str, Findings]) -> dict[str, Writer]:

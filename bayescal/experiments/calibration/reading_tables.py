@@ -16,7 +16,6 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.schema import DataTableConfig
-from bayescal.experiments.shared.coordinates import pose_names
 from bayescal.files.csv_tables import Table, read_table
 from bayescal.identifiability.units import units_like
 from bayescal.machines.readings import Channel
@@ -37,6 +36,8 @@ class PoseReadings:
     values, sd : ndarray, shape (P, K)
         In the channels' units; NaN where there is none: not read, or no deviation of its own.
     correlation : ndarray, shape (P, K, K), or None
+    commanded : ndarray of bool, shape (P, K)
+        Which readings are positions that the machine was commanded to.
     given : dict of str to ndarray, shape (P,)
         NaN where it is not known.
     """
@@ -46,12 +47,8 @@ class PoseReadings:
     values: Array
     sd: Array
     correlation: Array | None
+    commanded: np.ndarray
     given: dict[str, Array] = field(default_factory=dict)
-
-
-def stem_of(name: str) -> str:
-    """Return a channel's name as columns have it: ``motor[2]`` is ``motor_2``."""
-    return name.replace("[", "_").rstrip("]")
 
 
 @dataclass(frozen=True)
@@ -94,6 +91,7 @@ def read_tables(
         np.full((n, k), np.nan),
         np.full((n, k), np.nan),
         np.tile(np.eye(k), (n, 1, 1)) if any(c.startswith("corr_") for t in tables for c in t.columns) else None,
+        np.zeros((n, k), dtype=bool),
         {name: np.full(n, np.nan) for name in given},
     )
     for table, one in zip(tables, sections, strict=True):
@@ -106,10 +104,10 @@ def _list_columns(channels: Sequence[Channel], given: Sequence[str]) -> dict[str
     columns = {name: _Column("given") for name in given}
     for k, channel in enumerate(channels):
         for unit, factor in units_like(channel.unit).items():
-            columns[f"{stem_of(channel.name)}_{unit}"] = _Column("values", (k,), factor)
-            columns[f"{stem_of(channel.name)}_sd_{unit}"] = _Column("sd", (k,), factor)
+            columns[f"{channel.stem}_{unit}"] = _Column("values", (k,), factor)
+            columns[f"{channel.stem}_sd_{unit}"] = _Column("sd", (k,), factor)
         for j, other in enumerate(channels[:k]):
-            columns[f"corr_{stem_of(other.name)}_{stem_of(channel.name)}"] = _Column("corr", (j, k))
+            columns[f"corr_{other.stem}_{channel.stem}"] = _Column("corr", (j, k))
     return columns
 
 
@@ -121,7 +119,7 @@ def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channe
         if name in ("pose", "use", *section.ignore):
             continue
         if name not in known:
-            expected = ", ".join(f"{stem_of(one.name)}_{one.unit}" for one in channels)
+            expected = ", ".join(f"{one.stem}_{one.unit}" for one in channels)
             close = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
             hint = f", did you mean {close[0]!r}?" if close else ""
             raise InputError(
@@ -134,7 +132,22 @@ def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channe
     for name in section.channels:
         if not any(name in (one, one.partition("[")[0]) for one in read):
             raise InputError(f"{table.path}: found no column of channel {name!r}, which data.channels asks for")
+    for name in section.commanded:
+        asked = [one.name for one in channels if name in (one.name, one.kind)]
+        if missing := [one for one in asked or [name] if one not in read]:
+            raise InputError(f"{table.path}: found no column of channel {missing[0]!r}, which is in data.commanded")
     return table
+
+
+def pose_names(table: Table) -> list[str]:
+    """Return the names of a table's poses; InputError where one stands there twice."""
+    names = table.text("pose")
+    for row, name in enumerate(names):
+        if (first := names.index(name)) != row:
+            raise InputError(
+                f"{table.where(row)}: pose {name!r} stands already on line {table.lines[first]}, expected it once"
+            )
+    return names
 
 
 def _fill(
@@ -165,6 +178,12 @@ def _fill(
             _fill_correlation(found, table, name, column, values, rows)
         else:
             _fill_channel(found, table, name, column, channels[column.places[0]], values, rows)
+    for k, channel in enumerate(channels):
+        if {channel.name, channel.kind} & set(section.commanded):
+            for row in np.flatnonzero(~np.isfinite(found.values[rows, k]))[:1]:
+                where = table.where(int(row))
+                raise InputError(f"{where}: found no {channel.name}, expected it as data.commanded says")
+            found.commanded[rows, k] = True
 
 
 def _fill_channel(

@@ -211,11 +211,20 @@ def summarise(inputs: CalibrationInputs, tables: Mapping[str, pd.DataFrame]) -> 
         "machine": inputs.machine,
         "origin": config.origin.model_dump(),
         "member": next(iter(inputs.variants.values())).model.member,
+        "machine_files": inputs.machine_files,
         "converged": bool(variants["converged"].all()),
         "units": config.units.model_dump(),
         "variants": {str(row.pop("variant")): plain(row) for row in variants.to_dict("records")},
         "rankings": rank_variants(variants),
     }
+
+
+def choose_best(summary: Mapping[str, Any]) -> str:
+    """Return the variant to use: of those with the most readings the one that explains them best, if it converged."""
+    rows = summary["variants"]
+    ranking = max(summary["rankings"], key=lambda names: (rows[names[0]]["n_equations"], len(names)))
+    sound = [name for name in ranking if rows[name]["converged"]]
+    return str((sound or ranking)[0])
 
 
 def rank_variants(variants: pd.DataFrame) -> list[list[str]]:

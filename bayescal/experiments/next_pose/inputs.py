@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
 from bayescal.data.actuators import read_moves
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
@@ -16,7 +17,6 @@ from bayescal.experiments.next_pose.legs import LegsSubject, know, list_candidat
 from bayescal.experiments.next_pose.readings import ReadingsSubject
 from bayescal.experiments.next_pose.schema import CandidatesConfig, NextConfig
 from bayescal.experiments.next_pose.state import Subject
-from bayescal.experiments.shared.coordinates import read_coordinates
 from bayescal.experiments.shared.design import REQUIRED, find_actuators, read_workspace
 from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant, Measuring, MeasuringReadings
 from bayescal.experiments.shared.measured_slips import find_measured_slip
@@ -309,6 +309,10 @@ def _list_candidates(
         if name in section.model_fields_set:
             raise InputError(f"candidates.{name}: found it of a machine without legs, expected count or configurations")
     if section.configurations is not None:
-        return read_coordinates(folder / section.configurations, likelihood.model)[1:]
+        model = likelihood.model
+        expected = [*(f"{one.name}_{one.unit}" for one in model.coordinates), *model.given]
+        known = [*list_columns(model.coordinates), *model.given]
+        table, _ = read_named(folder / section.configurations, known, expected)
+        return read_quantities(table, model.coordinates), read_given(table, model.given)
     pose = _draw_poses(measured, section.count, rng)
     return pose, typical_given(likelihood.data.given, len(pose))

@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayescal.errors import InputError
 from bayescal.experiments.shared.packing import pack_tree
+from bayescal.files.netcdf import read_netcdf
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
@@ -180,6 +182,20 @@ def _share_dimensions(entries: Mapping[str, Sequence[int | str]]) -> dict[str, s
     lists = {s: own for s, own in entries.items() if own != [""]}
     first = next(iter(lists.values()), [])
     return {s: "" if s not in lists else "leg" if own == first else f"{s}_entry" for s, own in entries.items()}
+
+
+def read_draws(path: Path) -> dict[str, Array]:
+    """Return the draws of each parameter of a tree's file by its name, shapes (S,), chains laid end to end."""
+    values: dict[str, Array] = {}
+    try:
+        for symbol, found in read_netcdf(path, "posterior").data_vars.items():
+            flat = found.to_numpy().reshape(found.sizes["chain"] * found.sizes["draw"], -1)
+            own = [str(dim) for dim in found.dims if dim not in ("chain", "draw")]
+            names = [f"{symbol}[{one}]" for one in found[own[0]].values] if own else [str(symbol)]
+            values |= dict(zip(names, flat.T, strict=True))
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read as a posterior ({' '.join(str(error).split())})") from error
+    return values
 
 
 def _symbol(name: str) -> str:

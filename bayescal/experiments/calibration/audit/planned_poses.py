@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
 from bayescal.experiments.calibration.priors import choose_priors
 from bayescal.experiments.calibration.schema import CalibrationAuditConfig
 from bayescal.experiments.calibration.workspace import Workspace, check_given, draw_given, draw_standing
-from bayescal.experiments.shared.coordinates import read_coordinates
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -27,7 +27,7 @@ class PlannedPoses:
 def plan_poses(config: CalibrationAuditConfig, folder: Path, model: ReadingModel, workspace: Workspace) -> PlannedPoses:
     """Return where it is planned to measure; InputError for a faulty file or missing bounds."""
     if config.poses.file is not None:
-        return PlannedPoses(*read_coordinates(folder / config.poses.file, model))
+        return _read_poses(folder / config.poses.file, model)
     assert config.poses.count is not None
     check_given(config.given, model)
     rng, count = np.random.default_rng([config.seed, 8]), config.poses.count
@@ -42,3 +42,10 @@ def _expect(config: CalibrationAuditConfig, model: ReadingModel) -> Array:
     known = fixed | {name: one.mean for name, one in priors.items()}
     layout = model.layout
     return np.array([known.get(name, value) for name, value in zip(layout.names, layout.nominal, strict=True)])
+
+
+def _read_poses(path: Path, model: ReadingModel) -> PlannedPoses:
+    known = [*list_columns(model.coordinates), *model.given]
+    expected = [*(f"{one.name}_{one.unit}" for one in model.coordinates), *model.given]
+    table, names = read_named(path, known, expected)
+    return PlannedPoses(names, read_quantities(table, model.coordinates), read_given(table, model.given))

@@ -10,7 +10,6 @@ from bayescal.experiments.calibration.page import figures
 from bayescal.experiments.calibration.page.verdict import (
     Asked,
     Row,
-    choose_best,
     format_place,
     list_rows,
     name_unit,
@@ -18,6 +17,7 @@ from bayescal.experiments.calibration.page.verdict import (
     state_headline,
     state_verdict,
 )
+from bayescal.experiments.calibration.tables import choose_best
 from bayescal.experiments.shared.diagnostics_table import tabulate_diagnostics
 from bayescal.experiments.shared.joints import MOST_POSES
 from bayescal.experiments.shared.machine_scene import AXES, build_line_scene
@@ -32,7 +32,7 @@ STATUS = {"measured": "Measured", "simulated": "Simulated, never measured", "rec
 
 def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page:
     """Return the page of an experiment's tables."""
-    best = choose_best(tables, summary)
+    best = choose_best(summary)
     sections = [
         _show_variants(tables, summary),
         _show_parameters(tables, best),

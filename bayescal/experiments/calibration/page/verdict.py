@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from bayescal.experiments.calibration.tables import choose_best
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import (
@@ -60,17 +61,9 @@ def shown_in(unit: str, asked: Asked = None) -> tuple[float, str]:
     return SHOWN.get(unit, (1.0, "" if unit == "1" else unit))
 
 
-def choose_best(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> str:
-    """Return the variant to use: of those with the most readings the one that explains them best, if it converged."""
-    rows = {str(row["variant"]): row for row in list_rows(tables["variants"])}
-    ranking = max(summary["rankings"], key=lambda names: (rows[names[0]]["n_equations"], len(names)))
-    sound = [name for name in ranking if rows[name]["converged"]]
-    return str((sound or ranking)[0])
-
-
 def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> str:
     """Return which variant to use and how well it then knows where the machine stands."""
-    best = choose_best(tables, summary)
+    best = choose_best(summary)
     row = _row(tables["variants"], best)
     accuracy = [
         f"{one['coordinate']} to {format_amount(one['after'], one['unit'])}"
@@ -85,7 +78,7 @@ def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> 
 
 def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Statement]:
     """Return what was found, the most important first."""
-    best = choose_best(tables, summary)
+    best = choose_best(summary)
     found = [
         *state_slip(summary),
         _state_ranking(tables, summary, best),
