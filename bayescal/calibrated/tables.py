@@ -127,9 +127,9 @@ def read_commanded(path: Path, calibrated: CalibratedMachine) -> Commanded:
     pose = [*list_columns(model.pose_channels), *(OTHER_COLUMNS if isinstance(model, LegsModel) else ())]
     upper, lower = name_covariances([one.name for one in model.pose_channels])
     sds = [f"sd_{one}" for one in pose]
-    others = ("use", *sds, *_name_sd(model.pose_channels), *upper, *lower, *list_columns(_list_commanded(calibrated)))
-    expected = [_name(one) for one in model.pose_channels]
-    expected += [f"or {', '.join(TOOL + _name(one) for one in model.tool_channels)}"] if tool else []
+    others = ("use", *sds, *_name_sd(model.pose_channels), *upper, *lower, *list_columns(list_commanded(calibrated)))
+    expected = [name_column(one) for one in model.pose_channels]
+    expected += [f"or {', '.join(TOOL + name_column(one) for one in model.tool_channels)}"] if tool else []
     table, names = read_named(path, [*pose, *tool, *model.given, *others], [*expected, *model.given])
     by_tool = any(name in tool for name in table.columns)
     if by_tool and any(name in pose for name in table.columns):
@@ -142,9 +142,9 @@ def read_commanded(path: Path, calibrated: CalibratedMachine) -> Commanded:
 
 def read_commands(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str, ...], Array, dict[str, Array]]:
     """Return names (P), commands (P, C) in the channels' units and what is given; InputError where out of range."""
-    model, channels = calibrated.model, _list_commanded(calibrated)
+    model, channels = calibrated.model, list_commanded(calibrated)
     others = ("use", REACHED, *_name_sd(channels))
-    expected = [_name(one) for one in channels]
+    expected = [name_column(one) for one in channels]
     table, names = read_named(path, [*list_columns(channels), *model.given, *others], [*expected, *model.given])
     commands = read_quantities(table, channels)
     with name_faults(path):
@@ -154,7 +154,8 @@ def read_commands(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str,
     return names, commands, read_given(table, model.given)
 
 
-def _list_commanded(calibrated: CalibratedMachine) -> list[Channel]:
+def list_commanded(calibrated: CalibratedMachine) -> list[Channel]:
+    """Return the commanded channels."""
     return [calibrated.model.channels[k] for k in calibrated.commanded]
 
 
@@ -190,7 +191,7 @@ def format_command(
     calibrated: CalibratedMachine, names: Sequence[str], command: Command, given: Mapping[str, Array]
 ) -> str:
     """Return commands as CSV text, with standard deviations, and which poses are out of reach."""
-    channels = _list_commanded(calibrated)
+    channels = list_commanded(calibrated)
     fine = np.array([FINE.get(one.unit, ("", 1.0))[1] for one in channels])
     sd = np.full(command.commands.shape, np.nan) if command.sd is None else command.sd * fine
     known = [[repr(float(x)) for x in row] for row in zip(*given.values(), strict=True)] or [[]] * len(names)
@@ -203,7 +204,7 @@ def format_command(
         "Commands that hold the poses: posterior mean, and standard deviation (sd) by geometry, model error and noise",
         "of the actuators' readings.",
     ]
-    columns = ["pose", REACHED, *given, *(_name(one) for one in channels), *_name_sd(channels)]
+    columns = ["pose", REACHED, *given, *(name_column(one) for one in channels), *_name_sd(channels)]
     return format_table(comments, columns, rows)
 
 
@@ -217,7 +218,7 @@ def format_prediction(
     model, whole = calibrated.model, is_pose(calibrated)
     tool, pose = model.tool_channels, model.pose_channels
     prefix = "" if whole else TOOL
-    columns = ["pose", *given, *(prefix + _name(one) for one in tool), *(() if whole else map(_name, pose))]
+    columns = ["pose", *given, *(prefix + name_column(one) for one in tool), *(() if whole else map(name_column, pose))]
     values = np.concatenate([prediction.tool, prediction.pose], axis=1)[:, : len(columns) - 1 - len(given)]
     known = [[repr(float(x)) for x in row] for row in zip(*given.values(), strict=True)] or [[]] * len(names)
     rows: list[list[str]] = [
@@ -258,10 +259,10 @@ def format_draws(calibrated: CalibratedMachine, names: Sequence[str], tools: Arr
         *calibrated.source.describe(),
         "Poses by draws of the posterior; rotation vectors in degrees.",
     ]
-    return format_table(comments, ["pose", "draw", *(prefix + _name(one) for one in channels)], rows)
+    return format_table(comments, ["pose", "draw", *(prefix + name_column(one) for one in channels)], rows)
 
 
-def _name(channel: Channel) -> str:
+def name_column(channel: Channel) -> str:
     """Return the column that a quantity is written to: a rotation vector in degrees, all else in its own unit."""
     return f"{channel.stem}_{'deg' if channel.rotation else channel.unit}"
 
