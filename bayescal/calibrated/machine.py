@@ -183,6 +183,8 @@ class CalibratedMachine:
         Name of the file that the machine is read from among ``files``; none of a machine on legs.
     files : mapping of str to bytes
         That file and the code of a class of its own, by their names.
+    noise : ndarray, shape (K,), or None
+        Of each channel as the calibration found it; NaN where that is not known. None where nothing is.
     """
 
     model: ReadingModel
@@ -197,6 +199,7 @@ class CalibratedMachine:
     workspace: Array | None = None
     machine_file: str = ""
     files: Mapping[str, bytes] = field(default_factory=dict)
+    noise: Array | None = None
 
     @property
     def name(self) -> str:

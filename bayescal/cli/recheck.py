@@ -93,7 +93,7 @@ def recheck(
                 said, session = _read_poses(path, actuators, stated, calibrated)
                 lines += said
             else:
-                session = _read_readings(path, actuators, _find_noise(results, calibrated, like, sensors), calibrated)
+                session = _read_readings(path, actuators, _find_noise(calibrated, like, sensors), calibrated)
             read.append(session)
         with name_faults(results):
             lines += describe_recheck(judge_recheck(calibrated, suspects, read, false_alarm, sessions))
@@ -102,7 +102,7 @@ def recheck(
     if legs:
         planned = _plan_poses(results, stated, like, calibrated)
     else:
-        planned = expect_readings(_find_noise(results, calibrated, like, sensors))
+        planned = expect_readings(_find_noise(calibrated, like, sensors))
     commands, given = (
         list_candidates(calibrated, share) if candidates is None else read_commands(candidates, calibrated)[1:]
     )
@@ -239,12 +239,10 @@ def _read_table(path: Path, calibrated: CalibratedMachine) -> Measurements:
     return Measurements(found.poses, found.values, found.sd, found.given, found.correlation)
 
 
-def _find_noise(
-    results: Path, calibrated: CalibratedMachine, like: Path | None, sensors: Sequence[str] | None
-) -> Array:
-    """Return the noise of each channel, (K,): as a table has it, or the results' config; NaN for those not read."""
+def _find_noise(calibrated: CalibratedMachine, like: Path | None, sensors: Sequence[str] | None) -> Array:
+    """Return the noise of each channel, (K,): as a table has it, or as the calibration found it; NaN if not read."""
     model = calibrated.model
-    sd = _find_configured_noise(results, calibrated)
+    sd = np.full(len(model.channels), np.nan) if calibrated.noise is None else calibrated.noise.copy()
     if like is not None:
         read = _read_table(like, calibrated)
         square = np.where(read.present & np.isfinite(read.sd), read.sd**2, np.nan)
@@ -260,18 +258,3 @@ def _find_noise(
         sd[~np.isin(np.arange(len(sd)), chosen)] = np.nan
     sd[calibrated.commanded] = 1.0
     return sd
-
-
-def _find_configured_noise(results: Path, calibrated: CalibratedMachine) -> Array:
-    """Return the noise of each channel that the config of a calibration states, (K,); NaN where it states none."""
-    from bayescal.experiments.calibration.noise import noise_of_channels
-    from bayescal.experiments.calibration.schema import ChannelConfig
-    from bayescal.experiments.frame.results import PROVENANCE_FILE
-    from bayescal.files.atomic import read_json
-
-    model = calibrated.model
-    sections = {}
-    if (results / PROVENANCE_FILE).is_file():
-        sections = read_json(results / PROVENANCE_FILE).get("config", {}).get("sensors", {})
-    known = {*model.names, *(one.kind for one in model.channels)}
-    return noise_of_channels({name: ChannelConfig(**one) for name, one in sections.items() if name in known}, model)

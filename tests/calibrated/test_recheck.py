@@ -295,6 +295,31 @@ def test_the_noise_may_come_from_a_table_of_poses(exported, listed, plan, call, 
     assert said.count("\nR") == len(plan.chosen)
 
 
+def test_the_noise_may_come_from_a_table_with_standard_deviations(exported, listed, plan, call, tmp_path):
+    """As ``bayescal init`` writes poses; without any noise the table is refused."""
+    sd = [15.0, 15.0, 15.0, *(np.sqrt(np.diag(NOISE))[3:] * 1e6)]
+    names = ("sd_x_um", "sd_y_um", "sd_z_um", "sd_rx_urad", "sd_ry_urad", "sd_rz_urad")
+    path = tmp_path / "like.csv"
+    path.write_text(f"pose,x_mm,y_mm,z_mm,{','.join(names)}\nC01,1,2,3,{','.join(f'{one:.9g}' for one in sd)}\n")
+    code, said, complaint = call("recheck", exported, "--like", path, "--candidates", listed)
+    assert (code, complaint) == (0, "")
+    assert said.count("\nR") == len(plan.chosen)
+    path.write_text("pose,x_mm,y_mm,z_mm\nC01,1,2,3\n")
+    complaint = call("recheck", exported, "--like", path, "--candidates", listed)[2]
+    assert "found no noise, expected cov_x_x ... cov_rz_rz or sd_x_um ... sd_rz_urad" in complaint
+
+
+def test_positions_alone_may_be_measured(calibrated, plan, rng):
+    """Three readings more than coordinates of the pose: a large shift is seen, less surely than with rotations."""
+    session = measure(calibrated, plan.commands, rng, 0.3, 2)
+    values = np.concatenate([session.position, np.full_like(session.position, np.nan)], axis=1)
+    positions = place_poses(session.names, session.actuators, values, session.covariance)
+    suspects = choose_suspects(calibrated, ())
+    alone = judge_recheck(calibrated, suspects, [positions], 0.01, 1)
+    assert not alone.holds
+    assert (alone.sd > judge_legs(calibrated, [session], 0.01, 1).sd).all()
+
+
 def spoil(tmp_path, session):
     write_measured(tmp_path / "poses.csv", session)
     return ("--measured", tmp_path / "poses.csv")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import calibrated_readings as made_up
+import calibrations
 import numpy as np
 import pytest
 
@@ -14,6 +16,9 @@ from bayescal.calibrated.recheck.plan import Demand, list_candidates, plan_reche
 from bayescal.calibrated.recheck.statistics import choose_suspects, compute_knowledge, find_poses
 from bayescal.calibrated.recheck.tables import expect_readings
 from bayescal.errors import InputError
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.shared.calibrating import load_calibrated
 
 CASES = {
     "delta": ("l", 0.1, None),
@@ -174,3 +179,67 @@ def test_rows_out_of_reach_are_named(delta, rng):
     session.values[1] += 1e4
     with pytest.raises(InputError, match="pose 'R02': found no pose of the machine near its readings"):
         compute_knowledge(calibrated, choose_suspects(calibrated, ["l"]), session)
+
+
+# --- the command -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory) -> Path:
+    """Return the results of a small calibration of the delta."""
+    path = calibrations.write_delta(tmp_path_factory.mktemp("delta"))
+    text = path.read_text()
+    path.write_text(text[: text.index('[[variants]]\nname = "one_rod"')] + text[text.index("[sampler]") :])
+    run_experiment(load(path)[1], path.parent, path.parent / "results")
+    return path.parent / "results"
+
+
+@pytest.mark.runs
+def test_an_operator_takes_the_plan_and_brings_readings_back(results, call, tmp_path):
+    plan, always = tmp_path / "plan.csv", ("--trust-code", "--force", "--shift-of", "l")
+    code, said, complaint = call("recheck", results, *always, "--shift-um", "150", "--out", plan)
+    assert (code, complaint) == (0, "")
+    assert "a shift of any parameter by 150 µm with" in said
+    rows = [line.split(",") for line in plan.read_text().splitlines() if not line.startswith("#")]
+    assert rows[0] == ["pose", "use", "s_1_mm", "s_2_mm", "s_3_mm"]
+    calibrated = load_calibrated(results, force=True, trust=True)
+    commands, rng = np.array([row[2:] for row in rows[1:]], dtype=float), np.random.default_rng(3)
+    for shift, expected in ((0.0, "the calibration holds"), (1.0, "l[2] shifted by +")):
+        theta = calibrated.theta.copy()
+        theta[calibrated.model.layout.names.index("l[2]")] += shift
+        read = made_up.read_again(calibrated, theta, commands, {}, calibrated.noise, rng).values
+        lines = [
+            f"{row[0]},{','.join(repr(float(x)) for x in one[3:])}" for row, one in zip(rows[1:], read, strict=True)
+        ]
+        (tmp_path / "read.csv").write_text("\n".join(["pose,cam_x_mm,cam_y_mm,height_mm", *lines]) + "\n")
+        judged = ("--measured", tmp_path / "read.csv", "--actuators", plan)
+        code, said, complaint = call("recheck", results, *always, *judged)
+        assert (code, complaint) == (0, "")
+        assert said.startswith(expected), said
+
+
+FAULTS = {
+    "own sensors alone": (("--sensors", "s"), "found 3 channels that are read and 3 coordinates of the pose"),
+    "two sizes": (("--shift-um", "1", "--shift-sd", "3"), "expected one of --shift-um, -arcsec and -sd"),
+    "angles in micrometres": (("--shift-of", "t_x", "--shift-um", "3"), "found --shift-um for parameters in mm, rad"),
+    "an unknown sensor": (("--sensors", "cam"), "sensor 'cam': unknown here"),
+}
+
+
+@pytest.mark.runs
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_at_fault_is_one_line(fault, results, call):
+    options, said = FAULTS[fault]
+    code, out, complaint = call("recheck", results, "--trust-code", "--force", "--shift-of", "l", *options)
+    assert (code, out, complaint.count("\n")) == (2, "", 1), complaint
+    assert said in complaint
+
+
+@pytest.mark.runs
+def test_readings_without_a_pose_or_noise_are_refused(results, call, tmp_path):
+    path = tmp_path / "read.csv"
+    path.write_text("pose,cam_x_mm,cam_y_mm,height_mm\nR01,1.0,2.0,3.0\n")
+    judged = ("recheck", results, "--trust-code", "--force", "--measured", path)
+    assert "found no reading of s[1], s[2], s[3], expected it there, or --actuators PLAN.csv" in call(*judged)[2]
+    (tmp_path / "plan.csv").write_text("pose,s_1_mm,s_2_mm,s_3_mm\nR02,200.0,200.0,200.0\n")
+    assert "pose 'R01' is not in" in call(*judged, "--actuators", tmp_path / "plan.csv")[2]

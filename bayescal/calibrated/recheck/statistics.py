@@ -6,10 +6,10 @@ At a pose of any machine what is read differs from the calibrated one's readings
 
 where the pose is, which nobody knows; what the calibration did not know, Δθ ~ N(0, P); the shifts δ of N parameters;
 and errors e of all channels, with covariance C. In the directions Z that no pose explains, Zᵀ C^(-1/2) H = 0, the
-residual is y = X_θ Δθ + X_s δ + ε. With Δθ integrated, the score b of δ at zero has mean K δ and covariance K. Each parameter by
-itself has the statistic t_k = b_k / √K_kk, standard normal while the calibration holds; the test takes the largest of
-all |t_k|. Over several sessions pooled from the first, scores are sums of independent steps, as those of any likelihood
-are.
+residual is y = X_θ Δθ + X_s δ + ε. With Δθ integrated, the score b of δ at zero has mean K δ and covariance K. Each
+parameter by itself has the statistic t_k = b_k / √K_kk, standard normal while the calibration holds; the test takes the
+largest of all |t_k|. Over several sessions pooled from the first, scores are sums of independent steps, as in any
+likelihood.
 """
 
 from __future__ import annotations

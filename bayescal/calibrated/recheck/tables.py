@@ -185,7 +185,7 @@ def describe_plan(plan: RecheckPlan) -> str:
     sessions = "one session" if demand.sessions == 1 else f"{demand.sessions} sessions"
     first = "" if demand.sessions == 1 else f", {by_session[0]:.0f} % in the first"
     return (
-        f"{n} pose{'s' if n > 1 else ''} a session show a shift of {_describe_shift(plan)} with "
+        f"{n} pose{'s a session show' if n > 1 else ' a session shows'} a shift of {_describe_shift(plan)} with "
         f"{worst:.1f} % in {sessions}{first}; false alarms {PERCENT * demand.false_alarm:g} % over all of them"
     )
 

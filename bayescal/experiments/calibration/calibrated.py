@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from bayescal.calibrated.kept import read_kept
 from bayescal.calibrated.machine import CalibratedMachine, Errors, Source, build_calibrated
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
-from bayescal.experiments.calibration.noise import noise_of_channels
+from bayescal.experiments.calibration.noise import list_groups, noise_of_channels
 from bayescal.experiments.calibration.priors import choose_priors
 from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
 from bayescal.experiments.calibration.tables import choose_best
@@ -132,7 +133,7 @@ def calibrate_machine(
     commands, given = _read_commands(results.folder / _name_commands(chosen.name), model)
     workspace = build_workspace(model, config.workspace, config.units)
     own = [path.name, *list_machine_sources(path)]
-    return build_calibrated(
+    found = build_calibrated(
         model,
         theta,
         draws,
@@ -144,6 +145,18 @@ def calibrate_machine(
         path.name,
         {one: (path.parent / one).read_bytes() for one in own},
     )
+    return replace(found, noise=_find_noise(results, config, chosen.name, model))
+
+
+def _find_noise(results: Results, config: CalibrationConfig, variant: str, model: ReadingModel) -> Array:
+    """Return the noise of each channel, stated and as found since, root mean square, (K,); NaN where none is stated."""
+    rows = results.table("parameters")
+    mine = rows[rows["variant"] == variant]
+    square = dict(zip(mine["parameter"], mine["mean"] ** 2 + mine["sd"] ** 2, strict=True))
+    groups = list_groups(config, model)
+    factor = np.array([square.get(f"noise_factor({group})", 1.0) for group in groups])
+    tau = np.array([square.get(f"model_error({group})", 0.0) for group in groups])
+    return np.sqrt(noise_of_channels(config.sensors, model) ** 2 * factor + tau)
 
 
 def _choose(results: Results, config: CalibrationConfig, name: str | None) -> CalibrationVariantConfig:

@@ -69,7 +69,7 @@ def build_noise(
     config: CalibrationConfig, section: CalibrationVariantConfig, model: ReadingModel, chosen: np.ndarray
 ) -> NoiseModel:
     """Return what of the noise of the chosen channels is unknown; InputError for a group that no channel belongs to."""
-    groups = _groups(config, model)
+    groups = list_groups(config, model)
     some = {groups[k] for k in chosen}
     for table in ("unknown_noise", "model_error"):
         for name in getattr(config, table):
@@ -95,7 +95,7 @@ def build_noise(
     )
 
 
-def _groups(config: CalibrationConfig, model: ReadingModel) -> list[str]:
+def list_groups(config: CalibrationConfig, model: ReadingModel) -> list[str]:
     """Return the group of each channel, empty for those without noise."""
     result = []
     for channel in model.channels:

@@ -24,7 +24,7 @@ from bayescal.experiments.shared.schema import WorkspaceConfig
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.identifiability.design import Knowledge
 from bayescal.identifiability.pose_volume import PoseVolume
-from bayescal.identifiability.reading_rows import differentiate_poses, name_tool, typical_given
+from bayescal.identifiability.reading_rows import differentiate_poses, typical_given
 from bayescal.identifiability.requirements import COMPONENTS, Requirement
 from bayescal.identifiability.units import Units
 from bayescal.machines.readings import Given
@@ -211,7 +211,7 @@ def _read_readings(config: NextConfig, folder: Path, found: dict[str, MeasuredRe
     workspace = _draw_poses(first, N_WORKSPACE, np.random.default_rng([config.seed, WORKSPACE]))
     rng = np.random.default_rng([config.seed, CANDIDATES])
     candidates, given = _list_candidates(config.candidates, folder, first, rng)
-    components, kinds = name_tool(model, model.tool(first.posterior.centre, workspace[:1])[0].shape[-1])
+    components, kinds = (tuple(getattr(one, key) for one in model.tool_channels) for key in ("name", "unit"))
     known = (*components, "position") if "mm" in kinds else components
     requirements, units = _read_requirements(config, components, kinds, known)
     if requirements:
