@@ -1,4 +1,4 @@
-"""Every use of a calibrated machine on every kind of machine: it works, or is refused for a reason of its mathematics."""
+"""Every use of a calibrated machine on every kind of machine: it works, or is refused for its mathematics."""
 
 from __future__ import annotations
 
@@ -63,7 +63,9 @@ def build(name: str, folder: Path) -> CalibratedMachine:
         shutil.copy(own_arm.__file__, folder)
     model = read_reading_model(path)
     sizes = {"mm": 0.01, "rad": 2e-5}
-    scale = np.array([sizes.get(unit, 1e-6 * abs(x)) for unit, x in zip(model.layout.units, model.layout.nominal)])
+    scale = np.array(
+        [sizes.get(unit, 1e-6 * abs(x)) for unit, x in zip(model.layout.units, model.layout.nominal, strict=True)]
+    )
     draws = model.layout.nominal + scale * rng.standard_normal((N_DRAWS, len(scale)))
     commanded = [model.channels[k] for k in model.select(model.commanded)]
     sd = np.array([sizes[one.unit] for one in commanded])
