@@ -122,6 +122,14 @@ def sample_region(calibrated: CalibratedMachine, region: Region, n: int, seed: i
     return np.concatenate(kept)[:n]
 
 
+def enclose_workspace(calibrated: CalibratedMachine) -> Region | None:
+    """Return the workspace of a machine whose commands have no range; None where they have."""
+    if np.isfinite(calibrated.model.command_range).all():
+        return None
+    low, high = bound_workspace(calibrated) - calibrated.model.home_pose
+    return Region(low, high, "the workspace")
+
+
 def sample_range(calibrated: CalibratedMachine, n: int, seed: int) -> Array:
     """Return commands (about n, C) all over their range, that have a pose; all over the workspace where they have none.
 
@@ -131,10 +139,10 @@ def sample_range(calibrated: CalibratedMachine, n: int, seed: int) -> Array:
         Where none has.
     """
     model = calibrated.model
+    workspace = enclose_workspace(calibrated)
+    if workspace is not None:
+        return sample_region(calibrated, workspace, n, seed)
     low, high = model.command_range.T
-    if not np.isfinite([low, high]).all():
-        bounds = bound_workspace(calibrated) - model.home_pose
-        return sample_region(calibrated, Region(bounds[0], bounds[1], "the workspace"), n, seed)
     share = qmc.Sobol(len(low), rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(n))))
     commands = 0.5 * (low + high) + 0.5 * (high - low) * (2.0 * share[:n] - 1.0)
     _, found = model.locate(calibrated.theta, commands, calibrated.typical(len(commands)))

@@ -114,9 +114,11 @@ def fit_cube(calibrated: CalibratedMachine, centre: Array, most: float = np.inf)
     if not reaches(0.0):
         raise InputError("cube: found its centre out of reach, expected a home pose within the actuators' range")
     low, high = 0.0, 1.0
-    while reaches(high) and high < 1e6:
+    if np.isfinite(most) and reaches(most):
+        low, high = most, most
+    while low < most and reaches(high) and high < 1e6:
         low, high = high, 2.0 * high
-    for _ in range(SHRINKS):
+    for _ in range(SHRINKS if low < high else 0):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if reaches(middle) else (low, middle)
     low = min(low, most)

@@ -13,6 +13,7 @@ from bayescal.calibrated.predict import check_determined
 from bayescal.calibrated.region import (
     Region,
     enclose_measured,
+    enclose_workspace,
     find_largest_cube,
     measure_beyond,
     sample_range,
@@ -106,7 +107,7 @@ class Certificate:
     summary, provenance : dict
         Of the results; empty for a machine that was exported.
     region : Region or None
-        Where; None for all over the range of its commands, or its workspace.
+        Where; None for all over the actuators' range.
     beyond : float
         Share of its poses outside of the box of those that calibrated the machine.
     """
@@ -143,10 +144,7 @@ class Certificate:
     @property
     def where(self) -> str:
         """What is certified, in words."""
-        if self.region is not None:
-            return f"over {self.region.words}"
-        limited = np.isfinite(self.calibrated.model.command_range).all()
-        return "all over the actuators' range" if limited else "all over its workspace"
+        return "all over the actuators' range" if self.region is None else f"over {self.region.words}"
 
     @property
     def ratios(self) -> Array:
@@ -218,7 +216,8 @@ def certify(calibrated: CalibratedMachine, path: Path, wishes: Wishes) -> Certif
     """
     check_determined(calibrated)
     known = enclose_measured(calibrated)
-    region = None if wishes.whole_range else wishes.region or known
+    everywhere = enclose_workspace(calibrated)
+    region = everywhere if wishes.whole_range else wishes.region or known or everywhere
     if region is None:
         commands = sample_range(calibrated, wishes.n_poses, wishes.seed)
     else:

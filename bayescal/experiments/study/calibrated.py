@@ -19,13 +19,14 @@ from bayescal.calibrated.exported import (
     read_matrix_covariance,
     read_measured,
 )
+from bayescal.calibrated.kept import check_same, check_trust
 from bayescal.calibrated.machine import CalibratedMachine, Source, build_calibrated_legs, build_leg_errors
 from bayescal.calibrated.mechanism_file import format_mechanism
-from bayescal.config.registry import list_references
+from bayescal.config.registry import list_references, list_sources
 from bayescal.density.schema import FixedConfig
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.shared.calibrating import KEPT, read_draws_of
+from bayescal.experiments.shared.calibrating import KEPT, read_draws_of, read_hashes
 from bayescal.experiments.shared.per_leg import spread_over_legs
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
@@ -54,7 +55,15 @@ def describe_nominal(inputs: StudyInputs) -> dict[str, str]:
         covariance = find_matrix_covariance(inputs)
         if covariance is not None:
             texts[MATRIX_COVARIANCE] = format_matrix_covariance(covariance)
+    sources = [one for variant in inputs.config.variants for one in _list_own(variant, inputs.folder)]
+    texts |= {name: (inputs.folder / name).read_text(encoding="utf-8") for name in dict.fromkeys(sources)}
     return {f"{KEPT}/{name}": text for name, text in texts.items()}
+
+
+def _list_own(variant: VariantConfig, folder: Path) -> list[str]:
+    """Return the files of a variant's own classes, as far as they lie in the study's folder."""
+    found = [*list_sources("MODELS", variant.model, folder), *list_sources("DEFORMATIONS", variant.deformation, folder)]
+    return [one for one in found if (folder / one).resolve().is_relative_to(folder.resolve())]
 
 
 def _see(inputs: StudyInputs) -> LegsModel:
@@ -77,7 +86,7 @@ def calibrate_study(
     chosen, name = _choose(results, config, variant)
     fit = results.summary["variants"][name]
     if experiment is None:
-        machine, covariance = _read_nominal(results, config, chosen)
+        machine, covariance = _read_nominal(results, config, chosen, trust)
     else:
         machine, covariance = _load_nominal(config, chosen, experiment.parent)
     theta = _fix(config, machine.layout)
@@ -102,7 +111,9 @@ def _choose(results: Results, config: StudyConfig, name: str | None) -> tuple[Va
 # --- the nominal machine -----------------------------------------------------------------------------------------
 
 
-def _read_nominal(results: Results, config: StudyConfig, variant: VariantConfig) -> tuple[Machine, Array | None]:
+def _read_nominal(
+    results: Results, config: StudyConfig, variant: VariantConfig, trust: bool
+) -> tuple[Machine, Array | None]:
     """Return the nominal machine that the results keep, and the covariance of its measured K."""
     assert results.folder is not None
     folder = results.folder / KEPT
@@ -113,10 +124,14 @@ def _read_nominal(results: Results, config: StudyConfig, variant: VariantConfig)
         )
     for what, name in (("MODELS", variant.model), ("DEFORMATIONS", variant.deformation)):
         if name not in list_references(what):
-            raise InputError(
-                f"{results.folder}: found variant {variant.name!r} with {name!r}, whose code results do not decide "
-                "on, expected the study's config: --experiment STUDY.toml"
-            )
+            file = name.partition(":")[0]
+            if not (folder / file).is_file():
+                raise InputError(
+                    f"{results.folder}: found variant {variant.name!r} with {name!r}, whose code the results do not "
+                    "keep, expected the study's config: --experiment STUDY.toml"
+                )
+            check_trust(folder / file, f"own class {name!r}", trust)
+            check_same(folder, list_sources(what, name, folder), read_hashes(results))
     mechanism = load_mechanism(folder / MECHANISM)
     nominal = NominalDeformation(
         config.deformation.kappa, lambda: PER_MILLE * read_matrix(folder / MATRIX, mechanism.n_legs)

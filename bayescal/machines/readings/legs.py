@@ -70,7 +70,9 @@ class LegsModel(ReadingModel):
     @cached_property
     def home_pose(self) -> Array:
         """The nominal pose at the initial actuator positions, shape (6,), mm and rad."""
-        home = check_home_pose(self.machine)
+        home = self.machine.nominal_home
+        if not home.converged:
+            home = check_home_pose(self.machine)  # says why there is none
         return np.concatenate([home.position, rotation_vector_from_matrix(home.rotation)])
 
     @cached_property
