@@ -109,10 +109,10 @@ def recheck(
     demand = _demand(calibrated, suspects, (shift_um, shift_arcsec, shift_sd), power, false_alarm, sessions)
     with name_faults(results):
         plan = plan_recheck(calibrated, suspects, commands, given, planned, demand)
-    said = describe_plan(plan)
-    put(format_plan(calibrated, plan, said), out)
+    sentence = describe_plan(plan)
+    put(format_plan(calibrated, plan, sentence), out)
     if out is not None:
-        typer.echo(said)
+        typer.echo(sentence)
 
 
 def _demand(
