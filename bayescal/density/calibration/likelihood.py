@@ -11,6 +11,11 @@ readings share: what went wrong at a pose spoils it as a whole. Integrated over 
     p(s | d) = Γ((ν + m)/2) / Γ(ν/2) (νπ)^(-m/2) |Σ|^(-1/2) |HᵀΣ⁻¹H|^(-1/2) (1 + r²/ν)^(-(ν + m)/2) / V,
 
 and (ν + m) / (ν + r²), the mean of w, says how far a pose is to be trusted.
+
+Where the data say which channels c the machine was commanded by, the pose is uniformly distributed in these and not in
+its coordinates: |∂h_c/∂v| takes the place of 1/V, sqrt |JᵀJ| with J = ∂h_c/∂v where they are more than the
+coordinates. That is p(s | d) over the density of the commanded positions, which is uniform then: p(other readings |
+commanded positions, d), in which no workspace appears.
 """
 
 from __future__ import annotations
@@ -270,18 +275,33 @@ class CalibrationLikelihood:
         for part in self.batches(len(theta)):
             white = self.whiten(own[part], tau[part])
             at = self.stand(theta[part], white)
-            result[part] = self.weigh(at.square) + white.log_det - half_log_volume(at.slope)
+            result[part] = self.weigh(at.square) + white.log_det + self.log_volume(at.slope, white)
         result[~np.isfinite(result)] = -np.inf
         return result
 
     def weigh(self, square: Array) -> Array:
-        """Return the log-density of what is left, of unit covariance, from r² (C, P), and the pose's prior."""
+        """Return the log-density of what is left, of unit covariance, from r² (C, P)."""
         m, nu = self.n_spare, self.freedom
-        flat = -np.log(self.volume)
         if not np.isfinite(nu):
-            return np.asarray(flat - 0.5 * square - 0.5 * m * np.log(2.0 * np.pi))
+            return np.asarray(-0.5 * square - 0.5 * m * np.log(2.0 * np.pi))
         constant = gammaln(0.5 * (nu + m)) - gammaln(0.5 * nu) - 0.5 * m * np.log(nu * np.pi)
-        return np.asarray(flat + constant - 0.5 * (nu + m) * np.log1p(square / nu))
+        return np.asarray(constant - 0.5 * (nu + m) * np.log1p(square / nu))
+
+    def log_volume(self, slope: Array, white: Whitening) -> Array:
+        """Return the log of what white readings leave of the pose's volume, times its prior density there, (C, P).
+
+        Parameters
+        ----------
+        slope : ndarray, shape (C, P, K, q)
+            H, white.
+        white : Whitening
+        """
+        left, commanded = -half_log_volume(slope), self.data.commanded
+        if commanded is None or not slope.shape[-1]:
+            return np.asarray(left - np.log(self.volume))
+        own = np.stack([white.colour(slope[..., i]) for i in range(slope.shape[-1])], axis=-1)
+        measure = half_log_volume(np.where(commanded[..., None], own, 0.0))
+        return np.asarray(left + np.where(commanded.any(axis=1), measure, -np.log(self.volume)))
 
     def trust(self, square: Array) -> Array:
         """Return the mean of each pose's precision w, (C, P); one where the density is normal."""

@@ -127,6 +127,11 @@ class ReadingModel(ABC):
         return ()
 
     @property
+    def commanded(self) -> tuple[str, ...]:
+        """Names of the channels that a controller can command: by default all that are the machine's own."""
+        return tuple(one.name for one in self.channels if not one.external)
+
+    @property
     def member(self) -> str:
         """What one of many is called: that ``l[2]`` is of leg, line, joint or belt 2."""
         return "leg"
@@ -247,6 +252,11 @@ class _Picked(ReadingModel):
     def given(self) -> tuple[str, ...]:
         """What the whole machine has to know."""
         return self.whole.given
+
+    @property
+    def commanded(self) -> tuple[str, ...]:
+        """What the whole machine can be commanded by, of the sensors left."""
+        return tuple(name for name in self.whole.commanded if name in self.names)
 
     @property
     def member(self) -> str:

@@ -87,6 +87,11 @@ class SpatialMachine(ReadingModel):
         return (*internal, *(Channel(n, u, external=True) for n, u in zip(POSE, self.pose_units, strict=True)))
 
     @property
+    def commanded(self) -> tuple[str, ...]:
+        """The actuators."""
+        return tuple(one.name for one in self.channels if one.kind == "rho")
+
+    @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """Position and rotation vector of the platform's frame."""
         kinds = zip(POSE, ("mm",) * 3 + ("rad",) * 3, self.home, strict=True)
