@@ -192,7 +192,8 @@ def _fill(
     for k, channel in enumerate(channels):
         if {channel.name, channel.kind} & set(section.commanded):
             for row in np.flatnonzero(~np.isfinite(found.values[rows, k]))[:1]:
-                raise InputError(f"{table.where(int(row))}: found no {channel.name}, expected it as data.commanded says")
+                where = table.where(int(row))
+                raise InputError(f"{where}: found no {channel.name}, expected it as data.commanded says")
             found.commanded[rows, k] = True
 
 
