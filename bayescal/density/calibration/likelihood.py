@@ -123,6 +123,19 @@ class CalibrationLikelihood:
         return np.where(both, self.data.correlation, np.eye(n))
 
     @cached_property
+    def error_gain(self) -> Array | None:
+        """How model errors show in the readings, (P, K, K); None where each shows in its own channel alone.
+
+        That of one machine where it starts: the gain hardly changes with the machine.
+        """
+        theta, there = self.model.layout.nominal if self.anchor is None else self.anchor, self.data.present
+        gain = self.model.error_gain(theta, self.start, self.data.given)
+        if gain is None:
+            return None
+        known = np.isfinite(gain).all(axis=(-1, -2), keepdims=True) & there[:, :, None] & there[:, None, :]
+        return np.where(known, gain, np.eye(gain.shape[-1]))
+
+    @cached_property
     def _given(self) -> Given:
         return {name: value[None] for name, value in self.data.given.items()}
 
@@ -139,12 +152,13 @@ class CalibrationLikelihood:
     def whiten(self, own: Array, tau: Array) -> Whitening:
         """Return the whitening for deviations s σ (C, P, K) and τ (C, 1, K)."""
         there = self.data.present
-        if self.data.correlation is None:
+        if self.data.correlation is None and self.error_gain is None:
             weight = np.where(there, 1.0 / np.sqrt(own**2 + tau**2), 0.0)
             return Whitening(weight, None, np.log(np.where(there, weight, 1.0)).sum(axis=-1))
         own, tau = np.where(there, own, 1.0), np.where(there, tau, 0.0)
         covariance = own[..., :, None] * self.correlation * own[..., None, :]
-        factor = np.linalg.cholesky(covariance + tau[..., None] ** 2 * np.eye(own.shape[-1]))
+        spread = tau[..., None, :] * (np.eye(own.shape[-1]) if self.error_gain is None else self.error_gain)
+        factor = np.linalg.cholesky(covariance + spread @ np.swapaxes(spread, -1, -2))
         log_det = -np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
         return Whitening(None, np.linalg.inv(factor), log_det)
 

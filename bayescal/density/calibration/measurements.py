@@ -96,9 +96,9 @@ class Comparison:
 
     @cached_property
     def rotations(self) -> list[slice]:
-        """Where the components of rotation vectors stand."""
+        """Where the components of rotation vectors stand, of those that are there whole."""
         names = [one.rotation for one in self.channels]
-        starts = [names.index(name) for name in dict.fromkeys(filter(None, names))]
+        starts = [names.index(name) for name in dict.fromkeys(filter(None, names)) if names.count(name) == 3]
         return [slice(k, k + 3) for k in starts]
 
     def subtract(self, measured: Array, read: Array) -> Array:

@@ -235,7 +235,8 @@ class CalibrationPosterior:
     ) -> None:
         """Add the noise's part, its expected curvature in place of the exact one."""
         m, there = self.n_geometry, self.likelihood.data.present
-        slopes = self.noise.covariance_slopes(y[m:], self.likelihood.sd, self.likelihood.correlation)
+        likelihood = self.likelihood
+        slopes = self.noise.covariance_slopes(y[m:], likelihood.sd, likelihood.correlation, likelihood.error_gain)
         slopes = np.where(there[:, :, None] & there[:, None, :], slopes, 0.0)
         both = white.rows(np.swapaxes(white.rows(slopes), -1, -2))
         square = np.einsum("p,pk,npkl,pl->n", trust, error, both, error, optimize=True)
