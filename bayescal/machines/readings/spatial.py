@@ -37,6 +37,7 @@ from bayescal.numerics.geometry import (
 
 TILTS = ("tilt_a", "tilt_b")
 POSE = ("x", "y", "z", "rx", "ry", "rz")
+TURN = 0.5 * np.pi  # rad, the largest half width of a workspace about an axis
 UPRIGHT = 1.0 - 1e-9  # of a leg's direction along z, beyond which x is taken for horizontal
 
 
@@ -50,15 +51,17 @@ class SpatialMachine(ReadingModel):
         Mechanism, model and deformation.
     tool_point : ndarray, shape (3,)
         The tool's centre, platform frame, mm; known.
+    name : str
+        That of the mechanism where it is left out.
     """
 
     machine: Machine
     tool_point: Array
+    name: str = ""
 
-    @property
-    def name(self) -> str:
-        """Name of the mechanism."""
-        return self.machine.mechanism.name
+    def __post_init__(self) -> None:
+        """Take over the mechanism's name."""
+        object.__setattr__(self, "name", self.name or self.machine.mechanism.name)
 
     @property
     def n_legs(self) -> int:
@@ -91,11 +94,21 @@ class SpatialMachine(ReadingModel):
         """The actuators."""
         return tuple(one.name for one in self.channels if one.kind == "rho")
 
-    @property
+    @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """Position and rotation vector of the platform's frame."""
-        kinds = zip(POSE, ("mm",) * 3 + ("rad",) * 3, self.home, strict=True)
-        return tuple(Coordinate(name, unit, float(home), reach=0.0) for name, unit, home in kinds)
+        kinds = zip(POSE, self.pose_units, self.home, self._reach, strict=True)
+        return tuple(Coordinate(name, unit, float(home), float(reach)) for name, unit, home, reach in kinds)
+
+    @cached_property
+    def _reach(self) -> Array:
+        """How far the actuators' range takes the platform from home to first order, mm and rad, shape (6,)."""
+        theta, home = self.layout.nominal[: self.machine.layout.size], self.home
+        rotation = matrix_from_rotation_vector(home[3:])
+        here = self.machine.linearise(theta, home[:3], rotation, self.machine.mechanism.initial_actuator_positions)
+        by_actuators = np.abs(np.linalg.pinv(here.pose) @ here.actuators)
+        reach = self.machine.mechanism.actuator_range * by_actuators.sum(axis=-1)
+        return np.asarray(np.minimum(reach, [np.inf] * 3 + [TURN] * 3))
 
     @property
     def pose_units(self) -> tuple[str, ...]:
