@@ -132,8 +132,8 @@ class SpatialMachine(ReadingModel):
         channels = tuple(channels)
         if self._couples and any(name.partition("[")[0] not in POSE for name in channels):
             zeros = {name for kind in TILTS for name in self.layout.block(f"{kind}0").names}
-            own = {name.replace("[", "0[") for name in channels if name.partition("[")[0] in TILTS}
-            return tuple(name for name in self.layout.names if name not in zeros - own)
+            read = {name.replace("[", "0[") for name in channels if name.partition("[")[0] in TILTS}
+            return tuple(name for name in self.layout.names if name not in zeros - read)
         seen: set[str] = set()
         blind = {"l"} if self.machine.mechanism.drive == "strut" else set()
         for name in channels:
