@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.density.calibration.likelihood import GAUSSIAN, CalibrationLikelihood
+from bayescal.density.calibration.likelihood import CalibrationLikelihood
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.noise import NoiseModel
+from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.terms import Errors
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.beside import Beside, read_beside
@@ -40,7 +41,7 @@ class Variant:
     priors : mapping of name to Prior
     fixed : mapping of parameter name to float
     common : mapping of name to tuple of parameter names
-    noise : NoiseModel
+    errors : Errors
     data : Measurements
         Of all poses that it takes in, without the readings of other channels.
     verification : ndarray of bool, shape (P,)
@@ -55,7 +56,7 @@ class Variant:
     priors: Mapping[str, Prior]
     fixed: Mapping[str, float]
     common: Mapping[str, tuple[str, ...]]
-    noise: NoiseModel
+    errors: Errors
     data: Measurements
     verification: np.ndarray
     start: Array
@@ -68,15 +69,12 @@ class Variant:
 
     def likelihood(self, which: np.ndarray) -> CalibrationLikelihood:
         """Return the density of the readings of some poses, by a mask (P,)."""
-        freedom = GAUSSIAN if self.config.robust is None else self.config.robust
-        return CalibrationLikelihood(
-            self.model, self.data.pick(which), self.workspace.volume, self.start[which], freedom
-        )
+        return CalibrationLikelihood(self.model, self.data.pick(which), self.workspace.volume, self.start[which])
 
     def posterior(self, which: np.ndarray | None = None) -> CalibrationPosterior:
         """Return the posterior of some poses, those for calibration by default."""
         likelihood = self.likelihood(~self.verification if which is None else which)
-        return CalibrationPosterior(likelihood, self.priors, self.noise, self.fixed, self.common)
+        return CalibrationPosterior(likelihood, self.priors, self.errors, self.fixed, self.common)
 
     @property
     def internal(self) -> np.ndarray:
@@ -149,8 +147,9 @@ def _build(
     ).pick(rows)
     _check_noise(data, model)
     model.check_given(data.poses, data.given, [one for name in priors for one in common.get(name, (name,))])
-    noise = build_noise(config, section, whole, chosen)
     workspace = build_workspace(model, config.workspace, config.units)
+    terms = build_noise(config, section, whole, chosen)
+    outliers = Outliers(np.inf if section.robust is None else section.robust)
     unplaced = Variant(
         section,
         whole,
@@ -158,7 +157,7 @@ def _build(
         priors,
         fixed,
         common,
-        noise,
+        Errors(terms, outliers),
         data,
         readings.verification[rows],
         np.zeros((data.n_poses, len(model.coordinates))),

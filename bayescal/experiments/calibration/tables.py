@@ -109,8 +109,8 @@ def _list_parameters(variant: Variant, one: Findings) -> pd.DataFrame:
     mean, sd = fit.natural.mean(axis=0), fit.natural.std(axis=0)
     layout = variant.model.layout
     start = [float(layout.nominal[posterior.places(name)[0]]) for name in posterior.geometry_names]
-    start += [1.0] * len(posterior.noise.scale_names) + [0.0] * len(posterior.noise.tau_names)
-    verdicts = [*one.knowledge.verdicts, *["noise"] * posterior.noise.n_parameters]
+    start += [1.0 if unit == "1" else 0.0 for unit in posterior.errors.units]
+    verdicts = [*one.knowledge.verdicts, *["noise"] * posterior.errors.n_parameters]
     return pd.DataFrame(
         {
             "variant": variant.name,

@@ -15,7 +15,7 @@ from scipy.stats import gamma, multivariate_normal
 
 from bayescal.density.calibration.likelihood import search_poses
 from bayescal.density.calibration.measurements import Comparison, Measurements
-from bayescal.density.readings.poses import SensorSet
+from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.machines.readings import Channel
 
 VOLUME = 50.0

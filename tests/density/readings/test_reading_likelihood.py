@@ -10,7 +10,7 @@ from numpy.polynomial.hermite_e import hermegauss
 from reading_machines import SENSORS, SETS, WORKSPACE, LinearModel, gaussian_log_evidence, sliding_star, star_of
 
 from bayescal.density.readings.likelihood import ReadingLikelihood
-from bayescal.density.readings.poses import SensorSet
+from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters, workspace_volume
 from bayescal.machines.readings.schema import ReadingTolerancesConfig
 

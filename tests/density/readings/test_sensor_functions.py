@@ -15,7 +15,7 @@ from bayescal.density.model_error import LengthPrior, build_kernel
 from bayescal.density.readings.absorbed import project
 from bayescal.density.readings.functions import SensorFunctions
 from bayescal.density.readings.likelihood import ReadingLikelihood
-from bayescal.density.readings.poses import null_basis
+from bayescal.experiments.shared.sensor_sets import null_basis
 from bayescal.density.readings.structured_posterior import StructuredReadingPosterior
 from bayescal.errors import InputError
 
