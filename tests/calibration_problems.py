@@ -8,11 +8,13 @@ import numpy as np
 from function_machines import point_on_lines
 from reading_machines import WORKSPACE, LinearModel, sliding_star
 
+from bayescal.density.calibration.functions import FunctionErrors, Travel
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.calibration.terms import Errors, ErrorTerm, ModelErrorTerm, NoiseFactor
+from bayescal.density.model_error import LengthPrior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.experiments.shared.reading_machine import draw_poses
 from bayescal.machines.readings import ReadingModel
@@ -48,6 +50,16 @@ def unknown_noise(n: int, factors: bool = True, errors: bool = False, scale: flo
     factor = NoiseFactor("own", places < n - 1, 0.4)
     model_error = ModelErrorTerm("own", places > 0, scale, "mm")
     return ((factor,) if factors else ()) + ((model_error,) if errors else ())
+
+
+def line_functions(kernel: str = "smooth", spread: float | None = None, scale: float = 0.1) -> FunctionErrors:
+    """Return errors of the first two lines that are functions of their readings, with a scale each."""
+    places, lengths = np.array([0, 1]), None if spread is None else LengthPrior(1.5, spread)
+    travel = Travel("reading", places, np.full(2, 500.0), np.full(2, 200.0))
+    group, labels = np.arange(2), ("d[1]", "d[2]")
+    return FunctionErrors(
+        kernel, 1.5, lengths, places, travel, 3.0, group, np.full(2, scale), 0.3, labels, ("mm", "mm")
+    )
 
 
 def linear_model(rng: np.random.Generator, n: int = 6, q: int = 2, d: int = 3) -> LinearModel:

@@ -11,7 +11,8 @@ Where single rows may be wrong, rows are independent given u, and u is integrate
 of Σ log t(|e - A u|²) - ½ |u|², found by iteratively reweighted least squares with the rows' mean precisions w as
 weights, and M the curvature there, 1 + Σ Aᵀ(w - c r rᵀ)A with r = e - A û and c = 2 w² / (ν + m). What that leaves out
 of the log-density is of the order of 1 / P for each coefficient that the rows determine, and nothing for those that
-they do not; without outliers it is nothing at all.
+they do not: against quadrature at most 0.6 / P nats a coefficient for ν = 2, 0.3 / P for ν = 4, 0.08 / P for ν = 30.
+Without outliers it is nothing at all.
 """
 
 from __future__ import annotations
@@ -84,6 +85,36 @@ class Coefficients:
         curvature = _accumulate(self.columns, self.residual, self.trust)[0]
         back = flat @ np.linalg.solve(curvature, np.swapaxes(flat, -1, -2) @ _flatten(weighed))
         return np.asarray(weighed - self.trust[..., None, None] * back.reshape(weighed.shape))
+
+    def inform(self, noise: Array, seen: Array, moved: Array) -> Array:
+        """Return the expected information on n unknowns of the errors, (n, n), but for that of the noise alone.
+
+        With S = W⁻¹ + A Aᵀ and dS = dR + dA Aᵀ + A dAᵀ it is ½ tr S⁻¹ dS S⁻¹ dS; left out is ½ tr W dR W dR.
+
+        Parameters
+        ----------
+        noise, seen : ndarray, shape (n, P, m, m)
+            dR of the first machine, and W dR.
+        moved : ndarray, shape (n, P, m, N)
+            dA.
+        """
+        n, size = len(moved), moved.shape[-1]
+        side_by_side = np.moveaxis(moved, 0, 2).reshape(1, *moved.shape[1:3], -1)
+        reduced = np.moveaxis(self.reduce(side_by_side)[0].reshape(*moved.shape[1:3], n, size), 2, 0)
+        flat, columns, own = moved.reshape(n, -1, size), self.columns[0], self.reduce(self.columns)[0]
+        across = own.reshape(-1, size).T @ flat
+        found = np.einsum("nuv,ovu->no", across, across, optimize=True)
+        found += (flat @ (columns.reshape(-1, size).T @ own.reshape(-1, size))).reshape(n, -1) @ reduced.reshape(n, -1).T
+        if not noise.any():
+            return np.asarray(found)
+        mixed = (noise @ own).reshape(n, -1) @ reduced.reshape(n, -1).T
+        weighed = self.trust[0, :, None, None] * columns
+        inverse = np.linalg.inv(_accumulate(self.columns, self.residual, self.trust)[0][0])
+        pulled, through = (one.reshape(n, -1, size) for one in (noise @ weighed, seen @ weighed))
+        inner = inverse @ (weighed.reshape(-1, size).T @ pulled)
+        found += 0.5 * np.einsum("nuv,ovu->no", inner, inner, optimize=True)
+        found -= (pulled @ inverse).reshape(n, -1) @ through.reshape(n, -1).T
+        return np.asarray(found + mixed + mixed.T)
 
     def condition_each(self, outliers: Outliers, spare: np.ndarray) -> Array:
         """Return the log-density of each pose's rows given all others, (B, P); in Laplace's approximation.

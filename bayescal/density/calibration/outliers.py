@@ -14,11 +14,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaln, roots_genlaguerre
+from scipy.special import gammaln
 
 from bayescal.numerics.geometry import Array
 
-NODES = 24
+STEPS = np.arange(-16.0, 8.1, 0.5)  # of log w, in its standard deviations about its mode
+ITERATIONS = 20
 
 
 @dataclass(frozen=True)
@@ -78,14 +79,18 @@ class Outliers:
         if not self.expected:
             inside = np.log1p(variance) + size**2 / (1.0 + variance)
             return np.asarray(-0.5 * inside.sum(axis=-1) - 0.5 * spare * np.log(2.0 * np.pi))
-        half = 0.5 * self.freedom
-        nodes, weights = roots_genlaguerre(NODES, half - 1.0)
-        parts = []
-        for node, weight in zip(nodes, weights, strict=True):  # of w = node / half, with the weights of its prior
-            w = node / half
-            inside = np.log1p(w * variance) + w * size**2 / (1.0 + w * variance)
-            parts.append(np.log(weight) - gammaln(half) + 0.5 * spare * np.log(w) - 0.5 * inside.sum(axis=-1))
-        return np.asarray(np.logaddexp.reduce(parts, axis=0) - 0.5 * spare * np.log(2.0 * np.pi))
+        nu, m = self.freedom, spare
+        best = self.trust((size**2 / (1.0 + variance)).sum(axis=-1), m)
+        for _ in range(ITERATIONS):  # to the mode of log w given the row
+            part = 1.0 / (1.0 + best[..., None] * variance)
+            best = (nu + m - (1.0 - part).sum(axis=-1)) / (nu + ((size * part) ** 2).sum(axis=-1))
+        width, parts = np.sqrt(2.0 / (nu + m)), []
+        for step in STEPS:  # the trapezium rule in log w
+            w = best * np.exp(width * step)
+            inside = np.log1p(w[..., None] * variance) + w[..., None] * size**2 / (1.0 + w[..., None] * variance)
+            parts.append(0.5 * ((nu + m) * np.log(w) - nu * w - inside.sum(axis=-1)))
+        constant = 0.5 * nu * np.log(0.5 * nu) - gammaln(0.5 * nu) - 0.5 * m * np.log(2.0 * np.pi)
+        return np.asarray(np.logaddexp.reduce(parts, axis=0) + np.log(width * (STEPS[1] - STEPS[0])) + constant)
 
 
 NORMAL = Outliers()

@@ -309,7 +309,7 @@ class CalibrationPosterior:
     def gradient(self, y: Array) -> tuple[Array, Array]:
         """Return the gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n).
 
-        Exact but for differences of logarithms of volumes, those of poses and of coefficients.
+        Exact but for differences of logarithms of volumes, and of how H turns.
         """
         with np.errstate(all="ignore"):
             white, at = self.stand(y[None])
@@ -317,15 +317,18 @@ class CalibrationPosterior:
             trust = self.errors.outliers.trust(at.square, self.likelihood.n_spare)[0]
             left = project_out(slope)
             rows, error = left @ by_parameters, left_of(left, error)
-            weighed, found = trust[:, None, None] * rows, None
+            weighed, found, turn = trust[:, None, None] * rows, None, None
             if self.errors.has_columns:
-                found = self._find((left @ self._white_columns(y[None], white, self.likelihood)[0])[None], error[None])
+                acted = self._white_columns(y[None], white, self.likelihood)[0]
+                found = self._find((left @ acted)[None], error[None])
                 error, trust, weighed = found.residual[0], found.trust[0], found.reduce(rows[None])[0]
+                follow = left_of(invert(slope, 0.0), acted @ found.mean[0])  # what coefficients make of the poses
+                turn = (trust[:, None] * error)[..., None] * follow[:, None]
             m, n = self.n_geometry, self.n_parameters
             gradient = -np.concatenate([y[:m], self.errors.deviation(y[m:])])
             hessian = -np.eye(n)
             gradient[:m] += np.einsum("p,pki,pk->i", trust, rows, error)
-            gradient[: n if found is not None else m] += self._volume_slope(y)
+            gradient[: n if found is not None else m] += self._volume_slope(y, turn)
             hessian[:m, :m] -= np.einsum("pki,pkj->ij", rows, weighed, optimize=True)
             if n > m:
                 self._add_errors(y, white, left, error, trust, found, gradient, hessian)
@@ -364,39 +367,36 @@ class CalibrationPosterior:
         acted = self.errors.column_slopes(y[m:], likelihood.data)
         moved = left @ white.rows(np.where(there[..., None], acted, 0.0))
         gradient[m:] += np.einsum("p,pk,npku,u->n", trust, error, moved, found.mean[0], optimize=True)
-        n, size = len(moved), moved.shape[-1]
-        reduced = np.moveaxis(found.reduce(np.moveaxis(moved, 0, 2).reshape(1, *moved.shape[1:3], -1))[0].reshape(
-            *moved.shape[1:3], n, size), 2, 0)
-        flat, own = moved.reshape(n, -1, size), found.reduce(found.columns)[0]
-        inner = found.columns[0].reshape(-1, size).T @ own.reshape(-1, size)
-        across = own.reshape(-1, size).T @ flat
-        hessian[m:, m:] -= np.einsum("nuv,ovu->no", across, across, optimize=True)
-        hessian[m:, m:] -= (flat @ inner).reshape(n, -1) @ reduced.reshape(n, -1).T
-        if self.errors.has_noise:
-            mixed = (both @ own).reshape(n, -1) @ reduced.reshape(n, -1).T
-            hessian[m:, m:] -= mixed + mixed.T
+        hessian[m:, m:] -= found.inform(both, trust[:, None, None] * left @ both, moved)
 
-    def _volume_slope(self, y: Array) -> Array:
-        """Return the derivative of the logarithms of volumes by central differences, (m,); (n,) with coefficients."""
-        n = self.n_parameters if self.errors.has_columns else self.n_geometry
-        if not self.likelihood.start.shape[-1] and not self.errors.has_columns:
+    def _volume_slope(self, y: Array, turn: Array | None = None) -> Array:
+        """Return the derivative of the logarithms of volumes by central differences, (m,); (n,) with coefficients.
+
+        These move the poses by δ, to first order; residuals r change with H by -r dH δ, ``turn`` being r δ, (P, K, q).
+        """
+        m = self.n_geometry
+        n = m if turn is None else self.n_parameters
+        if not self.likelihood.start.shape[-1] and turn is None:
             return np.zeros(n)
         moves = STEP * np.eye(self.n_parameters)[:n]
         points = y + np.concatenate([moves, -moves])
-        values = np.concatenate([self._log_volume(points[part]) for part in self.likelihood.batches(2 * n)])
+        parts = [self._log_volume(points[part], turn) for part in self.likelihood.batches(2 * n)]
+        volume, turned = (np.concatenate(one) for one in zip(*parts, strict=True))
+        turned[np.arange(2 * n) % n >= m] = 0.0  # by noise H is scaled alone, which is no turn
+        values = volume + turned
         return np.asarray((values[:n] - values[n:]) / (2.0 * STEP))
 
-    def _log_volume(self, y: Array) -> Array:
-        """Return -½ Σ log |HᵀΣ⁻¹H| of machines (B, n) right where they stand, with coefficients theirs too, (B,)."""
+    def _log_volume(self, y: Array, turn: Array | None) -> tuple[Array, Array]:
+        """Return -½ Σ log |HᵀΣ⁻¹H| of machines (B, n) right where they stand, with that of coefficients; and -r H δ."""
         white, at = self.stand(y)  # whose H is that of a pose close by, the same for machines that are much alike
         slope = self.likelihood.linearise(self.theta(y), at.pose, white)[1]
         volume = -half_log_volume(slope).sum(axis=1)
-        if self.errors.has_columns:
-            volume += white.log_det.sum(axis=1)
-            there = Stand(at.pose, at.error, slope)
-            for some, found in self._absorb(y, white, there):
-                volume[some] += found.log_volume
-        return np.asarray(volume)
+        if turn is None:
+            return volume, np.zeros(len(y))
+        volume += white.log_det.sum(axis=1)
+        for some, found in self._absorb(y, white, Stand(at.pose, at.error, slope)):
+            volume[some] += found.log_volume
+        return volume, -np.einsum("bpkq,pkq->b", slope, turn)
 
     # --- climbing ------------------------------------------------------------------------------------------------
 

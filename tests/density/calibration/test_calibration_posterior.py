@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_problems import correlation_of, density, lines_posterior, measurements, unknown_noise
+from calibration_problems import correlation_of, density, line_functions, lines_posterior, measurements, unknown_noise
 from scipy.linalg import null_space
 from scipy.optimize import least_squares
 from scipy.stats import halfnorm, lognorm, norm, uniform
@@ -32,6 +32,16 @@ CASES = {
     "common": {"common": True, "uniform": True},
     "missing": {"missing": 0.5},
     "a circle": {"bearing": True, "terms": unknown_noise(5, True, True, 0.1)},
+    "functions": {"terms": (line_functions(),)},
+    "functions of a free length": {"terms": (line_functions("smooth", 0.3),)},
+    "functions, factor and model error": {"terms": (*unknown_noise(4, True, True, 0.1), line_functions("linear"))},
+    "functions, robust": {"nu": 4.0, "terms": (line_functions("quadratic"),), "n_poses": 30},
+    "functions, robust, factor and model error": {
+        "nu": 3.0,
+        "terms": (line_functions(), *unknown_noise(4, True, True, 0.1)),
+        "correlation": MIXED,
+        "missing": 0.3,
+    },
     "everything": {
         "terms": unknown_noise(4, True, True, 0.1),
         "nu": 5.0,
@@ -87,31 +97,35 @@ def test_the_slope_of_the_volume_follows_the_poses(rng):
         assert slope[k] == pytest.approx((volume(y + move) - volume(y - move)) / 2e-3, rel=0.01, abs=2e-5)
 
 
-JOINT = {name: CASES[name] for name in ("as stated", "correlated", "uniform", "common", "missing", "robust")}
+JOINT_CASES = ("as stated", "correlated", "uniform", "common", "missing", "robust", "functions", "functions, robust")
+JOINT = {name: CASES[name] for name in JOINT_CASES}
 
 
 @pytest.mark.parametrize("case", JOINT.values(), ids=JOINT)
 def test_fit_is_least_squares_over_parameters_and_poses_together(case, rng):
-    posterior, _, pose = lines_posterior(rng, n_poses=12, **case)
-    likelihood, n = posterior.likelihood, posterior.n_parameters
+    posterior, _, pose = lines_posterior(rng, **{**case, "n_poses": 12})
+    likelihood, n, errors = posterior.likelihood, posterior.n_parameters, posterior.errors
+    columns = errors.columns(np.zeros((1, errors.n_parameters)), likelihood.data)
+    poses = n + 24
     white = likelihood.whiten(*posterior.deviations(np.zeros((1, n))))
     freedom, spare = posterior.errors.outliers.freedom, likelihood.n_readings - 2
 
     def residual(x):
-        y, at = x[:n], x[n:].reshape(1, -1, 2)
+        y, at, common = x[:n], x[n:poses].reshape(1, -1, 2), columns @ x[poses:]
         read = likelihood.model.read(posterior.theta(y[None])[:, None], at)
-        rest = white.vector(np.where(likelihood.data.present, likelihood.data.values - read, 0.0))[0]
+        rest = white.vector(np.where(likelihood.data.present, likelihood.data.values - read - common, 0.0))[0]
         if np.isfinite(freedom):  # a residual whose square is what the density has in its place
             square = (rest**2).sum(axis=1)
             rest = np.sqrt((freedom + spare) * np.log1p(square / freedom) / square)[:, None] * rest
-        return np.concatenate([rest.ravel(), y])
+        return np.concatenate([rest.ravel(), y, x[poses:]])
 
-    start = np.concatenate([np.zeros(n), pose.ravel()])
+    start = np.concatenate([np.zeros(n), pose.ravel(), np.zeros(columns.shape[-1])])
     joint = least_squares(residual, start, "3-point", x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
     y, at = posterior.fit(np.zeros(n), likelihood.start)
     np.testing.assert_allclose(y, joint[:n], rtol=0, atol=1e-6)
-    np.testing.assert_allclose(at, joint[n:].reshape(-1, 2), rtol=0, atol=1e-6)
-    np.testing.assert_allclose(posterior.polish(y + 0.1), y, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(at, joint[n:poses].reshape(-1, 2), rtol=0, atol=1e-6)
+    away = y + np.where(np.arange(n) < posterior.n_geometry, 0.1, 0.0)
+    np.testing.assert_allclose(posterior.polish(away), y, rtol=0, atol=1e-6)
 
 
 def test_fit_finds_poses_beside_a_constraint(rng):
