@@ -21,20 +21,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebpts1, chebvander
 
+from pydantic import Field, model_validator
+
+from bayescal.config.sections import Names, Positive, Section
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.terms import ErrorTerm, Slopes
+from bayescal.density.calibration.terms import ErrorTerm, Slopes, TermRows
+from bayescal.density.errors import KernelScale
 from bayescal.density.model_error import (
     BORDER,
     LENGTH,
+    LENGTHY,
     OFF,
     SCALE,
     Kernel,
-    KernelScale,
     KernelScalePrior,
     LengthPrior,
     build_kernel,
@@ -42,14 +46,77 @@ from bayescal.density.model_error import (
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import SCALES
 
 EXACT = 1e-12  # of the kernel's largest value, what interpolation may leave out, and of its eigenvalues
 MOST_NODES = 48
 ENDS = 3.0  # sds of log L on either side of its median; shorter and longer ones are taken for the outermost
 FEWEST = {"linear": 2, "quadratic": 3, "smooth": 4}
 PROBES = 301
+MARGIN = 1.05  # of the largest travel of all rows, up to where functions are told
+SUFFIXED = {f"scale_{name}": found for name, found in SCALES.items()}
 
 type Input = Literal["reading", "commands", "order"]
+
+
+class FunctionConfig(Section):
+    """Errors that are functions, each of a channel; their scale is what a channel errs by at the end of its range.
+
+    What they are functions of counts as travel from home, in units of how far readings go from there over the
+    workspace; the order of the rows from the first to the last.
+    """
+
+    channels: Annotated[Names, Field(min_length=1)] | None = None
+    """Channels, kinds or groups of them that err so; the machine's own where nothing is said."""
+    of: Input = "reading"
+    """What they are functions of: each channel's own `reading`, where the machine stands as read from its own channels
+    (`commands`), or the `order` of the rows.
+    """
+    inputs: Annotated[Names, Field(min_length=1)] | None = None
+    """Channels that say where the machine stands; its own where nothing is said."""
+    kernel: Literal["linear", "quadratic", "smooth"] = "smooth"
+    """What sort of functions: `linear`, `quadratic` (linear and quadratic), or `smooth`."""
+    scale: Positive | None = None
+    """What a channel errs by at the end of its range, one standard deviation, where there is an error [unit of the
+    channel].
+    """
+    scale_um: Positive | None = None
+    """The same."""
+    scale_mm: Positive | None = None
+    """The same."""
+    scale_arcsec: Positive | None = None
+    """The same."""
+    scale_deg: Positive | None = None
+    """The same."""
+    scale_rad: Positive | None = None
+    """The same."""
+    spread: Positive = 0.05
+    """Standard deviation of the logarithm of that scale [1]."""
+    length: Positive = 5.0
+    """Over how far quadratic and smooth functions change [ranges]."""
+    length_spread: Positive | None = None
+    """Standard deviation of the logarithm of that length, free about its median; it is known where nothing is said
+    [1].
+    """
+    per: Literal["channel", "all"] = "all"
+    """Whether each `channel` has a scale and a switch of its own, or `all` share them."""
+
+    @model_validator(mode="after")
+    def _check_scale(self) -> Self:
+        given = [name for name in ("scale", *SUFFIXED) if getattr(self, name) is not None]
+        if len(given) != 1:
+            found = " and ".join(given) or "no scale"
+            raise ValueError(f"found {found}, expected one of scale, {', '.join(SUFFIXED)}")
+        return self
+
+    def scale_in(self, name: str, unit: str) -> float:
+        """Return the scale in a channel's unit; InputError where it is stated in one of another kind."""
+        given = next(key for key in ("scale", *SUFFIXED) if getattr(self, key) is not None)
+        inner, factor = SUFFIXED.get(given, (unit, 1.0))
+        if inner != unit or (given == "scale" and unit in ("mm", "rad")):
+            expected = [key for key, (one, _) in SUFFIXED.items() if one == unit] or ["scale"]
+            raise InputError(f"found {given} for {name}, which reads in {unit}, expected {' or '.join(expected)}")
+        return float(getattr(self, given)) * factor
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +195,40 @@ class FunctionErrors(ErrorTerm):
     length_name: str = LENGTH
     rows: Measurements | None = None
 
+    Config: ClassVar[type[Section]] = FunctionConfig
+
+    @classmethod
+    def build(cls, config: FunctionConfig, rows: TermRows) -> FunctionErrors:
+        """Return the functions of a section.
+
+        Raises
+        ------
+        InputError
+            For an unknown channel, a scale in another kind of unit, functions that change too fast, and a row that lacks
+            what they depend on.
+        """
+        places, channels = rows.select(config.channels), rows.model.channels
+        scale = [config.scale_in(channels[k].name, channels[k].unit) for k in places]
+        labels = tuple(f"{rows.name}, {channels[k].name}" for k in places) if config.per == "channel" else (rows.name,)
+        travel = _build_travel(config, rows, places)
+        z = travel.of_rows(rows.data)
+        free = config.length_spread is not None and config.kernel in LENGTHY
+        return cls(
+            kernel=config.kernel,
+            length=config.length,
+            lengths=LengthPrior(config.length, config.length_spread) if free and config.length_spread else None,
+            places=places,
+            travel=travel,
+            reach=MARGIN * max(1.0, float(np.abs(z).max())),
+            group=np.arange(len(places)) if config.per == "channel" else np.zeros(len(places), dtype=int),
+            scale=np.array(scale[: len(labels)]),
+            spread=config.spread,
+            labels=labels,
+            scale_units=tuple(channels[k].unit for k in places[: len(labels)]),
+            length_name=f"{LENGTH}({rows.name})",
+            rows=rows.data if z.shape[-1] > 1 else None,
+        )
+
     def __post_init__(self) -> None:
         """Find the nodes: InputError for functions that need too many."""
         _ = self.nodes
@@ -158,8 +259,7 @@ class FunctionErrors(ErrorTerm):
 
     def scales(self, zeta: Array) -> Array:
         """Return the scales (..., G), in the channels' units."""
-        shape = KernelScale(1.0, self.spread)
-        return np.asarray(shape.scale_from_switch(zeta[..., : len(self.scale)]) * self.scale)
+        return np.asarray(KernelScale(1.0, self.spread).value(zeta[..., : len(self.scale)]) * self.scale)
 
     def _length(self, zeta: Array) -> Array:
         """Return the length (...,)."""
@@ -259,3 +359,20 @@ class FunctionErrors(ErrorTerm):
         assert self.lengths is not None
         inside = abs(float(self.lengths.standardise(length)[0])) < ENDS
         return np.asarray(self._kernel_at(length).slope(self.nodes, self.nodes)[0] * inside)
+
+
+def _build_travel(config: FunctionConfig, rows: TermRows, places: np.ndarray) -> Travel:
+    """Return what functions of channels depend on; InputError where a row lacks it, or it does not change."""
+    if config.of == "order":
+        return Travel("order", np.zeros(0, dtype=int), np.zeros(1), np.full(1, max(1.0, float(rows.data.order.max()))))
+    inputs = places if config.of == "reading" else rows.select(config.inputs)
+    names = rows.model.names
+    for k in inputs[~(rows.reach[inputs] > 0.0)][:1]:
+        raise InputError(f"found {names[k]}, which does not change over the workspace, expected channels that do")
+    if config.of == "commands":
+        for row, k in np.argwhere(~rows.data.present[:, inputs])[:1]:
+            raise InputError(
+                f"pose {rows.data.poses[row]!r}: found no reading of {names[inputs[k]]}, expected one, for errors are "
+                "functions of it"
+            )
+    return Travel(config.of, inputs, rows.home[inputs], rows.reach[inputs])

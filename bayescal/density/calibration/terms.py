@@ -29,6 +29,7 @@ from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.outliers import NORMAL, Outliers
 from bayescal.density.model_error import LengthPrior
 from bayescal.density.priors import HalfNormalPrior, Prior
+from bayescal.errors import BayescalError, InputError
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -70,6 +71,24 @@ class TermRows:
     groups: tuple[str, ...]
     reach: Array
     home: Array
+
+    def select(self, names: Sequence[str] | None) -> np.ndarray:
+        """Return the places of channels, kinds or groups of them, the machine's own channels for None.
+
+        Raises
+        ------
+        InputError
+            For a name that no channel has, or where there is none left.
+        """
+        channels = self.model.channels
+        if names is None:
+            return np.flatnonzero([not one.external for one in channels])
+        known = [(one.name, one.kind, group) for one, group in zip(channels, self.groups, strict=True)]
+        for name in names:
+            if not any(name in some for some in known):
+                all_names = ", ".join(dict.fromkeys(filter(None, (n for some in known for n in some[1:]))))
+                raise InputError(f"found channel {name!r}, expected some of {all_names}")
+        return np.flatnonzero([any(name in some for name in names) for some in known])
 
 
 class ErrorTerm(ABC):
@@ -430,6 +449,36 @@ class Errors:
             if one.variance is not None:
                 result[k] += one.variance[:, :, None] * np.eye(sd.shape[1])
         return result
+
+
+def check_term(term: ErrorTerm, data: Measurements) -> None:
+    """Raise InputError where what a term of somebody else's class supplies does not fit together."""
+    n, (n_poses, n_channels) = len(term.names), data.sd.shape
+    for what, found in (("units", term.units), ("priors", term.priors)):
+        if len(found) != n:
+            raise InputError(f"found {len(found)} {what} for {n} names, expected one each")
+    zeta = np.zeros((2, n))
+    try:
+        factor, variance, columns = term.factor(zeta), term.variance(zeta, data), term.columns(zeta, data)
+    except BayescalError:
+        raise
+    except Exception as error:
+        text = " ".join(str(error).split())
+        raise InputError(f"found a term that fails with {type(error).__name__}: {text}, expected one that works") from error
+    shapes = {
+        "factor": (factor, [(2, n_channels)]),
+        "variance": (variance, [(2, n_poses, n_channels), (2, 1, n_channels)]),
+        "columns": (columns, [(b, n_poses, n_channels) for b in (1, 2)]),
+    }
+    if sum(one is not None for one, _ in shapes.values()) != 1:
+        raise InputError("found a term with none or several of factor, variance and columns, expected one of them")
+    for what, (one, expected) in shapes.items():
+        if one is None:
+            continue
+        if one.shape[: len(expected[0])] not in expected or one.ndim != len(expected[0]) + (what == "columns"):
+            raise InputError(f"found {what} of shape {one.shape} for two machines, expected {expected[0]}")
+        if not np.isfinite(one).all() or (what != "columns" and (one < 0.0).any()):
+            raise InputError(f"found {what} that is not finite, or below zero, expected one that is neither")
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from bayescal.density.calibration.terms import Errors
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.beside import Beside, read_beside
+from bayescal.experiments.calibration.errors import build_terms
 from bayescal.experiments.calibration.noise import build_noise, stated_noise
 from bayescal.experiments.calibration.priors import choose_priors
 from bayescal.experiments.calibration.reading_tables import PoseReadings, read_tables
@@ -114,7 +115,8 @@ def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
     variants = {}
     for one in config.variants:
         with name_faults(f"variant {one.name!r}"):
-            variants[one.name] = _build(config, one, models[one.machine or config.machine], readings, deviations)
+            machine = models[one.machine or config.machine]
+            variants[one.name] = _build(config, one, machine, readings, deviations, folder)
     beside = [read_beside(one, folder, model) for one in config.beside]
     return CalibrationInputs(config, getattr(model, "name", config.machine), variants, beside)
 
@@ -130,6 +132,7 @@ def _build(
     model: ReadingModel,
     readings: PoseReadings,
     deviations: Array,
+    folder: Path,
 ) -> Variant:
     rows = _choose_poses(section, model, readings)
     chosen = model.select(section.sensors if section.sensors is not None else config.sensors)
@@ -148,7 +151,10 @@ def _build(
     _check_noise(data, model)
     model.check_given(data.poses, data.given, [one for name in priors for one in common.get(name, (name,))])
     workspace = build_workspace(model, config.workspace, config.units)
-    terms = build_noise(config, section, whole, chosen)
+    terms = (
+        *build_noise(config, section, whole, chosen),
+        *build_terms(config, section, whole, chosen, data, workspace, folder),
+    )
     outliers = Outliers(np.inf if section.robust is None else section.robust)
     unplaced = Variant(
         section,

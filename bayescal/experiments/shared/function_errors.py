@@ -95,7 +95,7 @@ def find_functions(
 def _grid(data: Measurements) -> Measurements:
     """Return rows over what was read, evenly, and over the order of the rows."""
     low, high = (pick(np.where(data.present, data.values, np.nan), axis=0) for pick in (np.nanmin, np.nanmax))
-    values, order = np.linspace(low, high, CURVE), np.linspace(data.order.min(), data.order.max(), CURVE)
+    values, order = np.linspace(low, high, CURVE), np.linspace(data.order.min(), data.order.max(), CURVE).astype(int)
     return replace(
         data, poses=tuple(map(str, range(CURVE))), values=values, sd=np.ones_like(values), correlation=None, order=order
     )
