@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.density.prediction import compute_elpd
-from bayescal.experiments.self_calibration.functions import FoundFunctions, find_functions
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.estimate import Estimate, estimate_posterior
+from bayescal.experiments.shared.function_errors import FoundFunctions, find_functions
 from bayescal.experiments.shared.reading_trees import SavedDraws, save_draws
 from bayescal.numerics.geometry import Array
 
@@ -53,9 +53,9 @@ def fit_variant(inputs: ReadingInputs, variant: Variant) -> Fit:
     if inputs.table.verification.any():
         held = inputs.likelihood(variant, verification=True)
         elpd = compute_elpd(posterior.predict_density(held, found.kept))
-    error = posterior.leave_over(found.mode[None]).error[0]
-    square = np.einsum("pk,pk->p", error, error)
-    seed = [config.seed, 8, zlib.crc32(variant.name.encode())]
+    error = posterior.residuals(found.mode[None]).error[0]
+    square, key = np.einsum("pk,pk->p", error, error), zlib.crc32(variant.name.encode())
+    seed = [config.seed, 8, key]
     saved = save_draws(posterior, found.kept, len(found.natural), config.sampler.ensembles, seed)
     return Fit(
         **vars(found),
@@ -65,5 +65,5 @@ def fit_variant(inputs: ReadingInputs, variant: Variant) -> Fit:
         elpd=elpd,
         square=square,
         saved=saved,
-        functions=find_functions(inputs, variant, posterior, found.kept),
+        functions=find_functions(posterior, found.kept, np.random.default_rng([config.seed, 9, key])),
     )
