@@ -280,6 +280,8 @@ class CalibrationPosterior:
 
     def draw_common(self, y: Array, rng: np.random.Generator) -> CommonDraws:
         """Return draws of the errors common to all rows, one for each of the coordinates (B, n)."""
+        if not self.errors.has_columns:
+            return CommonDraws(self.errors, ())
         white, at = self.stand(y)
         parts = [(self.zeta(y[some]), found.draw(rng)) for some, found in self._absorb(y, white, at)]
         return CommonDraws(self.errors, tuple(parts))

@@ -43,12 +43,12 @@ def fit_variant(inputs: CalibrationInputs, variant: Variant) -> Fit:
     key = zlib.crc32(variant.name.encode())
     seed = [config.seed, 8, key]
     saved = save_draws(posterior, found.kept, len(found.natural), config.sampler.ensembles, seed)
-    functions = find_functions(posterior, found.kept, np.random.default_rng([config.seed, 9, key]))
+    draws = posterior.draw_common(found.kept, np.random.default_rng([config.seed, 9, key]))
     return Fit(
         **vars(found),
         names=posterior.names,
         units=posterior.units,
         prior_sd=posterior.prior_sd,
         saved=saved,
-        functions=functions,
+        functions=find_functions(posterior, found.kept, draws),
     )

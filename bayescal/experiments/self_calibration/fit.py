@@ -34,6 +34,8 @@ class Fit(Estimate):
         What the posterior's file holds.
     functions : FoundFunctions or None
         Errors of the sensors that are functions of what they read.
+    common : tuple of pairs of ndarray
+        Draws of these, as `CommonDraws.parts`.
     """
 
     names: tuple[str, ...]
@@ -43,6 +45,7 @@ class Fit(Estimate):
     square: Array
     saved: SavedDraws
     functions: FoundFunctions | None
+    common: tuple[tuple[Array, Array], ...]
 
 
 def fit_variant(inputs: ReadingInputs, variant: Variant) -> Fit:
@@ -57,6 +60,7 @@ def fit_variant(inputs: ReadingInputs, variant: Variant) -> Fit:
     square, key = np.einsum("pk,pk->p", error, error), zlib.crc32(variant.name.encode())
     seed = [config.seed, 8, key]
     saved = save_draws(posterior, found.kept, len(found.natural), config.sampler.ensembles, seed)
+    draws = posterior.draw_common(found.kept, np.random.default_rng([config.seed, 9, key]))
     return Fit(
         **vars(found),
         names=posterior.names,
@@ -65,5 +69,6 @@ def fit_variant(inputs: ReadingInputs, variant: Variant) -> Fit:
         elpd=elpd,
         square=square,
         saved=saved,
-        functions=find_functions(posterior, found.kept, np.random.default_rng([config.seed, 9, key])),
+        functions=find_functions(posterior, found.kept, draws),
+        common=draws.parts,
     )
