@@ -14,7 +14,7 @@ from bayescal.calibrated.kept import read_kept
 from bayescal.calibrated.machine import CalibratedMachine, Errors, Source, build_calibrated
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
-from bayescal.experiments.calibration.noise import list_groups, noise_of_channels
+from bayescal.experiments.calibration.noise import group_channels, noise_of_channels
 from bayescal.experiments.calibration.priors import choose_priors
 from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
 from bayescal.experiments.calibration.tables import choose_best
@@ -29,6 +29,7 @@ from bayescal.numerics.geometry import Array
 
 ERRORS = "errors"
 """Table of the results: by what each commanded channel errs."""
+ERROR_DRAWS = 200
 
 
 # --- writing -------------------------------------------------------------------------------------------------------
@@ -64,36 +65,36 @@ def _write(value: float) -> str:
     return repr(float(value)) if np.isfinite(value) else ""
 
 
-def tabulate_errors(
-    config: CalibrationConfig, variant: Variant, names: tuple[str, ...], natural: Array
-) -> pd.DataFrame:
-    """Return by what each commanded channel errs: noise and model error, root mean squares over the posterior.
+def tabulate_errors(config: CalibrationConfig, variant: Variant, kept: Array) -> pd.DataFrame:
+    """Return by what each commanded channel errs: noise and model error, root mean squares over draws of the posterior.
+
+    Errors that are functions count by their mean squares at the calibration poses, with the model error.
 
     Parameters
     ----------
     config : CalibrationConfig
     variant : Variant
-    names : tuple of str
-        Of the posterior's n parameters.
-    natural : ndarray, shape (T, n)
-        Its draws.
+    kept : ndarray, shape (T, n)
+        Draws of the posterior, in its coordinates.
     """
-    whole, model, noise, data = variant.whole, variant.model, variant.noise, variant.data
-    square = dict(zip(names, (natural**2).mean(axis=0), strict=True))
+    whole, names, posterior = variant.whole, variant.model.names, variant.posterior().anchored()
+    y = kept[np.linspace(0, len(kept) - 1, min(ERROR_DRAWS, len(kept))).astype(int)]
+    own, beside = posterior.deviations(y)
+    square = np.broadcast_to(beside**2, own.shape)
+    if posterior.errors.has_columns:
+        common = posterior.draw_common(y, np.random.default_rng([config.seed, 12]))
+        square = square + common.at(posterior.likelihood.data) ** 2
+    present = posterior.likelihood.data.present
     stated = np.nan_to_num(noise_of_channels(config.sensors, whole))
     rows: list[dict[str, Any]] = []
     for k in whole.select(whole.commanded):
-        channel, sd, tau = whole.channels[k], float(stated[k]), 0.0
-        if channel.name in model.names:
-            own = model.names.index(channel.name)
-            sd = float(np.median(data.sd[data.present[:, own], own]))
-            scale, error = int(noise.scale_of[own]), int(noise.tau_of[own])
-            if scale >= 0:
-                sd *= float(np.sqrt(square[f"noise_factor({noise.scale_names[scale]})"]))
-            if error >= 0:
-                tau = float(np.sqrt(square[f"model_error({noise.tau_names[error]})"]))
+        channel, noise, model_error = whole.channels[k], float(stated[k]), 0.0
+        if channel.name in names:
+            own_k, there = names.index(channel.name), present[:, names.index(channel.name)]
+            noise = float(np.sqrt((np.median(own[:, there, own_k], axis=1) ** 2).mean()))
+            model_error = float(np.sqrt(square[:, there, own_k].mean()))
         named = {"variant": variant.name, "channel": channel.name, "unit": channel.unit}
-        rows.append({**named, "noise": sd, "model_error": tau, **_relate(variant, channel.name)})
+        rows.append({**named, "noise": noise, "model_error": model_error, **_relate(variant, channel.name)})
     return pd.DataFrame(rows)
 
 
@@ -153,7 +154,7 @@ def _find_noise(results: Results, config: CalibrationConfig, variant: str, model
     rows = results.table("parameters")
     mine = rows[rows["variant"] == variant]
     square = dict(zip(mine["parameter"], mine["mean"] ** 2 + mine["sd"] ** 2, strict=True))
-    groups = list_groups(config, model)
+    groups = group_channels(config, model)
     factor = np.array([square.get(f"noise_factor({group})", 1.0) for group in groups])
     tau = np.array([square.get(f"model_error({group})", 0.0) for group in groups])
     return np.sqrt(noise_of_channels(config.sensors, model) ** 2 * factor + tau)

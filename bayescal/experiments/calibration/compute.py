@@ -31,6 +31,7 @@ class _Fitted:
     knowledge: Knowledge
     beside: list[Array]
     held: list[Held]
+    errors: pd.DataFrame
 
 
 def compute_calibration(inputs: CalibrationInputs, run: Run) -> Results:
@@ -55,11 +56,7 @@ def compute_calibration(inputs: CalibrationInputs, run: Run) -> Results:
         for name, one in fitted.items()
     }
     tables = tabulate(inputs, found)
-    errors = [
-        tabulate_errors(inputs.config, inputs.variants[name], one.fit.names, one.fit.natural)
-        for name, one in found.items()
-    ]
-    tables[ERRORS] = pd.concat(errors, ignore_index=True)
+    tables[ERRORS] = pd.concat([one.errors for one in fitted.values()], ignore_index=True)
     summary, slip = summarise(inputs, tables), find_calibration_slip(inputs.variants.values())
     summary |= {} if slip is None else {"slip": slip}
     return Results(summary, tables, {**_list_files(inputs, found), **keep_machine(inputs)})
@@ -87,6 +84,7 @@ def _compute_variant(inputs: CalibrationInputs, name: str) -> _Fitted:
         assess(inputs.config, variant, posterior.anchored(), fit.kept.mean(axis=0), covariance),
         [one.evaluate(variant.whole, posterior.theta(fit.kept)) for one in inputs.beside],
         held,
+        tabulate_errors(inputs.config, variant, fit.kept),
     )
 
 
@@ -96,17 +94,19 @@ def _explain(inputs: CalibrationInputs, name: str, fit: Fit) -> Residuals:
     posterior = variant.posterior().anchored()
     white, stand = posterior.stand(fit.mode[None])
     own, tau = posterior.deviations(fit.mode[None])
-    likelihood = posterior.likelihood
+    likelihood, outliers = posterior.likelihood, posterior.errors.outliers
     given = {key: value[None] for key, value in likelihood.data.given.items()}
     read = likelihood.model.read(posterior.theta(fit.mode[None])[:, None], stand.pose, given)
-    left = likelihood.comparison.subtract(likelihood.data.values, read)[0]
-    del white
+    residual = posterior.residuals(fit.mode[None])
+    common = white.colour(stand.error - residual.error)  # what errors common to all rows explain beyond the pose
+    left = (likelihood.comparison.subtract(likelihood.data.values, read) - common)[0]
+    square = np.einsum("pk,pk->p", residual.error[0], residual.error[0])
     return Residuals(
         stand.pose[0],
         np.where(likelihood.data.present, left, np.nan),
         np.sqrt(own[0] ** 2 + tau[0] ** 2) * np.ones_like(left),
-        stand.square[0],
-        likelihood.trust(stand.square)[0],
+        square,
+        outliers.trust(square, likelihood.n_spare),
         likelihood.n_readings - stand.pose.shape[-1],
     )
 

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from bayescal.density.legs import LegPosterior
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.experiments.next_pose.state import Shown, State, Subject
 from bayescal.experiments.shared.measured import MeasuredVariant
 from bayescal.experiments.shared.search_memory import list_search
@@ -47,7 +47,7 @@ class LegsSubject(Subject):
     candidates: Array
 
     @property
-    def posterior(self) -> Posterior:
+    def posterior(self) -> LegPosterior:
         """Of the poses measured so far."""
         return self.measured.posterior
 
@@ -122,12 +122,15 @@ class LegsState(State):
     @cached_property
     def model_error(self) -> Array:
         """Model errors of the draws, with what the measured part of a deformation leaves, shape (S, N), mm."""
-        tau = np.broadcast_to(self.measured.posterior.tau(self.belief.draws), (len(self.theta), len(self.legs.home)))
+        posterior = self.measured.posterior
+        tau = np.broadcast_to(
+            posterior.errors.tau(posterior.zeta(self.belief.draws)), (len(self.theta), len(self.legs.home))
+        )
         return np.sqrt(tau**2 + self.measured.left_variance)
 
     @property
     def _free(self) -> np.ndarray:
-        return self.measured.posterior.coordinates.free
+        return self.measured.posterior.sampling.free
 
     @cached_property
     def knowledge(self) -> Knowledge:
@@ -149,7 +152,7 @@ class LegsState(State):
         """Of the parameters, in units of the tolerances, shape (m, m)."""
         posterior = self.measured.posterior
         m = posterior.n_geometry
-        change = posterior.coordinates.jacobian(self.calibrated)[self._free] / self.knowledge.sd[:, None]
+        change = posterior.sampling.jacobian(self.calibrated)[self._free] / self.knowledge.sd[:, None]
         return np.asarray(change @ self.belief.covariance[:m, :m] @ change.T)
 
     @cached_property

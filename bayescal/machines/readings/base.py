@@ -218,6 +218,14 @@ class ReadingModel(ABC):
     def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
         """Return the readings with their derivatives; arguments as in `read`."""
 
+    def error_gain(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array | None:
+        """Return how the model error of each channel shows in all of them, (..., K, K), arguments as in `read`.
+
+        None, as by default, where each shows in its own channel alone.
+        """
+        del theta, pose, given
+        return None
+
     @abstractmethod
     def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
         """Return what has to be accurate, where the tool's centre is for example, and what moves it.
@@ -410,6 +418,11 @@ class _Picked(ReadingModel):
         found = self.whole.linearise(theta, pose, with_parameters, given)
         by_parameters = found.by_parameters[..., self.places, :] if with_parameters else found.by_parameters
         return Readings(found.values[..., self.places], found.by_pose[..., self.places, :], by_parameters)
+
+    def error_gain(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array | None:
+        """Return how the model errors of the sensors left show in them."""
+        gain = self.whole.error_gain(theta, pose, given)
+        return None if gain is None else gain[..., self.places, :][..., self.places]
 
     def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
         """Return the whole machine's tool."""
