@@ -125,12 +125,9 @@ def rms(tool: Array, covariance: Array) -> Array:
     return np.sqrt(np.einsum("wti,ij,wtj->wt", tool, covariance, tool, optimize=True).mean(axis=0))
 
 
-def name_tool(model: ReadingModel, n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return names and units of the n numbers that have to be accurate."""
-    coordinates = model.coordinates
-    if n == len(coordinates):
-        return tuple(one.name for one in coordinates), tuple(one.unit for one in coordinates)
-    return tuple(f"tool[{k + 1}]" for k in range(n)), ("mm",) * n
+def name_tool(model: ReadingModel) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return names and units of the tool's numbers, which have to be accurate."""
+    return tuple(one.name for one in model.tool_channels), tuple(one.unit for one in model.tool_channels)
 
 
 def see(posterior: CalibrationPosterior, y: Array) -> Array:

@@ -39,6 +39,8 @@ class Knowledge:
     before, after, noise : ndarray, shape (m,)
         Root mean square error over the workspace by what is unknown of the parameters beforehand and now, and by the
         noise of one pose's own readings; NaN where the machine's own sensors do not tell it.
+    worst, worst_pose : ndarray, shapes (m,) and (m, q)
+        The largest standard uncertainty over the workspace by what is unknown of the parameters now, and where.
     next_pose : ndarray, shape (c, q)
         Poses to measure next, the best first for each set of sensors.
     next_sensors : tuple of str
@@ -54,6 +56,8 @@ class Knowledge:
     before: Array
     after: Array
     noise: Array
+    worst: Array
+    worst_pose: Array
     next_pose: Array
     next_sensors: tuple[str, ...]
     next_gain: Array
@@ -90,7 +94,7 @@ def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: A
     """
     rng = np.random.default_rng([asked.seed, 5])
     at = look_around(variant, posterior, y, rng)
-    names, units = name_tool(variant.model, at.tool.shape[1])
+    names, units = name_tool(variant.model)
     every = np.ones(len(variant.model.channels), dtype=bool)
     candidates = variant.workspace.draw(asked.next.candidates, rng)
     tried = [
@@ -98,6 +102,7 @@ def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: A
         for label, some in (("own", variant.internal), ("all", every))
         if label == "own" or (some != variant.internal).any()
     ]
+    spread = np.sqrt(np.einsum("wti,ij,wtj->wt", at.tool, covariance, at.tool, optimize=True))
     verdicts, ridges = _judge(asked.units, posterior, y)
     return Knowledge(
         verdicts,
@@ -107,6 +112,8 @@ def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: A
         rms(at.tool, np.eye(posterior.n_geometry)),
         rms(at.tool, covariance),
         np.sqrt(at.noise.mean(axis=0)),
+        spread.max(axis=0),
+        at.pose[spread.argmax(axis=0)],
         np.concatenate([pose for _, pose, _ in tried]),
         tuple(label for label, pose, _ in tried for _ in pose),
         np.concatenate([gain for *_, gain in tried]),
@@ -162,8 +169,9 @@ def _rank(
 
 
 def weigh(variant: Variant, at: View) -> Array:
-    """Return W (m, m) such that tr(W C) is the sum over poses of the tool's squared error, of lengths only."""
-    lengths = at.tool[:, : max(1, variant.model.pose_units.count("mm"))]
+    """Return W (m, m) such that tr(W C) is the sum over poses of the tool's squared error, of lengths where it has any."""
+    units = [one.unit for one in variant.model.tool_channels]
+    lengths = at.tool[:, [unit == ("mm" if "mm" in units else units[0]) for unit in units]]
     return np.asarray(np.einsum("wti,wtj->ij", lengths, lengths))
 
 

@@ -215,6 +215,7 @@ def summarise(inputs: CalibrationInputs, tables: Mapping[str, pd.DataFrame]) -> 
         "origin": config.origin.model_dump(),
         "member": next(iter(inputs.variants.values())).model.member,
         "machine_files": inputs.machine_files,
+        "states_tool": all(one.model.states_tool for one in inputs.variants.values()),
         "converged": bool(variants["converged"].all()),
         "units": config.units.model_dump(),
         "variants": {str(row.pop("variant")): plain(row) for row in variants.to_dict("records")},

@@ -52,7 +52,7 @@ def _search_sets(inputs: AuditInputs) -> FoundSets:
     assert inputs.sensors is not None
     asked, variant = inputs.config.sensor_choice, inputs.sensors
     assert asked is not None
-    names, _ = name_tool(variant.model, variant.model.tool(variant.posterior().centre, variant.start[:1])[0].shape[-1])
+    names, _ = name_tool(variant.model)
     limits = np.array([inputs.limits.get(name, np.inf) for name in names])
     posterior = variant.posterior()
     sets = build_sensor_sets(variant, posterior, inputs.choices, asked.always, limits, inputs.config.seed)

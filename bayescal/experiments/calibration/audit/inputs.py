@@ -70,7 +70,7 @@ def read_audit(config: CalibrationAuditConfig, folder: Path) -> AuditInputs:
     for one in config.variants:
         with name_faults(f"variant {one.name!r}"):
             variants[one.name] = _build(config, one, model, planned, noise, workspace)
-    limits = _read_limits(config, model, next(iter(variants.values())))
+    limits = _read_limits(config, model)
     name, asked = getattr(model, "name", config.machine), config.sensor_choice
     if asked is None:
         return AuditInputs(config, name, variants, limits)
@@ -84,9 +84,8 @@ def read_audit(config: CalibrationAuditConfig, folder: Path) -> AuditInputs:
     return AuditInputs(config, name, variants, limits, sensors, choices)
 
 
-def _read_limits(config: CalibrationAuditConfig, model: ReadingModel, variant: Variant) -> dict[str, float]:
-    position, _, _ = model.tool(variant.posterior().centre, variant.start[:1])
-    names, units = name_tool(model, position.shape[-1])
+def _read_limits(config: CalibrationAuditConfig, model: ReadingModel) -> dict[str, float]:
+    names, units = name_tool(model)
     section = Units(config.units.length, config.units.angle)
     for name in config.requirements:
         if name not in names:

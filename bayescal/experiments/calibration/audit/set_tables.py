@@ -41,7 +41,7 @@ def _name_set(inputs: AuditInputs, found: FoundSets, place: int) -> dict[str, An
 def _describe(inputs: AuditInputs, found: FoundSets, place: int) -> dict[str, Any]:
     one, variant = found.accuracy[place], inputs.sensors
     assert variant is not None
-    names = [f"{name}_{unit}" for name, unit in zip(*name_tool(variant.model, len(one.error)), strict=True)]
+    names = [f"{name}_{unit}" for name, unit in zip(*name_tool(variant.model), strict=True)]
     parts = {"error": one.error, "after": one.after, "noise": one.noise}
     per_pose = max(0, one.n_readings - len(variant.model.coordinates))
     return {

@@ -167,19 +167,22 @@ def _take_triple(column: pd.Series, names: list[str]) -> Triple:
 
 
 def show_accuracy(tables: dict[str, pd.DataFrame], asked: Asked = None) -> Section:
-    """Return how well each variant knows where the machine stands."""
+    """Return how well each variant knows the tool, or the coordinates where none is stated."""
     titles = dict(zip(tables["variants"]["variant"], tables["variants"]["title"], strict=True))
-    columns = [Column("Variant", kind="text"), Column("Coordinate", kind="text"), Column("Unit", kind="text")]
+    columns = [Column("Variant", kind="text"), Column("Tool", kind="text"), Column("Unit", kind="text")]
     columns += [Column("before", group="rms over the workspace"), Column("after", group="rms over the workspace")]
     columns += [Column("noise of one reading", group="rms over the workspace")]
+    columns += [Column("largest after"), Column("at", kind="text")]
     rows: list[list[str | Cell]] = []
     for row in list_rows(tables["accuracy"]):
         factor, unit = shown_in(row["unit"], asked)
         numbers = (format_significant(factor * row[name]) for name in ("before", "after", "noise"))
-        rows.append([str(titles[row["variant"]]), str(row["coordinate"]), unit, *numbers])
+        worst = (format_significant(factor * row["worst"]), str(row["worst_at"])) if "worst" in row else ("–", "–")
+        rows.append([str(titles[row["variant"]]), str(row["coordinate"]), unit, *numbers, *worst])
     text = (
-        "How well the machine, with its own sensors alone, knows where it stands: by the tolerances before, by the "
-        "posterior after; the noise of one set of readings comes on top. A dash: its own sensors do not tell it.",
+        "Standard uncertainty of the tool as located by the machine's own sensors alone: before the calibration by the "
+        "tolerances, after it by the posterior; the noise of one set of readings comes on top. A dash: its own sensors "
+        "do not determine it.",
     )
     return make_section("How accurate the machine is", text, (make_table("Predicted errors.", columns, rows),))
 

@@ -22,6 +22,11 @@ from bayescal.report.numbers import (
 
 type Row = dict[str, Any]
 
+NO_TOOL = (
+    "The machine's class states no tool: its coordinates are reported instead. State tool_channels (names and units), "
+    "and tool() where the tool is something else than the coordinates."
+)
+
 DECISIVE = 5.0  # nats
 EQUAL = 1.0  # nats; less tells nothing
 WEAK = 0.75  # contraction below which a tolerance is not even halved
@@ -62,18 +67,29 @@ def shown_in(unit: str, asked: Asked = None) -> tuple[float, str]:
 
 
 def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> str:
-    """Return which variant to use and how well it then knows where the machine stands."""
+    """Return which variant to use and how well it knows the machine's tool, over the workspace and at its worst."""
     best = choose_best(summary)
     row = _row(tables["variants"], best)
-    accuracy = [
-        f"{one['coordinate']} to {format_amount(one['after'], one['unit'])}"
-        for one in list_rows(tables["accuracy"])
-        if one["variant"] == best and math.isfinite(one["after"])
+    known = [
+        one for one in list_rows(tables["accuracy"]) if one["variant"] == best and math.isfinite(one["after"])
     ]
     words = f"Use “{row['title']}”" + (", with care (see the warnings)" if "slip" in summary else "")
-    return (
-        f"{words}: the machine then knows {join_words(accuracy)} rms over its workspace." if accuracy else f"{words}."
-    )
+    if not known:
+        return f"{words}."
+    accuracy = join_words([f"{one['coordinate']} {format_amount(one['after'], one['unit'])}" for one in known])
+    what = "tool" if summary.get("states_tool", True) else "coordinates"
+    said = f"{words}: standard uncertainty of the {what} {accuracy}, root mean square over the workspace"
+    lengths = [one for one in known if one["unit"] == "mm"] or known[:1]
+    worst = max(lengths, key=lambda one: one.get("worst", 0.0))
+    if "worst" not in worst:
+        return f"{said}."
+    largest = format_amount(worst["worst"], worst["unit"])
+    return f"{said}; largest {worst['coordinate']} {largest}, at {worst['worst_at']}."
+
+
+def state_tool(summary: dict[str, Any]) -> list[Statement]:
+    """Return that the machine's class says nothing of its tool, where it does not."""
+    return [] if summary.get("states_tool", True) else [Statement(NO_TOOL, "warning", "Tool")]
 
 
 def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Statement]:
@@ -81,6 +97,7 @@ def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> l
     best = choose_best(summary)
     found = [
         *state_slip(summary),
+        *state_tool(summary),
         _state_ranking(tables, summary, best),
         *_state_convergence(tables),
         *_state_data(tables, best),
