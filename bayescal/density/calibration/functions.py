@@ -25,7 +25,6 @@ from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebpts1, chebvander
-
 from pydantic import Field, model_validator
 
 from bayescal.config.sections import Names, Positive, Section
@@ -204,8 +203,8 @@ class FunctionErrors(ErrorTerm):
         Raises
         ------
         InputError
-            For an unknown channel, a scale in another kind of unit, functions that change too fast, and a row that lacks
-            what they depend on.
+            For an unknown channel, a scale in another kind of unit, functions that change too fast, and a row that
+            lacks what they depend on.
         """
         places, channels = rows.select(config.channels), rows.model.channels
         scale = [config.scale_in(channels[k].name, channels[k].unit) for k in places]

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
-from bayescal.density.calibration.terms import HALF_LOG_TWO_PI, CommonDraws, Errors
+from bayescal.density.calibration.terms import HALF_LOG_TWO_PI, NO_ERRORS, CommonDraws, Errors
 from bayescal.density.calibration.whitening import Whitening, WhiteResiduals
 from bayescal.density.elimination import half_log_volume, invert, left_of, orthonormalise, project_out
 from bayescal.density.local import Funnel
@@ -47,7 +47,7 @@ class CalibrationPosterior:
 
     likelihood: CalibrationLikelihood
     priors: Mapping[str, Prior]
-    errors: Errors = Errors()
+    errors: Errors = NO_ERRORS
     fixed: Mapping[str, float] = field(default_factory=dict)
     common: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
@@ -242,7 +242,9 @@ class CalibrationPosterior:
         if self.errors.has_columns:
             error = np.concatenate([found.residual for _, found in self._absorb(y, white, at)])
         outliers = self.errors.outliers
-        return WhiteResiduals(error, at.slope, self.likelihood.data.present, outliers.freedom, white.vector, white.colour)
+        return WhiteResiduals(
+            error, at.slope, self.likelihood.data.present, outliers.freedom, white.vector, white.colour
+        )
 
     def stand(self, y: Array) -> tuple[Whitening, Stand]:
         """Return the whitening and where machines of coordinates (B, n) explain the readings best."""
@@ -259,9 +261,7 @@ class CalibrationPosterior:
 
     # --- errors common to all rows -------------------------------------------------------------------------------
 
-    def columns(
-        self, y: Array, white: Whitening, slope: Array, other: CalibrationLikelihood | None = None
-    ) -> Array:
+    def columns(self, y: Array, white: Whitening, slope: Array, other: CalibrationLikelihood | None = None) -> Array:
         """Return what coefficients do to white readings that are free of the poses, (B, P, K, N), for slopes H."""
         likelihood = other or self.likelihood
         acted = self._white_columns(y, white, likelihood)

@@ -9,8 +9,8 @@ with C the stated covariance. A term with coordinates ζ supplies one of three: 
 variance v added to them, or columns Φ. All terms hold together, and with outliers, which are of a row as a whole.
 
 A term of one's own is a class: names, units and priors of its coordinates, and `ErrorTerm.variance` or
-`ErrorTerm.columns`. In a config it stands as ``[errors.NAME]`` with ``kind = "own_term.py:OwnTerm"`` and the keys of its
-``Config``.
+`ErrorTerm.columns`. In a config it stands as ``[errors.NAME]`` with ``kind = "own_term.py:OwnTerm"`` and the keys of
+its ``Config``.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from abc import ABC
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -286,7 +287,7 @@ class Errors:
     @cached_property
     def _slices(self) -> list[slice]:
         ends = np.cumsum([0, *(len(term.names) for term in self.terms)])
-        return [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     @property
     def n_parameters(self) -> int:
@@ -420,7 +421,9 @@ class Errors:
 
     def column_slopes(self, zeta: Array, data: Measurements) -> Array:
         """Return the derivatives of Φ by all coordinates at ζ, shape (n,), (n, P, K, N)."""
-        widths = [0 if (own := term.columns(part[None], data)) is None else own.shape[-1] for term, part in self.of(zeta)]
+        widths = [
+            0 if (own := term.columns(part[None], data)) is None else own.shape[-1] for term, part in self.of(zeta)
+        ]
         result = np.zeros((len(zeta), *data.sd.shape, sum(widths)))
         start = 0
         for (term, part), where, width in zip(self.of(zeta), self._slices, widths, strict=True):
@@ -451,6 +454,9 @@ class Errors:
         return result
 
 
+NO_ERRORS = Errors()
+
+
 def check_term(term: ErrorTerm, data: Measurements) -> None:
     """Raise InputError where what a term of somebody else's class supplies does not fit together."""
     n, (n_poses, n_channels) = len(term.names), data.sd.shape
@@ -464,7 +470,9 @@ def check_term(term: ErrorTerm, data: Measurements) -> None:
         raise
     except Exception as error:
         text = " ".join(str(error).split())
-        raise InputError(f"found a term that fails with {type(error).__name__}: {text}, expected one that works") from error
+        raise InputError(
+            f"found a term that fails with {type(error).__name__}: {text}, expected one that works"
+        ) from error
     shapes = {
         "factor": (factor, [(2, n_channels)]),
         "variance": (variance, [(2, n_poses, n_channels), (2, 1, n_channels)]),

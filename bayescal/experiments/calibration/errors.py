@@ -69,7 +69,7 @@ def _is_elsewhere(names: list[str], everywhere: list[set[str]], chosen: np.ndarr
 
 
 def measure_ranges(model: ReadingModel, data: Measurements, workspace: Workspace) -> tuple[Array, Array]:
-    """Return what the nominal machine reads in the middle of the workspace, and how far readings go from there, (K,)."""
+    """Return what the nominal machine reads in the middle of the workspace, and how far readings go from it, (K,)."""
     q = len(workspace.low)
     steps = np.array([*product((-1.0, 0.0, 1.0), repeat=q)]) if 3**q <= LARGEST_GRID else _draw_ends(q)
     pose = np.concatenate([workspace.middle[None], workspace.middle + workspace.half * steps.reshape(-1, q)])
