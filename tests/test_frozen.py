@@ -42,8 +42,11 @@ def compare(known, posteriors, name, points):
             size = size.max(axis=1, keepdims=True)
         assert np.array_equal(np.isnan(values), np.isnan(expected)), key
         if key in ("density", "pointwise") and tolerances is ELIMINATED:
-            far = np.abs(expected) > FAR * np.abs(entry["density"][0])
-            relative = np.where(far, OF_FAR, relative)
+            far = np.abs(entry["density"][points]) > FAR * np.abs(entry["density"][0])
+            relative = np.where(far, OF_FAR, relative).reshape(-1, *[1] * (expected.ndim - 1))
+            size = np.where(
+                far.reshape(relative.shape), size.max(axis=-1, keepdims=True) if size.ndim > 1 else size, size
+            )
         off = np.abs(values - expected) / (absolute + relative * size)
         assert np.nanmax(off) <= 1.0, f"{key}: {np.nanmax(off):.3g} times the tolerance"
 
