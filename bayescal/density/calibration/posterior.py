@@ -16,7 +16,7 @@ from scipy.special import ndtr
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
 from bayescal.density.calibration.terms import HALF_LOG_TWO_PI, NO_ERRORS, CommonDraws, Errors
 from bayescal.density.calibration.whitening import Whitening, WhiteResiduals
-from bayescal.density.elimination import half_log_volume, invert, left_of, orthonormalise, project_out
+from bayescal.density.elimination import invert, left_of, orthonormalise, project_out
 from bayescal.density.local import Funnel
 from bayescal.density.low_rank_columns import Coefficients, find_coefficients, split
 from bayescal.density.priors import Prior, UniformPrior
@@ -357,7 +357,9 @@ class CalibrationPosterior:
         """
         m, likelihood = self.n_geometry, self.likelihood
         there = likelihood.data.present
-        slopes = self.errors.covariance_slopes(y[m:], likelihood.data, likelihood.sd, likelihood.correlation)
+        slopes = self.errors.covariance_slopes(
+            y[m:], likelihood.data, likelihood.sd, likelihood.correlation, likelihood.error_gain
+        )
         slopes = np.where(there[:, :, None] & there[:, None, :], slopes, 0.0)
         both = white.rows(np.swapaxes(white.rows(slopes), -1, -2))
         seen = left @ both
@@ -389,10 +391,10 @@ class CalibrationPosterior:
         return np.asarray((values[:n] - values[n:]) / (2.0 * STEP))
 
     def _log_volume(self, y: Array, turn: Array | None) -> tuple[Array, Array]:
-        """Return -½ Σ log |HᵀΣ⁻¹H| of machines (B, n) right where they stand, with that of coefficients; and -r H δ."""
+        """Return log-volumes of machines (B, n) right where they stand, with that of coefficients; and -r H δ."""
         white, at = self.stand(y)  # whose H is that of a pose close by, the same for machines that are much alike
         slope = self.likelihood.linearise(self.theta(y), at.pose, white)[1]
-        volume = -half_log_volume(slope).sum(axis=1)
+        volume = self.likelihood.log_volume(slope, white).sum(axis=1)
         if turn is None:
             return volume, np.zeros(len(y))
         volume += white.log_det.sum(axis=1)

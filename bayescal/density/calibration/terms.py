@@ -433,7 +433,9 @@ class Errors:
             start += width
         return result
 
-    def covariance_slopes(self, zeta: Array, data: Measurements, sd: Array, correlation: Array) -> Array:
+    def covariance_slopes(
+        self, zeta: Array, data: Measurements, sd: Array, correlation: Array, gain: Array | None = None
+    ) -> Array:
         """Return the derivatives of the noise's covariance by the coordinates at ζ, shape (n,), (n, P, K, K).
 
         Parameters
@@ -442,6 +444,8 @@ class Errors:
         data : Measurements
         sd : ndarray, shape (P, K)
         correlation : ndarray, shape (P, K, K) or (1, K, K)
+        gain : ndarray, shape (P, K, K), optional
+            How model errors show in the readings; each in its own where it is None.
         """
         own = self.deviations(zeta[None], data, sd)[0][0]
         stated = own[:, :, None] * correlation * own[:, None, :]
@@ -450,7 +454,8 @@ class Errors:
             if one.log_factor is not None:
                 result[k] = stated * (one.log_factor[:, :, None] + one.log_factor[:, None, :])
             if one.variance is not None:
-                result[k] += one.variance[:, :, None] * np.eye(sd.shape[1])
+                shown = np.eye(sd.shape[1])[None] if gain is None else gain
+                result[k] += (shown * one.variance[:, None, :]) @ np.swapaxes(shown, -1, -2)
         return result
 
 
