@@ -289,7 +289,8 @@ class CalibrationPosterior:
     def _absorb(self, y: Array, white: Whitening, at: Stand) -> Iterator[tuple[slice, Coefficients]]:
         """Yield the same of as many machines as are worked on together."""
         n_columns = self.errors.columns(self.zeta(y[:1]), self.likelihood.data).shape[-1]
-        for some in split(*at.error.shape, n_columns):
+        n_machines, n_poses, n_channels = at.error.shape
+        for some in split(n_machines, n_poses, n_channels, n_columns):
             columns = self.columns(y[some], white.pick(some), at.slope[some])
             yield some, self._find(columns, at.error[some])
 

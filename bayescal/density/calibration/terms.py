@@ -125,14 +125,17 @@ class ErrorTerm(ABC):
     def factor(self, zeta: Array) -> Array | None:
         """Return the factor f on stated deviations, (B, n) to (B, K); by default there is none."""
         del zeta
+        return None
 
     def variance(self, zeta: Array, data: Measurements) -> Array | None:
         """Return the variance v beside the stated noise, (B, n) to (B, P, K); by default there is none."""
         del zeta, data
+        return None
 
     def columns(self, zeta: Array, data: Measurements) -> Array | None:
         """Return Φ, what coefficients do to readings, (B, n) to (B, P, K, N) or (1, P, K, N); by default nothing."""
         del zeta, data
+        return None
 
     def slopes(self, zeta: Array, data: Measurements) -> Slopes:
         """Return the derivatives at ζ, shape (n,); by central differences where a term states none."""
@@ -478,16 +481,17 @@ def check_term(term: ErrorTerm, data: Measurements) -> None:
         raise InputError(
             f"found a term that fails with {type(error).__name__}: {text}, expected one that works"
         ) from error
-    shapes = {
-        "factor": (factor, [(2, n_channels)]),
-        "variance": (variance, [(2, n_poses, n_channels), (2, 1, n_channels)]),
-        "columns": (columns, [(b, n_poses, n_channels) for b in (1, 2)]),
+    leading: dict[str, list[tuple[int, ...]]] = {
+        "factor": [(2, n_channels)],
+        "variance": [(2, n_poses, n_channels), (2, 1, n_channels)],
+        "columns": [(2, n_poses, n_channels), (1, n_poses, n_channels)],
     }
-    if sum(one is not None for one, _ in shapes.values()) != 1:
+    supplied = [pair for pair in zip(leading, (factor, variance, columns), strict=True) if pair[1] is not None]
+    if len(supplied) != 1:
         raise InputError("found a term with none or several of factor, variance and columns, expected one of them")
-    for what, (one, expected) in shapes.items():
-        if one is None:
-            continue
+    for what, one in supplied:
+        assert one is not None
+        expected = leading[what]
         if one.shape[: len(expected[0])] not in expected or one.ndim != len(expected[0]) + (what == "columns"):
             raise InputError(f"found {what} of shape {one.shape} for two machines, expected {expected[0]}")
         if not np.isfinite(one).all() or (what != "columns" and (one < 0.0).any()):
@@ -512,7 +516,7 @@ class CommonDraws:
     def by_term(self, data: Measurements) -> list[Array | None]:
         """Return what each term does to readings at rows like these, (T, P, K); None of one without columns."""
         found = [self.errors.act(zeta, data, coefficients) for zeta, coefficients in self.parts]
-        return [None if one[0] is None else np.concatenate(one) for one in zip(*found, strict=True)]  # type: ignore[arg-type]
+        return [None if one[0] is None else np.concatenate(one) for one in zip(*found, strict=True)]
 
     def at(self, data: Measurements) -> Array:
         """Return the same of all terms together."""
