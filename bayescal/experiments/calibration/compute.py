@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 
 import numpy as np
@@ -54,7 +54,7 @@ def compute_calibration(inputs: CalibrationInputs, run: Run) -> Results:
     }
     tables = tabulate(inputs, found)
     summary, slip = summarise(inputs, tables), find_calibration_slip(inputs.variants.values())
-    summary |= {} if slip is None else {"slip": slip}
+    summary |= {} if slip is None else {"slip": asdict(slip)}
     return Results(summary, tables, _list_files(inputs, found))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from bayescal.experiments.calibration.noise import build_noise, stated_noise
 from bayescal.experiments.calibration.priors import choose_priors
 from bayescal.experiments.calibration.reading_tables import PoseReadings, read_tables
 from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
+from bayescal.experiments.calibration.slips import check_reach
 from bayescal.experiments.calibration.workspace import Workspace, build_workspace, find_starts
 from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.machines.read import read_reading_model
@@ -166,7 +167,9 @@ def _build(
     )
     check_readings(data.n_poses, len(chosen), len(priors), len(model.coordinates))
     start = find_starts(unplaced.posterior(np.ones(data.n_poses, dtype=bool)), workspace, config.seed)
-    return Variant(**{**vars(unplaced), "start": start})
+    placed = replace(unplaced, start=start)
+    check_reach(placed.posterior(np.ones(data.n_poses, dtype=bool)), workspace, config.seed)
+    return placed
 
 
 def _choose_poses(section: CalibrationVariantConfig, model: ReadingModel, readings: PoseReadings) -> np.ndarray:

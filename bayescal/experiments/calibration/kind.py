@@ -39,7 +39,7 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs]):
     def doubt(self, inputs: CalibrationInputs) -> list[str]:
         """Return what may have happened to readings that no machine within its priors comes near."""
         said = find_calibration_slip(inputs.variants.values())
-        return [] if said is None else [f"the readings are far off: {said}"]
+        return [] if said is None else [said.say()]
 
     def compute(self, inputs: CalibrationInputs, run: Run) -> Results:
         """Return the posteriors of all variants and what they predict."""

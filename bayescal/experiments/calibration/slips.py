@@ -1,68 +1,361 @@
-"""What may have happened to readings that no machine within its priors comes near."""
+"""Readings that no machine within its priors comes near, or that the nominal one cannot have: what may have happened.
+
+Both are looked for to first order about the nominal machine, poses found from the readings anew for each case: where
+readings have slipped, their poses have, too, and a machine may have no reading there at all.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, search_poses
 from bayescal.density.calibration.posterior import CalibrationPosterior
-from bayescal.density.elimination import project_out
-from bayescal.experiments.calibration.inputs import Variant
-from bayescal.experiments.shared.reading_slips import Judge, find_reading_slip, measure_misfit
+from bayescal.density.elimination import find_step, project_out
+from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.calibration.workspace import Workspace
+from bayescal.experiments.shared.slips import (
+    BETTER,
+    CHANNEL,
+    CLEARLY,
+    TURN,
+    Columns,
+    FoundSlip,
+    find_reading_slip,
+)
+from bayescal.machines.readings import Channel
+from bayescal.machines.readings.base import PickedModel
 from bayescal.numerics.geometry import Array
+from bayescal.report.numbers import format_significant, join_words
+
+if TYPE_CHECKING:
+    from bayescal.experiments.calibration.inputs import Variant
+
+MOST_ROWS, MOST_STARTS = 30, 9  # of which, and from where, slips are tried
+FOLLOWED = 60  # steps
+OUTLYING = 10.0  # rms of a row in units of the median, beyond which the others are fitted without it
+ALIKE = 10.0  # a shift of readings in units of its scatter, from which on it is one for all
+NAMED = 4  # channels in a message
+COMMON = 5.0  # misfit of a row without one of its channels, in units of the others' median, up to which it is explained
+LOOK = "look at units, signs, zeros, order of channels and of rows"
 
 
-def find_calibration_slip(variants: Iterable[Variant]) -> str | None:
-    """Return in words the slip that explains readings several times better than they stand; None where none does.
+@dataclass(frozen=True, eq=False)
+class _OnCircles(PickedModel):
+    """A machine some of whose readings are compared on a circle."""
+
+    circular: tuple[int, ...] = ()
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The same channels, some with a period."""
+        return tuple(
+            replace(one, period=TURN) if k in self.circular else one for k, one in enumerate(self.whole.channels)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Suspicion:
+    """Readings of one variant, whose slips are looked for.
+
+    Attributes
+    ----------
+    posterior : CalibrationPosterior
+        With the poses at which the nominal machine explains the readings best.
+    workspace : Workspace
+    seed : int
+        Of where poses are looked for.
+    """
+
+    posterior: CalibrationPosterior
+    workspace: Workspace
+    seed: int
+
+    @property
+    def likelihood(self) -> CalibrationLikelihood:
+        """The density of the readings as they are."""
+        return self.posterior.likelihood
+
+    def find(self) -> FoundSlip | None:
+        """Return the slip that explains the readings several times better; None where none does."""
+        model, data = self.likelihood.model, self.likelihood.data
+        rows = np.unique(np.linspace(0, data.n_poses - 1, min(MOST_ROWS, data.n_poses)).astype(int))
+
+        def judge(moved: Columns, chosen: np.ndarray | None) -> tuple[Array, int]:
+            of = np.arange(data.n_poses) if chosen is None else chosen
+            values = moved.values if len(moved.values) == len(of) else moved.values[of]
+            some = np.isin(of, rows)
+            return self.judge(Columns(values[some], moved.circular), of[some])
+
+        units = [one.unit for one in model.channels]
+        found = find_reading_slip(judge, model.names, units, data.values, model.given)
+        return found if found is not None else self._leave_out(judge(Columns(data.values), None), rows)
+
+    def judge(self, data: Columns, rows: np.ndarray) -> tuple[Array, int]:
+        """Return how far readings (Q, K) of some rows lie from any machine, in their noise, (Q,), and how many count.
+
+        The rms of what no pose explains beside the best machine to first order; infinite for poses that are not found,
+        and for those that leave nothing over.
+        """
+        moved = self._with(data, rows)
+        posterior = replace(self.posterior, likelihood=moved)
+        y = np.zeros(posterior.n_parameters)
+        white = moved.whiten(*posterior.deviations(y[None]))
+        pose = self._locate(posterior, rows)
+        error, slope, by_coordinates = posterior.rows(y, white, pose[None])
+        found = np.isfinite(error).all(axis=1) & (moved.n_spare > 0)
+        beside, n_spare = project_out(slope[found]), moved.n_spare[found]
+        rest, moves = np.einsum("pij,pj->pi", beside, error[found]), beside @ by_coordinates[found]
+        off = np.sqrt(np.sum(rest**2, axis=1) / n_spare)
+        for _ in range(2 if len(off) else 0):  # without single rows that are far off
+            off = _fit_together(rest, moves, n_spare, off <= OUTLYING * np.median(off))
+        result = np.full(len(error), np.inf)
+        result[found] = off
+        return result, int(moved.n_spare.sum())
+
+    def _with(self, data: Columns, rows: np.ndarray) -> CalibrationLikelihood:
+        likelihood = self.likelihood
+        some = likelihood.data.pick(rows)
+        model = likelihood.model
+        if data.circular:
+            model = _OnCircles(model, tuple(range(len(model.channels))), data.circular)
+        return replace(
+            likelihood, model=model, data=replace(some, values=data.values), start=likelihood.start[rows], anchor=None
+        )
+
+    def _locate(self, posterior: CalibrationPosterior, rows: np.ndarray) -> Array:
+        """Return where the nominal machine explains readings best, (Q, q): from where it does so as they are, or else
+        from other poses of the workspace.
+        """
+        likelihood = posterior.likelihood
+        y = np.zeros((1, posterior.n_parameters))
+        with np.errstate(all="ignore"):
+            _, at = posterior.stand(y)
+        pose, lost = at.pose[0], ~np.isfinite(at.error[0]).all(axis=1) | (at.square[0] > self._usual[rows])
+        if not lost.any() or not pose.shape[1]:
+            return np.asarray(pose)
+        which = np.flatnonzero(lost)
+        some = likelihood.pick(which)
+        starts = np.concatenate([some.start[None], self._starts(len(which))])
+        white = some.whiten(*posterior.noise.deviations(np.repeat(y, len(starts), 0)[:, posterior.n_geometry :], some.sd))
+        with np.errstate(all="ignore"):
+            found, square = search_poses(some, np.tile(posterior.centre, (len(starts), 1)), white, starts)
+        square = np.where(np.isfinite(square), square, np.inf)
+        best = square.argmin(axis=0)
+        before = np.where(np.isfinite(at.square[0]), at.square[0], np.inf)[which]
+        better = square.min(axis=0) < before
+        pose = pose.copy()
+        pose[which[better]] = found[best, np.arange(len(which))][better]
+        return np.asarray(pose)
+
+    @cached_property
+    def _usual(self) -> Array:
+        """r² that tolerances let expect of the nominal machine's rows, (P,): four times, from beyond it poses are
+        looked for elsewhere, too.
+        """
+        posterior = self.posterior
+        y = np.zeros(posterior.n_parameters)
+        with np.errstate(all="ignore"):
+            white, at = posterior.stand(y[None])
+            _, slope, by_coordinates = posterior.rows(y, white, at.pose)
+            moved = project_out(slope) @ by_coordinates
+        size = np.einsum("pkm,pkm->p", moved, moved) + posterior.likelihood.n_spare
+        return np.where(np.isfinite(size), 4.0 * size, np.nanmedian(4.0 * size) if np.isfinite(size).any() else 0.0)
+
+    def _starts(self, n: int) -> Array:
+        starts = self.workspace.starts(self.seed)
+        some = starts[np.unique(np.linspace(0, len(starts) - 1, min(MOST_STARTS, len(starts))).astype(int))]
+        return np.repeat(some[:, None], n, axis=1)
+
+    # --- one channel that does not fit the others --------------------------------------------------------------------
+
+    def _leave_out(self, base: tuple[Array, int], rows: np.ndarray) -> FoundSlip | None:
+        """Return the channel without which all others fit, in words that say what it reads."""
+        likelihood = self.likelihood
+        before = float(np.median(base[0]))
+        if before <= BETTER or likelihood.data.n_poses < 3:
+            return None
+        found: list[tuple[float, int]] = []
+        for k in range(len(likelihood.model.channels)):
+            values = likelihood.data.values.copy()
+            values[:, k] = np.nan
+            off, spare = self.judge(Columns(values[rows]), rows)
+            after = float(np.median(off))
+            if spare >= len(rows) and before > BETTER * after and spare * np.log(before / max(after, 1.0)) > CLEARLY:
+                found.append((after, k))
+        if not found:
+            return None
+        after, k = min(found)
+        factor = before / max(after, 1.0)
+        return FoundSlip(CHANNEL, self._describe(k), float("inf"), factor if np.isfinite(factor) else None)
+
+    def _describe(self, k: int) -> str:
+        """Return what a channel reads that the others contradict: always the same, all shifted alike, or anything."""
+        likelihood, channel = self.likelihood, self.likelihood.model.channels[k]
+        measured, predicted = likelihood.data.values[:, k], self._predict(k)
+        good = np.isfinite(measured) & np.isfinite(predicted)
+        unit, off = channel.unit, (measured - predicted)[good]
+        if np.ptp(measured[good]) <= 2.0 * float(np.median(likelihood.sd[good, k])) < np.ptp(predicted[good]):
+            return (
+                f"{channel.name} does not move: it reads {measured[good][0]:.6g} {unit} in all rows, where the other "
+                f"channels say {predicted[good].min():.4g} to {predicted[good].max():.4g} {unit}"
+            )
+        middle = float(np.median(off))
+        if abs(middle) > ALIKE * float(np.median(np.abs(off - middle))):
+            return (
+                f"readings of {channel.name} seem to have another zero, {middle:+.4g} {unit} off in all rows by what "
+                "the other channels say"
+            )
+        slope = np.polyfit(predicted[good], measured[good], 1)
+        left = measured[good] - np.polyval(slope, predicted[good])
+        if np.ptp(off) > ALIKE * np.median(np.abs(left)) and abs(slope[0]) > 0.01:
+            return f"readings of {channel.name} seem to be {slope[0]:.4g} times what the other channels say"
+        return f"readings of {channel.name} do not fit those of the other channels, which fit each other"
+
+    def _predict(self, k: int) -> Array:
+        """Return what the nominal machine reads of a channel where the other ones say that it stands, (P,)."""
+        likelihood = self.likelihood
+        values = likelihood.data.values.copy()
+        values[:, k] = np.nan
+        rows = np.arange(len(values))
+        pose = self._locate(replace(self.posterior, likelihood=self._with(Columns(values), rows)), rows)
+        return np.asarray(likelihood.model.read(self.posterior.centre, pose, likelihood.data.given)[:, k])
+
+
+def _fit_together(rest: Array, moves: Array, n_spare: np.ndarray, used: np.ndarray) -> Array:
+    """Return the rms of rows (Q, K) beside the machine that fits some of them best, to first order, (Q,)."""
+    some = moves[used]
+    along = np.einsum("pin,pi->n", some, rest[used])
+    step = np.linalg.solve(np.eye(moves.shape[-1]) + np.einsum("pin,pim->nm", some, some), along)
+    return np.asarray(np.sqrt(np.sum((rest - moves @ step) ** 2, axis=1) / n_spare))
+
+
+def find_calibration_slip(variants: Iterable[Variant]) -> FoundSlip | None:
+    """Return the slip that explains readings several times better than they are; None where none does.
 
     Of variants of the same readings the one that comes nearest is asked: where one of them fits, nothing has slipped.
     """
-    groups: dict[tuple[tuple[str, ...], ...], list[Variant]] = {}
+    groups: dict[tuple[tuple[str, ...], ...], list[Suspicion]] = {}
     for one in variants:
-        groups.setdefault((tuple(one.model.names), tuple(one.data.poses)), []).append(one)
+        groups.setdefault((tuple(one.model.names), tuple(one.data.poses)), []).append(
+            Suspicion(one.posterior(), one.workspace, 0)
+        )
     for group in groups.values():
-        judges = [(_judge(one), one) for one in group]
-        judge, nearest = min(judges, key=lambda pair: measure_misfit(pair[0], _values(pair[1])))
-        units = [one.unit for one in nearest.model.channels]
-        said = find_reading_slip(judge, nearest.model.names, units, _values(nearest), nearest.model.given)
-        if said is not None:
-            return said
+        nearest = min(group, key=_measure)
+        found = nearest.find()
+        if found is not None:
+            return found
     return None
 
 
-def _values(variant: Variant) -> Array:
-    """Return the readings of the calibration poses, shape (P, K)."""
-    return variant.data.values[~variant.verification]
+def _measure(one: Suspicion) -> float:
+    rows = np.arange(one.likelihood.data.n_poses)
+    with np.errstate(all="ignore"):
+        return float(np.median(one.judge(Columns(one.likelihood.data.values), rows)[0]))
 
 
-def _judge(variant: Variant) -> Judge:
-    posterior = variant.posterior()
-    likelihood = posterior.likelihood
-
-    def judge(values: Array, chosen: slice) -> Array:
-        some = likelihood.data.pick(np.arange(likelihood.data.n_poses)[chosen])
-        moved = replace(likelihood, data=replace(some, values=values), start=likelihood.start[chosen])
-        return _fit_together(replace(posterior, likelihood=moved))
-
-    return judge
+# --- rows that the nominal machine cannot reach ------------------------------------------------------------------
 
 
-def _fit_together(posterior: CalibrationPosterior) -> Array:
-    """Return the rms of what no pose explains beside the best machine to first order, in the noise's, shape (P,).
+def check_reach(posterior: CalibrationPosterior, workspace: Workspace, seed: int) -> None:
+    """Raise InputError for a row whose readings the machine has nowhere, neither as expected nor within its tolerances.
 
-    Infinite for poses that are not found, and for those that leave nothing over.
+    The message names the row, the channels that have no reading where the others lead, and the slip that mends it.
     """
-    y = np.zeros(posterior.n_parameters)
-    white, at = posterior.stand(y[None])
-    error, slope, by_coordinates = posterior.rows(y, white, at.pose)
-    found = np.isfinite(error).all(axis=1) & np.isfinite(at.error[0]).all(axis=1)
-    beside = project_out(slope[found])
-    rest, moves = np.einsum("pij,pj->pi", beside, error[found]), beside @ by_coordinates[found]
-    told = np.einsum("pin,pi->n", moves, rest)
-    moved = np.linalg.solve(np.eye(moves.shape[-1]) + np.einsum("pin,pim->nm", moves, moves), told)
-    square = np.sum((rest - moves @ moved) ** 2, axis=1)
-    result = np.full(len(error), np.inf)
-    result[found] = np.sqrt(square / np.maximum(posterior.likelihood.n_spare[found], 1))
-    return result
+    lost, suspicion = _find_lost(posterior), Suspicion(posterior, workspace, seed)
+    data = posterior.likelihood.data
+    off = suspicion.judge(Columns(data.values), np.arange(data.n_poses))[0]
+    if not lost.any() and not np.max(np.where(posterior.likelihood.n_spare > 0, off, 0.0), initial=0.0) > OUTLYING:
+        return
+    if _is_fitted(posterior):
+        return
+    k = int(np.argmax(lost)) if lost.any() else int(np.argmax(np.where(np.isfinite(off), off, np.inf)))
+    row, what = f"row {k + 1} (pose {data.poses[k]!r})", _name_channels(posterior, k)
+    said = f"{row} cannot be reached by the nominal machine: {what}"
+    if not lost.any():
+        said = f"{row} cannot be reached by any machine within the tolerances: {what}"
+    n_lost = int(lost.sum() if lost.any() else np.sum(off > OUTLYING * max(float(np.median(off)), 1.0)))
+    said += f"; {n_lost} of {data.n_poses} rows are like it" if n_lost > 1 else ""
+    slip = suspicion.find()
+    if slip is not None:
+        raise InputError(f"{said}; {slip.say()}")
+    alone = _blame(suspicion, k) if n_lost <= data.n_poses / 2 else ""
+    raise InputError(f"{said}; without {alone} the row fits: look at that reading" if alone else f"{said}; {LOOK}")
+
+
+def _find_lost(posterior: CalibrationPosterior) -> np.ndarray:
+    """Return which rows the nominal machine has no pose of, (P,)."""
+    with np.errstate(all="ignore"):
+        _, at = posterior.stand(np.zeros((1, posterior.n_parameters)))
+    return np.asarray(~np.isfinite(at.error[0]).all(axis=1))
+
+
+def _is_fitted(posterior: CalibrationPosterior) -> bool:
+    """Whether least squares lead to a machine that has all rows, from which a search of the mode can start."""
+    try:
+        with np.errstate(all="ignore"):
+            near = posterior.anchored()
+            return bool(np.isfinite(near.log_density(near.approach()[None]))[0])
+    except (NumericalError, np.linalg.LinAlgError):
+        return False
+
+
+def _name_channels(posterior: CalibrationPosterior, row: int) -> str:
+    """Return which channels have no reading where a row's readings lead, and where that is."""
+    likelihood = posterior.likelihood.pick(np.array([row]))
+    white = likelihood.whiten(*posterior.noise.deviations(np.zeros((1, posterior.noise.n_parameters)), likelihood.sd))
+    model, pose, theta = likelihood.model, likelihood.start[None].copy(), posterior.centre[None]
+    given = {name: value[None] for name, value in likelihood.data.given.items()}
+    best = pose
+    with np.errstate(all="ignore"):
+        for _ in range(FOLLOWED):
+            error, slope, _ = likelihood.linearise(theta, pose, white)
+            read = model.read(theta[:, None], pose, given)[0, 0]
+            missing = np.flatnonzero(~np.isfinite(read) & likelihood.data.present[0])
+            if len(missing):
+                return _say_missing(posterior, missing, pose[0, 0])
+            best = pose
+            step, _ = find_step(slope, error)
+            if not np.isfinite(step).all():
+                break
+            pose = pose + step
+        error, _, _ = likelihood.linearise(theta, best, white)
+        raw = likelihood.comparison.subtract(likelihood.data.values, model.read(theta[:, None], best, given))[0, 0]
+    worst = int(np.nanargmax(np.where(likelihood.data.present[0], np.abs(error[0, 0]), np.nan)))
+    channel = model.channels[worst]
+    return (
+        f"channel {channel.name} reads {likelihood.data.values[0, worst]:.6g} {channel.unit}, "
+        f"{format_significant(abs(raw[worst]), 3)} {channel.unit} from what it reads at the nearest pose"
+    )
+
+
+def _say_missing(posterior: CalibrationPosterior, missing: np.ndarray, pose: Array) -> str:
+    model = posterior.likelihood.model
+    names = [model.channels[k].name for k in missing]
+    said = names if len(names) <= NAMED else [*names[: NAMED - 1], f"{len(names) - NAMED + 1} more"]
+    place = ", ".join(f"{one.name} = {x:.4g} {one.unit}" for one, x in zip(model.coordinates, pose, strict=True))
+    return (
+        f"channel{'s' if len(names) > 1 else ''} {join_words(said)} {'have' if len(names) > 1 else 'has'} no reading "
+        f"at {place}, where the row's readings lead"
+    )
+
+
+def _blame(suspicion: Suspicion, row: int) -> str:
+    """Return the channel without which a row fits as the others do; empty where there is none."""
+    data = suspicion.likelihood.data
+    off = []
+    for k in np.flatnonzero(data.present[row]):
+        values = data.values.copy()
+        values[row, k] = np.nan
+        try:
+            found, _ = suspicion.judge(Columns(values), np.arange(data.n_poses))
+        except np.linalg.LinAlgError:
+            continue
+        others = np.delete(found, row)
+        if found[row] <= COMMON * max(float(np.median(others)), 1.0):
+            off.append((float(found[row]), suspicion.likelihood.model.channels[k].name))
+    return min(off)[1] if off else ""

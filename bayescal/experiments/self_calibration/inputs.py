@@ -31,7 +31,7 @@ from bayescal.experiments.shared.reading_machine import (
     tolerance_of,
     workspace_volume,
 )
-from bayescal.experiments.shared.reading_slips import find_reading_slip
+from bayescal.experiments.shared.slips import Columns, find_reading_slip
 from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
@@ -319,12 +319,15 @@ def find_cause(
     if sensors.redundancy < 1:
         return ""
 
-    def judge(values: Array, _: slice) -> Array:
-        return _fit_together(sensors, free, _try_starts(sensors, free, values, starts[:1]))
+    def judge(data: Columns, _: np.ndarray | None) -> tuple[Array, int]:
+        if data.circular:
+            raise InputError("sensors of a sliding platform read no full turns")
+        off = _fit_together(sensors, free, _try_starts(sensors, free, data.values, starts[:1]))
+        return off, len(off) * sensors.redundancy
 
     units = [sensors.model.channels[k].unit for k in sensors.chosen]
-    said = find_reading_slip(judge, sensors.names, units, measured, denied=denied)
-    return "" if said is None else f"; {said}"
+    found = find_reading_slip(judge, sensors.names, units, measured, denied=denied)
+    return "" if found is None else f"; {found.say()}"
 
 
 def measure_misfit(sensors: SensorSet, free: FreeParameters, fit: PoseFit) -> Array:

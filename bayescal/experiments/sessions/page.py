@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib import figure as mpl
 
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.shared.denied_slips import state_denied
+from bayescal.experiments.shared.slips import state_denied
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.report.blocks import Block, Cell, Column, Definitions, Figure, Page, Section, Statement, Table, make_table
 from bayescal.report.numbers import (

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
 from bayescal.config.sections import ExperimentConfig, InputFile, Number, Positive, Section, check_once
-from bayescal.experiments.shared.denied_slips import DeniedSlips
+from bayescal.experiments.shared.slips import DeniedSlips
 
 type Temperature = Annotated[FiniteFloat, Field(ge=-273.15, le=2000.0)]
 type Expansion = Annotated[FiniteFloat, Field(ge=-1000.0, le=1000.0)]

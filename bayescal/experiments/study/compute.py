@@ -24,7 +24,7 @@ from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.kernels import has_kernels
 from bayescal.experiments.study.prior_widths import list_width_tasks, tabulate_sensitivity, weigh_widths
 from bayescal.experiments.study.schema import StudyConfig
-from bayescal.experiments.study.slips import find_study_slip
+from bayescal.experiments.study.doubts import find_study_slip
 from bayescal.experiments.study.structured_table import tabulate_structured
 from bayescal.experiments.study.summary import rank_variants, summarise_fit
 from bayescal.experiments.study.tables import (

@@ -80,8 +80,7 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
 
     def doubt(self, inputs: StudyTask) -> list[str]:
         """Return what may have happened to data that no machine explains, or only one within wide tolerances."""
-        from bayescal.experiments.study.common_offset import doubt_zero
-        from bayescal.experiments.study.slips import find_study_slip
+        from bayescal.experiments.study.doubts import doubt_zero, find_study_slip
 
         slip = find_study_slip(inputs.inputs)
         return doubt_zero(inputs.inputs) if slip is None else [slip.say()]

@@ -65,7 +65,7 @@ class LookupTable(Experiment[LookupTableConfig, TableInputs]):
     def doubt(self, inputs: TableInputs) -> list[str]:
         """Return what may have happened to readings that no machine within its priors comes near."""
         said = find_calibration_slip([inputs.variant])
-        return [] if said is None else [f"the readings are far off: {said}"]
+        return [] if said is None else [said.say()]
 
     def compute(self, inputs: TableInputs, run: Run) -> Results:
         """Return the table."""
