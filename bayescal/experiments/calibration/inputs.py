@@ -19,8 +19,8 @@ from bayescal.experiments.calibration.noise import build_noise, stated_noise
 from bayescal.experiments.calibration.priors import choose_priors
 from bayescal.experiments.calibration.reading_tables import PoseReadings, read_tables
 from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
-from bayescal.experiments.calibration.slips import check_reach
 from bayescal.experiments.calibration.workspace import Workspace, build_workspace, find_starts
+from bayescal.experiments.shared.reading_slips import Suspicion, check_reach
 from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import ReadingModel
@@ -78,6 +78,10 @@ class Variant:
         """Return the posterior of some poses, those for calibration by default."""
         likelihood = self.likelihood(~self.verification if which is None else which)
         return CalibrationPosterior(likelihood, self.priors, self.noise, self.fixed, self.common)
+
+    def suspicion(self, which: np.ndarray | None = None) -> Suspicion:
+        """Return the same for slips to be looked for in."""
+        return Suspicion(self.posterior(which), self.workspace.low, self.workspace.high)
 
     @property
     def internal(self) -> np.ndarray:
@@ -168,7 +172,7 @@ def _build(
     check_readings(data.n_poses, len(chosen), len(priors), len(model.coordinates))
     start = find_starts(unplaced.posterior(np.ones(data.n_poses, dtype=bool)), workspace, config.seed)
     placed = replace(unplaced, start=start)
-    check_reach(placed.posterior(np.ones(data.n_poses, dtype=bool)), workspace, config.seed)
+    check_reach(placed.suspicion(np.ones(data.n_poses, dtype=bool)))
     return placed
 
 

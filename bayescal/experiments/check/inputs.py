@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.errors import InputError
+from bayescal.errors import InputError, name_faults
+from bayescal.experiments.check.legs import LegSubject
+from bayescal.experiments.check.readings import ReadingSubject
 from bayescal.experiments.check.schema import CheckConfig
 from bayescal.experiments.check.subject import Subject
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.shared.measured import MeasuredVariant, Measuring
+from bayescal.experiments.shared.measured import MeasuredVariant, Measuring, MeasuringReadings
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +40,17 @@ def read_check(config: CheckConfig, folder: Path) -> CheckInputs:
     Raises
     ------
     InputError
-        Where the file is no study's, its data cannot be simulated, or a variant is not there.
+        Where the file calibrates no machine, its data cannot be simulated, or a variant is not there.
     """
     path = folder / config.study
     experiment, study = load(path)
+    if isinstance(experiment, MeasuringReadings):
+        with name_faults(path):
+            read = experiment.measure_readings(study, path.parent, config.variants)
+        origin = next(iter(read.values())).origin
+        return CheckInputs(config, origin, {name: ReadingSubject(one) for name, one in read.items()})
     if not isinstance(experiment, Measuring):
-        raise InputError(
-            f"{path}: kind: found {study.kind!r}, expected 'study', since a check simulates the poses that one measures"
-        )
+        raise InputError(f"{path}: kind: found {study.kind!r}, expected 'study' or 'calibration', with measured data")
     known = experiment.list_variants(study)
     for name in config.variants:
         if name not in known:
@@ -55,7 +60,7 @@ def read_check(config: CheckConfig, folder: Path) -> CheckInputs:
     for name, one in measured.items():
         _refuse_function(one, f"{path}: variant {name!r}")
     origin = next(iter(measured.values())).origin.partition(": study ")[0]
-    return CheckInputs(config, origin, {name: Subject(one) for name, one in measured.items()})
+    return CheckInputs(config, origin, {name: LegSubject(one) for name, one in measured.items()})
 
 
 def _refuse_function(measured: MeasuredVariant, where: str) -> None:

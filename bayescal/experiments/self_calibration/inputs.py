@@ -31,8 +31,8 @@ from bayescal.experiments.shared.reading_machine import (
     tolerance_of,
     workspace_volume,
 )
-from bayescal.experiments.shared.slips import Columns, find_reading_slip
 from bayescal.experiments.shared.search_memory import check_readings
+from bayescal.experiments.shared.slips import BETTER, Columns, Weight, find_slip, list_reading_slips, weigh_rows
 from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
 from bayescal.machines.readings.schema import PlanarPosesConfig
@@ -319,14 +319,17 @@ def find_cause(
     if sensors.redundancy < 1:
         return ""
 
-    def judge(data: Columns, _: np.ndarray | None) -> tuple[Array, int]:
-        if data.circular:
-            raise InputError("sensors of a sliding platform read no full turns")
-        off = _fit_together(sensors, free, _try_starts(sensors, free, data.values, starts[:1]))
+    def judge(values: Array) -> tuple[Array, int]:
+        off = _fit_together(sensors, free, _try_starts(sensors, free, values, starts[:1]))
         return off, len(off) * sensors.redundancy
 
+    def weigh(data: Columns, chosen: np.ndarray | None) -> Weight:
+        whole = chosen is None or len(chosen) == len(data.values)
+        return weigh_rows(lambda: judge(data.values if whole else data.values[chosen]))
+
     units = [sensors.model.channels[k].unit for k in sensors.chosen]
-    found = find_reading_slip(judge, sensors.names, units, measured, denied=denied)
+    slips = (one for one in list_reading_slips(sensors.names, units, measured) if not one.data.circular)
+    found = find_slip(weigh, Columns(measured), slips, BETTER, denied)
     return "" if found is None else f"; {found.say()}"
 
 

@@ -17,8 +17,8 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.sessions.same_machine import check_same_machine
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig, ThermalConfig
-from bayescal.experiments.shared.measured import MeasuredVariant, Measuring
 from bayescal.experiments.shared.leg_slips import find_measured_slip
+from bayescal.experiments.shared.measured import MeasuredVariant, Measuring
 from bayescal.experiments.shared.slips import tell_denial
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.parameters import ParameterLayout

@@ -134,7 +134,7 @@ def find_leg_slip(suspects: Iterable[Suspect], start: Array, denied: Collection[
 
 
 def list_leg_slips(data: LegData, start: Array) -> Iterator[Slip[LegData]]:
-    """Yield what may have happened to actuator positions of a machine whose initial ones are ``start``, and to poses."""
+    """Yield what may have happened to actuator positions, whose initial ones are ``start``, and to poses."""
     for fault, text, actuators, chosen in _list_actuators(data.actuators, start):
         poses = data.poses if chosen is None or data.poses is None else data.poses.select(chosen)
         yield Slip(fault, text, LegData(actuators, poses), chosen, tried_from=SUSPECT)
@@ -243,7 +243,7 @@ def find_measured_slip(variants: Iterable[MeasuredVariant], denied: Collection[s
         Faults that are none, as somebody says who looked.
     """
     measured = list(variants)
-    start, stated = measured[0].machine.mechanism.initial_actuator_positions, max(map(_state_error, measured))
+    start, stated = measured[0].machine.mechanism.initial_actuator_positions, max(map(state_error, measured))
     return find_leg_slip((_suspect(one, stated) for one in measured), start, denied)
 
 
@@ -290,7 +290,7 @@ def find_recheck_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> Fo
     return find_leg_slip([Suspect(likelihood_of, known, LegData(poses.actuators), stated)], start)
 
 
-def _state_error(measured: MeasuredVariant) -> float:
+def state_error(measured: MeasuredVariant) -> float:
     """Return what a leg may err by as stated: model error, actuators, the measured position, mm."""
     scale = measured.posterior.model_error.scale or 0.0
     return float(np.sqrt(_position_variance(measured.poses) + scale**2 + measured.actuator_noise**2))

@@ -211,9 +211,7 @@ def list_reading_slips(
         yield from _shift(f"all readings against {join_words(list(given))}", np.arange(values.shape[1]), values, True)
 
 
-def _scale_instruments(
-    kinds: Mapping[str, list[int]], units: Sequence[str], values: Array
-) -> Iterator[Slip[Columns]]:
+def _scale_instruments(kinds: Mapping[str, list[int]], units: Sequence[str], values: Array) -> Iterator[Slip[Columns]]:
     """Yield kinds of one unit that belong together, as ``cam_x`` and ``cam_y`` do, or all of them, in another unit."""
     groups: dict[tuple[int, ...], list[str]] = {}
     for unit in dict.fromkeys(units):
@@ -254,43 +252,33 @@ def _shift(name: str, columns: np.ndarray, values: Array, together: bool = False
         yield Slip(ROWS, text, Columns(moved[there]), there)
 
 
-def find_reading_slip(
-    judge: Callable[[Columns, np.ndarray | None], tuple[Array, int]],
-    names: Sequence[str],
-    units: Sequence[str],
-    values: Array,
-    given: Sequence[str] = (),
-    denied: Collection[str] = (),
-) -> FoundSlip | None:
-    """Return the slip that explains readings best; None where most rows are explained, or no slip helps.
+def weigh_rows(judge: Callable[[], tuple[Array, int]]) -> Weight:
+    """Return how well rows of readings fit, by the median of them: it does not hang on one that is an outlier.
 
     A pose that no reading states is found from all of them, so that readings are compared with each other: what no pose
-    explains of a machine within the tolerances. The median over the rows does not hang on one that is an outlier.
+    explains of a machine within the tolerances.
 
     Parameters
     ----------
     judge : callable
-        Returns how far rows of readings, some of them where these are given, lie from what a machine within its
-        tolerances reads, in units of their noise, (Q,), and how many readings more than unknowns they have in all.
-    names, units : sequences of str
-        Of the K sensors; units ``mm`` or ``rad``.
-    values : ndarray, shape (P, K)
-    given : sequence of str, optional
-        What is known of each row besides.
-    denied : collection of str, optional
-        Faults that are none, as somebody says who looked.
+        Returns how far rows lie from what a machine within its tolerances reads, in units of their noise, (Q,), and how
+        many readings more than unknowns of poses they have in all. What fails fits nothing.
     """
+    try:
+        with np.errstate(all="ignore"):
+            off, spare = judge()
+    except (BayescalError, np.linalg.LinAlgError):
+        return NOTHING
+    misfit = float(np.median(np.where(np.isfinite(off), off, np.inf)))
+    return Weight(-spare * float(np.log(np.clip(misfit, 1.0, LARGEST))), misfit)
 
-    def weigh(data: Columns, chosen: np.ndarray | None) -> Weight:
-        try:
-            with np.errstate(all="ignore"):
-                off, spare = judge(data, chosen)
-        except (BayescalError, np.linalg.LinAlgError):
-            off, spare = np.full(1, np.inf), 1
-        misfit = float(np.median(np.where(np.isfinite(off), off, np.inf)))
-        return Weight(-spare * float(np.log(np.clip(misfit, 1.0, LARGEST))), misfit)
 
-    return find_slip(weigh, Columns(values), list_reading_slips(names, units, values, given), BETTER, denied)
+def list_unnoticed[D](
+    weigh: Callable[[D, np.ndarray | None], Weight], slips: Iterable[Slip[D]], fits: float
+) -> tuple[int, list[str]]:
+    """Return how many slips are planted in data that fit, one by one, and those after which they fit all the same."""
+    texts = [(slip.text, weigh(slip.data, slip.chosen).misfit <= fits) for slip in slips]
+    return len(texts), [text for text, fit in texts if fit]
 
 
 # --- words -------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Slips planted in the readings of a calibration: each is named before any sampling, clean readings are not suspected."""
+"""Slips planted in the readings of a calibration are named before any sampling, clean readings are not suspected."""
 
 from __future__ import annotations
 

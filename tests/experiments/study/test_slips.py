@@ -15,8 +15,8 @@ from bayescal.data.simulation import build_twin, format_survey, simulate_survey
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.simulation.load import load_simulation
-from bayescal.experiments.study.load import load_inputs
 from bayescal.experiments.study.doubts import find_study_slip
+from bayescal.experiments.study.load import load_inputs
 
 type Rows = list[list[str]]
 

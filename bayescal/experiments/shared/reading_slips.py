@@ -6,10 +6,9 @@ readings have slipped, their poses have, too, and a machine may have no reading 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from bayescal.density.calibration.likelihood import CalibrationLikelihood, searc
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.elimination import find_step, project_out
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.calibration.workspace import Workspace
 from bayescal.experiments.shared.slips import (
     BETTER,
     CHANNEL,
@@ -25,17 +23,19 @@ from bayescal.experiments.shared.slips import (
     TURN,
     Columns,
     FoundSlip,
-    find_reading_slip,
+    Slip,
+    Weight,
+    find_slip,
+    list_reading_slips,
+    weigh_rows,
 )
 from bayescal.machines.readings import Channel
 from bayescal.machines.readings.base import PickedModel
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_significant, join_words
 
-if TYPE_CHECKING:
-    from bayescal.experiments.calibration.inputs import Variant
-
-MOST_ROWS, MOST_STARTS = 30, 9  # of which, and from where, slips are tried
+MOST_ROWS = 30  # of which slips are tried
+STARTS, SPREAD = 9, 0.6  # poses of the workspace from which others are looked for, in its half widths
 FOLLOWED = 60  # steps
 OUTLYING = 10.0  # rms of a row in units of the median, beyond which the others are fitted without it
 ALIKE = 10.0  # a shift of readings in units of its scatter, from which on it is one for all
@@ -66,34 +66,42 @@ class Suspicion:
     ----------
     posterior : CalibrationPosterior
         With the poses at which the nominal machine explains the readings best.
-    workspace : Workspace
-    seed : int
-        Of where poses are looked for.
+    low, high : ndarray, shape (q,)
+        The workspace, mm and rad.
     """
 
     posterior: CalibrationPosterior
-    workspace: Workspace
-    seed: int
+    low: Array
+    high: Array
 
     @property
     def likelihood(self) -> CalibrationLikelihood:
         """The density of the readings as they are."""
         return self.posterior.likelihood
 
+    @cached_property
+    def _rows(self) -> np.ndarray:
+        """The rows that slips are tried of."""
+        n = self.likelihood.data.n_poses
+        return np.unique(np.linspace(0, n - 1, min(MOST_ROWS, n)).astype(int))
+
     def find(self) -> FoundSlip | None:
         """Return the slip that explains the readings several times better; None where none does."""
-        model, data = self.likelihood.model, self.likelihood.data
-        rows = np.unique(np.linspace(0, data.n_poses - 1, min(MOST_ROWS, data.n_poses)).astype(int))
+        found = find_slip(self.weigh, Columns(self.likelihood.data.values), self.list_slips(), BETTER)
+        return self._leave_out() if found is None else found
 
-        def judge(moved: Columns, chosen: np.ndarray | None) -> tuple[Array, int]:
-            of = np.arange(data.n_poses) if chosen is None else chosen
-            values = moved.values if len(moved.values) == len(of) else moved.values[of]
-            some = np.isin(of, rows)
-            return self.judge(Columns(values[some], moved.circular), of[some])
-
+    def list_slips(self) -> Iterator[Slip[Columns]]:
+        """Yield what may have happened to the readings."""
+        model = self.likelihood.model
         units = [one.unit for one in model.channels]
-        found = find_reading_slip(judge, model.names, units, data.values, model.given)
-        return found if found is not None else self._leave_out(judge(Columns(data.values), None), rows)
+        return list_reading_slips(model.names, units, self.likelihood.data.values, model.given)
+
+    def weigh(self, data: Columns, chosen: np.ndarray | None) -> Weight:
+        """Return how well readings fit, those of some rows where these are given."""
+        of = np.arange(self.likelihood.data.n_poses) if chosen is None else chosen
+        values = data.values if len(data.values) == len(of) else data.values[of]
+        some = np.isin(of, self._rows)
+        return weigh_rows(lambda: self.judge(Columns(values[some], data.circular), of[some]))
 
     def judge(self, data: Columns, rows: np.ndarray) -> tuple[Array, int]:
         """Return how far readings (Q, K) of some rows lie from any machine, in their noise, (Q,), and how many count.
@@ -128,9 +136,7 @@ class Suspicion:
         )
 
     def _locate(self, posterior: CalibrationPosterior, rows: np.ndarray) -> Array:
-        """Return where the nominal machine explains readings best, (Q, q): from where it does so as they are, or else
-        from other poses of the workspace.
-        """
+        """Return where the nominal machine explains readings best, (Q, q), poses of the workspace tried besides."""
         likelihood = posterior.likelihood
         y = np.zeros((1, posterior.n_parameters))
         with np.errstate(all="ignore"):
@@ -139,9 +145,12 @@ class Suspicion:
         if not lost.any() or not pose.shape[1]:
             return np.asarray(pose)
         which = np.flatnonzero(lost)
-        some = likelihood.pick(which)
-        starts = np.concatenate([some.start[None], self._starts(len(which))])
-        white = some.whiten(*posterior.noise.deviations(np.repeat(y, len(starts), 0)[:, posterior.n_geometry :], some.sd))
+        some, rng = likelihood.pick(which), np.random.default_rng(0)
+        middle, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
+        elsewhere = middle + SPREAD * half * np.vstack([0.0 * half, rng.uniform(-1.0, 1.0, (STARTS - 1, len(half)))])
+        starts = np.concatenate([some.start[None], np.repeat(elsewhere[:, None], len(which), axis=1)])
+        zeta = np.zeros((len(starts), posterior.noise.n_parameters))
+        white = some.whiten(*posterior.noise.deviations(zeta, some.sd))
         with np.errstate(all="ignore"):
             found, square = search_poses(some, np.tile(posterior.centre, (len(starts), 1)), white, starts)
         square = np.where(np.isfinite(square), square, np.inf)
@@ -154,9 +163,7 @@ class Suspicion:
 
     @cached_property
     def _usual(self) -> Array:
-        """r² that tolerances let expect of the nominal machine's rows, (P,): four times, from beyond it poses are
-        looked for elsewhere, too.
-        """
+        """Four times the r² that tolerances let expect, (P,); for rows beyond it poses are looked for elsewhere."""
         posterior = self.posterior
         y = np.zeros(posterior.n_parameters)
         with np.errstate(all="ignore"):
@@ -166,17 +173,12 @@ class Suspicion:
         size = np.einsum("pkm,pkm->p", moved, moved) + posterior.likelihood.n_spare
         return np.where(np.isfinite(size), 4.0 * size, np.nanmedian(4.0 * size) if np.isfinite(size).any() else 0.0)
 
-    def _starts(self, n: int) -> Array:
-        starts = self.workspace.starts(self.seed)
-        some = starts[np.unique(np.linspace(0, len(starts) - 1, min(MOST_STARTS, len(starts))).astype(int))]
-        return np.repeat(some[:, None], n, axis=1)
-
     # --- one channel that does not fit the others --------------------------------------------------------------------
 
-    def _leave_out(self, base: tuple[Array, int], rows: np.ndarray) -> FoundSlip | None:
+    def _leave_out(self) -> FoundSlip | None:
         """Return the channel without which all others fit, in words that say what it reads."""
-        likelihood = self.likelihood
-        before = float(np.median(base[0]))
+        likelihood, rows = self.likelihood, self._rows
+        before = self.weigh(Columns(likelihood.data.values), None).misfit
         if before <= BETTER or likelihood.data.n_poses < 3:
             return None
         found: list[tuple[float, int]] = []
@@ -234,40 +236,33 @@ def _fit_together(rest: Array, moves: Array, n_spare: np.ndarray, used: np.ndarr
     return np.asarray(np.sqrt(np.sum((rest - moves @ step) ** 2, axis=1) / n_spare))
 
 
-def find_calibration_slip(variants: Iterable[Variant]) -> FoundSlip | None:
+def find_calibration_slip(variants: Iterable[Suspicion]) -> FoundSlip | None:
     """Return the slip that explains readings several times better than they are; None where none does.
 
     Of variants of the same readings the one that comes nearest is asked: where one of them fits, nothing has slipped.
     """
     groups: dict[tuple[tuple[str, ...], ...], list[Suspicion]] = {}
     for one in variants:
-        groups.setdefault((tuple(one.model.names), tuple(one.data.poses)), []).append(
-            Suspicion(one.posterior(), one.workspace, 0)
-        )
+        alike = (tuple(one.likelihood.model.names), tuple(one.likelihood.data.poses))
+        groups.setdefault(alike, []).append(one)
     for group in groups.values():
-        nearest = min(group, key=_measure)
+        nearest = min(group, key=lambda one: one.weigh(Columns(one.likelihood.data.values), None).misfit)
         found = nearest.find()
         if found is not None:
             return found
     return None
 
 
-def _measure(one: Suspicion) -> float:
-    rows = np.arange(one.likelihood.data.n_poses)
-    with np.errstate(all="ignore"):
-        return float(np.median(one.judge(Columns(one.likelihood.data.values), rows)[0]))
-
-
 # --- rows that the nominal machine cannot reach ------------------------------------------------------------------
 
 
-def check_reach(posterior: CalibrationPosterior, workspace: Workspace, seed: int) -> None:
+def check_reach(suspicion: Suspicion) -> None:
     """Raise InputError for a row whose readings the machine has nowhere, neither as expected nor within its tolerances.
 
     The message names the row, the channels that have no reading where the others lead, and the slip that mends it.
     """
-    lost, suspicion = _find_lost(posterior), Suspicion(posterior, workspace, seed)
-    data = posterior.likelihood.data
+    posterior, data = suspicion.posterior, suspicion.likelihood.data
+    lost = _find_lost(posterior)
     off = suspicion.judge(Columns(data.values), np.arange(data.n_poses))[0]
     if not lost.any() and not np.max(np.where(posterior.likelihood.n_spare > 0, off, 0.0), initial=0.0) > OUTLYING:
         return
