@@ -12,6 +12,7 @@ from bayescal.density.calibration.likelihood import GAUSSIAN, CalibrationLikelih
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.noise import NoiseModel
 from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.elimination import project_out
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.beside import Beside, read_beside
@@ -20,6 +21,7 @@ from bayescal.experiments.calibration.priors import choose_priors
 from bayescal.experiments.calibration.reading_tables import PoseReadings, read_tables
 from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
 from bayescal.experiments.calibration.workspace import Workspace, build_workspace, find_starts
+from bayescal.experiments.shared.outlook import tell_outlook
 from bayescal.experiments.shared.reading_slips import Suspicion, check_reach
 from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.machines.read import read_reading_model
@@ -82,6 +84,18 @@ class Variant:
     def suspicion(self, which: np.ndarray | None = None) -> Suspicion:
         """Return the same for slips to be looked for in."""
         return Suspicion(self.posterior(which), self.workspace.low, self.workspace.high)
+
+    def tell_outlook(self) -> str:
+        """Return in a line what its readings can determine, to first order about the nominal machine."""
+        posterior = self.posterior()
+        data, q, m = posterior.likelihood.data, len(self.model.coordinates), posterior.n_geometry
+        y = np.zeros(posterior.n_parameters)
+        with np.errstate(all="ignore"):
+            white, at = posterior.stand(y[None])
+            _, slope, by_parameters = posterior.rows(y, white, at.pose)
+        rows = np.nan_to_num(project_out(np.nan_to_num(slope)) @ by_parameters)
+        counted = f"{int(data.present.sum())} readings in {data.n_poses} rows for {m} + {q * data.n_poses} unknowns"
+        return tell_outlook(f"{counted} of machine and poses", rows, posterior.geometry_names)
 
     @property
     def internal(self) -> np.ndarray:

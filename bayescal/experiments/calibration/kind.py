@@ -18,6 +18,7 @@ from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.measured import MeasuredReadings, MeasuringReadings
+from bayescal.experiments.shared.outlook import join_outlooks
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.report.blocks import Page
 
@@ -38,6 +39,10 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs], Measu
     def estimate_memory(self, inputs: CalibrationInputs) -> Need:
         """Return what the largest variant's posterior takes, and all that is kept of each."""
         return estimate_calibration(inputs)
+
+    def outlook(self, inputs: CalibrationInputs) -> list[str]:
+        """Return what each variant's readings can determine."""
+        return join_outlooks({name: one.tell_outlook() for name, one in inputs.variants.items()})
 
     def doubt(self, inputs: CalibrationInputs) -> list[str]:
         """Return what may have happened to readings that no machine within its priors comes near."""

@@ -152,7 +152,7 @@ def _compute(experiment: AnyExperiment, inputs: Any, run: Run) -> Results:
         raise NumericalError(f"{error}; perhaps since {'; '.join(doubts)}") from error
 
 
-def check_file(path: Path) -> tuple[AnyExperiment, ExperimentConfig, list[str], list[str]]:
+def check_file(path: Path) -> tuple[AnyExperiment, ExperimentConfig, list[str], list[str], list[str]]:
     """Read all that the experiment of a file computes with; return its kind and config, and as `check_experiment`.
 
     Raises
@@ -179,8 +179,8 @@ def _list_file_faults(path: Path) -> list[str]:
         return []
 
 
-def check_experiment(config: ExperimentConfig, folder: Path) -> tuple[list[str], list[str]]:
-    """Read all that an experiment computes with; return its files, and what is probably wrong with it.
+def check_experiment(config: ExperimentConfig, folder: Path) -> tuple[list[str], list[str], list[str]]:
+    """Read all that an experiment computes with; return its files, what it can determine, and what may be wrong.
 
     Raises
     ------
@@ -189,10 +189,11 @@ def check_experiment(config: ExperimentConfig, folder: Path) -> tuple[list[str],
     """
     experiment = find_kind(config.kind, folder, folder)
     with threadpool_limits(1):
-        doubts = experiment.doubt(read_inputs(experiment, config, folder))
+        inputs = read_inputs(experiment, config, folder)
+        outlook, doubts = experiment.outlook(inputs), experiment.doubt(inputs)
     files = sorted(set(_list_files(experiment, config, folder)))
     identify(config, folder, files)
-    return files, doubts
+    return files, outlook, doubts
 
 
 def _list_files(experiment: AnyExperiment, config: ExperimentConfig, folder: Path) -> Iterable[str]:

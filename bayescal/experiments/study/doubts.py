@@ -10,6 +10,7 @@ from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.experiments.shared.leg_slips import LegData, Suspect, find_leg_slip
+from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import InstrumentMeasurement
@@ -26,6 +27,22 @@ ALIKE = 3.0
 """Shift in units of what the poses scatter about it, below which it is not one for all."""
 FEWEST = 3
 ENOUGH = 0.5  # share of the poses at which the machine as drawn has to stand somewhere
+
+
+def list_outlooks(inputs: StudyInputs) -> list[str]:
+    """Return in a line each what the calibration poses can determine, to first order about each nominal machine."""
+    found = {}
+    for variant in inputs.config.variants:
+        posterior = inputs.posterior(variant, with_model_error=False)
+        likelihood, known = posterior.likelihood, posterior.coordinates
+        errors, slope = likelihood.error_jacobian(known.start)
+        tau = np.full(likelihood.n_model_errors, inputs.config.model_error.scale_um * MICROMETRE)
+        white = np.linalg.inv(np.linalg.cholesky(likelihood.error_covariance(tau)))
+        rows = white @ slope[..., known.free] * known.scale
+        names, counted = posterior.names[: posterior.n_geometry], np.count_nonzero(errors)
+        of = f"{counted} equations of legs at {len(errors)} poses for {len(names)} unknowns"
+        found[variant.name] = tell_outlook(of, np.nan_to_num(rows), names)
+    return join_outlooks(found)
 
 
 def find_study_slip(inputs: StudyInputs) -> FoundSlip | None:

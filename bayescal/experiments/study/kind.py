@@ -78,6 +78,12 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
         """Return what the posteriors of all poses take."""
         return estimate_study(inputs.inputs)
 
+    def outlook(self, inputs: StudyTask) -> list[str]:
+        """Return what each variant's poses can determine."""
+        from bayescal.experiments.study.doubts import list_outlooks
+
+        return list_outlooks(inputs.inputs)
+
     def doubt(self, inputs: StudyTask) -> list[str]:
         """Return what may have happened to data that no machine explains, or only one within wide tolerances."""
         from bayescal.experiments.study.doubts import doubt_zero, find_study_slip
