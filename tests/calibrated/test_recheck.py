@@ -9,7 +9,7 @@ import guided_machines
 import numpy as np
 import pytest
 import telescope_machines as machines
-from bayescal.experiments.shared.measured_slips import find_recheck_slip
+from bayescal.experiments.shared.leg_slips import find_recheck_slip
 from scipy.stats import norm
 
 from bayescal.api import export_machine

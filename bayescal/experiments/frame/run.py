@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -273,8 +274,19 @@ def write_report(folder: Path, kind: str | None = None, workers: int = 1) -> Pat
         _write_page(experiment, folder, workers)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, AssertionError) as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        written, here = _find_version(folder), version("bayescal")
+        if written not in (None, here):
+            raise InputError(
+                f"{folder}: found results of bayescal {written} ({what}), expected those of {here}: run it again"
+            ) from error
         raise InputError(f"{folder}: found damaged results ({what}), expected those of a finished run") from error
     return folder / PAGE
+
+
+def _find_version(folder: Path) -> str | None:
+    """Return the version of bayescal that wrote results, as their provenance has it; None where it does not say."""
+    found = read_results(folder).provenance.get("versions")
+    return found.get("bayescal") if isinstance(found, dict) else None
 
 
 def find_results_kind(folder: Path, kind: str | None = None) -> AnyExperiment:
