@@ -9,7 +9,6 @@ import guided_machines
 import numpy as np
 import pytest
 import telescope_machines as machines
-from bayescal.experiments.shared.leg_slips import find_recheck_slip
 from scipy.stats import norm
 
 from bayescal.api import export_machine
@@ -21,6 +20,7 @@ from bayescal.calibrated.recheck.tables import build_covariance
 from bayescal.data.actuators import name_actuators
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.errors import InputError
+from bayescal.experiments.shared.leg_slips import find_recheck_slip
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import build_machine, solve_forward_kinematics
 from bayescal.machines.models.six_pus import SixPus

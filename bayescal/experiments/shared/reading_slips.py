@@ -6,7 +6,7 @@ readings have slipped, their poses have, too, and a machine may have no reading 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -85,10 +85,10 @@ class Suspicion:
         n = self.likelihood.data.n_poses
         return np.unique(np.linspace(0, n - 1, min(MOST_ROWS, n)).astype(int))
 
-    def find(self) -> FoundSlip | None:
-        """Return the slip that explains the readings several times better; None where none does."""
-        found = find_slip(self.weigh, Columns(self.likelihood.data.values), self.list_slips(), BETTER)
-        return self._leave_out() if found is None else found
+    def find(self, denied: Collection[str] = ()) -> FoundSlip | None:
+        """Return the slip that explains the readings several times better; None where none does that is not denied."""
+        found = find_slip(self.weigh, Columns(self.likelihood.data.values), self.list_slips(), BETTER, denied)
+        return self._leave_out() if found is None and not denied else found
 
     def list_slips(self) -> Iterator[Slip[Columns]]:
         """Yield what may have happened to the readings."""
