@@ -32,7 +32,15 @@ from bayescal.experiments.shared.reading_machine import (
     workspace_volume,
 )
 from bayescal.experiments.shared.search_memory import check_readings
-from bayescal.experiments.shared.slips import BETTER, Columns, Weight, find_slip, list_reading_slips, weigh_rows
+from bayescal.experiments.shared.slips import (
+    BETTER,
+    Columns,
+    Weight,
+    find_slip,
+    fit_rows,
+    list_reading_slips,
+    weigh_rows,
+)
 from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
 from bayescal.machines.readings.schema import PlanarPosesConfig
@@ -301,10 +309,8 @@ def _fit_together(sensors: SensorSet, free: FreeParameters, fit: PoseFit) -> Arr
     basis = null_basis(here.by_pose)
     rest = np.einsum("pzk,pk->pz", basis, fit.error[found])
     slope = basis @ here.by_parameters[..., free.places] * free.scale
-    told = np.einsum("pzn,pz->n", slope, rest)
-    moved = np.linalg.solve(np.eye(slope.shape[-1]) + np.einsum("pzn,pzm->nm", slope, slope), told)
     result = np.full(len(fit.pose), np.inf)
-    result[found] = np.sqrt(np.mean((rest - slope @ moved) ** 2, axis=1))
+    result[found] = fit_rows(rest, slope, np.full(len(rest), sensors.redundancy))
     return result
 
 

@@ -285,7 +285,7 @@ def _place_tables(study: Any, session: SessionConfig, folder: Path, path: Path) 
         raise InputError(f"found {given[0]}, expected readings, as {path} is a calibration")
     if len(session.readings) != len(study.data):
         raise InputError(
-            f"found {len(session.readings)} files of readings, expected {len(study.data)}, as many as [[data]] of {path}"
+            f"found {len(session.readings)} files of readings, expected {len(study.data)}: one a [[data]] of {path}"
         )
     tables = [
         one.model_copy(update={"file": os.path.relpath(folder / name, path.parent), "hold_back": []})

@@ -20,12 +20,14 @@ from bayescal.experiments.shared.slips import (
     BETTER,
     CHANNEL,
     CLEARLY,
+    OUTLYING,
     TURN,
     Columns,
     FoundSlip,
     Slip,
     Weight,
     find_slip,
+    fit_rows,
     list_reading_slips,
     weigh_rows,
 )
@@ -37,7 +39,6 @@ from bayescal.report.numbers import format_significant, join_words
 MOST_ROWS = 30  # of which slips are tried
 STARTS, SPREAD = 9, 0.6  # poses of the workspace from which others are looked for, in its half widths
 FOLLOWED = 60  # steps
-OUTLYING = 10.0  # rms of a row in units of the median, beyond which the others are fitted without it
 ALIKE = 10.0  # a shift of readings in units of its scatter, from which on it is one for all
 NAMED = 4  # channels in a message
 COMMON = 5.0  # misfit of a row without one of its channels, in units of the others' median, up to which it is explained
@@ -118,11 +119,8 @@ class Suspicion:
         found = np.isfinite(error).all(axis=1) & (moved.n_spare > 0)
         beside, n_spare = project_out(slope[found]), moved.n_spare[found]
         rest, moves = np.einsum("pij,pj->pi", beside, error[found]), beside @ by_coordinates[found]
-        off = np.sqrt(np.sum(rest**2, axis=1) / n_spare)
-        for _ in range(2 if len(off) else 0):  # without single rows that are far off
-            off = _fit_together(rest, moves, n_spare, off <= OUTLYING * np.median(off))
         result = np.full(len(error), np.inf)
-        result[found] = off
+        result[found] = fit_rows(rest, moves, n_spare)
         return result, int(moved.n_spare.sum())
 
     def _with(self, data: Columns, rows: np.ndarray) -> CalibrationLikelihood:
@@ -226,14 +224,6 @@ class Suspicion:
         rows = np.arange(len(values))
         pose = self._locate(replace(self.posterior, likelihood=self._with(Columns(values), rows)), rows)
         return np.asarray(likelihood.model.read(self.posterior.centre, pose, likelihood.data.given)[:, k])
-
-
-def _fit_together(rest: Array, moves: Array, n_spare: np.ndarray, used: np.ndarray) -> Array:
-    """Return the rms of rows (Q, K) beside the machine that fits some of them best, to first order, (Q,)."""
-    some = moves[used]
-    along = np.einsum("pin,pi->n", some, rest[used])
-    step = np.linalg.solve(np.eye(moves.shape[-1]) + np.einsum("pin,pim->nm", some, some), along)
-    return np.asarray(np.sqrt(np.sum((rest - moves @ step) ** 2, axis=1) / n_spare))
 
 
 def find_calibration_slip(variants: Iterable[Suspicion]) -> FoundSlip | None:

@@ -28,6 +28,8 @@ BETTER = 3.0
 """Factor by which the misfit has to fall for a slip to be named."""
 LARGEST = 1e5
 """Misfit in units of what was stated, beyond which it is the same how far data are off."""
+OUTLYING = 10.0
+"""Rms of a row in units of the median, beyond which the others are fitted without it."""
 ALIKE, MANY = 1.2, 3
 """Factor within which slips explain readings alike, as in a mirrored machine, and how many of them are named."""
 LENGTHS = {
@@ -271,6 +273,27 @@ def weigh_rows(judge: Callable[[], tuple[Array, int]]) -> Weight:
         return NOTHING
     misfit = float(np.median(np.where(np.isfinite(off), off, np.inf)))
     return Weight(-spare * float(np.log(np.clip(misfit, 1.0, LARGEST))), misfit)
+
+
+def fit_rows(rest: Array, moves: Array, n_spare: np.ndarray) -> Array:
+    """Return the rms of white rows beside the machine that fits them best to first order, without outlying rows, (Q,).
+
+    Parameters
+    ----------
+    rest : ndarray, shape (Q, K)
+        What no pose explains of them.
+    moves : ndarray, shape (Q, K, m)
+        What the parameters explain, in their tolerances.
+    n_spare : ndarray of int, shape (Q,)
+        Readings more than unknowns of each pose.
+    """
+    off = np.sqrt(np.sum(rest**2, axis=1) / n_spare)
+    for _ in range(2 if len(off) else 0):
+        used = off <= OUTLYING * np.median(off)
+        along = np.einsum("pin,pi->n", moves[used], rest[used])
+        inner = np.eye(moves.shape[-1]) + np.einsum("pin,pim->nm", moves[used], moves[used])
+        off = np.sqrt(np.sum((rest - moves @ np.linalg.solve(inner, along)) ** 2, axis=1) / n_spare)
+    return np.asarray(off)
 
 
 def list_unnoticed[D](
