@@ -79,7 +79,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     experiment, study = load(STUDY)
-    subject = Subject(experiment.measure(study, STUDY, experiment.list_variants(study)[VARIANT], True))
+    subject = LegSubject(experiment.measure(study, STUDY, experiment.list_variants(study)[VARIANT], True))
     seeds = range(given.first, given.first + given.twins)
     table = pd.DataFrame([try_twin(subject, moves, seed, given.draws) for seed in seeds for moves in (True, False)])
     if given.out is not None:
