@@ -31,7 +31,7 @@ CLEAR = 3.0
 def make_sessions(subject: LegSubject, moves: bool, rng: np.random.Generator) -> tuple[SessionModel, Array]:
     """Return sessions of a twin, and the true lengths in each, (S, N), less those of the first."""
     posterior, machine = subject.posterior, subject.measured.machine
-    truth, free = subject.draw_prior(rng), posterior.coordinates.free
+    truth, free = subject.draw_prior(rng), posterior.sampling.free
     lengths = np.flatnonzero(np.isin(free, machine.layout.index["l"]))
     loadings = walk_loadings(DAYS_IN_MONTH * np.arange(SESSIONS))
     scales = np.abs(rng.normal(0.0, SCALE * moves, len(lengths)))

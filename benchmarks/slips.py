@@ -141,7 +141,7 @@ def find_pose_slip(subject: LegSubject, poses: MeasuredPoses) -> tuple[str, str]
         return PoseLikelihood(measured.machine, replace(data.poses, actuators=data.actuators), measured.actuator_noise)
 
     stated = state_error(replace(measured, poses=poses))
-    suspect = Suspect(of, measured.posterior.coordinates, LegData(poses.actuators, poses), stated)
+    suspect = Suspect(of, measured.posterior.sampling.coordinates, LegData(poses.actuators, poses), stated)
     found = find_leg_slip([suspect], measured.machine.mechanism.initial_actuator_positions)
     return None if found is None else (found.fault, found.text)
 

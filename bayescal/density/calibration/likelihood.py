@@ -11,6 +11,11 @@ readings share: what went wrong at a pose spoils it as a whole. Integrated over 
     p(s | d) = Γ((ν + m)/2) / Γ(ν/2) (νπ)^(-m/2) |Σ|^(-1/2) |HᵀΣ⁻¹H|^(-1/2) (1 + r²/ν)^(-(ν + m)/2) / V,
 
 and (ν + m) / (ν + r²), the mean of w, says how far a pose is to be trusted.
+
+Where the data say which channels c the machine was commanded by, the pose is uniformly distributed in these and not in
+its coordinates: |∂h_c/∂v| takes the place of 1/V, sqrt |JᵀJ| with J = ∂h_c/∂v where they are more than the
+coordinates. That is p(s | d) over the density of the commanded positions, which is uniform then: p(other readings |
+commanded positions, d), in which no workspace appears.
 """
 
 from __future__ import annotations
@@ -118,6 +123,19 @@ class CalibrationLikelihood:
         return np.where(both, self.data.correlation, np.eye(n))
 
     @cached_property
+    def error_gain(self) -> Array | None:
+        """How model errors show in the readings, (P, K, K); None where each shows in its own channel alone.
+
+        That of one machine where it starts: the gain hardly changes with the machine.
+        """
+        theta, there = self.model.layout.nominal if self.anchor is None else self.anchor, self.data.present
+        gain = self.model.error_gain(theta, self.start, self.data.given)
+        if gain is None:
+            return None
+        known = np.isfinite(gain).all(axis=(-1, -2), keepdims=True) & there[:, :, None] & there[:, None, :]
+        return np.where(known, gain, np.eye(gain.shape[-1]))
+
+    @cached_property
     def _given(self) -> Given:
         return {name: value[None] for name, value in self.data.given.items()}
 
@@ -134,12 +152,13 @@ class CalibrationLikelihood:
     def whiten(self, own: Array, tau: Array) -> Whitening:
         """Return the whitening for deviations s σ (C, P, K) and τ (C, 1, K)."""
         there = self.data.present
-        if self.data.correlation is None:
+        if self.data.correlation is None and self.error_gain is None:
             weight = np.where(there, 1.0 / np.sqrt(own**2 + tau**2), 0.0)
             return Whitening(weight, None, np.log(np.where(there, weight, 1.0)).sum(axis=-1))
         own, tau = np.where(there, own, 1.0), np.where(there, tau, 0.0)
         covariance = own[..., :, None] * self.correlation * own[..., None, :]
-        factor = np.linalg.cholesky(covariance + tau[..., None] ** 2 * np.eye(own.shape[-1]))
+        spread = tau[..., None, :] * (np.eye(own.shape[-1]) if self.error_gain is None else self.error_gain)
+        factor = np.linalg.cholesky(covariance + spread @ np.swapaxes(spread, -1, -2))
         log_det = -np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
         return Whitening(None, np.linalg.inv(factor), log_det)
 
@@ -270,18 +289,33 @@ class CalibrationLikelihood:
         for part in self.batches(len(theta)):
             white = self.whiten(own[part], tau[part])
             at = self.stand(theta[part], white)
-            result[part] = self.weigh(at.square) + white.log_det - half_log_volume(at.slope)
+            result[part] = self.weigh(at.square) + white.log_det + self.log_volume(at.slope, white)
         result[~np.isfinite(result)] = -np.inf
         return result
 
     def weigh(self, square: Array) -> Array:
-        """Return the log-density of what is left, of unit covariance, from r² (C, P), and the pose's prior."""
+        """Return the log-density of what is left, of unit covariance, from r² (C, P)."""
         m, nu = self.n_spare, self.freedom
-        flat = -np.log(self.volume)
         if not np.isfinite(nu):
-            return np.asarray(flat - 0.5 * square - 0.5 * m * np.log(2.0 * np.pi))
+            return np.asarray(-0.5 * square - 0.5 * m * np.log(2.0 * np.pi))
         constant = gammaln(0.5 * (nu + m)) - gammaln(0.5 * nu) - 0.5 * m * np.log(nu * np.pi)
-        return np.asarray(flat + constant - 0.5 * (nu + m) * np.log1p(square / nu))
+        return np.asarray(constant - 0.5 * (nu + m) * np.log1p(square / nu))
+
+    def log_volume(self, slope: Array, white: Whitening) -> Array:
+        """Return the log of what white readings leave of the pose's volume, times its prior density there, (C, P).
+
+        Parameters
+        ----------
+        slope : ndarray, shape (C, P, K, q)
+            H, white.
+        white : Whitening
+        """
+        left, commanded = -half_log_volume(slope), self.data.commanded
+        if commanded is None or not slope.shape[-1]:
+            return np.asarray(left - np.log(self.volume))
+        own = np.stack([white.colour(slope[..., i]) for i in range(slope.shape[-1])], axis=-1)
+        measure = half_log_volume(np.where(commanded[..., None], own, 0.0))
+        return np.asarray(left + np.where(commanded.any(axis=1), measure, -np.log(self.volume)))
 
     def trust(self, square: Array) -> Array:
         """Return the mean of each pose's precision w, (C, P); one where the density is normal."""

@@ -16,7 +16,7 @@ from scipy.special import ndtr
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
 from bayescal.density.calibration.noise import NoiseModel
 from bayescal.density.calibration.whitening import Whitening
-from bayescal.density.elimination import half_log_volume, invert, left_of, project_out
+from bayescal.density.elimination import invert, left_of, project_out
 from bayescal.density.local import Funnel
 from bayescal.density.priors import Prior, UniformPrior
 from bayescal.density.readings.change import change_density
@@ -235,7 +235,8 @@ class CalibrationPosterior:
     ) -> None:
         """Add the noise's part, its expected curvature in place of the exact one."""
         m, there = self.n_geometry, self.likelihood.data.present
-        slopes = self.noise.covariance_slopes(y[m:], self.likelihood.sd, self.likelihood.correlation)
+        likelihood = self.likelihood
+        slopes = self.noise.covariance_slopes(y[m:], likelihood.sd, likelihood.correlation, likelihood.error_gain)
         slopes = np.where(there[:, :, None] & there[:, None, :], slopes, 0.0)
         both = white.rows(np.swapaxes(white.rows(slopes), -1, -2))
         square = np.einsum("p,pk,npkl,pl->n", trust, error, both, error, optimize=True)
@@ -244,7 +245,10 @@ class CalibrationPosterior:
         hessian[m:, m:] -= 0.5 * np.einsum("npkl,oplk->no", seen, seen, optimize=True)
 
     def _volume_slope(self, y: Array) -> Array:
-        """Return the derivative of -½ Σ log |HᵀΣ⁻¹H| by the geometry's coordinates, by central differences, (m,)."""
+        """Return the derivative of the poses' log-volumes by the geometry's coordinates, by central differences, (m,).
+
+        That of -½ Σ log |HᵀΣ⁻¹H|, and of the measure of poses that were commanded.
+        """
         m = self.n_geometry
         if not self.likelihood.start.shape[-1]:
             return np.zeros(m)
@@ -254,9 +258,10 @@ class CalibrationPosterior:
         return np.asarray((values[:m] - values[m:]) / (2.0 * STEP))
 
     def _log_volume(self, y: Array) -> Array:
-        """Return -½ Σ log |HᵀΣ⁻¹H| of machines (B, n) right where they stand, shape (B,)."""
+        """Return the log-volumes of all poses of machines (B, n) right where they stand, shape (B,)."""
         white, at = self.stand(y)  # whose H is that of a pose close by, the same for machines that are much alike
-        return -half_log_volume(self.likelihood.linearise(self.theta(y), at.pose, white)[1]).sum(axis=1)
+        slope = self.likelihood.linearise(self.theta(y), at.pose, white)[1]
+        return self.likelihood.log_volume(slope, white).sum(axis=1)
 
     # --- climbing ------------------------------------------------------------------------------------------------
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.errors import ModelError
+from bayescal.density.legs import LegPosterior
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import UniformPrior
 from bayescal.errors import NumericalError
 from bayescal.experiments.check.faults.derivatives import check_derivatives
@@ -47,7 +47,7 @@ class LegSubject(Subject):
     measured: MeasuredVariant
 
     @property
-    def posterior(self) -> Posterior:
+    def posterior(self) -> LegPosterior:
         """The posterior of the measured data."""
         return self.measured.posterior
 
@@ -68,16 +68,17 @@ class LegSubject(Subject):
             variance = np.tile(variance, (poses.n_poses // self.n_poses, 1))
         return PoseLikelihood(self.measured.machine, poses, self.measured.actuator_noise, variance)
 
-    def posterior_of(self, poses: MeasuredPoses, with_model_error: bool = True) -> Posterior:
+    def posterior_of(self, poses: MeasuredPoses, with_model_error: bool = True) -> LegPosterior:
         """Return the posterior of other poses of the plan."""
-        error = self.posterior.model_error if with_model_error else ModelError(None)
-        return replace(self.posterior, likelihood=self.likelihood(poses), model_error=error)
+        error = self.posterior.errors.model_error if with_model_error else ModelError(None)
+        errors = replace(self.posterior.errors, terms=(error, *self.posterior.errors.terms[1:]))
+        return replace(self.posterior, likelihood=self.likelihood(poses), errors=errors)
 
     def theta_of(self, natural: Array) -> tuple[Array, Array]:
         """Return θ (D,) and τ (N,) of parameters and model errors in natural units, shape (n,)."""
         posterior = self.posterior
-        theta, n = posterior.coordinates.start.copy(), posterior.n_geometry
-        theta[posterior.coordinates.free] = natural[:n]
+        theta, n = posterior.sampling.start.copy(), posterior.n_geometry
+        theta[posterior.sampling.free] = natural[:n]
         tau = natural[n:] if len(natural) > n else np.zeros(1)
         return theta, np.broadcast_to(tau, (posterior.likelihood.n_legs,)).copy()
 
@@ -89,12 +90,12 @@ class LegSubject(Subject):
         """Return those of a posterior of poses."""
         return list_search(self.posterior)
 
-    def draw_case(self, rng: np.random.Generator) -> tuple[Array, Posterior]:
+    def draw_case(self, rng: np.random.Generator) -> tuple[Array, LegPosterior]:
         """Return a truth and the posterior of poses that are measured of it."""
         truth, poses = self.simulate_from_prior(rng)
         return truth, self.posterior_of(poses)
 
-    def repeat(self, natural: Array, y: Array, rng: np.random.Generator) -> Posterior:
+    def repeat(self, natural: Array, y: Array, rng: np.random.Generator) -> LegPosterior:
         """Return the posterior of the measured poses and of simulated ones."""
         simulated = self.simulate(natural, rng)
         if simulated is None:
@@ -124,7 +125,7 @@ class LegSubject(Subject):
             some = chosen if len(chosen) < self.n_poses else None
             return self.likelihood(replace(moved.poses, actuators=moved.actuators), some)
 
-        suspect = Suspect(likelihood_of, self.posterior.coordinates, data, state_error(self.measured))
+        suspect = Suspect(likelihood_of, self.posterior.sampling.coordinates, data, state_error(self.measured))
         slips = [*list_leg_slips(data, start), *list_pose_units(data)]
         found = find_slip(suspect.weigh, data, [replace(one, least=0.0, tried_from=0.0) for one in slips], 0.0)
         return state_slips(found, list_unnoticed(suspect.weigh, slips, REREAD) if found is None else (0, []))
@@ -139,7 +140,7 @@ class LegSubject(Subject):
                 values.append(rng.uniform(prior.lower, prior.upper))
             else:
                 values.append(rng.normal(prior.mean, prior.sd))
-        scale = posterior.model_error.scale
+        scale = posterior.errors.model_error.scale
         errors = 0.0 if scale is None else scale
         return np.concatenate([values, np.abs(rng.normal(0.0, errors, posterior.n_parameters - len(values)))])
 

@@ -141,14 +141,14 @@ class LegSession(Session):
     @property
     def names(self) -> tuple[str, ...]:
         """In the order of the coordinates."""
-        return tuple(self.layout.names[k] for k in self.measured.posterior.coordinates.free)
+        return tuple(self.layout.names[k] for k in self.measured.posterior.sampling.free)
 
     def rows(self, chosen: np.ndarray) -> SessionRows:
         """Return closures of some poses."""
         one = self.measured
         variance = None if one.actuator_variance is None else one.actuator_variance[chosen]
         likelihood = PoseLikelihood(one.machine, one.poses.select(chosen), one.actuator_noise, variance)
-        return LegRows(likelihood, one.posterior.model_error)
+        return LegRows(likelihood, one.posterior.errors.model_error)
 
     def find_slip(self, denied: Collection[str] = ()) -> FoundSlip | None:
         """Return a slip of actuators or poses."""
@@ -161,9 +161,9 @@ class LegSession(Session):
 
     def _spread(self) -> tuple[Array, Array, Sequence[Prior]]:
         posterior = self.measured.posterior
-        free = posterior.coordinates.free
+        free = posterior.sampling.free
         priors = [posterior.priors[name] for name in self.names]
-        start = posterior.coordinates.start.copy()
+        start = posterior.sampling.start.copy()
         start[free] = [one.mean for one in priors]
         return start, np.eye(len(start))[free], priors
 

@@ -254,7 +254,7 @@ def _suspect(measured: MeasuredVariant, stated: float) -> Suspect:
         moved = replace(poses.select(chosen), actuators=data.actuators)
         return PoseLikelihood(measured.machine, moved, measured.actuator_noise)
 
-    return Suspect(likelihood_of, measured.posterior.coordinates, LegData(poses.actuators), stated)
+    return Suspect(likelihood_of, measured.posterior.sampling.coordinates, LegData(poses.actuators), stated)
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,7 +292,7 @@ def find_recheck_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> Fo
 
 def state_error(measured: MeasuredVariant) -> float:
     """Return what a leg may err by as stated: model error, actuators, the measured position, mm."""
-    scale = measured.posterior.model_error.scale or 0.0
+    scale = measured.posterior.errors.model_error.scale or 0.0
     return float(np.sqrt(_position_variance(measured.poses) + scale**2 + measured.actuator_noise**2))
 
 

@@ -34,7 +34,7 @@ def list_outlooks(inputs: StudyInputs) -> list[str]:
     found = {}
     for variant in inputs.config.variants:
         posterior = inputs.posterior(variant, with_model_error=False)
-        likelihood, known = posterior.likelihood, posterior.coordinates
+        likelihood, known = posterior.likelihood, posterior.sampling.coordinates
         errors, slope = likelihood.error_jacobian(known.start)
         tau = np.full(likelihood.n_model_errors, inputs.config.model_error.scale_um * MICROMETRE)
         white = np.linalg.inv(np.linalg.cholesky(likelihood.error_covariance(tau)))
@@ -67,7 +67,7 @@ def _suspect(inputs: StudyInputs, variant: VariantConfig, stated: float) -> Susp
 
     # those of targets have no form of their own
     stated_poses = measured.poses if isinstance(measured, InstrumentMeasurement) and measured.has_poses else None
-    coordinates = inputs.posterior(variant, with_model_error=False).coordinates
+    coordinates = inputs.posterior(variant, with_model_error=False).sampling.coordinates
     return Suspect(likelihood_of, coordinates, LegData(measured.actuators, stated_poses), stated)
 
 
