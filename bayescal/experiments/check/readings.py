@@ -150,7 +150,7 @@ class ReadingSubject(Subject):
         measured = self.measured
         suspicion = Suspicion(measured.posterior, measured.low, measured.high)
         found = suspicion.find()
-        planted = (0, [])
+        planted: tuple[int, list[str]] = (0, [])
         if found is None:
             planted = list_unnoticed(suspicion.weigh, suspicion.list_slips(), BETTER)
         return state_slips(found, planted)
