@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from bayescal.density.calibration.posterior import CalibrationPosterior
-from bayescal.density.elimination import half_log_volume
 from bayescal.density.errors import ModelError
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.numerics.geometry import Array
@@ -158,19 +157,19 @@ class ReadingRows(SessionRows):
         with np.errstate(all="ignore"):
             at = likelihood.stand(theta[None], white)
             error, slope, by_parameters = likelihood.linearise(theta[None], at.pose, white, with_parameters=True)
-            volume = half_log_volume(slope)[0]
+            volume = likelihood.log_volume(slope, white)[0]
         q = slope.shape[-1]
         basis = np.linalg.qr(np.nan_to_num(slope[0]), mode="complete")[0][:, :, q:]
         across = np.swapaxes(basis, 1, 2)
         spare = likelihood.n_spare
-        constant = white.log_det[0] - volume - np.log(likelihood.volume) - 0.5 * spare * np.log(2.0 * np.pi)
-
-        there = likelihood.data.present
+        constant = white.log_det[0] + volume - 0.5 * spare * np.log(2.0 * np.pi)
+        there, gain = likelihood.data.present, likelihood.error_gain
 
         def covariance(zeta: Array) -> Array:
             own, tau = (one[0] for one in self._deviate(zeta[None]))
             full = own[:, :, None] * likelihood.correlation * own[:, None, :]
-            full = full + np.eye(own.shape[-1]) * (np.broadcast_to(tau, own.shape) ** 2)[:, None, :]
+            spread = np.broadcast_to(tau, own.shape)[:, None, :] * (np.eye(own.shape[-1]) if gain is None else gain)
+            full = full + spread @ np.swapaxes(spread, 1, 2)
             full = np.where(there[:, :, None] & there[:, None, :], full, 0.0)
             seen = white.rows(np.swapaxes(white.rows(full[None]), -1, -2))[0]
             return np.asarray(across @ (seen + np.eye(own.shape[-1]) * ~there[:, None, :]) @ basis)

@@ -169,11 +169,11 @@ class ReadingSubject(Subject):
         found = ChiSquare(float(at.square.sum()), max(dof, 1.0))
         said = f"χ² of the readings is {found.value / found.dof:.2f} per degree of freedom ({found.dof:.0f}, "
         said += f"{format_chance(found.chance)}) at the stated noise"
-        if np.isfinite(likelihood.freedom):
+        if posterior.errors.outliers.expected:
             return Finding(CHECK, "", "good", f"{said}; rows may be outliers, which count by how far off they are.")
-        if posterior.noise.n_parameters:
+        if posterior.errors.has_noise:
             natural = posterior.natural(y[None])[0, m:]
-            free = zip(posterior.noise.names, natural, strict=True)
+            free = zip(posterior.errors.names, natural, strict=True)
             words = ", ".join(f"{name} {value:.3g}" for name, value in free)
             return Finding(CHECK, "", "good", f"{said}; what is free of it is estimated: {words}.")
         if not found.is_off:

@@ -272,9 +272,12 @@ def measure_sessions(experiment: object, study: Any, path: Path, config: Session
 
 
 def _check(session: ReadingSession, path: Path) -> ReadingSession:
-    """Return a session; InputError for a density that is not normal given its scales."""
-    if np.isfinite(session.measured.posterior.likelihood.freedom):
+    """Return a session; InputError for a density that is not normal given its scales, row by row."""
+    errors = session.measured.posterior.errors
+    if errors.outliers.expected:
         raise InputError(f"{path}: found a robust variant, expected another: sessions are joined in closed form")
+    if errors.has_columns:
+        raise InputError(f"{path}: found errors common to all rows, expected a variant without: sessions have none")
     return session
 
 

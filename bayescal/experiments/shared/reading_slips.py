@@ -147,8 +147,7 @@ class Suspicion:
         middle, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
         elsewhere = middle + SPREAD * half * np.vstack([0.0 * half, rng.uniform(-1.0, 1.0, (STARTS - 1, len(half)))])
         starts = np.concatenate([some.start[None], np.repeat(elsewhere[:, None], len(which), axis=1)])
-        zeta = np.zeros((len(starts), posterior.noise.n_parameters))
-        white = some.whiten(*posterior.noise.deviations(zeta, some.sd))
+        white = some.whiten(*posterior.deviations(np.repeat(y, len(starts), axis=0), some))
         with np.errstate(all="ignore"):
             found, square = search_poses(some, np.tile(posterior.centre, (len(starts), 1)), white, starts)
         square = np.where(np.isfinite(square), square, np.inf)
@@ -292,7 +291,7 @@ def _is_fitted(posterior: CalibrationPosterior) -> bool:
 def _name_channels(posterior: CalibrationPosterior, row: int) -> str:
     """Return which channels have no reading where a row's readings lead, and where that is."""
     likelihood = posterior.likelihood.pick(np.array([row]))
-    white = likelihood.whiten(*posterior.noise.deviations(np.zeros((1, posterior.noise.n_parameters)), likelihood.sd))
+    white = likelihood.whiten(*posterior.deviations(np.zeros((1, posterior.n_parameters)), likelihood))
     model, pose, theta = likelihood.model, likelihood.start[None].copy(), posterior.centre[None]
     given = {name: value[None] for name, value in likelihood.data.given.items()}
     best = pose
