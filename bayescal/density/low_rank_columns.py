@@ -104,9 +104,7 @@ class Coefficients:
         flat, columns, own = moved.reshape(n, -1, size), self.columns[0], self.reduce(self.columns)[0]
         across = own.reshape(-1, size).T @ flat
         found = np.einsum("nuv,ovu->no", across, across, optimize=True)
-        found += (flat @ (columns.reshape(-1, size).T @ own.reshape(-1, size))).reshape(n, -1) @ reduced.reshape(
-            n, -1
-        ).T
+        found += (flat @ (columns.reshape(-1, size).T @ own.reshape(-1, size))).reshape(n, -1) @ reduced.reshape(n, -1).T
         if not noise.any():
             return np.asarray(found)
         mixed = (noise @ own).reshape(n, -1) @ reduced.reshape(n, -1).T

@@ -25,6 +25,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebpts1, chebvander
+
 from pydantic import Field, model_validator
 
 from bayescal.config.sections import Names, Positive, Section

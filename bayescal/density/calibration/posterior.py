@@ -242,9 +242,7 @@ class CalibrationPosterior:
         if self.errors.has_columns:
             error = np.concatenate([found.residual for _, found in self._absorb(y, white, at)])
         outliers = self.errors.outliers
-        return WhiteResiduals(
-            error, at.slope, self.likelihood.data.present, outliers.freedom, white.vector, white.colour
-        )
+        return WhiteResiduals(error, at.slope, self.likelihood.data.present, outliers.freedom, white.vector, white.colour)
 
     def stand(self, y: Array) -> tuple[Whitening, Stand]:
         """Return the whitening and where machines of coordinates (B, n) explain the readings best."""
@@ -261,7 +259,9 @@ class CalibrationPosterior:
 
     # --- errors common to all rows -------------------------------------------------------------------------------
 
-    def columns(self, y: Array, white: Whitening, slope: Array, other: CalibrationLikelihood | None = None) -> Array:
+    def columns(
+        self, y: Array, white: Whitening, slope: Array, other: CalibrationLikelihood | None = None
+    ) -> Array:
         """Return what coefficients do to white readings that are free of the poses, (B, P, K, N), for slopes H."""
         likelihood = other or self.likelihood
         acted = self._white_columns(y, white, likelihood)

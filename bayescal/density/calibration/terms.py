@@ -420,9 +420,7 @@ class Errors:
 
     def column_slopes(self, zeta: Array, data: Measurements) -> Array:
         """Return the derivatives of Φ by all coordinates at ζ, shape (n,), (n, P, K, N)."""
-        widths = [
-            0 if (own := term.columns(part[None], data)) is None else own.shape[-1] for term, part in self.of(zeta)
-        ]
+        widths = [0 if (own := term.columns(part[None], data)) is None else own.shape[-1] for term, part in self.of(zeta)]
         result = np.zeros((len(zeta), *data.sd.shape, sum(widths)))
         start = 0
         for (term, part), where, width in zip(self.of(zeta), self._slices, widths, strict=True):
@@ -471,9 +469,7 @@ def check_term(term: ErrorTerm, data: Measurements) -> None:
         raise
     except Exception as error:
         text = " ".join(str(error).split())
-        raise InputError(
-            f"found a term that fails with {type(error).__name__}: {text}, expected one that works"
-        ) from error
+        raise InputError(f"found a term that fails with {type(error).__name__}: {text}, expected one that works") from error
     shapes = {
         "factor": (factor, [(2, n_channels)]),
         "variance": (variance, [(2, n_poses, n_channels), (2, 1, n_channels)]),

@@ -66,7 +66,9 @@ def _judge(title: str, rows: list[Row]) -> Statement:
         if present > SHARE:
             level = "warning"
             size = f"{format_significant(largest['rms'], 2)} {_unit(largest['unit'])} rms"
-            parts.append(f"sensors {kind} err by functions of {of} ({chance}), {largest['sensor']} most, {size}")
+            parts.append(
+                f"sensors {kind} err by functions of {of} ({chance}), {largest['sensor']} most, {size}"
+            )
         else:
             parts.append(f"sensors {kind} need none of {of} ({chance})")
     return Statement(f"“{title}”: {join_words(parts)}.", level, "Sensors' errors")

@@ -12,9 +12,10 @@ from bayescal.density.sessions.rows import ReadingRows
 
 CASES = {
     "known noise": {},
-    "unknown noise": {"noise": problems.unknown_noise(4, errors=True, scale=0.02)},
-    "missing readings": {"missing": 0.5, "noise": problems.unknown_noise(4)},
+    "unknown noise": {"terms": problems.unknown_noise(4, errors=True, scale=0.02)},
+    "missing readings": {"missing": 0.5, "terms": problems.unknown_noise(4)},
     "a reading on a circle": {"bearing": True},
+    "commanded lines": {"commanded": (0, 1)},
 }
 
 

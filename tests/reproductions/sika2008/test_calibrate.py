@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from bayescal.density.readings.calibrate import BATCH, calibrate, unweighted
 from scipy.optimize import least_squares
 from sliding_platforms import make_problem
 
-from bayescal.errors import InputError
+from bayescal.density.readings.calibrate import BATCH, calibrate, unweighted
 from bayescal.experiments.shared.sensor_sets import find_poses
+from bayescal.errors import InputError
 
 
 def measure(sensors, free, pose, n, seed=2, noise=1.0):
