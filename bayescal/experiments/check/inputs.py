@@ -48,14 +48,14 @@ def read_check(config: CheckConfig, folder: Path) -> CheckInputs:
     if isinstance(experiment, MeasuringReadings):
         with name_faults(path):
             read = experiment.measure_readings(study, path.parent, config.variants)
-        for name, one in read.items():
-            if one.posterior.errors.has_columns:
+        for name, readings in read.items():
+            if readings.posterior.errors.has_columns:
                 raise InputError(
                     f"{path}: variant {name!r}: found errors common to all rows, expected noise of single rows: checks "
                     "have no errors that are functions"
                 )
         origin = next(iter(read.values())).origin
-        return CheckInputs(config, origin, {name: ReadingSubject(one) for name, one in read.items()})
+        return CheckInputs(config, origin, {name: ReadingSubject(readings) for name, readings in read.items()})
     if not isinstance(experiment, Measuring):
         raise InputError(f"{path}: kind: found {study.kind!r}, expected 'study' or 'calibration', with measured data")
     known = experiment.list_variants(study)
