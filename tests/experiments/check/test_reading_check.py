@@ -18,6 +18,16 @@ from bayescal.experiments.check.ranks import draw_posterior, rank_truth
 from bayescal.experiments.check.readings import ReadingSubject
 
 
+FUNCTION = """
+[errors.motors]
+channels = ["s"]
+kernel = "quadratic"
+scale_um = 20.0
+per = "channel"
+
+"""
+
+
 @pytest.fixture(scope="module")
 def subject(tmp_path_factory):
     path = calibrations.write_delta(tmp_path_factory.mktemp("check"))
@@ -119,6 +129,16 @@ def test_the_command_checks_a_calibration(tmp_path, call, no_pictures):
     assert list(summary["variants"]) == ["one_rod"]
     assert summary["data_origin"] == "Simulated: one machine drawn within its tolerances"
     assert "Units and order" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_errors_common_to_all_rows_are_not_checked(tmp_path, call):
+    path = calibrations.write_delta(tmp_path)
+    calibrations.change(path, "[sampler]", FUNCTION + "[sampler]")
+    code, out, complaint = call("check", path, "--variant", "all", "--out", tmp_path / "out")
+    assert (code, out) == (2, "")
+    assert "variant 'all': found errors common to all rows, expected noise of single rows" in complaint
+    assert complaint.count("\n") == 1
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_unknown_variant_is_one_line(tmp_path, call):

@@ -79,6 +79,11 @@ def make_robust(path):
     studies.edit(path.parent / "study.toml", 'common = ["l"]', 'common = ["l"]\nrobust = 4.0')
 
 
+def add_function(path):
+    text = '[errors.motors]\nchannels = ["s"]\nkernel = "quadratic"\nscale_um = 20.0\nper = "channel"\n\n[sampler]'
+    studies.edit(path.parent / "study.toml", "[sampler]", text)
+
+
 def widen(path):
     study = path.parent / "study.toml"
     studies.edit(study, 's0 = { prior = "normal", sd = 0.5 }', 's0 = { prior = "uniform", half_width = 0.5 }')
@@ -102,6 +107,7 @@ FAULTS = {
     "struts": (edit('bodies.rods = { symbols = ["l"],', "base = {"), "thermal.base: found no length 'a_x'"),
     "variant": (edit('variant = "one_rod"', 'variant = "rods"'), "variant 'rods': unknown here, expected one of all"),
     "robust": (make_robust, "found a robust variant, expected another"),
+    "common": (add_function, "found errors common to all rows, expected a variant without"),
     "uniform": (widen, r"found a uniform prior of s0\[1\]"),
 }
 
