@@ -17,7 +17,6 @@ from bayescal.experiments.check.look import look_at_data
 from bayescal.experiments.check.ranks import draw_posterior, rank_truth
 from bayescal.experiments.check.readings import ReadingSubject
 
-
 FUNCTION = """
 [errors.motors]
 channels = ["s"]
