@@ -18,8 +18,12 @@ def half_log_volume(slope: Array) -> Array:
     if not slope.shape[-1]:
         return np.zeros(slope.shape[:-2])
     with np.errstate(all="ignore"):
-        factor = factorise(slope)
-        return np.asarray(sum(np.log(factor[k][k]) for k in range(slope.shape[-1])))
+        return log_root(factorise(slope))
+
+
+def log_root(factor: list[list[Array]]) -> Array:
+    """Return ½ log |HᵀΣ⁻¹H|, shape (...), from the factor of a white H with at least one column."""
+    return np.asarray(sum(np.log(row[-1]) for row in factor))
 
 
 def factorise(slope: Array) -> list[list[Array]]:
@@ -48,8 +52,12 @@ def find_step(slope: Array, error: Array) -> tuple[Array, Array]:
     """
     with np.errstate(all="ignore"):
         step, _ = solve_step(slope, factorise(slope), error)
-        left = error - sum(slope[..., i] * step[..., i, None] for i in range(slope.shape[-1]))
-    return step, np.asarray(left)
+        return step, subtract_step(slope, step, error)
+
+
+def subtract_step(slope: Array, step: Array, error: Array) -> Array:
+    """Return what a step (..., q) leaves of white errors (..., K), to first order."""
+    return np.asarray(error - sum(slope[..., i] * step[..., i, None] for i in range(slope.shape[-1])))
 
 
 def solve_step(slope: Array, factor: list[list[Array]], error: Array) -> tuple[Array, Array]:

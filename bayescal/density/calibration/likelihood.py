@@ -22,9 +22,10 @@ from functools import cached_property
 import numpy as np
 from scipy.special import gammaln
 
-from bayescal.density.calibration.measurements import Comparison, Measurements
+from bayescal.density.calibration.expansion import LARGEST, Expansion
+from bayescal.density.calibration.measurements import CONSTRAINT, Comparison, Measurements
 from bayescal.density.calibration.whitening import Whitening
-from bayescal.density.elimination import factorise, find_step, half_log_volume, invert, solve_step
+from bayescal.density.elimination import factorise, find_step, invert, log_root, solve_step, subtract_step
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -32,6 +33,9 @@ ROWS = 4096  # poses of machines that are looked at together
 CLOSE = 0.03  # deviations of a reading, below which a step is taken to first order: what that leaves enters squared
 NEAR = 0.3  # deviations of a reading, within which H is taken for constant
 CHORD, ASTRAY = 0.1, 1.0  # length of white readings that a chord moves by, where chords end and where they are lost
+LEFT = 1e-5  # deviations of a reading that a step taken to first order may leave out
+NATS, LARGEST_CHANGE = 1e-3, 0.1  # of the log-density that an expansion may be wrong by; square of the change of H
+TRIALS = 4  # directions in which poses are moved to see how straight the readings are
 MAX_STEPS, MAX_CHORDS, MAX_SEARCH, PATIENCE = 30, 8, 60, 4
 GAUSSIAN = np.inf
 
@@ -47,11 +51,14 @@ class Stand:
         What is left, white.
     slope : ndarray, shape (C, P, K, q)
         H, white.
+    volume : ndarray, shape (C, P)
+        ½ log |HᵀΣ⁻¹H|.
     """
 
     pose: Array
     error: Array
     slope: Array
+    volume: Array
 
     @property
     def square(self) -> Array:
@@ -75,6 +82,8 @@ class CalibrationLikelihood:
         ν of a robust density; infinite for a normal one.
     anchor : ndarray, shape (D,), or None
         A machine near those that are asked for, which explains the readings at ``start``.
+    spread : ndarray, shape (n, D), or None
+        Machines about as far from it as those that are asked for, by which its expansion is tried.
     """
 
     model: ReadingModel
@@ -83,6 +92,7 @@ class CalibrationLikelihood:
     start: Array
     freedom: float = GAUSSIAN
     anchor: Array | None = None
+    spread: Array | None = None
 
     @cached_property
     def n_readings(self) -> np.ndarray:
@@ -125,9 +135,12 @@ class CalibrationLikelihood:
         """Return the density of the readings of some poses."""
         return replace(self, data=self.data.pick(which), start=self.start[which])
 
-    def anchored(self, pose: Array, theta: Array) -> CalibrationLikelihood:
-        """Return the same density that starts at those poses (P, q) which a machine (D,) explains readings with."""
-        return replace(self, start=pose, anchor=theta)
+    def anchored(self, pose: Array, theta: Array, spread: Array | None = None) -> CalibrationLikelihood:
+        """Return the same density that starts at those poses (P, q) which a machine (D,) explains readings with.
+
+        With others (n, D) its H is used for machines like these, as far as it is good enough.
+        """
+        return replace(self, start=pose, anchor=theta, spread=spread)
 
     # --- poses ---------------------------------------------------------------------------------------------------
 
@@ -165,36 +178,36 @@ class CalibrationLikelihood:
     def stand(self, theta: Array, white: Whitening, start: Array | None = None) -> Stand:
         """Return machines (C, D) where they explain the readings best, by Gauss and Newton's method.
 
-        It starts with chords where the density is anchored: H changes so little from machine to machine that a fixed
-        inverse gains two digits a step, without any derivative. The last step is taken to first order.
+        Where the density is anchored it starts with chords, whose H is that of `Expansion`, without a derivative; where
+        the expansion is good enough it ends there. The last step is taken to first order.
         """
         pose = np.broadcast_to(self.start if start is None else start, (len(theta), *self.start.shape)).copy()
         if not pose.shape[-1]:
             error, slope, _ = self.linearise(theta, pose, white)
-            return Stand(pose, error, slope)
-        if self.anchor is not None and start is None:
-            pose = self._follow_chords(theta, pose, white)
-        found = Stand(pose, *(np.empty((*pose.shape[:2], *shape)) for shape in self._shapes))
+            return Stand(pose, error, slope, np.zeros(pose.shape[:2]))
+        shape, n, q = pose.shape[:2], len(self.model.channels), pose.shape[-1]
+        found = Stand(pose, np.empty((*shape, n)), np.empty((*shape, n, q)), np.empty(shape))
         going = np.arange(len(theta))
+        if start is None and self.expansion is not None:
+            going = self._follow_chords(found, theta, white, self.expansion)
         for _ in range(MAX_STEPS):
+            if not len(going):
+                return found
             size = self._improve(found, going, theta, white)
             still = np.any(size > NEAR, axis=1)  # where it is not a number the machine cannot stand
-            if not still.any():
-                return found
             going, size = going[still], size[still]
         found.error[going] = np.where((size > NEAR)[..., None], np.nan, found.error[going])  # wandering: no pose
         return found
-
-    @property
-    def _shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        n, q = len(self.model.channels), len(self.model.coordinates)
-        return (n,), (n, q)
 
     def _improve(self, found: Stand, going: np.ndarray, theta: Array, white: Whitening) -> Array:
         """Move some of the machines by a step, or two where H is as good as that of the next pose; return the sizes."""
         theta, white = theta[going], white.pick(going)
         error, slope, _ = self.linearise(theta, found.pose[going], white)
-        step, left = find_step(slope, error)
+        with np.errstate(all="ignore"):
+            factor = factorise(slope)
+            step, _ = solve_step(slope, factor, error)
+            left = subtract_step(slope, step, error)
+            found.volume[going] = log_root(factor)
         pose, size = found.pose[going] + step, np.abs(error - left).max(axis=-1)
         largest = np.nanmax(size, axis=1, initial=0.0)
         near = np.flatnonzero((largest > CLOSE) & (largest <= NEAR))
@@ -211,43 +224,134 @@ class CalibrationLikelihood:
         error = self.comparison.subtract(self.data.values, read)
         return white.vector(np.where(self.data.present, error, 0.0))
 
-    def _follow_chords(self, theta: Array, pose: Array, white: Whitening) -> Array:
-        """Return poses (C, P, q) close to where machines explain the readings; where they start if chords go astray."""
-        slope, first = white.rows(self._anchored_slope), pose
-        assert self.anchor is not None
-        pose = pose + ((theta - self.anchor) @ self._anchored_moves).reshape(pose.shape)
-        going = np.arange(len(theta))
-        size = np.full(pose.shape[:2], np.inf)
+    def _follow_chords(self, found: Stand, theta: Array, white: Whitening, near: Expansion) -> np.ndarray:
+        """Move machines by chords, each by itself; return which of them have no H that is good enough.
+
+        Where chords go astray a machine stays where it starts.
+        """
+        good = near.measure(theta) <= near.limit
+        close = np.where(good, near.close, CHORD)
+        pose, slope = near.predict(theta)
+        slope = white.rows(slope)
+        size, going = np.full(pose.shape[:2], np.inf), np.arange(len(theta))
         with np.errstate(all="ignore"):
             factor = factorise(slope)
-        for _ in range(MAX_CHORDS):  # each machine by itself, so that it stands where it would alone
-            every = len(going) == len(theta)
-            own = (theta, pose, white) if every else (theta[going], pose[going], white.pick(going))
-            part = (slope, factor) if every else (slope[going], [[one[going] for one in row] for row in factor])
-            step, size[going] = solve_step(*part, self._errors(*own))
-            pose[going] += step
-            going = going[np.any(size[going] > CHORD, axis=1)]
-            if not len(going):
-                break
+            for _ in range(MAX_CHORDS):
+                every = len(going) == len(theta)
+                own = (theta, pose, white) if every else (theta[going], pose[going], white.pick(going))
+                part = (slope, factor) if every else (slope[going], [[one[going] for one in row] for row in factor])
+                error = self._errors(*own)
+                step, size[going] = solve_step(*part, error)
+                pose[going] += step
+                ended = np.all(size[going] <= close[going, None], axis=1)
+                found.error[going] = subtract_step(part[0], step, error)
+                going = going[~ended]
+                if not len(going):
+                    break
+            good[going] = False
+            found.volume[:] = log_root(factor)
         astray = ~(np.isfinite(pose).all(axis=-1) & (size < ASTRAY))[..., None]
-        return np.where(astray, first, pose)
+        np.copyto(found.pose, pose, where=~astray)
+        found.slope[:] = slope
+        return np.flatnonzero(~good)
 
     @cached_property
-    def _anchored_slope(self) -> Array:
-        """H at the anchor, of raw readings, (1, P, K, q)."""
-        assert self.anchor is not None
-        here = self.model.linearise(self.anchor[None, None], self.start[None], False, self._given)
-        error = self.comparison.subtract(self.data.values, here.values)
-        return self._pull_back(error, here.values, here.by_pose)
-
-    @cached_property
-    def _anchored_moves(self) -> Array:
-        """How poses follow the parameters at the anchor, to first order, (D, P q)."""
-        assert self.anchor is not None
+    def expansion(self) -> Expansion | None:
+        """What machines near the anchor have in common; None without one."""
+        if self.anchor is None or not self.start.shape[-1]:
+            return None
         white = self.whiten(self.sd[None], np.zeros((1, 1, len(self.model.channels))))
-        _, slope, by_parameters = self.linearise(self.anchor[None], self.start[None], white, with_parameters=True)
-        moves = -invert(slope[0], 0.0) @ by_parameters[0]
-        return np.asarray(np.moveaxis(moves, -1, 0).reshape(moves.shape[-1], -1))
+        with np.errstate(all="ignore"):
+            here = self.model.linearise(self.anchor[None, None], self.start[None], True, self._given)
+            error = self.comparison.subtract(self.data.values, here.values)
+            slope = self._pull_back(error, here.values, here.by_pose)
+            inverse = invert(white.rows(slope)[0], 0.0)
+            moves = -inverse @ white.rows(self._pull_back(error, here.values, here.by_parameters))[0]
+            moves = np.moveaxis(moves, -1, 0).reshape(moves.shape[-1], -1)
+            first = Expansion(
+                self.anchor,
+                self.start,
+                np.moveaxis(slope[0], -1, 0),
+                moves,
+                self._measure_straightness(white, slope),
+                np.arange(len(self.anchor)),
+                None,
+                np.zeros((len(self.anchor),) * 2),
+                -np.inf,
+            )
+            return first if self.spread is None else self._bend(first, self.spread)
+
+    def _measure_straightness(self, white: Whitening, slope: Array) -> float:
+        """Return how many white readings a pose may move by, to first order, by the readings' curvature there."""
+        assert self.anchor is not None
+        rng, rows = np.random.default_rng(1907), white.rows(slope)
+        wanted = rng.standard_normal((TRIALS, *rows.shape[1:3]))
+        step, _ = find_step(rows, wanted)
+        size = np.linalg.norm(subtract_step(rows, step, np.zeros_like(wanted)), axis=-1, keepdims=True)
+        step /= size
+        theta = np.broadcast_to(self.anchor, (TRIALS, len(self.anchor)))
+        up, down, here = (self._errors(theta, self.start + sign * step, white) for sign in (1.0, -1.0, 0.0))
+        curvature = 0.5 * np.nan_to_num(np.abs(up + down - 2.0 * here)).max(initial=0.0)
+        return float(np.clip(np.sqrt(LEFT / max(curvature, LEFT)), CLOSE, 1.0))
+
+    def _bend(self, first: Expansion, spread: Array) -> Expansion:
+        """Return an expansion with derivatives of H by what differs among machines (n, D), and how far it is good."""
+        free = np.flatnonzero((spread != spread[:1]).any(axis=0))
+        if not len(free) or len(free) * first.slope.size > LARGEST:
+            return first
+        change = np.zeros((len(free), len(first.anchor)))
+        change[np.arange(len(free)), free] = spread[:, free].std(axis=0)
+        pose = (change @ first.moves).reshape(-1, *self.start.shape)
+        bends = np.empty((len(free), *first.slope.shape))
+        for part in self.batches(len(free)):
+            up, down = (
+                self._raw_slopes(first.anchor + sign * change[part], first.pose + sign * pose[part])
+                for sign in (1.0, -1.0)
+            )
+            width = 2.0 * change[part].sum(axis=1)
+            bends[part] = np.moveaxis(up - down, -1, 1) / width[:, None, None, None]
+        bent = replace(first, free=free, bends=bends.reshape(len(free), -1), limit=np.inf)
+        # constraints as readings of their unit's usual noise: beside their own all else would be no change
+        loose = np.where(self.data.present & (self.data.sd == 0.0), self.sd / CONSTRAINT, self.sd)
+        white = self.whiten(loose[None], np.zeros((1, 1, loose.shape[-1])))
+        change = white.rows(bent.by_parameter) @ invert(white.rows(np.moveaxis(first.slope, 0, -1)[None])[0], 0.0)
+        metric = np.einsum("fpij,gpij->fg", change, change, optimize=True)
+        if not np.isfinite(metric).all():
+            return first
+        bent = replace(bent, metric=metric)
+        return replace(bent, limit=self._find_limit(bent, spread))
+
+    def differentiate_volume(self, theta: Array, white: Whitening, slope: Array) -> Array | None:
+        """Return the derivative of Σ ½ log |HᵀΣ⁻¹H| by the parameters, (D,), for a machine (D,) and its H (P, K, q).
+
+        None where H is not taken from the expansion.
+        """
+        near = self.expansion
+        if near is None or near.bends is None or near.measure(theta[None])[0] > near.limit:
+            return None
+        result = np.zeros(len(theta))
+        rows = white.rows(near.by_parameter)
+        result[near.free] = np.einsum("pik,fpki->f", invert(slope, 0.0), rows, optimize=True)
+        return result
+
+    def _raw_slopes(self, theta: Array, pose: Array) -> Array:
+        here = self.model.linearise(theta[:, None], pose, False, self._given)
+        return self._pull_back(self.comparison.subtract(self.data.values, here.values), here.values, here.by_pose)
+
+    def _find_limit(self, bent: Expansion, spread: Array) -> float:
+        """Return up to which change of H an expansion is good enough, from the error it makes for machines (n, D)."""
+        own = np.broadcast_to(self.sd, (len(spread), *self.sd.shape))
+        white = self.whiten(own, np.zeros((1, 1, own.shape[-1])))
+        exact = self.stand(spread, white, self.start)
+        found = Stand(*(np.empty_like(one) for one in vars(exact).values()))
+        lost = self._follow_chords(found, spread, white, bent)
+        rough, fine = ((self.weigh(one.square) - one.volume).sum(axis=1) for one in (found, exact))
+        error, square = np.abs(rough - fine), bent.measure(spread)
+        error[lost] = np.nan
+        known = np.isfinite(error)
+        if not known.any():
+            return -np.inf
+        return float(NATS / max(np.max(error[known] / square[known]), NATS / LARGEST_CHANGE))
 
     # --- density -------------------------------------------------------------------------------------------------
 
@@ -270,7 +374,7 @@ class CalibrationLikelihood:
         for part in self.batches(len(theta)):
             white = self.whiten(own[part], tau[part])
             at = self.stand(theta[part], white)
-            result[part] = self.weigh(at.square) + white.log_det - half_log_volume(at.slope)
+            result[part] = self.weigh(at.square) + white.log_det - at.volume
         result[~np.isfinite(result)] = -np.inf
         return result
 

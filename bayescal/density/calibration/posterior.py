@@ -27,7 +27,9 @@ from bayescal.numerics.geometry import Array
 HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
 STEP = 1e-4  # of a coordinate, for the slope of the poses' volume
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
+NEARBY, FAR = 8, 3.0  # machines by which the density is tried about its anchor, and how many deviations they are off
 GAIN = 1e-12  # of the squares, below which the search has arrived
+STILL = 1e-8  # of a coordinate, below which a step that leads nowhere is the last: shorter ones lead nowhere, too
 MAX_ITERATIONS = 200
 
 
@@ -220,7 +222,8 @@ class CalibrationPosterior:
             rows = left @ by_parameters
             m, n = self.n_geometry, self.n_parameters
             gradient, hessian = -y, -np.eye(n)
-            gradient[:m] += np.einsum("p,pki,pk->i", trust, rows, left_of(left, error)) + self._volume_slope(y)
+            gradient[:m] += np.einsum("p,pki,pk->i", trust, rows, left_of(left, error))
+            gradient[:m] += self._volume_slope(y, white, slope)
             hessian[:m, :m] -= np.einsum("p,pki,pkj->ij", trust, rows, rows, optimize=True)
             if n > m:
                 self._add_noise(y, white, left, left_of(left, error), trust, gradient, hessian)
@@ -243,20 +246,27 @@ class CalibrationPosterior:
         gradient[m:] += 0.5 * (square - np.trace(seen, axis1=-2, axis2=-1).sum(axis=-1))
         hessian[m:, m:] -= 0.5 * np.einsum("npkl,oplk->no", seen, seen, optimize=True)
 
-    def _volume_slope(self, y: Array) -> Array:
-        """Return the derivative of -½ Σ log |HᵀΣ⁻¹H| by the geometry's coordinates, by central differences, (m,)."""
-        m = self.n_geometry
-        if not self.likelihood.start.shape[-1]:
+    def _volume_slope(self, y: Array, white: Whitening, slope: Array) -> Array:
+        """Return the derivative of -½ Σ log |HᵀΣ⁻¹H| by the geometry's coordinates at y and its white H, (m,).
+
+        By the expansion where the density takes H from there, by central differences elsewhere.
+        """
+        m, likelihood = self.n_geometry, self.likelihood
+        if not likelihood.start.shape[-1]:
             return np.zeros(m)
+        by_parameters = likelihood.differentiate_volume(self.theta(y[None])[0], white, slope)
+        if by_parameters is not None:
+            return -self.moves(y) @ by_parameters
         moves = STEP * np.eye(self.n_parameters)[:m]
         points = y + np.concatenate([moves, -moves])
-        values = np.concatenate([self._log_volume(points[part]) for part in self.likelihood.batches(2 * m)])
+        values = np.concatenate([self._log_volume(points[part]) for part in likelihood.batches(2 * m)])
         return np.asarray((values[:m] - values[m:]) / (2.0 * STEP))
 
     def _log_volume(self, y: Array) -> Array:
         """Return -½ Σ log |HᵀΣ⁻¹H| of machines (B, n) right where they stand, shape (B,)."""
         white, at = self.stand(y)  # whose H is that of a pose close by, the same for machines that are much alike
-        return -half_log_volume(self.likelihood.linearise(self.theta(y), at.pose, white)[1]).sum(axis=1)
+        slope = self.likelihood.linearise(self.theta(y), at.pose, white)[1]
+        return -half_log_volume(slope).sum(axis=1)
 
     # --- climbing ------------------------------------------------------------------------------------------------
 
@@ -271,7 +281,20 @@ class CalibrationPosterior:
     def anchored(self) -> CalibrationPosterior:
         """Return the same posterior that looks for poses from those of the least-squares solution."""
         y, pose = self.fit(np.zeros(self.n_parameters), self.likelihood.start)
-        return replace(self, likelihood=self.likelihood.anchored(pose, self.theta(y[None])[0]))
+        theta = self.theta(y[None])[0]
+        return replace(self, likelihood=self.likelihood.anchored(pose, theta, self._draw_near(y, pose)))
+
+    def _draw_near(self, y: Array, pose: Array) -> Array:
+        """Return machines (n, D) that are off the best one y (n,) thrice as far as the posterior's, always the same."""
+        with np.errstate(all="ignore"):
+            white = self.likelihood.whiten(*self.deviations(y[None]))
+            _, slope, by_parameters = self.rows(y, white, pose[None])
+            rows = project_out(slope) @ by_parameters
+        hessian = np.eye(self.n_geometry) + np.einsum("pki,pkj->ij", rows, rows, optimize=True)
+        normal = np.random.default_rng(1777).standard_normal((self.n_geometry, NEARBY))
+        some = np.repeat(y[None], NEARBY, axis=0)
+        some[:, : self.n_geometry] += FAR * np.linalg.solve(np.linalg.cholesky(hessian).T, normal).T
+        return self.theta(some)
 
     def fit(self, y: Array, pose: Array) -> tuple[Array, Array]:
         """Return coordinates (n,) and poses (P, q) that explain readings and priors best, by Levenberg and Marquardt.
@@ -291,13 +314,14 @@ class CalibrationPosterior:
             raise NumericalError("found no reading of the machine as expected at some start, expected one that stands")
         for _ in range(MAX_ITERATIONS):
             move, follow = self._propose(y, *here, damping)
-            other, stood = y.copy(), pose + follow
+            other = y.copy()
             other[: self.n_geometry] += move
+            stood = self._settle(other, white, pose + follow, damping)
             there = self.rows(other, white, stood)
             new = self._cost(other, there[0])
             if not new < cost:
                 damping *= 4.0
-                if damping > LARGEST_DAMPING:
+                if damping > LARGEST_DAMPING or np.max(np.abs(move), initial=0.0) < STILL:
                     break
                 continue
             done = cost - new < GAIN * max(cost, 1.0)
@@ -305,6 +329,11 @@ class CalibrationPosterior:
             if done:
                 break
         return y, pose[0]
+
+    def _settle(self, y: Array, white: Whitening, pose: Array, damping: float) -> Array:
+        """Return poses (1, P, q) moved to what a machine y (n,) reads: a constraint lets a straight step go no way."""
+        error, slope, _ = self.likelihood.linearise(self.theta(y[None]), pose, white)
+        return np.asarray(pose + left_of(invert(slope[0], 1e-9 * damping / DAMPING), error[0]))
 
     def _cost(self, y: Array, error: Array) -> float:
         freedom, squares = self.likelihood.freedom, np.einsum("pk,pk->p", error, error)

@@ -69,7 +69,8 @@ def test_the_slope_of_the_volume_follows_the_poses(rng):
     posterior = replace(posterior, likelihood=coarse)
     y, pose = posterior.fit(np.zeros_like(y), coarse.start)
     posterior = replace(posterior, likelihood=replace(coarse, start=pose))
-    slope = posterior._volume_slope(y)  # where all machines close by stand within a small part of their deviations
+    white, at = posterior.stand(y[None])
+    slope = posterior._volume_slope(y, white, at.slope[0])  # machines close by stand within a part of their deviations
 
     def volume(at):
         """Return -½ Σ log |HᵀΣ⁻¹H| where the machine explains the readings best, by many steps."""
@@ -132,6 +133,21 @@ def test_fit_finds_poses_beside_a_constraint(rng):
     assert np.abs(left).max() < 1e-6
     gradient, _ = found.gradient(y)
     assert np.abs(gradient).max() < 0.1
+
+
+def test_fit_goes_on_where_a_constraint_makes_the_valley_narrow(rng):
+    """All anchors free, so that the frame is loose, and a line known exactly: 200 straight steps ended halfway."""
+    posterior, *_, pose = lines_posterior(rng, n_poses=12)
+    likelihood, layout = posterior.likelihood, posterior.likelihood.model.layout
+    sd = np.where(np.arange(4) == 0, 0.0, likelihood.data.sd)
+    found = replace(
+        posterior,
+        likelihood=replace(likelihood, data=replace(likelihood.data, sd=sd)),
+        priors={name: NormalPrior(value, 10.0) for name, value in zip(layout.names, layout.nominal, strict=True)},
+    )
+    y, _ = found.fit(np.zeros(found.n_parameters), pose)
+    gradient, hessian = found.gradient(y)
+    assert gradient @ np.linalg.solve(-hessian, gradient) < 1e-4
 
 
 @pytest.mark.parametrize("weight", [1.0, 1e4])
