@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import gammaln
@@ -25,9 +26,10 @@ from scipy.special import gammaln
 from bayescal.density.calibration.expansion import LARGEST, Expansion
 from bayescal.density.calibration.measurements import CONSTRAINT, Comparison, Measurements
 from bayescal.density.calibration.whitening import Whitening
-from bayescal.density.elimination import factorise, find_step, invert, log_root, solve_step, subtract_step
+from bayescal.density.elimination import factorise, find_step, half_log_volume, invert, log_root, solve_step, subtract_step
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.threads import map_in_threads
 
 ROWS = 4096  # poses of machines that are looked at together
 CLOSE = 0.03  # deviations of a reading, below which a step is taken to first order: what that leaves enters squared
@@ -51,19 +53,24 @@ class Stand:
         What is left, white.
     slope : ndarray, shape (C, P, K, q)
         H, white.
-    volume : ndarray, shape (C, P)
-        ½ log |HᵀΣ⁻¹H|.
+    known_volume : ndarray, shape (C, P), or None
+        ½ log |HᵀΣ⁻¹H| where it has been computed.
     """
 
     pose: Array
     error: Array
     slope: Array
-    volume: Array
+    known_volume: Array | None = None
 
     @property
     def square(self) -> Array:
         """r², shape (C, P)."""
         return np.einsum("...k,...k->...", self.error, self.error)
+
+    @property
+    def volume(self) -> Array:
+        """½ log |HᵀΣ⁻¹H|, shape (C, P)."""
+        return half_log_volume(self.slope) if self.known_volume is None else self.known_volume
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +191,7 @@ class CalibrationLikelihood:
         pose = np.broadcast_to(self.start if start is None else start, (len(theta), *self.start.shape)).copy()
         if not pose.shape[-1]:
             error, slope, _ = self.linearise(theta, pose, white)
-            return Stand(pose, error, slope, np.zeros(pose.shape[:2]))
+            return Stand(pose, error, slope)
         shape, n, q = pose.shape[:2], len(self.model.channels), pose.shape[-1]
         found = Stand(pose, np.empty((*shape, n)), np.empty((*shape, n, q)), np.empty(shape))
         going = np.arange(len(theta))
@@ -314,8 +321,11 @@ class CalibrationLikelihood:
         # constraints as readings of their unit's usual noise: beside their own all else would be no change
         loose = np.where(self.data.present & (self.data.sd == 0.0), self.sd / CONSTRAINT, self.sd)
         white = self.whiten(loose[None], np.zeros((1, 1, loose.shape[-1])))
-        change = white.rows(bent.by_parameter) @ invert(white.rows(np.moveaxis(first.slope, 0, -1)[None])[0], 0.0)
-        metric = np.einsum("fpij,gpij->fg", change, change, optimize=True)
+        inverse = invert(white.rows(np.moveaxis(first.slope, 0, -1)[None])[0], 0.0)
+        rows, metric = white.rows(bent.by_parameter), np.zeros((len(free), len(free)))
+        for p in range(self.data.n_poses):
+            turned = (rows[:, p] @ inverse[p]).reshape(len(free), -1)
+            metric += turned @ turned.T
         if not np.isfinite(metric).all():
             return first
         bent = replace(bent, metric=metric)
@@ -345,7 +355,7 @@ class CalibrationLikelihood:
         exact = self.stand(spread, white, self.start)
         found = Stand(*(np.empty_like(one) for one in vars(exact).values()))
         lost = self._follow_chords(found, spread, white, bent)
-        rough, fine = ((self.weigh(one.square) - one.volume).sum(axis=1) for one in (found, exact))
+        rough, fine = ((0.5 * one.square + one.volume).sum(axis=1) for one in (found, exact))
         error, square = np.abs(rough - fine), bent.measure(spread)
         error[lost] = np.nan
         known = np.isfinite(error)
@@ -357,8 +367,9 @@ class CalibrationLikelihood:
 
     def batches(self, n: int) -> Iterator[slice]:
         """Yield slices of n machines that are looked at together."""
-        size = max(1, ROWS // self.data.n_poses)
-        yield from (slice(k, k + size) for k in range(0, n, size))
+        count = -(-n // max(1, ROWS // self.data.n_poses))
+        ends = np.arange(count + 1) * n // max(1, count)
+        yield from (slice(int(one), int(other)) for one, other in pairwise(ends))
 
     def pointwise(self, theta: Array, own: Array, tau: Array) -> Array:
         """Return the log-density of each pose's readings, (C, P), -inf where a machine cannot stand.
@@ -370,11 +381,16 @@ class CalibrationLikelihood:
             s σ.
         tau : ndarray, shape (C, 1, K)
         """
+
         result = np.empty((len(theta), self.data.n_poses))
-        for part in self.batches(len(theta)):
+
+        def weigh(part: slice) -> None:
             white = self.whiten(own[part], tau[part])
             at = self.stand(theta[part], white)
             result[part] = self.weigh(at.square) + white.log_det - at.volume
+
+        _ = self.expansion  # made once, not by each thread
+        map_in_threads(weigh, list(self.batches(len(theta))))
         result[~np.isfinite(result)] = -np.inf
         return result
 
