@@ -26,7 +26,15 @@ from scipy.special import gammaln
 from bayescal.density.calibration.expansion import LARGEST, Expansion
 from bayescal.density.calibration.measurements import CONSTRAINT, Comparison, Measurements
 from bayescal.density.calibration.whitening import Whitening
-from bayescal.density.elimination import factorise, find_step, half_log_volume, invert, log_root, solve_step, subtract_step
+from bayescal.density.elimination import (
+    factorise,
+    find_step,
+    half_log_volume,
+    invert,
+    log_root,
+    solve_step,
+    subtract_step,
+)
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.threads import map_in_threads
@@ -381,7 +389,6 @@ class CalibrationLikelihood:
             s σ.
         tau : ndarray, shape (C, 1, K)
         """
-
         result = np.empty((len(theta), self.data.n_poses))
 
         def weigh(part: slice) -> None:
