@@ -11,6 +11,11 @@ readings share: what went wrong at a pose spoils it as a whole. Integrated over 
     p(s | d) = Γ((ν + m)/2) / Γ(ν/2) (νπ)^(-m/2) |Σ|^(-1/2) |HᵀΣ⁻¹H|^(-1/2) (1 + r²/ν)^(-(ν + m)/2) / V,
 
 and (ν + m) / (ν + r²), the mean of w, says how far a pose is to be trusted.
+
+Where the data say which channels c the machine was commanded by, the pose is uniformly distributed in these and not in
+its coordinates: |∂h_c/∂v| takes the place of 1/V, sqrt |JᵀJ| with J = ∂h_c/∂v where they are more than the
+coordinates. That is p(s | d) over the density of the commanded positions, which is uniform then: p(other readings |
+commanded positions, d), in which no workspace appears.
 """
 
 from __future__ import annotations
@@ -63,12 +68,15 @@ class Stand:
         H, white.
     known_volume : ndarray, shape (C, P), or None
         ½ log |HᵀΣ⁻¹H| where it has been computed.
+    known_prior : ndarray, shape (C, P), or None
+        Log-density of the poses before anything is read, the same.
     """
 
     pose: Array
     error: Array
     slope: Array
     known_volume: Array | None = None
+    known_prior: Array | None = None
 
     @property
     def square(self) -> Array:
@@ -143,6 +151,19 @@ class CalibrationLikelihood:
         return np.where(both, self.data.correlation, np.eye(n))
 
     @cached_property
+    def error_gain(self) -> Array | None:
+        """How model errors show in the readings, (P, K, K); None where each shows in its own channel alone.
+
+        That of one machine where it starts: the gain hardly changes with the machine.
+        """
+        theta, there = self.model.layout.nominal if self.anchor is None else self.anchor, self.data.present
+        gain = self.model.error_gain(theta, self.start, self.data.given)
+        if gain is None:
+            return None
+        known = np.isfinite(gain).all(axis=(-1, -2), keepdims=True) & there[:, :, None] & there[:, None, :]
+        return np.where(known, gain, np.eye(gain.shape[-1]))
+
+    @cached_property
     def _given(self) -> Given:
         return {name: value[None] for name, value in self.data.given.items()}
 
@@ -162,12 +183,13 @@ class CalibrationLikelihood:
     def whiten(self, own: Array, tau: Array) -> Whitening:
         """Return the whitening for deviations s σ (C, P, K) and τ (C, 1, K)."""
         there = self.data.present
-        if self.data.correlation is None:
+        if self.data.correlation is None and self.error_gain is None:
             weight = np.where(there, 1.0 / np.sqrt(own**2 + tau**2), 0.0)
             return Whitening(weight, None, np.log(np.where(there, weight, 1.0)).sum(axis=-1))
         own, tau = np.where(there, own, 1.0), np.where(there, tau, 0.0)
         covariance = own[..., :, None] * self.correlation * own[..., None, :]
-        factor = np.linalg.cholesky(covariance + tau[..., None] ** 2 * np.eye(own.shape[-1]))
+        spread = tau[..., None, :] * (np.eye(own.shape[-1]) if self.error_gain is None else self.error_gain)
+        factor = np.linalg.cholesky(covariance + spread @ np.swapaxes(spread, -1, -2))
         log_det = -np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
         return Whitening(None, np.linalg.inv(factor), log_det)
 
@@ -201,7 +223,7 @@ class CalibrationLikelihood:
             error, slope, _ = self.linearise(theta, pose, white)
             return Stand(pose, error, slope)
         shape, n, q = pose.shape[:2], len(self.model.channels), pose.shape[-1]
-        found = Stand(pose, np.empty((*shape, n)), np.empty((*shape, n, q)), np.empty(shape))
+        found = Stand(pose, *(np.empty((*shape, *own)) for own in ((n,), (n, q), (), ())))
         going = np.arange(len(theta))
         if start is None and self.expansion is not None:
             going = self._follow_chords(found, theta, white, self.expansion)
@@ -222,7 +244,9 @@ class CalibrationLikelihood:
             factor = factorise(slope)
             step, _ = solve_step(slope, factor, error)
             left = subtract_step(slope, step, error)
-            found.volume[going] = log_root(factor)
+        assert found.known_volume is not None
+        assert found.known_prior is not None
+        found.known_volume[going], found.known_prior[going] = log_root(factor), self._weigh_poses(slope, white)
         pose, size = found.pose[going] + step, np.abs(error - left).max(axis=-1)
         largest = np.nanmax(size, axis=1, initial=0.0)
         near = np.flatnonzero((largest > CLOSE) & (largest <= NEAR))
@@ -246,8 +270,8 @@ class CalibrationLikelihood:
         """
         good = near.measure(theta) <= near.limit
         close = np.where(good, near.close, CHORD)
-        pose, slope = near.predict(theta)
-        slope = white.rows(slope)
+        pose, raw = near.predict(theta)
+        slope = white.rows(raw)
         size, going = np.full(pose.shape[:2], np.inf), np.arange(len(theta))
         with np.errstate(all="ignore"):
             factor = factorise(slope)
@@ -264,7 +288,9 @@ class CalibrationLikelihood:
                 if not len(going):
                     break
             good[going] = False
-            found.volume[:] = log_root(factor)
+            assert found.known_volume is not None
+            assert found.known_prior is not None
+            found.known_volume[:], found.known_prior[:] = log_root(factor), self._weigh_poses(raw)
         astray = ~(np.isfinite(pose).all(axis=-1) & (size < ASTRAY))[..., None]
         np.copyto(found.pose, pose, where=~astray)
         found.slope[:] = slope
@@ -340,16 +366,18 @@ class CalibrationLikelihood:
         return replace(bent, limit=self._find_limit(bent, spread))
 
     def differentiate_volume(self, theta: Array, white: Whitening, slope: Array) -> Array | None:
-        """Return the derivative of Σ ½ log |HᵀΣ⁻¹H| by the parameters, (D,), for a machine (D,) and its H (P, K, q).
+        """Return the derivative of Σ `log_volume` by the parameters, (D,), for a machine (D,) and its white H (P, K, q).
 
         None where H is not taken from the expansion.
         """
         near = self.expansion
         if near is None or near.bends is None or near.measure(theta[None])[0] > near.limit:
             return None
-        result = np.zeros(len(theta))
-        rows = white.rows(near.by_parameter)
-        result[near.free] = np.einsum("pik,fpki->f", invert(slope, 0.0), rows, optimize=True)
+        result, bends, commanded = np.zeros(len(theta)), near.by_parameter, self.data.commanded
+        result[near.free] = -np.einsum("pik,fpki->f", invert(slope, 0.0), white.rows(bends), optimize=True)
+        if commanded is not None:
+            own = np.where(commanded[..., None], near.predict(theta[None])[1][0], 0.0)
+            result[near.free] += np.einsum("pik,fpki->f", invert(own, 0.0), bends, optimize=True)
         return result
 
     def _raw_slopes(self, theta: Array, pose: Array) -> Array:
@@ -363,7 +391,7 @@ class CalibrationLikelihood:
         exact = self.stand(spread, white, self.start)
         found = Stand(*(np.empty_like(one) for one in vars(exact).values()))
         lost = self._follow_chords(found, spread, white, bent)
-        rough, fine = ((0.5 * one.square + one.volume).sum(axis=1) for one in (found, exact))
+        rough, fine = ((self.log_volume(one, white) - 0.5 * one.square).sum(axis=1) for one in (found, exact))
         error, square = np.abs(rough - fine), bent.measure(spread)
         error[lost] = np.nan
         known = np.isfinite(error)
@@ -394,7 +422,7 @@ class CalibrationLikelihood:
         def weigh(part: slice) -> None:
             white = self.whiten(own[part], tau[part])
             at = self.stand(theta[part], white)
-            result[part] = self.weigh(at.square) + white.log_det - at.volume
+            result[part] = self.weigh(at.square) + white.log_det + self.log_volume(at, white)
 
         _ = self.expansion  # made once, not by each thread
         map_in_threads(weigh, list(self.batches(len(theta))))
@@ -402,13 +430,28 @@ class CalibrationLikelihood:
         return result
 
     def weigh(self, square: Array) -> Array:
-        """Return the log-density of what is left, of unit covariance, from r² (C, P), and the pose's prior."""
+        """Return the log-density of what is left, of unit covariance, from r² (C, P)."""
         m, nu = self.n_spare, self.freedom
-        flat = -np.log(self.volume)
         if not np.isfinite(nu):
-            return np.asarray(flat - 0.5 * square - 0.5 * m * np.log(2.0 * np.pi))
+            return np.asarray(-0.5 * square - 0.5 * m * np.log(2.0 * np.pi))
         constant = gammaln(0.5 * (nu + m)) - gammaln(0.5 * nu) - 0.5 * m * np.log(nu * np.pi)
-        return np.asarray(flat + constant - 0.5 * (nu + m) * np.log1p(square / nu))
+        return np.asarray(constant - 0.5 * (nu + m) * np.log1p(square / nu))
+
+    def log_volume(self, at: Stand, white: Whitening) -> Array:
+        """Return the log of what white readings leave of the pose's volume, times its prior density there, (C, P)."""
+        prior = self._weigh_poses(at.slope, white) if at.known_prior is None else at.known_prior
+        return np.asarray(prior - at.volume)
+
+    def _weigh_poses(self, slope: Array, white: Whitening | None = None) -> Array:
+        """Return the log-density of poses before anything is read, (C, P), from H (C, P, K, q), white by ``white``."""
+        commanded = self.data.commanded
+        if commanded is None or not slope.shape[-1]:
+            return np.full(slope.shape[:2], -np.log(self.volume))
+        if white is not None:
+            slope = np.stack([white.colour(slope[..., i]) for i in range(slope.shape[-1])], axis=-1)
+        some = commanded.any(axis=0)
+        measure = half_log_volume(np.where(commanded[:, some, None], slope[:, :, some], 0.0))
+        return np.where(commanded.any(axis=1), measure, -np.log(self.volume))
 
     def trust(self, square: Array) -> Array:
         """Return the mean of each pose's precision w, (C, P); one where the density is normal."""

@@ -83,7 +83,7 @@ class NoiseModel:
         tau = np.concatenate([natural[:, n:], zero], axis=1)[:, self.tau_of]
         return factor[:, None] * sd, tau[:, None]
 
-    def covariance_slopes(self, zeta: Array, sd: Array, correlation: Array) -> Array:
+    def covariance_slopes(self, zeta: Array, sd: Array, correlation: Array, gain: Array | None = None) -> Array:
         """Return the derivatives of the readings' covariance by the coordinates at (n,), shape (n, P, K, K).
 
         Parameters
@@ -91,6 +91,8 @@ class NoiseModel:
         zeta : ndarray, shape (n,)
         sd : ndarray, shape (P, K)
         correlation : ndarray, shape (P, K, K) or (1, K, K)
+        gain : ndarray, shape (P, K, K), optional
+            How model errors show in the readings; each in its own where it is None.
         """
         own, _ = (one[0] for one in self.deviations(zeta[None], sd))
         stated = own[:, :, None] * correlation * own[:, None, :]
@@ -102,7 +104,8 @@ class NoiseModel:
         for k, scale in enumerate(self.tau_scale):
             size, at = natural[n + k], zeta[n + k]
             speed = 0.5 * scale * np.exp(0.5 * ((size / scale) ** 2 - at**2))
-            slopes[n + k] = np.diag(np.where(self.tau_of == k, 2.0 * size * speed, 0.0))
+            variance = np.where(self.tau_of == k, 2.0 * size * speed, 0.0)
+            slopes[n + k] = np.diag(variance) if gain is None else gain * variance @ np.swapaxes(gain, -1, -2)
         return slopes
 
 

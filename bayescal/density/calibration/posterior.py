@@ -16,7 +16,7 @@ from scipy.special import ndtr
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
 from bayescal.density.calibration.noise import NoiseModel
 from bayescal.density.calibration.whitening import Whitening
-from bayescal.density.elimination import half_log_volume, invert, left_of, project_out
+from bayescal.density.elimination import invert, left_of, project_out
 from bayescal.density.local import Funnel
 from bayescal.density.priors import Prior, UniformPrior
 from bayescal.density.readings.change import change_density
@@ -238,7 +238,8 @@ class CalibrationPosterior:
     ) -> None:
         """Add the noise's part, its expected curvature in place of the exact one."""
         m, there = self.n_geometry, self.likelihood.data.present
-        slopes = self.noise.covariance_slopes(y[m:], self.likelihood.sd, self.likelihood.correlation)
+        likelihood = self.likelihood
+        slopes = self.noise.covariance_slopes(y[m:], likelihood.sd, likelihood.correlation, likelihood.error_gain)
         slopes = np.where(there[:, :, None] & there[:, None, :], slopes, 0.0)
         both = white.rows(np.swapaxes(white.rows(slopes), -1, -2))
         square = np.einsum("p,pk,npkl,pl->n", trust, error, both, error, optimize=True)
@@ -247,26 +248,27 @@ class CalibrationPosterior:
         hessian[m:, m:] -= 0.5 * np.einsum("npkl,oplk->no", seen, seen, optimize=True)
 
     def _volume_slope(self, y: Array, white: Whitening, slope: Array) -> Array:
-        """Return the derivative of -½ Σ log |HᵀΣ⁻¹H| by the geometry's coordinates at y and its white H, (m,).
+        """Return the derivative of the poses' log-volumes by the geometry's coordinates at y and its white H, (m,).
 
-        By the expansion where the density takes H from there, by central differences elsewhere.
+        That of -½ Σ log |HᵀΣ⁻¹H|, and of the measure of poses that were commanded: by the expansion where the density
+        takes H from there, by central differences elsewhere.
         """
         m, likelihood = self.n_geometry, self.likelihood
         if not likelihood.start.shape[-1]:
             return np.zeros(m)
         by_parameters = likelihood.differentiate_volume(self.theta(y[None])[0], white, slope)
         if by_parameters is not None:
-            return -self.moves(y) @ by_parameters
+            return self.moves(y) @ by_parameters
         moves = STEP * np.eye(self.n_parameters)[:m]
         points = y + np.concatenate([moves, -moves])
         values = np.concatenate([self._log_volume(points[part]) for part in likelihood.batches(2 * m)])
         return np.asarray((values[:m] - values[m:]) / (2.0 * STEP))
 
     def _log_volume(self, y: Array) -> Array:
-        """Return -½ Σ log |HᵀΣ⁻¹H| of machines (B, n) right where they stand, shape (B,)."""
+        """Return the log-volumes of all poses of machines (B, n) right where they stand, shape (B,)."""
         white, at = self.stand(y)  # whose H is that of a pose close by, the same for machines that are much alike
         slope = self.likelihood.linearise(self.theta(y), at.pose, white)[1]
-        return -half_log_volume(slope).sum(axis=1)
+        return self.likelihood.log_volume(Stand(at.pose, at.error, slope), white).sum(axis=1)
 
     # --- climbing ------------------------------------------------------------------------------------------------
 
