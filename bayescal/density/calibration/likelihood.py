@@ -39,6 +39,7 @@ from bayescal.density.elimination import (
     log_root,
     solve_step,
     subtract_step,
+    whiten_covariance,
 )
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
@@ -49,6 +50,7 @@ CLOSE = 0.03  # deviations of a reading, below which a step is taken to first or
 NEAR = 0.3  # deviations of a reading, within which H is taken for constant
 CHORD, ASTRAY = 0.1, 1.0  # length of white readings that a chord moves by, where chords end and where they are lost
 LEFT = 1e-5  # deviations of a reading that a step taken to first order may leave out
+STEP = 0.01  # of what a parameter's machines deviate, for the derivative of H: it has to hold where many compensate
 NATS, LARGEST_CHANGE = 1e-3, 0.1  # of the log-density that an expansion may be wrong by; square of the change of H
 TRIALS = 4  # directions in which poses are moved to see how straight the readings are
 MAX_STEPS, MAX_CHORDS, MAX_SEARCH, PATIENCE = 30, 8, 60, 4
@@ -107,6 +109,8 @@ class CalibrationLikelihood:
         A machine near those that are asked for, which explains the readings at ``start``.
     spread : ndarray, shape (n, D), or None
         Machines about as far from it as those that are asked for, by which its expansion is tried.
+    reference : Whitening or None
+        The noise, of one machine, at which it is; as stated by default.
     """
 
     model: ReadingModel
@@ -116,6 +120,7 @@ class CalibrationLikelihood:
     freedom: float = GAUSSIAN
     anchor: Array | None = None
     spread: Array | None = None
+    reference: Whitening | None = None
 
     @cached_property
     def n_readings(self) -> np.ndarray:
@@ -169,14 +174,16 @@ class CalibrationLikelihood:
 
     def pick(self, which: np.ndarray) -> CalibrationLikelihood:
         """Return the density of the readings of some poses."""
-        return replace(self, data=self.data.pick(which), start=self.start[which])
+        return replace(self, data=self.data.pick(which), start=self.start[which], reference=None)
 
-    def anchored(self, pose: Array, theta: Array, spread: Array | None = None) -> CalibrationLikelihood:
+    def anchored(
+        self, pose: Array, theta: Array, spread: Array | None = None, reference: Whitening | None = None
+    ) -> CalibrationLikelihood:
         """Return the same density that starts at those poses (P, q) which a machine (D,) explains readings with.
 
-        With others (n, D) its H is used for machines like these, as far as it is good enough.
+        With others (n, D) its H is used for machines like these, as far as it is good enough at a noise (1, P).
         """
-        return replace(self, start=pose, anchor=theta, spread=spread)
+        return replace(self, start=pose, anchor=theta, spread=spread, reference=reference)
 
     # --- poses ---------------------------------------------------------------------------------------------------
 
@@ -186,12 +193,15 @@ class CalibrationLikelihood:
         if self.data.correlation is None and self.error_gain is None:
             weight = np.where(there, 1.0 / np.sqrt(own**2 + tau**2), 0.0)
             return Whitening(weight, None, np.log(np.where(there, weight, 1.0)).sum(axis=-1))
+        if len(own) > 1 and (own == own[:1]).all() and (tau == tau[:1]).all():  # noise that is known
+            one = self.whiten(own[:1], tau[:1])
+            assert one.matrix is not None
+            many = np.broadcast_to(one.matrix, (len(own), *one.matrix.shape[1:]))
+            return Whitening(None, many, np.broadcast_to(one.log_det, many.shape[:2]))
         own, tau = np.where(there, own, 1.0), np.where(there, tau, 0.0)
         covariance = own[..., :, None] * self.correlation * own[..., None, :]
         spread = tau[..., None, :] * (np.eye(own.shape[-1]) if self.error_gain is None else self.error_gain)
-        factor = np.linalg.cholesky(covariance + spread @ np.swapaxes(spread, -1, -2))
-        log_det = -np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-        return Whitening(None, np.linalg.inv(factor), log_det)
+        return Whitening(None, *whiten_covariance(covariance + spread @ np.swapaxes(spread, -1, -2)))
 
     def linearise(
         self, theta: Array, pose: Array, white: Whitening, with_parameters: bool = False
@@ -301,7 +311,7 @@ class CalibrationLikelihood:
         """What machines near the anchor have in common; None without one."""
         if self.anchor is None or not self.start.shape[-1]:
             return None
-        white = self.whiten(self.sd[None], np.zeros((1, 1, len(self.model.channels))))
+        white = self.reference or self.whiten(self.sd[None], np.zeros((1, 1, len(self.model.channels))))
         with np.errstate(all="ignore"):
             here = self.model.linearise(self.anchor[None, None], self.start[None], True, self._given)
             error = self.comparison.subtract(self.data.values, here.values)
@@ -320,7 +330,7 @@ class CalibrationLikelihood:
                 np.zeros((len(self.anchor),) * 2),
                 -np.inf,
             )
-            return first if self.spread is None else self._bend(first, self.spread)
+            return first if self.spread is None else self._bend(first, self.spread, white)
 
     def _measure_straightness(self, white: Whitening, slope: Array) -> float:
         """Return how many white readings a pose may move by, to first order, by the readings' curvature there."""
@@ -335,13 +345,13 @@ class CalibrationLikelihood:
         curvature = 0.5 * np.nan_to_num(np.abs(up + down - 2.0 * here)).max(initial=0.0)
         return float(np.clip(np.sqrt(LEFT / max(curvature, LEFT)), CLOSE, 1.0))
 
-    def _bend(self, first: Expansion, spread: Array) -> Expansion:
+    def _bend(self, first: Expansion, spread: Array, reference: Whitening) -> Expansion:
         """Return an expansion with derivatives of H by what differs among machines (n, D), and how far it is good."""
         free = np.flatnonzero((spread != spread[:1]).any(axis=0))
         if not len(free) or len(free) * first.slope.size > LARGEST:
             return first
         change = np.zeros((len(free), len(first.anchor)))
-        change[np.arange(len(free)), free] = spread[:, free].std(axis=0)
+        change[np.arange(len(free)), free] = STEP * spread[:, free].std(axis=0)
         pose = (change @ first.moves).reshape(-1, *self.start.shape)
         bends = np.empty((len(free), *first.slope.shape))
         for part in self.batches(len(free)):
@@ -363,7 +373,7 @@ class CalibrationLikelihood:
         if not np.isfinite(metric).all():
             return first
         bent = replace(bent, metric=metric)
-        return replace(bent, limit=self._find_limit(bent, spread))
+        return replace(bent, limit=self._find_limit(bent, spread, reference))
 
     def differentiate_volume(self, theta: Array, white: Whitening, slope: Array) -> Array | None:
         """Return the derivative of Σ `log_volume` by the parameters, (D,), for a machine (D,) and its white H (P, K, q).
@@ -384,10 +394,9 @@ class CalibrationLikelihood:
         here = self.model.linearise(theta[:, None], pose, False, self._given)
         return self._pull_back(self.comparison.subtract(self.data.values, here.values), here.values, here.by_pose)
 
-    def _find_limit(self, bent: Expansion, spread: Array) -> float:
+    def _find_limit(self, bent: Expansion, spread: Array, reference: Whitening) -> float:
         """Return up to which change of H an expansion is good enough, from the error it makes for machines (n, D)."""
-        own = np.broadcast_to(self.sd, (len(spread), *self.sd.shape))
-        white = self.whiten(own, np.zeros((1, 1, own.shape[-1])))
+        white = reference.pick(np.zeros(len(spread), dtype=int))
         exact = self.stand(spread, white, self.start)
         found = Stand(*(np.empty_like(one) for one in vars(exact).values()))
         lost = self._follow_chords(found, spread, white, bent)

@@ -283,13 +283,13 @@ class CalibrationPosterior:
     def anchored(self) -> CalibrationPosterior:
         """Return the same posterior that looks for poses from those of the least-squares solution."""
         y, pose = self.fit(np.zeros(self.n_parameters), self.likelihood.start)
-        theta = self.theta(y[None])[0]
-        return replace(self, likelihood=self.likelihood.anchored(pose, theta, self._draw_near(y, pose)))
+        theta, white = self.theta(y[None])[0], self.likelihood.whiten(*self.deviations(y[None]))
+        near = self.likelihood.anchored(pose, theta, self._draw_near(y, pose, white), white)
+        return replace(self, likelihood=near)
 
-    def _draw_near(self, y: Array, pose: Array) -> Array:
+    def _draw_near(self, y: Array, pose: Array, white: Whitening) -> Array:
         """Return machines (n, D) that are off the best one y (n,) thrice as far as the posterior's, always the same."""
         with np.errstate(all="ignore"):
-            white = self.likelihood.whiten(*self.deviations(y[None]))
             _, slope, by_parameters = self.rows(y, white, pose[None])
             rows = project_out(slope) @ by_parameters
         hessian = np.eye(self.n_geometry) + np.einsum("pki,pkj->ij", rows, rows, optimize=True)
