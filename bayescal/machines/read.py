@@ -224,7 +224,7 @@ def read_reading_model(path: Path) -> ReadingModel:
     """
     content, text = read_toml(path)
     kind = content.get("kind")
-    if kind in READERS:
+    if isinstance(kind, str) and kind in READERS:
         return READERS[kind](path)
     if not isinstance(kind, str):
         names = ", ".join(sorted([*READERS, *list_references("MACHINES")]))

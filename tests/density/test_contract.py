@@ -49,7 +49,8 @@ def draw(path, name, n_draws):
     z = np.random.default_rng(28).standard_normal((len(mode), n_draws))
     y = np.concatenate([mode[None], mode + np.linalg.solve(factor.T, z).T])
     noise = inputs.config.data.actuator_noise_um * MICROMETRE
-    return inputs.machine(variant), inputs.poses(verification=False), noise, posterior.theta(y), posterior.tau(y)
+    tau = posterior.errors.tau(posterior.zeta(y))
+    return inputs.machine(variant), inputs.poses(verification=False), noise, posterior.theta(y), tau
 
 
 def compare(machine, poses, noise, theta, tau):

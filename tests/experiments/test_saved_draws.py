@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from calibration_problems import correlation_of, density, linear_model, measurements, stated_noise
+from calibration_problems import correlation_of, density, linear_model, measurements
 from scipy import stats
 
-from bayescal.density.calibration.posterior import HALF_LOG_TWO_PI, CalibrationPosterior
+from bayescal.density.calibration.outliers import Outliers
+from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.terms import HALF_LOG_TWO_PI, Errors
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.experiments.shared.reading_trees import save_draws
 
@@ -27,7 +29,7 @@ def make_posterior(rng, truth, noise=1.0, correlated=False, robust=np.inf):
     data = measurements(values, 0.3, correlation if correlated else None)
     names = model.layout.names
     priors = {names[0]: NormalPrior(0.0, 1.0), names[1]: UniformPrior(-2.0, 2.0), names[2]: NormalPrior(0.0, 0.5)}
-    return CalibrationPosterior(density(model, data, nu=robust), priors, stated_noise(N_READINGS), {}, {})
+    return CalibrationPosterior(density(model, data), priors, Errors((), Outliers(robust)))
 
 
 def draw_truth(rng):

@@ -5,12 +5,7 @@ pose v̂ that explains them best the density
 
     p(s | d) = (2π)^(-m/2) |Σ|^(-1/2) |HᵀΣ⁻¹H|^(-1/2) exp(-½ r²) / V,   r² = r̂ᵀ Σ⁻¹ r̂,   r̂ = s - h(v̂, d),
 
-with m = n - q. A robust one lets each pose have a precision w of its own, Gamma(ν/2, ν/2) distributed, that all its
-readings share: what went wrong at a pose spoils it as a whole. Integrated over w,
-
-    p(s | d) = Γ((ν + m)/2) / Γ(ν/2) (νπ)^(-m/2) |Σ|^(-1/2) |HᵀΣ⁻¹H|^(-1/2) (1 + r²/ν)^(-(ν + m)/2) / V,
-
-and (ν + m) / (ν + r²), the mean of w, says how far a pose is to be trusted.
+with m = n - q, and where single rows may be wrong that of `outliers.Outliers` in place of the normal one of r̂.
 
 Where the data say which channels c the machine was commanded by, the pose is uniformly distributed in these and not in
 its coordinates: |∂h_c/∂v| takes the place of 1/V, sqrt |JᵀJ| with J = ∂h_c/∂v where they are more than the
@@ -26,10 +21,10 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import gammaln
 
 from bayescal.density.calibration.expansion import LARGEST, Expansion
 from bayescal.density.calibration.measurements import CONSTRAINT, Comparison, Measurements
+from bayescal.density.calibration.outliers import NORMAL, Outliers
 from bayescal.density.calibration.whitening import Whitening
 from bayescal.density.elimination import (
     factorise,
@@ -54,7 +49,6 @@ STEP = 0.01  # of what a parameter's machines deviate, for the derivative of H: 
 NATS, LARGEST_CHANGE = 1e-3, 0.1  # of the log-density that an expansion may be wrong by; square of the change of H
 TRIALS = 4  # directions in which poses are moved to see how straight the readings are
 MAX_STEPS, MAX_CHORDS, MAX_SEARCH, PATIENCE = 30, 8, 60, 4
-GAUSSIAN = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +97,6 @@ class CalibrationLikelihood:
         V, in the units of the coordinates.
     start : ndarray, shape (P, q)
         Poses from which the best ones are looked for.
-    freedom : float
-        ν of a robust density; infinite for a normal one.
     anchor : ndarray, shape (D,), or None
         A machine near those that are asked for, which explains the readings at ``start``.
     spread : ndarray, shape (n, D), or None
@@ -117,7 +109,6 @@ class CalibrationLikelihood:
     data: Measurements
     volume: float
     start: Array
-    freedom: float = GAUSSIAN
     anchor: Array | None = None
     spread: Array | None = None
     reference: Whitening | None = None
@@ -375,13 +366,20 @@ class CalibrationLikelihood:
         bent = replace(bent, metric=metric)
         return replace(bent, limit=self._find_limit(bent, spread, reference))
 
+    def is_near(self, theta: Array) -> np.ndarray:
+        """Return of which machines (C, D) the density takes H from the expansion, shape (C,)."""
+        near = self.expansion
+        return np.zeros(len(theta), dtype=bool) if near is None else near.measure(theta) <= near.limit
+
     def differentiate_volume(self, theta: Array, white: Whitening, slope: Array) -> Array | None:
-        """Return the derivative of Σ `log_volume` by the parameters, (D,), for a machine (D,) and its white H (P, K, q).
+        """Return the derivative of Σ `log_volume` by the parameters, (D,), for a machine (D,) of white H (P, K, q).
 
         None where H is not taken from the expansion.
         """
         near = self.expansion
-        if near is None or near.bends is None or near.measure(theta[None])[0] > near.limit:
+        if not self.start.shape[-1]:
+            return np.zeros(len(theta))
+        if near is None or not self.is_near(theta[None]).all():
             return None
         result, bends, commanded = np.zeros(len(theta)), near.by_parameter, self.data.commanded
         result[near.free] = -np.einsum("pik,fpki->f", invert(slope, 0.0), white.rows(bends), optimize=True)
@@ -416,7 +414,7 @@ class CalibrationLikelihood:
         ends = np.arange(count + 1) * n // max(1, count)
         yield from (slice(int(one), int(other)) for one, other in pairwise(ends))
 
-    def pointwise(self, theta: Array, own: Array, tau: Array) -> Array:
+    def pointwise(self, theta: Array, own: Array, tau: Array, outliers: Outliers = NORMAL) -> Array:
         """Return the log-density of each pose's readings, (C, P), -inf where a machine cannot stand.
 
         Parameters
@@ -425,26 +423,23 @@ class CalibrationLikelihood:
         own : ndarray, shape (C, P, K)
             s σ.
         tau : ndarray, shape (C, 1, K)
+        outliers : Outliers, optional
         """
         result = np.empty((len(theta), self.data.n_poses))
 
         def weigh(part: slice) -> None:
             white = self.whiten(own[part], tau[part])
             at = self.stand(theta[part], white)
-            result[part] = self.weigh(at.square) + white.log_det + self.log_volume(at, white)
+            result[part] = outliers.weigh(at.square, self.n_spare) + self.offset(white, at)
 
         _ = self.expansion  # made once, not by each thread
         map_in_threads(weigh, list(self.batches(len(theta))))
         result[~np.isfinite(result)] = -np.inf
         return result
 
-    def weigh(self, square: Array) -> Array:
-        """Return the log-density of what is left, of unit covariance, from r² (C, P)."""
-        m, nu = self.n_spare, self.freedom
-        if not np.isfinite(nu):
-            return np.asarray(-0.5 * square - 0.5 * m * np.log(2.0 * np.pi))
-        constant = gammaln(0.5 * (nu + m)) - gammaln(0.5 * nu) - 0.5 * m * np.log(nu * np.pi)
-        return np.asarray(constant - 0.5 * (nu + m) * np.log1p(square / nu))
+    def offset(self, white: Whitening, at: Stand) -> Array:
+        """Return what the log-density of each pose has beside that of the white residual, (C, P)."""
+        return np.asarray(white.log_det + self.log_volume(at, white))
 
     def log_volume(self, at: Stand, white: Whitening) -> Array:
         """Return the log of what white readings leave of the pose's volume, times its prior density there, (C, P)."""
@@ -461,12 +456,6 @@ class CalibrationLikelihood:
         some = commanded.any(axis=0)
         measure = half_log_volume(np.where(commanded[:, some, None], slope[:, :, some], 0.0))
         return np.where(commanded.any(axis=1), measure, -np.log(self.volume))
-
-    def trust(self, square: Array) -> Array:
-        """Return the mean of each pose's precision w, (C, P); one where the density is normal."""
-        if not np.isfinite(self.freedom):
-            return np.ones_like(square)
-        return np.asarray((self.freedom + self.n_spare) / (self.freedom + square))
 
 
 def search_poses(

@@ -35,6 +35,8 @@ class Measurements:
         Of the noise; the identity where it is None.
     commanded : ndarray of bool, shape (P, K), or None
         Which readings are positions that the machine was commanded to; none where it is None.
+    order : ndarray of int, shape (P,)
+        Places of the poses among all that were read, by default as they stand here.
     """
 
     poses: tuple[str, ...]
@@ -43,6 +45,12 @@ class Measurements:
     given: Mapping[str, Array] = field(default_factory=dict)
     correlation: Array | None = None
     commanded: np.ndarray | None = None
+    order: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
+
+    def __post_init__(self) -> None:
+        """Count the poses where their order is not stated."""
+        if len(self.order) != len(self.poses):
+            object.__setattr__(self, "order", np.arange(len(self.poses)))
 
     @cached_property
     def present(self) -> np.ndarray:
@@ -60,7 +68,8 @@ class Measurements:
         given = {name: value[which] for name, value in self.given.items()}
         correlation = None if self.correlation is None else self.correlation[which]
         commanded = None if self.commanded is None else self.commanded[which]
-        return Measurements(names, self.values[which], self.sd[which], given, correlation, commanded)
+        order = self.order[which]
+        return Measurements(names, self.values[which], self.sd[which], given, correlation, commanded, order)
 
     def only(self, channels: np.ndarray) -> Measurements:
         """Return the measurements with the readings of other channels, given by a mask (K,) or (P, K), left out.

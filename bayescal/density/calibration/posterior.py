@@ -1,31 +1,29 @@
-"""Posterior of a calibration: priors by parameter, unknown noise, readings with their poses eliminated.
+"""Posterior of a calibration: priors by parameter, errors as a composition of terms, poses eliminated.
 
 Coordinates are standard normal under the prior: a normal prior's parameter in its standard deviations, a uniform one's
-by Φ, those of the noise by `noise.NoiseModel`.
+by Φ, those of the errors as their terms say (`terms.Errors`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtr
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
-from bayescal.density.calibration.noise import NoiseModel
-from bayescal.density.calibration.whitening import Whitening
-from bayescal.density.elimination import invert, left_of, project_out
+from bayescal.density.calibration.terms import HALF_LOG_TWO_PI, CommonDraws, Errors
+from bayescal.density.calibration.whitening import Whitening, WhiteResiduals
+from bayescal.density.elimination import invert, left_of, orthonormalise, project_out
 from bayescal.density.local import Funnel
+from bayescal.density.low_rank_columns import Coefficients, find_coefficients, split
 from bayescal.density.priors import Prior, UniformPrior
-from bayescal.density.readings.change import change_density
-from bayescal.density.readings.left_over import LeftOver
 from bayescal.errors import InputError, NumericalError
 from bayescal.numerics.geometry import Array
 
-HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
-STEP = 1e-4  # of a coordinate, for the slope of the poses' volume
+STEP = 1e-4  # of a coordinate, for the slope of the logarithms of volumes
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
 NEARBY, FAR = 8, 3.0  # machines by which the density is tried about its anchor, and how many deviations they are off
 GAIN = 1e-12  # of the squares, below which the search has arrived
@@ -35,14 +33,14 @@ MAX_ITERATIONS = 200
 
 @dataclass(frozen=True, eq=False)
 class CalibrationPosterior:
-    """Posterior of free parameters and unknown noise; a `bayescal.inference.target.Target`.
+    """Posterior of free parameters and of what is unknown of the errors; a `bayescal.inference.target.Target`.
 
     Attributes
     ----------
     likelihood : CalibrationLikelihood
     priors : mapping of name to Prior
         Of the free parameters.
-    noise : NoiseModel
+    errors : Errors
     fixed : mapping of parameter name to float
         Values of fixed parameters that are not nominal.
     common : mapping of name to tuple of parameter names
@@ -51,9 +49,9 @@ class CalibrationPosterior:
 
     likelihood: CalibrationLikelihood
     priors: Mapping[str, Prior]
-    noise: NoiseModel
-    fixed: Mapping[str, float]
-    common: Mapping[str, tuple[str, ...]]
+    errors: Errors = Errors()
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    common: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the names."""
@@ -72,14 +70,14 @@ class CalibrationPosterior:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the free parameters, then of the noise's."""
-        return (*self.geometry_names, *self.noise.names)
+        """Names of the free parameters, then of the errors'."""
+        return (*self.geometry_names, *self.errors.names)
 
     @cached_property
     def units(self) -> tuple[str, ...]:
         """Units of all."""
         units = self.likelihood.model.layout.units
-        return (*(units[self.places(name)[0]] for name in self.geometry_names), *self.noise.units)
+        return (*(units[self.places(name)[0]] for name in self.geometry_names), *self.errors.units)
 
     def places(self, name: str) -> list[int]:
         """Return where the parameters of a coordinate stand in the layout."""
@@ -89,7 +87,7 @@ class CalibrationPosterior:
     @property
     def n_parameters(self) -> int:
         """Number n of coordinates."""
-        return len(self.priors) + self.noise.n_parameters
+        return len(self.priors) + self.errors.n_parameters
 
     @property
     def n_geometry(self) -> int:
@@ -123,7 +121,12 @@ class CalibrationPosterior:
     @cached_property
     def prior_sd(self) -> Array:
         """Standard deviations of all priors, shape (n,)."""
-        return np.concatenate([[self.priors[name].sd for name in self.geometry_names], self.noise.prior_sd()])
+        return np.array([prior.sd for prior in self._ordered])
+
+    @cached_property
+    def _ordered(self) -> tuple[Prior, ...]:
+        """Priors of all coordinates, in order."""
+        return (*(self.priors[name] for name in self.geometry_names), *self.errors.priors)
 
     @cached_property
     def _uniform(self) -> tuple[np.ndarray, Array]:
@@ -142,43 +145,48 @@ class CalibrationPosterior:
         uniform, width = self._uniform
         return np.where(uniform, np.exp(-0.5 * y * y - HALF_LOG_TWO_PI) * width, width)
 
+    def zeta(self, y: Array) -> Array:
+        """Return the coordinates of the errors, (..., n) to (..., n - m)."""
+        return y[..., self.n_geometry :]
+
     def theta(self, y: Array) -> Array:
         """Return full parameter vectors (B, D) of coordinates (B, n)."""
         return np.asarray(self.centre + self._deviate(y[..., : self.n_geometry]) @ self._moves)
 
     def natural(self, y: Array) -> Array:
-        """Return parameters and noise in their own units, (..., n)."""
+        """Return parameters and what is unknown of the errors in their own units, (..., n)."""
         geometry = self.centre[self._first] + self._deviate(y[..., : self.n_geometry])
-        return np.concatenate([geometry, self.noise.natural(y[..., self.n_geometry :])], axis=-1)
+        return np.concatenate([geometry, self.errors.natural(self.zeta(y))], axis=-1)
 
     # --- density -------------------------------------------------------------------------------------------------
 
     def log_prior(self, y: Array) -> Array:
         """Return the log-prior in the coordinates, (B, n) to (B,)."""
-        return np.asarray(-0.5 * np.einsum("...i,...i->...", y, y) - self.n_parameters * HALF_LOG_TWO_PI)
+        place = np.concatenate([y[..., : self.n_geometry], self.errors.deviation(self.zeta(y))], axis=-1)
+        constant = self.n_parameters * HALF_LOG_TWO_PI + len(self.errors.switches) * np.log(2.0)
+        return np.asarray(-0.5 * np.einsum("...i,...i->...", place, place) - constant)
 
     def log_coordinates(self, y: Array) -> Array:
         """Return the log-prior of each coordinate, (..., n)."""
-        return np.asarray(-0.5 * y**2 - HALF_LOG_TWO_PI)
+        geometry = -0.5 * y[..., : self.n_geometry] ** 2 - HALF_LOG_TWO_PI
+        return np.concatenate([geometry, self.errors.log_coordinates(self.zeta(y))], axis=-1)
 
     def log_parameters(self, y: Array) -> Array:
-        """Return the log-prior of each parameter in its own unit, (..., n)."""
-        return change_density(self.log_coordinates(y), self.natural, y)
-
-    def deviations(self, y: Array) -> tuple[Array, Array]:
-        """Return s σ (B, P, K) and τ (B, 1, K) at coordinates (B, n)."""
-        return self.noise.deviations(y[:, self.n_geometry :], self.likelihood.sd)
-
-    def finer(self) -> None:
-        """Return None: the density leaves nothing out."""
-
-    def pointwise(self, y: Array) -> Array:
-        """Return the log-likelihood of each pose's readings, (B, n) to (B, P)."""
-        return self.likelihood.pointwise(self.theta(y), *self.deviations(y))
+        """Return the log-prior of each parameter in its own unit, (..., n); of no error its probability."""
+        natural = self.natural(y)
+        return np.stack([prior.log_density(natural[..., k]) for k, prior in enumerate(self._ordered)], axis=-1)
 
     def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
         """Return draws of the prior in the coordinates, shape (n_draws, n)."""
-        return rng.standard_normal((n_draws, self.n_parameters))
+        return self.errors.draw_prior(rng.standard_normal((n_draws, self.n_parameters)), self.n_geometry, rng)
+
+    def deviations(self, y: Array, other: CalibrationLikelihood | None = None) -> tuple[Array, Array]:
+        """Return f σ (B, P, K) and the root of the variances beside (B, 1 or P, K) at coordinates (B, n)."""
+        likelihood = other or self.likelihood
+        return self.errors.deviations(self.zeta(y), likelihood.data, likelihood.sd)
+
+    def finer(self) -> None:
+        """Return None: the density leaves nothing out."""
 
     def log_density(self, y: Array) -> Array:
         """Return log-likelihood plus log-prior, (B, n) to (B,), -inf where there is no machine."""
@@ -186,19 +194,109 @@ class CalibrationPosterior:
             theta = self.theta(y)
             inside = self.likelihood.model.layout.inside(theta)
             theta[~inside] = self.centre
-            total = self.log_prior(y) + self.likelihood.pointwise(theta, *self.deviations(y)).sum(axis=1)
+            total = self.log_prior(y) + self._log_likelihood(y, theta)
         return np.where(inside & np.isfinite(total), total, -np.inf)
 
-    def leave_over(self, y: Array) -> LeftOver:
-        """Return what the best poses leave of the readings at coordinates (B, n)."""
+    def _log_likelihood(self, y: Array, theta: Array) -> Array:
+        likelihood, outliers = self.likelihood, self.errors.outliers
+        if not self.errors.has_columns:
+            return np.asarray(likelihood.pointwise(theta, *self.deviations(y), outliers).sum(axis=1))
+        total = np.empty(len(y))
+        for part, white, at in self._explain(y, theta, likelihood):
+            rest = likelihood.offset(white, at)
+            for some, found in self._absorb(y[part], white, at):
+                weighed = outliers.weigh(found.square, likelihood.n_spare) + rest[some]
+                total[part][some] = weighed.sum(axis=1) + found.penalty
+        return total
+
+    def pointwise(self, y: Array) -> Array:
+        """Return the log-likelihood of each pose's readings given all other poses, (B, n) to (B, P)."""
+        likelihood, outliers = self.likelihood, self.errors.outliers
+        if not self.errors.has_columns:
+            return likelihood.pointwise(self.theta(y), *self.deviations(y), outliers)
+        result = np.empty((len(y), likelihood.data.n_poses))
+        for part, white, at in self._explain(y, self.theta(y), likelihood):
+            rest = likelihood.offset(white, at)
+            for some, found in self._absorb(y[part], white, at):
+                result[part][some] = rest[some] + found.condition_each(outliers, likelihood.n_spare)
+        return np.where(np.isfinite(result), result, -np.inf)
+
+    def predict_density(self, other: CalibrationLikelihood, y: Array) -> Array:
+        """Return the log-density of each of Q other poses' readings given those of the posterior, (B, n) to (B, Q)."""
+        outliers = self.errors.outliers
+        if not self.errors.has_columns:
+            return other.pointwise(self.theta(y), *self.deviations(y, other), outliers)
+        result = np.empty((len(y), other.data.n_poses))
+        for part, white, at in self._explain(y, self.theta(y), self.likelihood):
+            for some, found in self._absorb(y[part], white, at):
+                own = y[part][some]
+                beyond = other.whiten(*self.deviations(own, other))
+                there = other.stand(self.theta(own), beyond)
+                columns = self.columns(own, beyond, there.slope, other)
+                told = found.condition_others(there.error, columns, outliers, other.n_spare)
+                result[part][some] = other.offset(beyond, there) + told
+        return np.where(np.isfinite(result), result, -np.inf)
+
+    def residuals(self, y: Array) -> WhiteResiduals:
+        """Return the residuals of the best poses and of the mean errors common to all rows at coordinates (B, n)."""
         white, at = self.stand(y)
-        likelihood = self.likelihood
-        return LeftOver(at.error, at.slope, likelihood.data.present, likelihood.freedom, white.vector, white.colour)
+        error = at.error
+        if self.errors.has_columns:
+            error = np.concatenate([found.residual for _, found in self._absorb(y, white, at)])
+        outliers = self.errors.outliers
+        return WhiteResiduals(
+            error, at.slope, self.likelihood.data.present, outliers.freedom, white.vector, white.colour
+        )
 
     def stand(self, y: Array) -> tuple[Whitening, Stand]:
         """Return the whitening and where machines of coordinates (B, n) explain the readings best."""
         white = self.likelihood.whiten(*self.deviations(y))
         return white, self.likelihood.stand(self.theta(y), white)
+
+    def _explain(
+        self, y: Array, theta: Array, likelihood: CalibrationLikelihood
+    ) -> Iterator[tuple[slice, Whitening, Stand]]:
+        """Yield machines that are looked at together, with whitening and where they explain readings best."""
+        for part in likelihood.batches(len(y)):
+            white = likelihood.whiten(*self.deviations(y[part], likelihood))
+            yield part, white, likelihood.stand(theta[part], white)
+
+    # --- errors common to all rows -------------------------------------------------------------------------------
+
+    def columns(self, y: Array, white: Whitening, slope: Array, other: CalibrationLikelihood | None = None) -> Array:
+        """Return what coefficients do to white readings that are free of the poses, (B, P, K, N), for slopes H."""
+        likelihood = other or self.likelihood
+        acted = self._white_columns(y, white, likelihood)
+        with np.errstate(all="ignore"):
+            axes = orthonormalise(slope)
+            return np.asarray(acted - axes @ (np.swapaxes(axes, -1, -2) @ acted))
+
+    def _white_columns(self, y: Array, white: Whitening, likelihood: CalibrationLikelihood) -> Array:
+        acted = self.errors.columns(self.zeta(y), likelihood.data)
+        return white.rows(np.where(likelihood.data.present[..., None], acted, 0.0))
+
+    def absorb(self, y: Array) -> Coefficients:
+        """Return the coefficients of errors common to all rows given the readings, at coordinates (B, n)."""
+        white, at = self.stand(y)
+        return self._find(self.columns(y, white, at.slope), at.error)
+
+    def draw_common(self, y: Array, rng: np.random.Generator) -> CommonDraws:
+        """Return draws of the errors common to all rows, one for each of the coordinates (B, n)."""
+        if not self.errors.has_columns:
+            return CommonDraws(self.errors, ())
+        white, at = self.stand(y)
+        parts = [(self.zeta(y[some]), found.draw(rng)) for some, found in self._absorb(y, white, at)]
+        return CommonDraws(self.errors, tuple(parts))
+
+    def _absorb(self, y: Array, white: Whitening, at: Stand) -> Iterator[tuple[slice, Coefficients]]:
+        """Yield the same of as many machines as are worked on together."""
+        n_columns = self.errors.columns(self.zeta(y[:1]), self.likelihood.data).shape[-1]
+        for some in split(*at.error.shape, n_columns):
+            columns = self.columns(y[some], white.pick(some), at.slope[some])
+            yield some, self._find(columns, at.error[some])
+
+    def _find(self, columns: Array, error: Array) -> Coefficients:
+        return find_coefficients(error, columns, self.errors.outliers, self.likelihood.n_spare)
 
     # --- derivatives ---------------------------------------------------------------------------------------------
 
@@ -213,62 +311,104 @@ class CalibrationPosterior:
         return np.asarray(self._moves * self._speed(y[: self.n_geometry])[:, None])
 
     def gradient(self, y: Array) -> tuple[Array, Array]:
-        """Return the gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
+        """Return the gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n).
+
+        Exact but for differences of logarithms of volumes, and of how H turns.
+        """
         with np.errstate(all="ignore"):
             white, at = self.stand(y[None])
             error, slope, by_parameters = self.rows(y, white, at.pose)
-            trust = self.likelihood.trust(at.square)[0]
+            trust = self.errors.outliers.trust(at.square, self.likelihood.n_spare)[0]
             left = project_out(slope)
-            rows = left @ by_parameters
+            rows, error = left @ by_parameters, left_of(left, error)
+            weighed, found, turn = trust[:, None, None] * rows, None, None
+            if self.errors.has_columns:
+                acted = self._white_columns(y[None], white, self.likelihood)[0]
+                found = self._find((left @ acted)[None], error[None])
+                error, trust, weighed = found.residual[0], found.trust[0], found.reduce(rows[None])[0]
+                follow = left_of(invert(slope, 0.0), acted @ found.mean[0])  # what coefficients make of the poses
+                turn = (trust[:, None] * error)[..., None] * follow[:, None]
             m, n = self.n_geometry, self.n_parameters
-            gradient, hessian = -y, -np.eye(n)
-            gradient[:m] += np.einsum("p,pki,pk->i", trust, rows, left_of(left, error))
-            gradient[:m] += self._volume_slope(y, white, slope)
-            hessian[:m, :m] -= np.einsum("p,pki,pkj->ij", trust, rows, rows, optimize=True)
+            gradient = -np.concatenate([y[:m], self.errors.deviation(y[m:])])
+            hessian = -np.eye(n)
+            gradient[:m] += np.einsum("p,pki,pk->i", trust, rows, error)
+            gradient[: n if found is not None else m] += self._volume_slope(y, white, slope, turn)
+            hessian[:m, :m] -= np.einsum("pki,pkj->ij", rows, weighed, optimize=True)
             if n > m:
-                self._add_noise(y, white, left, left_of(left, error), trust, gradient, hessian)
+                self._add_errors(y, white, left, error, trust, found, gradient, hessian)
         return gradient, hessian
 
     def newton(self, y: Array) -> tuple[Array, Array]:
         """Return `gradient`, whose Hessian is nearly the exact one."""
         return self.gradient(y)
 
-    def _add_noise(
-        self, y: Array, white: Whitening, left: Array, error: Array, trust: Array, gradient: Array, hessian: Array
+    def _add_errors(
+        self,
+        y: Array,
+        white: Whitening,
+        left: Array,
+        error: Array,
+        trust: Array,
+        found: Coefficients | None,
+        gradient: Array,
+        hessian: Array,
     ) -> None:
-        """Add the noise's part, its expected curvature in place of the exact one."""
-        m, there = self.n_geometry, self.likelihood.data.present
-        likelihood = self.likelihood
-        slopes = self.noise.covariance_slopes(y[m:], likelihood.sd, likelihood.correlation, likelihood.error_gain)
-        slopes = np.where(there[:, :, None] & there[:, None, :], slopes, 0.0)
-        both = white.rows(np.swapaxes(white.rows(slopes), -1, -2))
-        square = np.einsum("p,pk,npkl,pl->n", trust, error, both, error, optimize=True)
-        seen = left @ both
-        gradient[m:] += 0.5 * (square - np.trace(seen, axis1=-2, axis2=-1).sum(axis=-1))
-        hessian[m:, m:] -= 0.5 * np.einsum("npkl,oplk->no", seen, seen, optimize=True)
+        """Add the part of the errors' unknowns, their expected curvature in place of the exact one.
 
-    def _volume_slope(self, y: Array, white: Whitening, slope: Array) -> Array:
-        """Return the derivative of the poses' log-volumes by the geometry's coordinates at y and its white H, (m,).
-
-        That of -½ Σ log |HᵀΣ⁻¹H|, and of the measure of poses that were commanded: by the expansion where the density
-        takes H from there, by central differences elsewhere.
+        Logarithms of volumes are in the gradient already where there are coefficients, ``found``.
         """
         m, likelihood = self.n_geometry, self.likelihood
-        if not likelihood.start.shape[-1]:
-            return np.zeros(m)
-        by_parameters = likelihood.differentiate_volume(self.theta(y[None])[0], white, slope)
-        if by_parameters is not None:
-            return self.moves(y) @ by_parameters
-        moves = STEP * np.eye(self.n_parameters)[:m]
-        points = y + np.concatenate([moves, -moves])
-        values = np.concatenate([self._log_volume(points[part]) for part in likelihood.batches(2 * m)])
-        return np.asarray((values[:m] - values[m:]) / (2.0 * STEP))
+        there = likelihood.data.present
+        slopes = self.errors.covariance_slopes(
+            y[m:], likelihood.data, likelihood.sd, likelihood.correlation, likelihood.error_gain
+        )
+        slopes = np.where(there[:, :, None] & there[:, None, :], slopes, 0.0)
+        both = white.rows(np.swapaxes(white.rows(slopes), -1, -2))
+        seen = left @ both
+        gradient[m:] += 0.5 * np.einsum("p,pk,npkl,pl->n", trust, error, both, error, optimize=True)
+        hessian[m:, m:] -= 0.5 * np.einsum("npkl,oplk->no", seen, seen, optimize=True)
+        if found is None:
+            gradient[m:] -= 0.5 * np.trace(seen, axis1=-2, axis2=-1).sum(axis=-1)
+            return
+        acted = self.errors.column_slopes(y[m:], likelihood.data)
+        moved = left @ white.rows(np.where(there[..., None], acted, 0.0))
+        gradient[m:] += np.einsum("p,pk,npku,u->n", trust, error, moved, found.mean[0], optimize=True)
+        hessian[m:, m:] -= found.inform(both, trust[:, None, None] * left @ both, moved)
 
-    def _log_volume(self, y: Array) -> Array:
-        """Return the log-volumes of all poses of machines (B, n) right where they stand, shape (B,)."""
+    def _volume_slope(self, y: Array, white: Whitening, slope: Array, turn: Array | None = None) -> Array:
+        """Return the derivative of log-volumes by the coordinates at y and its white H, (m,); (n,) with coefficients.
+
+        By the expansion where the density takes H from there, else by central differences. Coefficients move the poses
+        by δ, to first order; residuals r change with H by -r dH δ, ``turn`` being r δ, (P, K, q).
+        """
+        m = self.n_geometry
+        n = m if turn is None else self.n_parameters
+        if turn is None:
+            by_parameters = self.likelihood.differentiate_volume(self.theta(y[None])[0], white, slope)
+            if by_parameters is not None:
+                return self.moves(y) @ by_parameters
+        moves = STEP * np.eye(self.n_parameters)[:n]
+        points = y + np.concatenate([moves, -moves])
+        parts = [self._log_volume(points[part], turn) for part in self.likelihood.batches(2 * n)]
+        volume, turned = (np.concatenate(one) for one in zip(*parts, strict=True))
+        turned[np.arange(2 * n) % n >= m] = 0.0  # by noise H is scaled alone, which is no turn
+        values = volume + turned
+        return np.asarray((values[:n] - values[n:]) / (2.0 * STEP))
+
+    def _log_volume(self, y: Array, turn: Array | None) -> tuple[Array, Array]:
+        """Return log-volumes of machines (B, n) right where they stand, with that of coefficients; and -r H δ."""
         white, at = self.stand(y)  # whose H is that of a pose close by, the same for machines that are much alike
-        slope = self.likelihood.linearise(self.theta(y), at.pose, white)[1]
-        return self.likelihood.log_volume(Stand(at.pose, at.error, slope), white).sum(axis=1)
+        theta, slope = self.theta(y), at.slope
+        if not self.likelihood.is_near(theta).all():
+            slope = self.likelihood.linearise(theta, at.pose, white)[1]
+        there = Stand(at.pose, at.error, slope)
+        volume = self.likelihood.log_volume(there, white).sum(axis=1)
+        if turn is None:
+            return volume, np.zeros(len(y))
+        volume += white.log_det.sum(axis=1)
+        for some, found in self._absorb(y, white, there):
+            volume[some] += found.log_volume
+        return volume, -np.einsum("bpkq,pkq->b", slope, turn)
 
     # --- climbing ------------------------------------------------------------------------------------------------
 
@@ -301,7 +441,8 @@ class CalibrationPosterior:
     def fit(self, y: Array, pose: Array) -> tuple[Array, Array]:
         """Return coordinates (n,) and poses (P, q) that explain readings and priors best, by Levenberg and Marquardt.
 
-        Machine and poses move together, the poses eliminated from each step; the noise stays that of y.
+        Machine, poses and coefficients move together, the latter two eliminated from each step; what is unknown of the
+        errors stays that of y.
 
         Raises
         ------
@@ -309,47 +450,58 @@ class CalibrationPosterior:
             Where the machine does not stand at the start.
         """
         white, damping = self.likelihood.whiten(*self.deviations(y[None])), DAMPING
+        columns = self._white_columns(y[None], white, self.likelihood)
         pose = np.broadcast_to(pose, (1, *pose.shape[-2:]))
         here = self.rows(y, white, pose)
-        cost = self._cost(y, here[0])
+        residual, cost = self._cost(y, here[0], columns)
         if not np.isfinite(cost):
             raise NumericalError("found no reading of the machine as expected at some start, expected one that stands")
         for _ in range(MAX_ITERATIONS):
-            move, follow = self._propose(y, *here, damping)
+            move, follow = self._propose(y, *here, columns[0], residual, damping)
             other = y.copy()
             other[: self.n_geometry] += move
-            stood = self._settle(other, white, pose + follow, damping)
+            stood = self._settle(other, white, columns, pose + follow, damping)
             there = self.rows(other, white, stood)
-            new = self._cost(other, there[0])
+            rest, new = self._cost(other, there[0], columns)
             if not new < cost:
                 damping *= 4.0
                 if damping > LARGEST_DAMPING or np.max(np.abs(move), initial=0.0) < STILL:
                     break
                 continue
             done = cost - new < GAIN * max(cost, 1.0)
-            y, pose, here, cost, damping = other, stood, there, new, damping / 3.0
+            y, pose, here, residual, cost, damping = other, stood, there, rest, new, damping / 3.0
             if done:
                 break
         return y, pose[0]
 
-    def _settle(self, y: Array, white: Whitening, pose: Array, damping: float) -> Array:
+    def _settle(self, y: Array, white: Whitening, columns: Array, pose: Array, damping: float) -> Array:
         """Return poses (1, P, q) moved to what a machine y (n,) reads: a constraint lets a straight step go no way."""
         error, slope, _ = self.likelihood.linearise(self.theta(y[None]), pose, white)
-        return np.asarray(pose + left_of(invert(slope[0], 1e-9 * damping / DAMPING), error[0]))
+        residual, _ = self._cost(y, error[0], columns)
+        return np.asarray(pose + left_of(invert(slope[0], 1e-9 * damping / DAMPING), residual))
 
-    def _cost(self, y: Array, error: Array) -> float:
-        freedom, squares = self.likelihood.freedom, np.einsum("pk,pk->p", error, error)
-        if np.isfinite(freedom):  # what is far off counts by its logarithm, as in the density
-            squares = (freedom + self.likelihood.n_spare) * np.log1p(squares / freedom)
-        total = float(squares.sum() + y @ y)
-        return total if self.likelihood.model.layout.inside(self.theta(y[None]))[0] else np.nan
+    def _cost(self, y: Array, error: Array, columns: Array) -> tuple[Array, float]:
+        """Return white errors (P, K) without what the best coefficients explain, and what all squares sum up to."""
+        square, spare = float(y @ y), self.likelihood.n_spare
+        if self.errors.has_columns:
+            found = self._find(columns, error[None])
+            error, square = found.residual[0], square + float(found.mean[0] @ found.mean[0])
+        total = square + float(self.errors.outliers.penalise(np.einsum("pk,pk->p", error, error), spare).sum())
+        return error, total if self.likelihood.model.layout.inside(self.theta(y[None]))[0] else np.nan
 
     def _propose(
-        self, y: Array, error: Array, slope: Array, by_parameters: Array, damping: float
+        self,
+        y: Array,
+        error: Array,
+        slope: Array,
+        by_parameters: Array,
+        columns: Array,
+        residual: Array,
+        damping: float,
     ) -> tuple[Array, Array]:
         """Return a damped step of the coordinates (m,) and the poses' (P, q) that follows."""
-        m = self.n_geometry
-        trust = np.sqrt(self.likelihood.trust(np.einsum("pk,pk->p", error, error)))
+        m, square = self.n_geometry, np.einsum("pk,pk->p", residual, residual)
+        trust = np.sqrt(self.errors.outliers.trust(square, self.likelihood.n_spare))
         # a little of the damping keeps poses that readings hardly tell from running away
         stiff = invert(slope, 1e-9 * damping / DAMPING)
         left = np.eye(slope.shape[1]) - slope @ stiff
@@ -357,21 +509,27 @@ class CalibrationPosterior:
         right = trust[:, None] * left_of(left, error)
         normal = np.einsum("pki,pkj->ij", rows, rows, optimize=True) + np.eye(m)
         side = np.einsum("pki,pk->i", rows, right) - y[:m]
+        acted = (trust[:, None, None] * (left @ columns)).reshape(right.size, -1)
+        inner = np.eye(acted.shape[1]) + acted.T @ acted
+        seen, told = acted.T @ rows.reshape(right.size, -1), acted.T @ right.ravel()
+        normal -= seen.T @ np.linalg.solve(inner, seen)
+        side -= seen.T @ np.linalg.solve(inner, told)
         move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), side)
-        return move, left_of(stiff, error - by_parameters @ move)
+        common = columns @ np.linalg.solve(inner, told - seen @ move)
+        return move, left_of(stiff, error - by_parameters @ move - common)
 
     # --- what inference asks for besides ---------------------------------------------------------------------------
 
     def jumps(self, y: Array) -> list[tuple[int, Array]]:
-        """Return nothing: no other mode is expected."""
-        del y
-        return []
+        """Return each error that has a switch, switched on or off; no other mode is expected."""
+        m = self.n_geometry
+        return [(jump, np.concatenate([y[:m], zeta])) for jump, zeta in self.errors.jumps(y[m:])]
 
     def funnel_errors(self, y: Array) -> Array:
         """Return the noise of each group of channels over the stated one, (B, n) to (B, N), rms of its readings."""
         own, tau = self.deviations(y)
         there, square = self.likelihood.data.present, (own**2 + tau**2) / self.likelihood.sd**2
-        mine = there * self.noise.groups[:, None]
+        mine = there * self.errors.groups(there.shape[1])[:, None]
         return np.sqrt(np.einsum("bpk,gpk->bg", square, mine) / np.maximum(mine.sum(axis=(1, 2)), 1))
 
     def groups(self) -> list[np.ndarray]:
@@ -384,13 +542,22 @@ class CalibrationPosterior:
 
     def funnel(self, y: Array) -> Funnel | None:
         """Return how the geometry depends on the noise at y, shape (n,); None where that is known."""
-        if not self.noise.n_parameters:
+        if not self.errors.has_noise:
             return None
         with np.errstate(all="ignore"):
             white, at = self.stand(y[None])
             _, slope, by_parameters = self.rows(y, white, at.pose)
-        rows = np.sqrt(self.likelihood.trust(at.square)[0])[:, None, None] * (project_out(slope) @ by_parameters)
+        left, prior = project_out(slope), np.eye(self.n_geometry)
+        trust = self.errors.outliers.trust(at.square, self.likelihood.n_spare)[0]
+        rows = left @ by_parameters
+        if self.errors.has_columns:  # JᵀS⁻¹J = Gᵀ(W⁻¹ + AAᵀ)G with G = S⁻¹J; the part with A does not hang on the noise
+            columns = (left @ self._white_columns(y[None], white, self.likelihood)[0])[None]
+            found = self._find(columns, at.error)
+            reduced, trust = found.reduce(rows[None])[0], found.trust[0]
+            acted = np.einsum("pku,pki->ui", found.columns[0], reduced, optimize=True)
+            rows, prior = reduced / trust[:, None, None], prior + acted.T @ acted
+        rows = np.sqrt(trust)[:, None, None] * rows
         # information is a sum over white readings, homogeneous in their precisions: each group's share is its readings'
-        parts = np.einsum("gk,pki,pkj->gij", self.noise.groups, rows, rows, optimize=True)
+        parts = np.einsum("gk,pki,pkj->gij", self.errors.groups(rows.shape[1]), rows, rows, optimize=True)
         tau = self.funnel_errors(y[None])[0]
-        return Funnel(parts.sum(axis=0), np.eye(self.n_geometry), np.full(len(tau), 1e-12), tau, parts)
+        return Funnel(parts.sum(axis=0), prior, np.full(len(tau), 1e-12), tau, parts)

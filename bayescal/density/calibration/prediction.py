@@ -8,6 +8,7 @@ import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
 from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.elimination import find_step
 from bayescal.numerics.geometry import Array
 
 INTERVAL = 0.9
@@ -88,8 +89,8 @@ def _predict(
 ) -> tuple[Array, Array]:
     """Return predicted means and noisy values of a channel, both (T, P)."""
     rest = replace(held, data=held.data.only(others), anchor=None)
-    theta = posterior.theta(y)
-    own, tau = posterior.noise.deviations(y[:, posterior.n_geometry :], held.sd)
+    theta, outliers = posterior.theta(y), posterior.errors.outliers
+    own, tau = posterior.deviations(y, held)
     mean, spread = (np.empty((len(y), held.data.n_poses)) for _ in range(2))
     given = {name: value[None] for name, value in held.data.given.items()}
     for part in rest.batches(len(y)):
@@ -98,14 +99,21 @@ def _predict(
         here = held.model.linearise(theta[part][:, None], at.pose, False, given)
         error = held.comparison.subtract(held.data.values, here.values)
         slope = held.comparison.pull_back(error, here.values, here.by_pose)[..., channel, :]
+        error_left, shift = at.error, np.zeros(error.shape[:-1])
+        if posterior.errors.has_columns:  # what errors common to all rows make of the pose, to first order
+            common = posterior.draw_common(y[part], rng).at(held.data)
+            moved, left = find_step(at.slope, white.vector(np.where(rest.data.present, common, 0.0)))
+            error_left = at.error - left
+            shift = common[..., channel] - np.einsum("tpq,tpq->tp", slope, moved)
         # what the others' noise tells of this reading's, as in Gaussian regression
         told_by = white.vector(_covary(held, own[part], channel, rest.data.present))
         slope = slope - np.einsum("tpk,tpkq->tpq", told_by, at.slope)
         own_noise = own[part][..., channel] ** 2 + tau[part][..., channel] ** 2 - (told_by**2).sum(axis=-1)
         variance = _spread_of_pose(slope, at) + own_noise
-        predicted = held.data.values[:, channel] - error[..., channel]
-        mean[part] = predicted + np.einsum("tpk,tpk->tp", told_by, at.error)
-        spread[part] = np.sqrt(variance * _widen(rest, at.square, rng))
+        predicted = held.data.values[:, channel] - error[..., channel] + shift
+        mean[part] = predicted + np.einsum("tpk,tpk->tp", told_by, error_left)
+        square = np.einsum("tpk,tpk->tp", error_left, error_left)
+        spread[part] = np.sqrt(variance * outliers.draw_widening(square, rest.n_spare, rng))
     return mean, mean + spread * rng.standard_normal(mean.shape)
 
 
@@ -120,14 +128,6 @@ def _spread_of_pose(slope: Array, at: Stand) -> Array:
     told = np.isfinite(at.error).all(axis=-1) & (np.linalg.det(np.nan_to_num(across)) > 0.0)
     inner = np.linalg.inv(np.where(told[..., None, None], across, np.eye(across.shape[-1])))
     return np.where(told, np.einsum("tpi,tpij,tpj->tp", slope, inner, slope), np.nan)
-
-
-def _widen(rest: CalibrationLikelihood, square: Array, rng: np.random.Generator) -> Array:
-    """Return draws of 1/w, the factor on a pose's variances given what is left of its other readings."""
-    if not np.isfinite(rest.freedom):
-        return np.ones_like(square)
-    shape = np.broadcast_to(0.5 * (rest.freedom + rest.n_spare), square.shape)
-    return np.asarray(0.5 * (rest.freedom + square) / rng.standard_gamma(shape))
 
 
 def _collect(held: CalibrationLikelihood, parts: list[tuple[np.ndarray, int, Array, Array]]) -> ReadingPredictions:

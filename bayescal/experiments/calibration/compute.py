@@ -92,17 +92,19 @@ def _explain(inputs: CalibrationInputs, name: str, fit: Fit) -> Residuals:
     posterior = variant.posterior().anchored()
     white, stand = posterior.stand(fit.mode[None])
     own, tau = posterior.deviations(fit.mode[None])
-    likelihood = posterior.likelihood
+    likelihood, outliers = posterior.likelihood, posterior.errors.outliers
     given = {key: value[None] for key, value in likelihood.data.given.items()}
     read = likelihood.model.read(posterior.theta(fit.mode[None])[:, None], stand.pose, given)
-    left = likelihood.comparison.subtract(likelihood.data.values, read)[0]
-    del white
+    residual = posterior.residuals(fit.mode[None])
+    common = white.colour(stand.error - residual.error)  # what errors common to all rows explain beyond the pose
+    left = (likelihood.comparison.subtract(likelihood.data.values, read) - common)[0]
+    square = np.einsum("pk,pk->p", residual.error[0], residual.error[0])
     return Residuals(
         stand.pose[0],
         np.where(likelihood.data.present, left, np.nan),
         np.sqrt(own[0] ** 2 + tau[0] ** 2) * np.ones_like(left),
-        stand.square[0],
-        likelihood.trust(stand.square)[0],
+        square,
+        outliers.trust(square, likelihood.n_spare),
         likelihood.n_readings - stand.pose.shape[-1],
     )
 

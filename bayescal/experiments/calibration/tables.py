@@ -21,6 +21,7 @@ from bayescal.experiments.calibration.knowledge_tables import (
     tabulate_accuracy,
 )
 from bayescal.experiments.calibration.validation import Held
+from bayescal.experiments.shared.function_errors import tabulate_functions
 from bayescal.numerics.geometry import Array
 
 DOUBTFUL = 0.01  # probability under the stated noise below which what a pose leaves is doubtful
@@ -78,6 +79,7 @@ def tabulate(inputs: CalibrationInputs, found: Mapping[str, Findings]) -> dict[s
         "next": pd.DataFrame([row for variant, one in every for row in list_next(variant, one.knowledge)]),
         "beside": pd.DataFrame([row for one in every for row in _list_beside(inputs, *one)]),
     }
+    tables |= tabulate_functions([(variant.name, one.fit.functions) for variant, one in every])
     return {name: table for name, table in tables.items() if not table.empty}
 
 
@@ -109,8 +111,9 @@ def _list_parameters(variant: Variant, one: Findings) -> pd.DataFrame:
     mean, sd = fit.natural.mean(axis=0), fit.natural.std(axis=0)
     layout = variant.model.layout
     start = [float(layout.nominal[posterior.places(name)[0]]) for name in posterior.geometry_names]
-    start += [1.0] * len(posterior.noise.scale_names) + [0.0] * len(posterior.noise.tau_names)
-    verdicts = [*one.knowledge.verdicts, *["noise"] * posterior.noise.n_parameters]
+    medians = posterior.errors.natural(np.zeros(posterior.errors.n_parameters))
+    start += [float(x) if unit == "1" else 0.0 for unit, x in zip(posterior.errors.units, medians, strict=True)]
+    verdicts = [*one.knowledge.verdicts, *["noise"] * posterior.errors.n_parameters]
     return pd.DataFrame(
         {
             "variant": variant.name,

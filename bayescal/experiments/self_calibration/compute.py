@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from bayescal.density.readings.calibrability import compute_calibrability
+from bayescal.experiments.shared.calibrability import compute_calibrability
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.self_calibration.blunders import list_denied

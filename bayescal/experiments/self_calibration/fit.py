@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.density.prediction import compute_elpd
-from bayescal.experiments.self_calibration.functions import FoundFunctions, find_functions
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.estimate import Estimate, estimate_posterior
+from bayescal.experiments.shared.function_errors import FoundFunctions, find_functions
 from bayescal.experiments.shared.reading_trees import SavedDraws, save_draws
 from bayescal.numerics.geometry import Array
 
@@ -34,6 +34,8 @@ class Fit(Estimate):
         What the posterior's file holds.
     functions : FoundFunctions or None
         Errors of the sensors that are functions of what they read.
+    common : tuple of pairs of ndarray
+        Draws of these, as `CommonDraws.parts`.
     """
 
     names: tuple[str, ...]
@@ -43,6 +45,7 @@ class Fit(Estimate):
     square: Array
     saved: SavedDraws
     functions: FoundFunctions | None
+    common: tuple[tuple[Array, Array], ...]
 
 
 def fit_variant(inputs: ReadingInputs, variant: Variant) -> Fit:
@@ -53,10 +56,11 @@ def fit_variant(inputs: ReadingInputs, variant: Variant) -> Fit:
     if inputs.table.verification.any():
         held = inputs.likelihood(variant, verification=True)
         elpd = compute_elpd(posterior.predict_density(held, found.kept))
-    error = posterior.leave_over(found.mode[None]).error[0]
-    square = np.einsum("pk,pk->p", error, error)
-    seed = [config.seed, 8, zlib.crc32(variant.name.encode())]
+    error = posterior.residuals(found.mode[None]).error[0]
+    square, key = np.einsum("pk,pk->p", error, error), zlib.crc32(variant.name.encode())
+    seed = [config.seed, 8, key]
     saved = save_draws(posterior, found.kept, len(found.natural), config.sampler.ensembles, seed)
+    draws = posterior.draw_common(found.kept, np.random.default_rng([config.seed, 9, key]))
     return Fit(
         **vars(found),
         names=posterior.names,
@@ -65,5 +69,6 @@ def fit_variant(inputs: ReadingInputs, variant: Variant) -> Fit:
         elpd=elpd,
         square=square,
         saved=saved,
-        functions=find_functions(inputs, variant, posterior, found.kept),
+        functions=find_functions(posterior, found.kept, draws),
+        common=draws.parts,
     )

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal.density.readings.calibrability import Calibrability
 from bayescal.experiments.self_calibration.fit import Fit
-from bayescal.experiments.self_calibration.functions import tabulate_functions
 from bayescal.experiments.self_calibration.identifiability import Identifiability
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
 from bayescal.experiments.self_calibration.tool import ToolAccuracy, ToolPrediction, true_machine
+from bayescal.experiments.shared.calibrability import Calibrability
+from bayescal.experiments.shared.function_errors import tabulate_functions
 from bayescal.numerics.geometry import Array
 
 MICROMETRES = 1e3
@@ -58,8 +58,7 @@ def tabulate(inputs: ReadingInputs, outcomes: Mapping[str, VariantFindings]) -> 
         ),
         "residuals": pd.concat([_list_residuals(inputs, *one) for one in every], ignore_index=True),
     }
-    found = [(variant.name, outcome.fit.functions) for variant, outcome in every]
-    tables |= tabulate_functions([(name, one) for name, one in found if one is not None])
+    tables |= tabulate_functions([(variant.name, outcome.fit.functions) for variant, outcome in every])
     return {name: table for name, table in tables.items() if not table.empty or name == "ridges"}
 
 

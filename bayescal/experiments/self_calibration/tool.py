@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.density.readings.tool import ToolSensitivity, compute_tool_sensitivity, locate_tool
+from bayescal.experiments.shared.sensor_sets import ToolSensitivity, compute_tool_sensitivity, locate_tool
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.terms import CommonDraws, Errors
 from bayescal.errors import NumericalError
 from bayescal.experiments.self_calibration.fit import Fit
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
@@ -111,9 +113,11 @@ def predict_tool(inputs: ReadingInputs, variant: Variant, fit: Fit, rng: np.rand
 
 def _correct(readings: Array, variant: Variant, fit: Fit) -> Array:
     """Return readings (V, K) of the machine's own sensors less draws of their functions, (V, k) or (T, V, k)."""
-    if variant.functions is None or fit.functions is None:
+    if variant.functions is None:
         return readings[:, variant.kept]
-    return (readings - variant.functions.evaluate(fit.functions.coefficients, readings))[..., variant.kept]
+    names = tuple(map(str, range(len(readings))))
+    rows = Measurements(names, readings, np.broadcast_to(variant.sensors.noise, readings.shape))
+    return np.asarray((readings - CommonDraws(Errors((variant.functions,)), fit.common).at(rows))[..., variant.kept])
 
 
 def assess_tool(inputs: ReadingInputs, variant: Variant, fit: Fit) -> ToolAccuracy:

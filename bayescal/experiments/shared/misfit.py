@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
+from bayescal.density.legs import LegPosterior
 from bayescal.density.likelihood import Likelihood
-from bayescal.density.posterior import Posterior
+from bayescal.density.local import turn_to_coordinates
 from bayescal.numerics.geometry import Array
 
 
@@ -39,7 +40,7 @@ class Misfit:
 
 
 def measure_misfit(
-    posterior: Posterior,
+    posterior: LegPosterior,
     mode: Array,
     likelihood: Likelihood,
     shared: Array | None = None,
@@ -51,7 +52,7 @@ def measure_misfit(
 
 
 def find_misfit(
-    posterior: Posterior,
+    posterior: LegPosterior,
     mode: Array,
     likelihood: Likelihood,
     shared: Array | None = None,
@@ -61,7 +62,7 @@ def find_misfit(
 
     Parameters
     ----------
-    posterior : Posterior
+    posterior : LegPosterior
     mode : ndarray, shape (n,)
         Its model errors count as noise.
     likelihood : Likelihood
@@ -73,10 +74,14 @@ def find_misfit(
         Poses that count; all without it.
     """
     theta = posterior.theta(mode[None])[0]
-    model_error = np.broadcast_to(posterior.model_errors(mode[None]), (1, likelihood.n_model_errors))[0]
+    model_error = np.broadcast_to(
+        posterior.errors.amplitudes(posterior.zeta(mode[None])), (1, likelihood.n_model_errors)
+    )[0]
     whitening = np.linalg.inv(np.linalg.cholesky(likelihood.error_covariance(model_error)))
     errors = likelihood.errors(theta[None])[0]
-    by_machine, prior_slope = posterior.residual_slope(theta)
+    change = posterior.sampling.jacobian(theta)
+    by_machine = turn_to_coordinates(likelihood.error_jacobian(theta)[1], change)
+    prior_slope = posterior.sampling.prior_slope(change)
     extra = np.empty((*errors.shape, 0)) if shared is None else shared
     if counted is not None:
         errors, whitening = errors[counted], whitening[counted]
@@ -86,7 +91,9 @@ def find_misfit(
     slope = slope.reshape(n_rows, -1)
     n_extra = extra.shape[-1]
     rows = np.concatenate([slope, block_diag(prior_slope, np.eye(n_extra))])
-    held = np.concatenate([white, posterior.prior_residual(mode, theta), np.zeros(n_extra)])
+    held = np.concatenate(
+        [white, posterior.sampling.prior_residual(mode[: posterior.n_geometry], theta), np.zeros(n_extra)]
+    )
     basis, _ = np.linalg.qr(rows)
     left = held - basis @ (basis.T @ held)
     used = np.sum(basis[:n_rows] ** 2)

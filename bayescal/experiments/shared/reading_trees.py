@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from bayescal.density.readings.left_over import LeftOver
+from bayescal.density.calibration.whitening import WhiteResiduals
 from bayescal.experiments.shared.trees import Draws, Replicated, build_tree
 from bayescal.numerics.geometry import Array
 
@@ -50,8 +50,8 @@ class ReadingPosterior(Protocol):
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each pose's readings, (B, n) to (B, P)."""
 
-    def leave_over(self, y: Array) -> LeftOver:
-        """Return what the best poses leave of the readings at coordinates (B, n)."""
+    def residuals(self, y: Array) -> WhiteResiduals:
+        """Return the residuals of the best poses at coordinates (B, n)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ def save_draws(
     rng = np.random.default_rng(list(seed))
     chains = _split_chains(kept, n_total, n_chains)
     flat = chains.reshape(-1, kept.shape[-1])
-    expected = posterior.leave_over(np.zeros((1, posterior.n_parameters)))
+    expected = posterior.residuals(np.zeros((1, posterior.n_parameters)))
     prior = posterior.draw_prior(N_PRIOR, rng)
     with np.errstate(all="ignore"):
         predicted = _replicate(posterior, expected, prior, rng)
@@ -112,11 +112,11 @@ def _split_chains(kept: Array, n_total: int, n_chains: int) -> Array:
     return np.stack([kept[chain == k][:shortest] for k in range(n_chains)])
 
 
-def _replicate(posterior: ReadingPosterior, expected: LeftOver, y: Array, rng: np.random.Generator) -> Array:
+def _replicate(posterior: ReadingPosterior, expected: WhiteResiduals, y: Array, rng: np.random.Generator) -> Array:
     """Return the numbers of the poses (B, P) had draws (B, n) been the truth and the readings been taken again."""
     found = []
     for start in range(0, len(y), BATCH):
-        there = posterior.leave_over(y[start : start + BATCH])
+        there = posterior.residuals(y[start : start + BATCH])
         white = there.draw_noise(rng) - there.error
         moved = expected.remove_poses(expected.whiten(there.colour(white)))
         found.append(expected.measure(expected.error + moved))

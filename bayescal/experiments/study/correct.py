@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import cast
 
 import numpy as np
 
 from bayescal.density.exact import ExactDensity
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 from bayescal.inference.correction import Correction, CostlyDensity, Move, correct
 from bayescal.inference.ensemble import run_ensembles
 from bayescal.inference.exploration import Exploration
@@ -97,12 +98,11 @@ def list_corrected(arrays: Mapping[str, Array], correction: Correction | None) -
 def build_costly(exact: ExactDensity, exploration: Exploration) -> CostlyDensity:
     """Return the exact density in straight coordinates, beside the one that was explored."""
     straight = exploration.straight
-    posterior = straight.posterior
-    assert isinstance(posterior, Posterior)
+    posterior = cast(LegPosterior, straight.posterior)
 
     def excess(x: Array) -> Array:
         y = straight.y_from_x(x)
-        theta, errors = posterior.theta(y), posterior.model_errors(y)
+        theta, errors = posterior.theta(y), posterior.errors.amplitudes(posterior.zeta(y))
         with np.errstate(invalid="ignore"):
             found = exact(theta, errors) - posterior.likelihood(theta, errors)
         return np.where(np.isfinite(found), found, -np.inf)
@@ -111,14 +111,17 @@ def build_costly(exact: ExactDensity, exploration: Exploration) -> CostlyDensity
     return CostlyDensity(straight.log_density, excess, information)
 
 
-def _inform(posterior: Posterior, exact: ExactDensity, straight: Straightening, y: Array) -> Array:
+def _inform(posterior: LegPosterior, exact: ExactDensity, straight: Straightening, y: Array) -> Array:
     """Return the information on straight coordinates that the exact density has more at y (n,), shape (n, n).
 
     That on the model errors is taken as the same.
     """
     theta = posterior.theta(y[None])[0]
-    change = posterior.coordinates.jacobian(theta)
-    more = change.T @ exact.information(theta, posterior.model_errors_at(y)) @ change - posterior.information(y)[0]
+    change = posterior.sampling.jacobian(theta)
+    more = (
+        change.T @ exact.information(theta, posterior.errors.amplitudes(posterior.zeta(y))) @ change
+        - posterior.information(y)[0]
+    )
     return pull_back(straight, y, more)
 
 

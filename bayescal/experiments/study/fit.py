@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 import zlib
 from dataclasses import dataclass, fields
+from typing import cast
 
 import numpy as np
 
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 from bayescal.density.prediction import Prediction
 from bayescal.experiments.shared.misfit import measure_misfit
 from bayescal.experiments.shared.trees import SAVED_DRAWS, choose_draws, limit_draws, spread
@@ -105,17 +106,15 @@ def list_importance(importance: ImportanceEvidence) -> Arrays:
     }
 
 
-def get_explored(exploration: Exploration) -> Posterior:
+def get_explored(exploration: Exploration) -> LegPosterior:
     """Return the posterior that was explored: one with a finer density where that makes a difference."""
-    posterior = exploration.straight.posterior
-    assert isinstance(posterior, Posterior)
-    return posterior
+    return cast(LegPosterior, exploration.straight.posterior)
 
 
 def _sample(
     inputs: StudyInputs,
     task: Task,
-    posterior: Posterior,
+    posterior: LegPosterior,
     exploration: Exploration,
     far: FarDraws,
     ensemble_seed: np.random.SeedSequence,
@@ -180,7 +179,7 @@ def _seed_for(inputs: StudyInputs, task: Task, purpose: str) -> np.random.SeedSe
     return np.random.SeedSequence([inputs.config.seed, zlib.crc32(f"{task.key}-{purpose}".encode())])
 
 
-def _check_evidence(inputs: StudyInputs, task: Task, posterior: Posterior) -> Arrays:
+def _check_evidence(inputs: StudyInputs, task: Task, posterior: LegPosterior) -> Arrays:
     """Return the evidence by tempering where the config asks for it."""
     if inputs.config.evidence.check is None:
         return {}
@@ -191,7 +190,7 @@ def _check_evidence(inputs: StudyInputs, task: Task, posterior: Posterior) -> Ar
 def _check(
     inputs: StudyInputs,
     task: Task,
-    posterior: Posterior,
+    posterior: LegPosterior,
     exploration: Exploration,
     arrays: Arrays,
     seed: np.random.SeedSequence,
@@ -209,17 +208,22 @@ def _check(
     }
 
 
-def _measure_misfit(inputs: StudyInputs, task: Task, posterior: Posterior, mode: Array) -> Array:
+def _measure_misfit(inputs: StudyInputs, task: Task, posterior: LegPosterior, mode: Array) -> Array:
     """Return χ² at a mode (n,) of the poses that are no blunders there, and its degrees of freedom."""
     clean = None
     if posterior.likelihood.structured is not None:
         return measure_misfit(posterior, mode, posterior.likelihood)
-    if posterior.outliers is not None:
-        clean = posterior.outlier_probabilities(posterior.likelihood, mode[None])[0] < BLUNDER
+    if posterior.errors.outliers is not None:
+        clean = (
+            posterior.likelihood.outlier_probabilities(
+                posterior.theta(mode[None]), posterior.errors, posterior.zeta(mode[None])
+            )[0]
+            < BLUNDER
+        )
     return measure_misfit(posterior, mode, *inputs.without_shared_errors(task.variant), clean)
 
 
-def _scale_power(inputs: StudyInputs, posterior: Posterior, arrays: Arrays) -> Array:
+def _scale_power(inputs: StudyInputs, posterior: LegPosterior, arrays: Arrays) -> Array:
     """Return how much each parameter hangs on prior and measurements, shape (n, 2), from some of the draws."""
     chosen = choose_draws(*arrays["draws"].shape[:2])
     draws, density = (arrays[name].reshape(-1, arrays[name].shape[-1])[chosen] for name in ("draws", "log_likelihood"))
@@ -232,14 +236,14 @@ def _scale_power(inputs: StudyInputs, posterior: Posterior, arrays: Arrays) -> A
 
 
 def _evaluate(
-    inputs: StudyInputs, task: Task, posterior: Posterior, kept: Array, seed: np.random.SeedSequence
+    inputs: StudyInputs, task: Task, posterior: LegPosterior, kept: Array, seed: np.random.SeedSequence
 ) -> Arrays:
     """Return pointwise densities and predictions of all poses, in the survey's order, from draws (E, S, n).
 
     They are of the hot path, whose covariance is that of the nominal machine, pose by pose.
     """
     variant, flat = inputs.variant(task.variant), kept.reshape(-1, kept.shape[-1])
-    theta, errors = posterior.theta(flat), posterior.model_errors(flat)
+    theta, errors = posterior.theta(flat), posterior.errors.amplitudes(posterior.zeta(flat))
     chosen = spread(len(flat), limit_draws(SAVED_DRAWS, POSE_NUMBERS * len(inputs.verification)))
     every = SomeDraws(theta, errors)
     some = every.choose(chosen)
@@ -252,7 +256,7 @@ def _evaluate(
         structured, rng = posterior.likelihood.structured, np.random.default_rng(rng_seed)
         likelihood = posterior.likelihood
         if use or structured is not None:  # otherwise that of the same poses is at hand
-            likelihood = posterior.as_fine(inputs.likelihood(variant, use))
+            likelihood = posterior.likelihood.like(inputs.likelihood(variant, use))
         found: Arrays
         if structured is not None and likelihood.of_poses is not None:
             found, more = evaluate_structured(structured, likelihood.of_poses, theta, errors, chosen, use, rng)

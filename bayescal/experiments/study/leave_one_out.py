@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 from bayescal.errors import NumericalError
 from bayescal.experiments.study.correct import draw_to_correct, pull_back
 from bayescal.inference.correction import Correction, CostlyDensity, correct
@@ -88,7 +88,7 @@ def leave_out(draws: Array, log_likelihood: Array) -> LeftOut:
 
 
 def refit_doubtful(
-    found: LeftOut, posterior: Posterior, exploration: Exploration, n_walkers: int, seed: np.random.SeedSequence
+    found: LeftOut, posterior: LegPosterior, exploration: Exploration, n_walkers: int, seed: np.random.SeedSequence
 ) -> LeftOut:
     """Return the same with doubtful poses left out anew, at most `MAX_REFITS` of them."""
     doubtful = np.flatnonzero(found.is_doubtful)
@@ -112,14 +112,14 @@ def refit_doubtful(
 
 
 def move_without(
-    pose: int, posterior: Posterior, exploration: Exploration, draws: Array, modes: np.ndarray, covariance: Array
+    pose: int, posterior: LegPosterior, exploration: Exploration, draws: Array, modes: np.ndarray, covariance: Array
 ) -> Correction:
     """Return what leads from the posterior to that without a pose: minus its log-ratio is the pose's elpd.
 
     Parameters
     ----------
     pose : int
-    posterior : Posterior
+    posterior : LegPosterior
     exploration : Exploration
     draws, modes, covariance : ndarray
         As of `draw_to_correct`.
@@ -131,7 +131,7 @@ def move_without(
             return -np.asarray(posterior.pointwise(straight.y_from_x(x))[:, pose])
 
     y = exploration.modes[0].y
-    information = -pull_back(straight, y, posterior.pose_information(y, pose))
+    information = -pull_back(straight, y, posterior.row_information(y, pose))
     return correct(CostlyDensity(straight.log_density, gain, information), draws, modes, covariance, WEIGHED)
 
 

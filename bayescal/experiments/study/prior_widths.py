@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 from bayescal.errors import NumericalError
 from bayescal.experiments.study.correct import correct_evidence, list_corrected
 from bayescal.experiments.study.fit import Arrays, Task, get_explored, list_importance
@@ -90,7 +90,7 @@ def weigh_widths(inputs: StudyInputs, task: WidthTask) -> Arrays:
 def _weigh(
     inputs: StudyInputs,
     task: WidthTask,
-    posterior: Posterior,
+    posterior: LegPosterior,
     starts: Array,
     explore_seed: np.random.SeedSequence,
     importance_seed: np.random.SeedSequence,
@@ -122,9 +122,9 @@ def _estimate(inputs: StudyInputs, exploration: Exploration, seed: np.random.See
     )
 
 
-def move_modes(modes: Array, known: Posterior, posterior: Posterior) -> Array:
+def move_modes(modes: Array, known: LegPosterior, posterior: LegPosterior) -> Array:
     """Return the coordinates (M, n) of the same machines under other priors, within their bounds."""
-    coordinates, theta = posterior.coordinates, known.theta(modes)
+    coordinates, theta = posterior.sampling.coordinates, known.theta(modes)
     bounded = coordinates.bounded
     lower, upper = coordinates.lower[bounded], coordinates.upper[bounded]
     margin, places = EDGE * (upper - lower), coordinates.free[bounded]

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 from bayescal.numerics.geometry import Array
 
 LEARNT = 0.5
 """Share of the prior variance that the measurements have to take off a direction for its mean to say something."""
 
 
-def measure_pulls(posterior: Posterior, draws: Array) -> Array:
+def measure_pulls(posterior: LegPosterior, draws: Array) -> Array:
     """Return χ² of how far the posterior lies from nominal, and its degrees of freedom, from draws (..., n)."""
     standard = _standardise(posterior, draws)
     variance, directions = np.linalg.eigh(_covariance(standard))
@@ -26,7 +26,7 @@ def measure_pulls(posterior: Posterior, draws: Array) -> Array:
     return np.array([np.sum(mean[told] ** 2 / learnt[told]), np.count_nonzero(told)])
 
 
-def _standardise(posterior: Posterior, draws: Array) -> Array:
+def _standardise(posterior: LegPosterior, draws: Array) -> Array:
     """Return the geometry's draws (S, m), each parameter standard normal under its prior."""
     flat, priors = draws.reshape(-1, draws.shape[-1]), list(posterior.all_priors().values())
     geometry = priors[: posterior.n_geometry]

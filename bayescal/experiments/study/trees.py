@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 from bayescal.experiments.shared.trees import Draws, Group, Replicated, build_tree, choose_draws, spread
 from bayescal.experiments.study.fit import Arrays, Task
 from bayescal.experiments.study.inputs import StudyInputs
@@ -73,13 +73,13 @@ def _deviate(arrays: Arrays, misfit: Array) -> Array:
     return measure_deviation(arrays["start_error"] - misfit, arrays["whitening"]).astype(np.float32)
 
 
-def _list_units(posterior: Posterior) -> list[str]:
+def _list_units(posterior: LegPosterior) -> list[str]:
     layout = posterior.likelihood.layout
     units = dict(zip(layout.names, layout.units, strict=True))
     return [units.get(name, "mm") for name in posterior.names]
 
 
-def _evaluate_priors(posterior: Posterior, draws: Array) -> Array:
+def _evaluate_priors(posterior: LegPosterior, draws: Array) -> Array:
     priors = posterior.all_priors().values()
     return np.stack([prior.log_density(draws[..., k]) for k, prior in enumerate(priors)], axis=-1)
 

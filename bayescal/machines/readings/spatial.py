@@ -127,8 +127,13 @@ class SpatialMachine(ReadingModel):
         """Return the parameters of the legs that carry a sensor and the zeros of inclinometers.
 
         An inclinometer does not see how long a strut is. Parameters that are no leg's own, or of a deformation, are
-        seen by every sensor on a leg.
+        seen by every sensor on a leg, and all of them where actuators deflect the joints of other legs.
         """
+        channels = tuple(channels)
+        if self._couples and any(name.partition("[")[0] not in POSE for name in channels):
+            zeros = {name for kind in TILTS for name in self.layout.block(f"{kind}0").names}
+            read = {name.replace("[", "0[") for name in channels if name.partition("[")[0] in TILTS}
+            return tuple(name for name in self.layout.names if name not in zeros - read)
         seen: set[str] = set()
         blind = {"l"} if self.machine.mechanism.drive == "strut" else set()
         for name in channels:
@@ -141,6 +146,12 @@ class SpatialMachine(ReadingModel):
             if kind in TILTS:
                 seen.add(f"{kind}0[{leg}")
         return tuple(name for name in self.layout.names if name in seen)
+
+    @property
+    def _couples(self) -> bool:
+        """Whether an actuator deflects the joints of other legs."""
+        gain = self.machine.basis(self.machine.mechanism.initial_actuator_positions).actuator_gain
+        return bool(np.any(gain * ~np.eye(self.n_legs, dtype=bool)))
 
     def _is_own(self, block: ParameterBlock) -> bool:
         shared = {b.symbol for b in self.machine.deformation.blocks(self.n_legs)}
@@ -220,12 +231,12 @@ class SpatialMachine(ReadingModel):
         the actuators as B⁻¹ L.
         """
         del given
+        if not self._couples:
+            return None
         own = theta[..., : self.machine.layout.size]
         position, rotation, actuators = self._stand(theta, pose)
         basis = self.machine.basis_at(own, actuators)
         alone = basis.actuator_gain * np.eye(self.n_legs)
-        if np.array_equal(alone, basis.actuator_gain):
-            return None
         closure = self.machine.model.prepare(self.machine.layout, own)
         whole, lone = (
             closure(position, rotation, one, with_parameters=False).actuators

@@ -17,8 +17,8 @@ from reading_studies import copy_shipped, describe_variant, load_small, write_sm
 from rich.console import Console
 from saved_trees import check_tree, read_tree
 
-from bayescal.density.readings.calibrability import compute_calibrability
-from bayescal.density.readings.tool import locate_tool
+from bayescal.experiments.shared.calibrability import compute_calibrability
+from bayescal.experiments.shared.sensor_sets import locate_tool
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import find_kind, load, load_experiment
 from bayescal.experiments.frame.parallel import Run

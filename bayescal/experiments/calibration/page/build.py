@@ -19,6 +19,7 @@ from bayescal.experiments.calibration.page.verdict import (
     state_verdict,
 )
 from bayescal.experiments.shared.diagnostics_table import tabulate_diagnostics
+from bayescal.experiments.shared.function_page import judge_functions, show_functions
 from bayescal.experiments.shared.joints import MOST_POSES
 from bayescal.experiments.shared.machine_scene import AXES, build_line_scene
 from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Section, make_section, make_table
@@ -37,6 +38,7 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
         _show_variants(tables, summary),
         _show_parameters(tables, best),
         *show_machine(tables, best),
+        *show_functions(tables),
         show_accuracy(tables),
         *_show_predictions(tables, best),
         _show_poses(tables, best),
@@ -52,7 +54,7 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
         summary["title"],
         name_origin(summary["origin"]),
         state_headline(tables, summary),
-        tuple(state_verdict(tables, summary)),
+        (*state_verdict(tables, summary), *judge_functions(tables)),
         tuple(sections),
         (("Machine", str(summary["machine"])), ("Data of the best variant", str(row["data"]))),
     )
