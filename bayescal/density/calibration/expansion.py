@@ -8,7 +8,7 @@ the log-density is quadratic in the change M = H⁺ dH of the slopes, with a fac
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,13 +28,13 @@ class Expansion:
         Where the anchor explains the readings.
     slope : ndarray, shape (q, P, K)
         H there, not white.
-    moves : ndarray, shape (D, P q)
+    moves : ndarray, shape (D, P, q)
         How poses follow the parameters.
     close : float
         White readings that a pose may move by in a step that is taken to first order.
     free : ndarray of int, shape (F,)
         Which parameters may differ from the anchor's.
-    bends : ndarray, shape (F, q P K), or None
+    bends : ndarray, shape (F, q, P, K), or None
         How H follows them; None where that is not known.
     metric : ndarray, shape (F, F)
         The square of M, summed over poses and coordinates, as a quadratic form of the parameters' change.
@@ -63,14 +63,19 @@ class Expansion:
     def predict(self, theta: Array) -> tuple[Array, Array]:
         """Return poses (C, P, q) and H (C, P, K, q), not white, of machines (C, D)."""
         change = theta - self.anchor
-        pose = self.pose + (change @ self.moves).reshape(-1, *self.pose.shape)
+        pose = self.pose + (change @ self.moves.reshape(len(self.anchor), -1)).reshape(-1, *self.pose.shape)
         slope = np.broadcast_to(self.slope, (len(theta), *self.slope.shape))
         if self.bends is not None:
-            slope = self.slope + (change[:, self.free] @ self.bends).reshape(slope.shape)
+            slope = self.slope + (change[:, self.free] @ self.bends.reshape(len(self.free), -1)).reshape(slope.shape)
         return pose, np.moveaxis(slope, 1, -1)
 
     @property
     def by_parameter(self) -> Array:
         """How H follows the free parameters, not white, (F, P, K, q)."""
         assert self.bends is not None
-        return np.moveaxis(self.bends.reshape(-1, *self.slope.shape), 1, -1)
+        return np.moveaxis(self.bends, 1, -1)
+
+    def pick(self, which: np.ndarray) -> Expansion:
+        """Return that of some of the poses; of fewer ones it is as good."""
+        bends = None if self.bends is None else self.bends[:, :, which]
+        return replace(self, pose=self.pose[which], slope=self.slope[:, which], moves=self.moves[:, which], bends=bends)

@@ -97,21 +97,15 @@ class CalibrationLikelihood:
         V, in the units of the coordinates.
     start : ndarray, shape (P, q)
         Poses from which the best ones are looked for.
-    anchor : ndarray, shape (D,), or None
-        A machine near those that are asked for, which explains the readings at ``start``.
-    spread : ndarray, shape (n, D), or None
-        Machines about as far from it as those that are asked for, by which its expansion is tried.
-    reference : Whitening or None
-        The noise, of one machine, at which it is; as stated by default.
+    expansion : Expansion or None
+        About a machine near those that are asked for, which explains the readings at ``start``.
     """
 
     model: ReadingModel
     data: Measurements
     volume: float
     start: Array
-    anchor: Array | None = None
-    spread: Array | None = None
-    reference: Whitening | None = None
+    expansion: Expansion | None = None
 
     @cached_property
     def n_readings(self) -> np.ndarray:
@@ -152,7 +146,8 @@ class CalibrationLikelihood:
 
         That of one machine where it starts: the gain hardly changes with the machine.
         """
-        theta, there = self.model.layout.nominal if self.anchor is None else self.anchor, self.data.present
+        theta, there = self.model.layout.nominal, self.data.present
+        theta = theta if self.expansion is None else self.expansion.anchor
         gain = self.model.error_gain(theta, self.start, self.data.given)
         if gain is None:
             return None
@@ -165,16 +160,18 @@ class CalibrationLikelihood:
 
     def pick(self, which: np.ndarray) -> CalibrationLikelihood:
         """Return the density of the readings of some poses."""
-        return replace(self, data=self.data.pick(which), start=self.start[which], reference=None)
+        near = None if self.expansion is None else self.expansion.pick(which)
+        return replace(self, data=self.data.pick(which), start=self.start[which], expansion=near)
 
     def anchored(
         self, pose: Array, theta: Array, spread: Array | None = None, reference: Whitening | None = None
     ) -> CalibrationLikelihood:
         """Return the same density that starts at those poses (P, q) which a machine (D,) explains readings with.
 
-        With others (n, D) its H is used for machines like these, as far as it is good enough at a noise (1, P).
+        With others (n, D) H is expanded for machines like these, whatever their change, at a noise (1, P) or as stated.
         """
-        return replace(self, start=pose, anchor=theta, spread=spread, reference=reference)
+        moved = replace(self, start=pose, expansion=None)
+        return replace(moved, expansion=moved._expand(theta, spread, reference) if pose.shape[-1] else None)
 
     # --- poses ---------------------------------------------------------------------------------------------------
 
@@ -297,53 +294,48 @@ class CalibrationLikelihood:
         found.slope[:] = slope
         return np.flatnonzero(~good)
 
-    @cached_property
-    def expansion(self) -> Expansion | None:
-        """What machines near the anchor have in common; None without one."""
-        if self.anchor is None or not self.start.shape[-1]:
-            return None
-        white = self.reference or self.whiten(self.sd[None], np.zeros((1, 1, len(self.model.channels))))
+    def _expand(self, anchor: Array, spread: Array | None, reference: Whitening | None) -> Expansion:
+        """Return what machines near an anchor (D,) at the start have in common."""
+        white = reference or self.whiten(self.sd[None], np.zeros((1, 1, len(self.model.channels))))
         with np.errstate(all="ignore"):
-            here = self.model.linearise(self.anchor[None, None], self.start[None], True, self._given)
+            here = self.model.linearise(anchor[None, None], self.start[None], True, self._given)
             error = self.comparison.subtract(self.data.values, here.values)
             slope = self._pull_back(error, here.values, here.by_pose)
             inverse = invert(white.rows(slope)[0], 0.0)
             moves = -inverse @ white.rows(self._pull_back(error, here.values, here.by_parameters))[0]
-            moves = np.moveaxis(moves, -1, 0).reshape(moves.shape[-1], -1)
             first = Expansion(
-                self.anchor,
+                anchor,
                 self.start,
                 np.moveaxis(slope[0], -1, 0),
-                moves,
-                self._measure_straightness(white, slope),
-                np.arange(len(self.anchor)),
+                np.moveaxis(moves, -1, 0),
+                self._measure_straightness(anchor, white, slope),
+                np.arange(len(anchor)),
                 None,
-                np.zeros((len(self.anchor),) * 2),
+                np.zeros((len(anchor),) * 2),
                 -np.inf,
             )
-            return first if self.spread is None else self._bend(first, self.spread, white)
+            return first if spread is None else self._bend(first, spread)
 
-    def _measure_straightness(self, white: Whitening, slope: Array) -> float:
+    def _measure_straightness(self, anchor: Array, white: Whitening, slope: Array) -> float:
         """Return how many white readings a pose may move by, to first order, by the readings' curvature there."""
-        assert self.anchor is not None
         rng, rows = np.random.default_rng(1907), white.rows(slope)
         wanted = rng.standard_normal((TRIALS, *rows.shape[1:3]))
         step, _ = find_step(rows, wanted)
         size = np.linalg.norm(subtract_step(rows, step, np.zeros_like(wanted)), axis=-1, keepdims=True)
         step /= size
-        theta = np.broadcast_to(self.anchor, (TRIALS, len(self.anchor)))
+        theta = np.broadcast_to(anchor, (TRIALS, len(anchor)))
         up, down, here = (self._errors(theta, self.start + sign * step, white) for sign in (1.0, -1.0, 0.0))
         curvature = 0.5 * np.nan_to_num(np.abs(up + down - 2.0 * here)).max(initial=0.0)
         return float(np.clip(np.sqrt(LEFT / max(curvature, LEFT)), CLOSE, 1.0))
 
-    def _bend(self, first: Expansion, spread: Array, reference: Whitening) -> Expansion:
-        """Return an expansion with derivatives of H by what differs among machines (n, D), and how far it is good."""
+    def _bend(self, first: Expansion, spread: Array) -> Expansion:
+        """Return an expansion with derivatives of H by what differs among machines (n, D)."""
         free = np.flatnonzero((spread != spread[:1]).any(axis=0))
         if not len(free) or len(free) * first.slope.size > LARGEST:
             return first
         change = np.zeros((len(free), len(first.anchor)))
         change[np.arange(len(free)), free] = STEP * spread[:, free].std(axis=0)
-        pose = (change @ first.moves).reshape(-1, *self.start.shape)
+        pose = np.tensordot(change, first.moves, 1)
         bends = np.empty((len(free), *first.slope.shape))
         for part in self.batches(len(free)):
             up, down = (
@@ -352,7 +344,7 @@ class CalibrationLikelihood:
             )
             width = 2.0 * change[part].sum(axis=1)
             bends[part] = np.moveaxis(up - down, -1, 1) / width[:, None, None, None]
-        bent = replace(first, free=free, bends=bends.reshape(len(free), -1), limit=np.inf)
+        bent = replace(first, free=free, bends=bends, limit=np.inf)
         # constraints as readings of their unit's usual noise: beside their own all else would be no change
         loose = np.where(self.data.present & (self.data.sd == 0.0), self.sd / CONSTRAINT, self.sd)
         white = self.whiten(loose[None], np.zeros((1, 1, loose.shape[-1])))
@@ -361,10 +353,19 @@ class CalibrationLikelihood:
         for p in range(self.data.n_poses):
             turned = (rows[:, p] @ inverse[p]).reshape(len(free), -1)
             metric += turned @ turned.T
-        if not np.isfinite(metric).all():
-            return first
-        bent = replace(bent, metric=metric)
-        return replace(bent, limit=self._find_limit(bent, spread, reference))
+        return replace(bent, metric=metric) if np.isfinite(metric).all() else first
+
+    def limited(self, theta: Array, error: Array) -> CalibrationLikelihood:
+        """Return the same density that uses its expansion as far as it is good enough, by errors (n,) of machines (n, D).
+
+        The error of the log-density grows with the square of the change of H.
+        """
+        if self.expansion is None or self.expansion.bends is None:
+            return self
+        square, known, limit = self.expansion.measure(theta), np.isfinite(error), -np.inf
+        if known.any():
+            limit = NATS / max(float(np.max(np.abs(error[known]) / square[known])), NATS / LARGEST_CHANGE)
+        return replace(self, expansion=replace(self.expansion, limit=limit))
 
     def is_near(self, theta: Array) -> np.ndarray:
         """Return of which machines (C, D) the density takes H from the expansion, shape (C,)."""
@@ -392,20 +393,6 @@ class CalibrationLikelihood:
         here = self.model.linearise(theta[:, None], pose, False, self._given)
         return self._pull_back(self.comparison.subtract(self.data.values, here.values), here.values, here.by_pose)
 
-    def _find_limit(self, bent: Expansion, spread: Array, reference: Whitening) -> float:
-        """Return up to which change of H an expansion is good enough, from the error it makes for machines (n, D)."""
-        white = reference.pick(np.zeros(len(spread), dtype=int))
-        exact = self.stand(spread, white, self.start)
-        found = Stand(*(np.empty_like(one) for one in vars(exact).values()))
-        lost = self._follow_chords(found, spread, white, bent)
-        rough, fine = ((self.log_volume(one, white) - 0.5 * one.square).sum(axis=1) for one in (found, exact))
-        error, square = np.abs(rough - fine), bent.measure(spread)
-        error[lost] = np.nan
-        known = np.isfinite(error)
-        if not known.any():
-            return -np.inf
-        return float(NATS / max(np.max(error[known] / square[known]), NATS / LARGEST_CHANGE))
-
     # --- density -------------------------------------------------------------------------------------------------
 
     def batches(self, n: int) -> Iterator[slice]:
@@ -432,7 +419,6 @@ class CalibrationLikelihood:
             at = self.stand(theta[part], white)
             result[part] = outliers.weigh(at.square, self.n_spare) + self.offset(white, at)
 
-        _ = self.expansion  # made once, not by each thread
         map_in_threads(weigh, list(self.batches(len(theta))))
         result[~np.isfinite(result)] = -np.inf
         return result

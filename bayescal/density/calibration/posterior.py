@@ -424,11 +424,16 @@ class CalibrationPosterior:
         """Return the same posterior that looks for poses from those of the least-squares solution."""
         y, pose = self.fit(np.zeros(self.n_parameters), self.likelihood.start)
         theta, white = self.theta(y[None])[0], self.likelihood.whiten(*self.deviations(y[None]))
-        near = self.likelihood.anchored(pose, theta, self._draw_near(y, pose, white), white)
-        return replace(self, likelihood=near)
+        some = self._draw_near(y, pose, white)
+        every = self.theta(some)
+        near, exact = (
+            replace(self, likelihood=self.likelihood.anchored(pose, theta, spread, white)) for spread in (every, None)
+        )
+        error = near.log_density(some) - exact.log_density(some)
+        return replace(near, likelihood=near.likelihood.limited(every, error))
 
     def _draw_near(self, y: Array, pose: Array, white: Whitening) -> Array:
-        """Return machines (n, D) that are off the best one y (n,) thrice as far as the posterior's, always the same."""
+        """Return coordinates (N, n) thrice as far off the best ones (n,) as the posterior's, always the same."""
         with np.errstate(all="ignore"):
             _, slope, by_parameters = self.rows(y, white, pose[None])
             rows = project_out(slope) @ by_parameters
@@ -436,7 +441,7 @@ class CalibrationPosterior:
         normal = np.random.default_rng(1777).standard_normal((self.n_geometry, NEARBY))
         some = np.repeat(y[None], NEARBY, axis=0)
         some[:, : self.n_geometry] += FAR * np.linalg.solve(np.linalg.cholesky(hessian).T, normal).T
-        return self.theta(some)
+        return some
 
     def fit(self, y: Array, pose: Array) -> tuple[Array, Array]:
         """Return coordinates (n,) and poses (P, q) that explain readings and priors best, by Levenberg and Marquardt.

@@ -69,7 +69,10 @@ def test_the_gradient_is_that_of_central_differences(case, anchored, rng):
     values = [posterior.log_density(y + times * moves) for times in (-2.0, -1.0, 1.0, 2.0)]
     expected = (8.0 * (values[2] - values[1]) - (values[3] - values[0])) / (12.0 * step)
     # the noise moves the best pose, and with it the volume: left out, and more with the measure of commanded positions
-    np.testing.assert_allclose(gradient, expected, rtol=1e-6, atol=1e-3 if "commanded" in case else 3e-4)
+    close = 1e-3 if "commanded" in case else 3e-4
+    if anchored and posterior.errors.has_columns:  # slopes are expanded, residuals many deviations
+        close = 0.01 / np.sqrt(np.diag(np.linalg.inv(-hessian)))
+    np.testing.assert_array_less(np.abs(gradient - expected), 1e-6 * np.abs(expected) + close)
     np.testing.assert_allclose(hessian, hessian.T, rtol=1e-9, atol=1e-9)
     assert (np.linalg.eigvalsh(-hessian) > 0.99).all()
 
