@@ -10,6 +10,7 @@ import numpy as np
 from bayescal.numerics.geometry import Array
 
 SINGULAR = 1e-14  # of a column's square, below which the others leave nothing of it
+MOST_ENTRIES = 16  # rows of a matrix that is factorised by its entries
 RANK = 1e-7  # of the largest singular value of H, below which a pose is not told
 
 
@@ -18,8 +19,12 @@ def half_log_volume(slope: Array) -> Array:
     if not slope.shape[-1]:
         return np.zeros(slope.shape[:-2])
     with np.errstate(all="ignore"):
-        factor = factorise(slope)
-        return np.asarray(sum(np.log(factor[k][k]) for k in range(slope.shape[-1])))
+        return log_root(factorise(slope))
+
+
+def log_root(factor: list[list[Array]]) -> Array:
+    """Return ½ log |HᵀΣ⁻¹H|, shape (...), from the factor of a white H with at least one column."""
+    return np.asarray(sum(np.log(row[-1]) for row in factor))
 
 
 def factorise(slope: Array) -> list[list[Array]]:
@@ -48,8 +53,12 @@ def find_step(slope: Array, error: Array) -> tuple[Array, Array]:
     """
     with np.errstate(all="ignore"):
         step, _ = solve_step(slope, factorise(slope), error)
-        left = error - sum(slope[..., i] * step[..., i, None] for i in range(slope.shape[-1]))
-    return step, np.asarray(left)
+        return step, subtract_step(slope, step, error)
+
+
+def subtract_step(slope: Array, step: Array, error: Array) -> Array:
+    """Return what a step (..., q) leaves of white errors (..., K), to first order."""
+    return np.asarray(error - sum(slope[..., i] * step[..., i, None] for i in range(slope.shape[-1])))
 
 
 def solve_step(slope: Array, factor: list[list[Array]], error: Array) -> tuple[Array, Array]:
@@ -64,6 +73,36 @@ def solve_step(slope: Array, factor: list[list[Array]], error: Array) -> tuple[A
         for i in reversed(range(q)):
             solved[i] = (solved[i] - sum(factor[k][i] * solved[k] for k in range(i + 1, q))) / factor[i][i]
     return np.stack(solved, axis=-1), length
+
+
+def whiten_covariance(covariance: Array) -> tuple[Array, Array]:
+    """Return the inverse of the Cholesky factor of covariances (..., K, K), and the logarithm of its determinant (...).
+
+    By entries where they are few and the matrices many, as in `factorise`; NaN where a matrix is not positive definite.
+    """
+    n = covariance.shape[-1]
+    if n > MOST_ENTRIES:
+        factor = np.linalg.cholesky(covariance)
+        return np.linalg.inv(factor), -np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+    there = covariance.reshape(-1, n, n).any(axis=0)
+    factors: dict[tuple[int, int], Array] = {}
+    inverse: dict[tuple[int, int], Array] = {}
+    result = np.zeros_like(covariance)
+    with np.errstate(all="ignore"):
+        for i in range(n):
+            for j in range(i + 1):
+                terms = [factors[i, k] * factors[j, k] for k in range(j) if (i, k) in factors and (j, k) in factors]
+                if terms or there[i, j]:
+                    rest = covariance[..., i, j] - sum(terms)
+                    factors[i, j] = np.sqrt(rest) if i == j else rest / factors[j, j]
+            inverse[i, i] = 1.0 / factors[i, i]
+            for j in range(i):
+                terms = [factors[i, k] * inverse[k, j] for k in range(j, i) if (i, k) in factors and (k, j) in inverse]
+                if terms:
+                    inverse[i, j] = -inverse[i, i] * sum(terms)
+        for (i, j), entry in inverse.items():
+            result[..., i, j] = entry
+        return result, np.asarray(sum(np.log(inverse[i, i]) for i in range(n)))
 
 
 def orthonormalise(slope: Array) -> Array:

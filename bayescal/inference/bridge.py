@@ -15,6 +15,7 @@ from scipy.special import expit, logsumexp
 from bayescal.errors import NumericalError
 from bayescal.inference.importance import LogDensity, evaluate_in_batches
 from bayescal.inference.proposal import MixtureProposal, proposal_from_draws
+from bayescal.inference.stages import stage
 from bayescal.numerics.geometry import Array
 
 BRIDGE_DOF = 1e6
@@ -62,7 +63,8 @@ def estimate_by_bridge(
     flat = kept.reshape(-1, draws.shape[-1])
     proposed = proposal.draw(n_proposal, rng)
     log_l1 = density.ravel() - proposal.log_density(flat)
-    log_l2 = evaluate_in_batches(log_density, proposed) - proposal.log_density(proposed)
+    with stage("bridge", n_proposal):
+        log_l2 = evaluate_in_batches(log_density, proposed) - proposal.log_density(proposed)
     effective = _effective_size(density)
     offset = float(np.median(log_l1))
     log_r, converged = iterate_bridge(log_l1 - offset, log_l2 - offset, effective)

@@ -19,6 +19,7 @@ from bayescal.inference.mode import Mode, find_modes, revisit_modes
 from bayescal.inference.peaks import Peak, bend_at, curve_at, proposal_from_peaks, refine_peak
 from bayescal.inference.proposal import MixtureProposal, proposal_from_draws
 from bayescal.inference.ridges import trace_ridges
+from bayescal.inference.stages import stage
 from bayescal.inference.straightening import Straightening, straighten
 from bayescal.inference.target import Target
 from bayescal.numerics.geometry import Array
@@ -87,8 +88,10 @@ def explore(
     NumericalError
         Where no mode is found or no proposal draw has a finite density.
     """
-    modes = find_modes(posterior, np.random.default_rng(seed.generate_state(4)) if anew else None)
-    found = _explore_from(modes, posterior, seed, n_walkers, max_pilots, GOOD_ENOUGH, trace=True)
+    with stage("mode search"):
+        modes = find_modes(posterior, np.random.default_rng(seed.generate_state(4)) if anew else None)
+    with stage("proposal"):
+        found = _explore_from(modes, posterior, seed, n_walkers, max_pilots, GOOD_ENOUGH, trace=True)
     if found is None:
         return explore(_refine(posterior), seed, n_walkers, max_pilots, anew=anew)
     return found
@@ -122,8 +125,10 @@ def explore_near(
     NumericalError
         As `explore`.
     """
-    modes = revisit_modes(posterior, starts, find_modes(posterior) if search else ())
-    found = _explore_from(modes, posterior, seed, n_walkers, MAX_PILOTS, enough)
+    with stage("mode search"):
+        modes = revisit_modes(posterior, starts, find_modes(posterior) if search else ())
+    with stage("proposal"):
+        found = _explore_from(modes, posterior, seed, n_walkers, MAX_PILOTS, enough)
     if found is None:  # the modes move a little, and there are no others
         return explore_near(_refine(posterior), np.stack([mode.y for mode in modes]), seed, n_walkers, enough=enough)
     return found

@@ -10,6 +10,7 @@ from scipy.special import logsumexp
 
 from bayescal.errors import NumericalError
 from bayescal.inference.proposal import MixtureProposal
+from bayescal.inference.stages import count, stage
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
@@ -55,7 +56,11 @@ class ImportanceEvidence:
 
 def evaluate_in_batches(log_density: LogDensity, y: Array) -> Array:
     """Return the log-density (B,) of many vectors (B, n), in batches that stay in the cache."""
-    return np.concatenate([log_density(y[k : k + BATCH]) for k in range(0, len(y), BATCH)])
+    found = []
+    for k in range(0, len(y), BATCH):
+        found.append(log_density(y[k : k + BATCH]))
+        count(len(found[-1]))
+    return np.concatenate(found)
 
 
 def smooth_weights(log_weights: Array) -> tuple[Array, float]:
@@ -91,7 +96,8 @@ def estimate_by_importance(
     log_weights = np.empty(0)
     while True:
         draws = proposal.draw(n_draws, rng)
-        block = evaluate_in_batches(log_density, draws) - proposal.log_density(draws)
+        with stage("evidence", n_draws):
+            block = evaluate_in_batches(log_density, draws) - proposal.log_density(draws)
         log_weights = np.concatenate([log_weights, block])
         if not np.isfinite(log_weights).any():
             raise NumericalError("importance sampling: no draw of the proposal has a finite density")
@@ -127,7 +133,8 @@ def resample(
 ) -> Resampled:
     """Return n_kept draws out of n_draws of the proposal, by their Pareto-smoothed weights."""
     draws = proposal.draw(n_draws, rng)
-    log_weights = evaluate_in_batches(log_density, draws) - proposal.log_density(draws)
+    with stage("weights", n_draws):
+        log_weights = evaluate_in_batches(log_density, draws) - proposal.log_density(draws)
     finite = np.isfinite(log_weights)
     if not finite.any():
         raise NumericalError("importance sampling: no draw of the proposal has a finite density")

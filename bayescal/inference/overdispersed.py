@@ -16,6 +16,7 @@ from bayescal.inference.diagnostics import LEAST_LACKING
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import evaluate_in_batches
 from bayescal.inference.proposal import MixtureProposal
+from bayescal.inference.stages import stage
 from bayescal.numerics.geometry import Array
 
 N_DRAWS = 5000
@@ -63,7 +64,7 @@ def draw_far_out(exploration: Exploration, seed: np.random.SeedSequence) -> FarD
     """Return draws of an explored posterior's proposal as it is stretched."""
     wide = Stretched(exploration.proposal)
     x = wide.draw(N_DRAWS, np.random.default_rng(seed))
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), stage("tails", N_DRAWS):
         log_density = evaluate_in_batches(exploration.straight.log_density, x)
         log_weights = log_density - wide.log_density(x)
     log_weights[~np.isfinite(log_weights)] = -np.inf

@@ -11,6 +11,7 @@ import numpy as np
 from bayescal.inference.diagnostics import Diagnostics, diagnose
 from bayescal.inference.ensemble import JUMP_SHARE, Ensemble, run_ensembles
 from bayescal.inference.exploration import GOOD_ENOUGH, Exploration, count_walkers
+from bayescal.inference.stages import stage
 from bayescal.inference.straightening import Straightening
 from bayescal.numerics.geometry import Array
 
@@ -75,5 +76,6 @@ def sample_posterior(
     share = GOOD_JUMP_SHARE if exploration.efficiency >= GOOD_ENOUGH else JUMP_SHARE
     seeds = seed.spawn(n_ensembles)
     density, proposal = straight.log_density, exploration.proposal
-    ensembles = run_ensembles(density, proposal, seeds, walkers, n_burn_in, n_steps, jump_share=share)
+    with stage("sampling", n_ensembles * walkers * (1 + n_burn_in + n_steps)):
+        ensembles = run_ensembles(density, proposal, seeds, walkers, n_burn_in, n_steps, jump_share=share)
     return Sample.from_ensembles(straight, ensembles)

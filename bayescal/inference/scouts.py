@@ -17,6 +17,7 @@ from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.overdispersed import FarDraws
 from bayescal.inference.sampling import Sample
+from bayescal.inference.stages import stage
 from bayescal.numerics.geometry import Array
 
 N_STEPS = 20
@@ -45,7 +46,8 @@ def send_scouts(exploration: Exploration, sample: Sample, far: FarDraws, seed: n
         return far.x[known[np.argsort(far.log_weights[known] + rng.gumbel(size=len(known)))[-n:]]]
 
     density = exploration.straight.log_density
-    run = run_ensemble(density, exploration.proposal, seed, n_walkers, N_STEPS, 1, draw)
+    with stage("comparison of walkers", n_walkers * (N_STEPS + 2)):
+        run = run_ensemble(density, exploration.proposal, seed, n_walkers, N_STEPS, 1, draw)
     last = np.column_stack([run.draws[:, -1], run.log_density[:, -1]])
     others = np.column_stack([sample.straight.reshape(-1, n), sample.log_density.ravel()])
     rare = min(1.0, max(RARE, FEWEST / len(others)))

@@ -24,6 +24,7 @@ from bayescal.inference.bridge import iterate_bridge
 from bayescal.inference.clusters import fit_mixture
 from bayescal.inference.importance import evaluate_in_batches
 from bayescal.inference.proposal import MixtureProposal
+from bayescal.inference.stages import stage
 from bayescal.inference.target import Prospect
 from bayescal.numerics.geometry import Array
 
@@ -125,9 +126,10 @@ def estimate_by_tempering(
         Where hardly any draw of the prior has a density.
     """
     rngs = [np.random.default_rng(own) for own in seed.spawn(n_runs)]
-    runs = [_run(target, rng, n_chains) for rng in rngs]
-    others = [runs[-1], *runs[:-1]]  # a mixture fitted to the draws themselves would be too dense right there
-    bridges = [_bridge(target, r.cloud, o.mixture, n_chains, g) for r, o, g in zip(runs, others, rngs, strict=True)]
+    with stage("tempering"):
+        runs = [_run(target, rng, n_chains) for rng in rngs]
+        others = [runs[-1], *runs[:-1]]  # a mixture fitted to the draws themselves would be too dense right there
+        bridges = [_bridge(target, r.cloud, o.mixture, n_chains, g) for r, o, g in zip(runs, others, rngs, strict=True)]
     return TemperedEvidence(
         *_average(np.array(bridges)),
         np.concatenate([run.cloud.y for run in runs]),

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from bayescal.machines.readings import Channel
 from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian
 
+SMALL = 1e-150  # of the sine of half a turn, whose square is no number
 CONSTRAINT = 1e-4
 """Noise of a reading that is stated to have none, in units of the smallest other one of its unit, or of any: its square
 no longer shows."""
@@ -143,6 +143,16 @@ class Comparison:
 
 def _turn(measured: Array, read: Array) -> Array:
     """Return the rotation vector of M Rᵀ for rotation vectors (..., 3); NaN where either is."""
-    good = np.isfinite(measured).all(axis=-1) & np.isfinite(read).all(axis=-1)
-    to, at = (Rotation.from_rotvec(np.where(good[..., None], one, 0.0).reshape(-1, 3)) for one in (measured, read))
-    return np.where(good[..., None], (to * at.inv()).as_rotvec().reshape(measured.shape), np.nan)
+    (w, x), (v, y) = _quaternion(measured), _quaternion(read)
+    real = w * v + (x * y).sum(axis=-1)
+    other = v[..., None] * x - w[..., None] * y - np.cross(x, y)
+    sine = np.linalg.norm(other, axis=-1)
+    small = sine < SMALL
+    turn = np.where(small, 2.0, 2.0 * np.arctan2(sine, np.abs(real)) / np.where(small, 1.0, sine))
+    return np.asarray(np.where(real < 0.0, -turn, turn)[..., None] * other)
+
+
+def _quaternion(vector: Array) -> tuple[Array, Array]:
+    """Return real (...) and imaginary parts (..., 3) of the rotations of vectors (..., 3)."""
+    half = 0.5 * np.linalg.norm(vector, axis=-1)
+    return np.cos(half), 0.5 * np.sinc(half / np.pi)[..., None] * vector

@@ -25,7 +25,9 @@ from bayescal.numerics.geometry import Array
 
 STEP = 1e-4  # of a coordinate, for the slope of the logarithms of volumes
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
+NEARBY, FAR = 8, 3.0  # machines by which the density is tried about its anchor, and how many deviations they are off
 GAIN = 1e-12  # of the squares, below which the search has arrived
+STILL = 1e-8  # of a coordinate, below which a step that leads nowhere is the last: shorter ones lead nowhere, too
 MAX_ITERATIONS = 200
 
 
@@ -331,7 +333,7 @@ class CalibrationPosterior:
             gradient = -np.concatenate([y[:m], self.errors.deviation(y[m:])])
             hessian = -np.eye(n)
             gradient[:m] += np.einsum("p,pki,pk->i", trust, rows, error)
-            gradient[: n if found is not None else m] += self._volume_slope(y, turn)
+            gradient[: n if found is not None else m] += self._volume_slope(y, white, slope, turn)
             hessian[:m, :m] -= np.einsum("pki,pkj->ij", rows, weighed, optimize=True)
             if n > m:
                 self._add_errors(y, white, left, error, trust, found, gradient, hessian)
@@ -374,15 +376,18 @@ class CalibrationPosterior:
         gradient[m:] += np.einsum("p,pk,npku,u->n", trust, error, moved, found.mean[0], optimize=True)
         hessian[m:, m:] -= found.inform(both, trust[:, None, None] * left @ both, moved)
 
-    def _volume_slope(self, y: Array, turn: Array | None = None) -> Array:
-        """Return the derivative of the logarithms of volumes by central differences, (m,); (n,) with coefficients.
+    def _volume_slope(self, y: Array, white: Whitening, slope: Array, turn: Array | None = None) -> Array:
+        """Return the derivative of log-volumes by the coordinates at y and its white H, (m,); (n,) with coefficients.
 
-        These move the poses by δ, to first order; residuals r change with H by -r dH δ, ``turn`` being r δ, (P, K, q).
+        By the expansion where the density takes H from there, else by central differences. Coefficients move the poses
+        by δ, to first order; residuals r change with H by -r dH δ, ``turn`` being r δ, (P, K, q).
         """
         m = self.n_geometry
         n = m if turn is None else self.n_parameters
-        if not self.likelihood.start.shape[-1] and turn is None:
-            return np.zeros(n)
+        if turn is None:
+            by_parameters = self.likelihood.differentiate_volume(self.theta(y[None])[0], white, slope)
+            if by_parameters is not None:
+                return self.moves(y) @ by_parameters
         moves = STEP * np.eye(self.n_parameters)[:n]
         points = y + np.concatenate([moves, -moves])
         parts = [self._log_volume(points[part], turn) for part in self.likelihood.batches(2 * n)]
@@ -394,12 +399,15 @@ class CalibrationPosterior:
     def _log_volume(self, y: Array, turn: Array | None) -> tuple[Array, Array]:
         """Return log-volumes of machines (B, n) right where they stand, with that of coefficients; and -r H δ."""
         white, at = self.stand(y)  # whose H is that of a pose close by, the same for machines that are much alike
-        slope = self.likelihood.linearise(self.theta(y), at.pose, white)[1]
-        volume = self.likelihood.log_volume(slope, white).sum(axis=1)
+        theta, slope = self.theta(y), at.slope
+        if not self.likelihood.is_near(theta).all():
+            slope = self.likelihood.linearise(theta, at.pose, white)[1]
+        there = Stand(at.pose, at.error, slope)
+        volume = self.likelihood.log_volume(there, white).sum(axis=1)
         if turn is None:
             return volume, np.zeros(len(y))
         volume += white.log_det.sum(axis=1)
-        for some, found in self._absorb(y, white, Stand(at.pose, at.error, slope)):
+        for some, found in self._absorb(y, white, there):
             volume[some] += found.log_volume
         return volume, -np.einsum("bpkq,pkq->b", slope, turn)
 
@@ -416,7 +424,26 @@ class CalibrationPosterior:
     def anchored(self) -> CalibrationPosterior:
         """Return the same posterior that looks for poses from those of the least-squares solution."""
         y, pose = self.fit(np.zeros(self.n_parameters), self.likelihood.start)
-        return replace(self, likelihood=self.likelihood.anchored(pose, self.theta(y[None])[0]))
+        theta, white = self.theta(y[None])[0], self.likelihood.whiten(*self.deviations(y[None]))
+        some = self._draw_near(y, pose, white)
+        every = self.theta(some)
+        near, exact = (
+            replace(self, likelihood=self.likelihood.anchored(pose, theta, spread, white)) for spread in (every, None)
+        )
+        with np.errstate(all="ignore"):  # one of them may be no machine
+            error = near.log_density(some) - exact.log_density(some)
+        return replace(near, likelihood=near.likelihood.limited(every, error))
+
+    def _draw_near(self, y: Array, pose: Array, white: Whitening) -> Array:
+        """Return coordinates (N, n) thrice as far off the best ones (n,) as the posterior's, always the same."""
+        with np.errstate(all="ignore"):
+            _, slope, by_parameters = self.rows(y, white, pose[None])
+            rows = project_out(slope) @ by_parameters
+        hessian = np.eye(self.n_geometry) + np.einsum("pki,pkj->ij", rows, rows, optimize=True)
+        normal = np.random.default_rng(1777).standard_normal((self.n_geometry, NEARBY))
+        some = np.repeat(y[None], NEARBY, axis=0)
+        some[:, : self.n_geometry] += FAR * np.linalg.solve(np.linalg.cholesky(hessian).T, normal).T
+        return some
 
     def fit(self, y: Array, pose: Array) -> tuple[Array, Array]:
         """Return coordinates (n,) and poses (P, q) that explain readings and priors best, by Levenberg and Marquardt.
@@ -438,13 +465,14 @@ class CalibrationPosterior:
             raise NumericalError("found no reading of the machine as expected at some start, expected one that stands")
         for _ in range(MAX_ITERATIONS):
             move, follow = self._propose(y, *here, columns[0], residual, damping)
-            other, stood = y.copy(), pose + follow
+            other = y.copy()
             other[: self.n_geometry] += move
+            stood = self._settle(other, white, columns, pose + follow, damping)
             there = self.rows(other, white, stood)
             rest, new = self._cost(other, there[0], columns)
             if not new < cost:
                 damping *= 4.0
-                if damping > LARGEST_DAMPING:
+                if damping > LARGEST_DAMPING or np.max(np.abs(move), initial=0.0) < STILL:
                     break
                 continue
             done = cost - new < GAIN * max(cost, 1.0)
@@ -452,6 +480,12 @@ class CalibrationPosterior:
             if done:
                 break
         return y, pose[0]
+
+    def _settle(self, y: Array, white: Whitening, columns: Array, pose: Array, damping: float) -> Array:
+        """Return poses (1, P, q) moved to what a machine y (n,) reads: a constraint lets a straight step go no way."""
+        error, slope, _ = self.likelihood.linearise(self.theta(y[None]), pose, white)
+        residual, _ = self._cost(y, error[0], columns)
+        return np.asarray(pose + left_of(invert(slope[0], 1e-9 * damping / DAMPING), residual))
 
     def _cost(self, y: Array, error: Array, columns: Array) -> tuple[Array, float]:
         """Return white errors (P, K) without what the best coefficients explain, and what all squares sum up to."""

@@ -88,7 +88,7 @@ def _predict(
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """Return predicted means and noisy values of a channel, both (T, P)."""
-    rest = replace(held, data=held.data.only(others), anchor=None)
+    rest = replace(held, data=held.data.only(others), expansion=None)
     theta, outliers = posterior.theta(y), posterior.errors.outliers
     own, tau = posterior.deviations(y, held)
     mean, spread = (np.empty((len(y), held.data.n_poses)) for _ in range(2))

@@ -19,6 +19,7 @@ from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.experiments.shared.reading_trees import build_reading_tree
 from bayescal.experiments.shared.trees import name_file, write_tree
+from bayescal.inference.stages import stage
 from bayescal.numerics.geometry import Array
 
 
@@ -78,15 +79,17 @@ def _compute_variant(inputs: CalibrationInputs, name: str) -> _Fitted:
     fit = fit_variant(inputs, variant)
     posterior = variant.posterior()
     covariance = np.atleast_2d(np.cov(fit.kept[:, : posterior.n_geometry], rowvar=False))
-    held = [hold_back(inputs, variant, 0, fit.kept)] if variant.verification.any() else []
-    return _Fitted(
-        fit,
-        _explain(inputs, name, fit),
-        assess(inputs.config, variant, posterior.anchored(), fit.kept.mean(axis=0), covariance),
-        [one.evaluate(variant.whole, posterior.theta(fit.kept)) for one in inputs.beside],
-        held,
-        tabulate_errors(inputs.config, variant, fit.kept),
-    )
+    with stage("held-back poses"):
+        held = [hold_back(inputs, variant, 0, fit.kept)] if variant.verification.any() else []
+    with stage("accuracy"):
+        return _Fitted(
+            fit,
+            _explain(inputs, name, fit),
+            assess(inputs.config, variant, posterior.anchored(), fit.kept.mean(axis=0), covariance),
+            [one.evaluate(variant.whole, posterior.theta(fit.kept)) for one in inputs.beside],
+            held,
+            tabulate_errors(inputs.config, variant, fit.kept),
+        )
 
 
 def _explain(inputs: CalibrationInputs, name: str, fit: Fit) -> Residuals:

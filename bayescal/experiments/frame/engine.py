@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 from bayescal.errors import BayescalError, InputError, NumericalError
 from bayescal.experiments.frame.interrupts import follow_parent, shield_children
 from bayescal.experiments.frame.records import Record, encode
+from bayescal.numerics.threads import use_threads
 
 type Failure = tuple[type[BayescalError], str]
 
@@ -55,6 +56,8 @@ class Engine(ABC):
 class Processes(Engine):
     """Processes of this machine; one of them, or a single task, is this process.
 
+    Where there are fewer tasks than processes, each takes what it can in threads.
+
     Attributes
     ----------
     workers : int
@@ -67,8 +70,9 @@ class Processes(Engine):
     ) -> Iterator[tuple[str, Record | Failure]]:
         """Yield each task's name with its record or failure; see `Engine.compute`."""
         if self.workers == 1 or len(tasks) < 2:
-            return ((name, run_guarded(function, shared, task)) for name, task in tasks.items())
-        calls = [(run_guarded, function, shared, task) for task in tasks.values()]
+            return ((name, run_guarded(function, shared, task, self.workers)) for name, task in tasks.items())
+        threads = max(1, self.workers // len(tasks))
+        calls = [(run_guarded, function, shared, task, threads) for task in tasks.values()]
         return _watch(_call_in_workers(self.workers, list(zip(tasks, calls, strict=True))))
 
 
@@ -185,9 +189,9 @@ def _call_in_worker[R](parent: int, name: str, function: Callable[..., R], *argu
     return name, function(*arguments)
 
 
-def run_guarded[S, T](function: Callable[[S, T], Any], shared: S, task: T) -> Record | Failure:
-    """Return a task's record, or in words why it failed; BLAS keeps to one thread."""
-    with threadpool_limits(1):
+def run_guarded[S, T](function: Callable[[S, T], Any], shared: S, task: T, threads: int = 1) -> Record | Failure:
+    """Return a task's record, or in words why it failed; BLAS keeps to one thread, batches take so many."""
+    with threadpool_limits(1), use_threads(threads):
         return run_quietly(function, shared, task)
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from typing import Any
 
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.engine import Engine, Processes
-from bayescal.experiments.frame.progress import Progress
+from bayescal.experiments.frame.progress import Progress, Watch, run_marked
 from bayescal.experiments.frame.records import decode
 from bayescal.experiments.frame.store import Store
 
@@ -92,10 +93,10 @@ class Run:
         names, classes = _name_files(stage, tasks), tuple(returns)
         kept = dict(self._read_kept(names, classes))
         missing = {name: task for name, task in tasks.items() if name not in kept}
-        outcomes = self.engine.compute(function, shared, missing)
+        outcomes, watch = self._compute(function, shared, missing)
 
         def wait() -> dict[str, R]:
-            fresh = self._follow(stage, names, len(kept), outcomes, classes)
+            fresh = self._follow(stage, names, len(kept), outcomes, classes, watch)
             found, failures = _sort(tasks, chain(kept.items(), fresh))
             if failures:
                 said = "; ".join(f"{name}: {fault}" for name, fault in islice(failures.items(), SAID))
@@ -135,8 +136,17 @@ class Run:
         for name, result in self._read_kept(names, classes):
             del missing[name]
             yield name, result
-        outcomes = self.engine.compute(function, shared, missing)
-        yield from self._follow(stage, names, len(tasks) - len(missing), outcomes, classes)
+        outcomes, watch = self._compute(function, shared, missing)
+        yield from self._follow(stage, names, len(tasks) - len(missing), outcomes, classes, watch)
+
+    def _compute[S, T](
+        self, function: Callable[[S, T], Any], shared: S, tasks: Mapping[str, T]
+    ) -> tuple[Iterable[Any], Watch | None]:
+        """Return what tasks end with, as they end, and what follows them meanwhile."""
+        watch = self.progress.watch(tuple(tasks))
+        if watch is None:
+            return self.engine.compute(function, shared, tasks), None
+        return self.engine.compute(run_marked, (function, shared), watch.mark(tasks)), watch
 
     def _read_kept(self, names: Mapping[str, str], classes: tuple[Any, ...]) -> Iterator[tuple[str, Any]]:
         """Yield the results of tasks that were finished before."""
@@ -150,10 +160,19 @@ class Run:
                 yield name, result
 
     def _follow(
-        self, stage: str, names: Mapping[str, str], done: int, outcomes: Iterable[Any], classes: tuple[Any, ...]
+        self,
+        stage: str,
+        names: Mapping[str, str],
+        done: int,
+        outcomes: Iterable[Any],
+        classes: tuple[Any, ...],
+        watch: Watch | None,
     ) -> Iterator[tuple[str, Any]]:
         """Yield what tasks end with, each kept before."""
-        with self.progress.follow(stage, len(names), done) as progress:
+        with (
+            nullcontext() if watch is None else closing(watch),
+            self.progress.follow(stage, len(names), done, watch) as progress,
+        ):
             for name, outcome in outcomes:
                 if isinstance(outcome, tuple):
                     kind, fault = outcome

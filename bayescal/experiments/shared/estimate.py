@@ -20,10 +20,11 @@ from bayescal.inference.diagnostics import (
 )
 from bayescal.inference.importance import ImportanceEvidence
 from bayescal.inference.integration import Effort, integrate_posterior, widen_tails
-from bayescal.inference.overdispersed import draw_far_out
+from bayescal.inference.overdispersed import N_DRAWS, draw_far_out
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.inference.scouts import Scouts, send_scouts
+from bayescal.inference.stages import expect
 from bayescal.inference.tails import Tails, compare_tails
 from bayescal.inference.target import Target
 from bayescal.inference.tempered import TemperedEvidence, estimate_by_tempering
@@ -140,6 +141,8 @@ def estimate_posterior(
         [seed, zlib.crc32(name.encode())]
     ).spawn(4)
     price = Effort(effort.draws, effort.target_error, effort.max_draws)
+    walks = sampler.ensembles * sampler.walkers * (sampler.burn_in + sampler.steps)
+    expect({"evidence": effort.draws, "tails": N_DRAWS, "sampling": walks, "bridge": effort.draws})
     found, importance = integrate_posterior(posterior, explore_seed, importance_seed, sampler.walkers, price)
     far = draw_far_out(found, np.random.SeedSequence([seed, zlib.crc32(f"{name}-tails".encode())]))
     found, importance = widen_tails(found, importance, far, importance_seed, price)

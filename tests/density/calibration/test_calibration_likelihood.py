@@ -6,7 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_problems import correlation_of, density, linear_model, measurements, pointwise, star_problem
+from calibration_problems import (
+    correlation_of,
+    density,
+    line_functions,
+    linear_model,
+    lines_posterior,
+    measurements,
+    pointwise,
+    star_problem,
+    unknown_noise,
+)
 from reading_machines import LinearModel, gaussian_log_evidence
 from scipy.integrate import quad
 from scipy.linalg import null_space
@@ -308,10 +318,54 @@ def test_chords_start_where_the_parameters_take_the_poses():
     likelihood, near = star_problem()
     white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, 8)))
     start, pose = (likelihood.stand(near[k : k + 1], white).pose[0] for k in (0, 1))
-    moves = likelihood.anchored(start, near[0])._anchored_moves
-    moved = ((near[1:2] - near[:1]) @ moves).reshape(start.shape)
+    moved, _ = likelihood.anchored(start, near[0]).expansion.predict(near[1:2])
     # what is left is of second order, and of first in what no pose explains
-    assert np.abs(start + moved - pose).max() < 1e-3 * np.abs(pose - start).max()
+    assert np.abs(moved[0] - pose).max() < 1e-3 * np.abs(pose - start).max()
+
+
+NATS = 2e-3
+
+
+@pytest.mark.parametrize("case", ["plain", "correlated", "missing", "bearing", "factor", "functions"])
+def test_machines_near_the_anchor_need_no_derivatives_and_others_are_exact(case, rng, monkeypatch):
+    choices = {
+        "correlated": {"correlation": correlation_of(rng, 4)},
+        "missing": {"missing": 0.3},
+        "bearing": {"bearing": True},
+        "factor": {"terms": unknown_noise(4, True, True, 0.1)},
+        "functions": {"terms": (line_functions(),), "n_poses": 30},
+    }
+    plain, *_ = lines_posterior(rng, **choices.get(case, {}))
+    posterior = plain.anchored()
+    mode = plain.approach()
+    _, hessian = posterior.gradient(mode)
+    move = np.linalg.solve(np.linalg.cholesky(-hessian).T, rng.standard_normal((len(mode), 40))).T
+    near, far = mode + move, mode + 30.0 * move[:5]
+    plain = replace(plain, likelihood=replace(plain.likelihood, start=posterior.likelihood.start))
+    np.testing.assert_allclose(posterior.log_density(far), plain.log_density(far), rtol=1e-5, atol=1e-3)
+    expected = plain.log_density(near)
+
+    def refuse(*_, **__):
+        raise AssertionError("a derivative was taken")
+
+    monkeypatch.setattr(type(plain.likelihood.model), "linearise", refuse)
+    np.testing.assert_allclose(posterior.log_density(near), expected, rtol=0, atol=NATS)
+
+
+def test_an_expansion_that_was_not_tried_is_not_used():
+    likelihood, near = star_problem()
+    white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, 8)))
+    expansion = likelihood.anchored(likelihood.stand(near[:1], white).pose[0], near[0]).expansion
+    assert not (expansion.measure(near) <= expansion.limit).any()
+
+
+def test_parameters_that_did_not_differ_in_the_trials_may_not_differ(rng):
+    posterior = lines_posterior(rng)[0].anchored()
+    expansion = posterior.likelihood.expansion
+    theta = expansion.anchor + 1e-6 * np.eye(len(expansion.anchor))
+    known = expansion.measure(theta) <= expansion.limit
+    assert 0 < len(expansion.free) < len(theta)
+    np.testing.assert_array_equal(np.flatnonzero(known), expansion.free)
 
 
 def test_poses_are_found_from_far_off(rng):

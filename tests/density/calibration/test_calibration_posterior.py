@@ -69,7 +69,10 @@ def test_the_gradient_is_that_of_central_differences(case, anchored, rng):
     values = [posterior.log_density(y + times * moves) for times in (-2.0, -1.0, 1.0, 2.0)]
     expected = (8.0 * (values[2] - values[1]) - (values[3] - values[0])) / (12.0 * step)
     # the noise moves the best pose, and with it the volume: left out, and more with the measure of commanded positions
-    np.testing.assert_allclose(gradient, expected, rtol=1e-6, atol=1e-3 if "commanded" in case else 3e-4)
+    close = 1e-3 if "commanded" in case else 3e-4
+    if anchored and posterior.errors.has_columns:  # slopes are expanded, residuals many deviations
+        close = 0.01 / np.sqrt(np.diag(np.linalg.inv(-hessian)))
+    np.testing.assert_array_less(np.abs(gradient - expected), 1e-6 * np.abs(expected) + close)
     np.testing.assert_allclose(hessian, hessian.T, rtol=1e-9, atol=1e-9)
     assert (np.linalg.eigvalsh(-hessian) > 0.99).all()
 
@@ -82,7 +85,8 @@ def test_the_slope_of_the_volume_follows_the_poses(rng):
     posterior = replace(posterior, likelihood=coarse)
     y, pose = posterior.fit(np.zeros_like(y), coarse.start)
     posterior = replace(posterior, likelihood=replace(coarse, start=pose))
-    slope = posterior._volume_slope(y)  # where all machines close by stand within a small part of their deviations
+    white, at = posterior.stand(y[None])
+    slope = posterior._volume_slope(y, white, at.slope[0])  # machines close by stand within a part of their deviations
 
     def volume(at):
         """Return -½ Σ log |HᵀΣ⁻¹H| where the machine explains the readings best, by many steps."""
@@ -149,6 +153,21 @@ def test_fit_finds_poses_beside_a_constraint(rng):
     assert np.abs(left).max() < 1e-6
     gradient, _ = found.gradient(y)
     assert np.abs(gradient).max() < 0.1
+
+
+def test_fit_goes_on_where_a_constraint_makes_the_valley_narrow(rng):
+    """All anchors free, so that the frame is loose, and a line known exactly: 200 straight steps ended halfway."""
+    posterior, *_, pose = lines_posterior(rng, n_poses=12)
+    likelihood, layout = posterior.likelihood, posterior.likelihood.model.layout
+    sd = np.where(np.arange(4) == 0, 0.0, likelihood.data.sd)
+    found = replace(
+        posterior,
+        likelihood=replace(likelihood, data=replace(likelihood.data, sd=sd)),
+        priors={name: NormalPrior(value, 10.0) for name, value in zip(layout.names, layout.nominal, strict=True)},
+    )
+    y, _ = found.fit(np.zeros(found.n_parameters), pose)
+    gradient, hessian = found.gradient(y)
+    assert gradient @ np.linalg.solve(-hessian, gradient) < 1e-4
 
 
 @pytest.mark.parametrize("weight", [1.0, 1e4])

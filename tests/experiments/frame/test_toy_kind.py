@@ -218,16 +218,3 @@ def test_a_failure_on_the_way_leaves_the_old_results(call, tmp_path, monkeypatch
     assert "No space left" in complaint
     assert "expected room to write" in complaint
     assert read_all(out) == before
-
-
-def test_a_pipe_hears_of_long_stages(tmp_path, monkeypatch, capsys):
-    from bayescal.experiments.frame import progress
-
-    monkeypatch.setattr(progress, "EVERY", 0.2)
-    with progress.Progress(quiet=False).follow("stage", 3, 1) as stage:
-        stage.advance()
-        time.sleep(0.5)
-        stage.advance()
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[0].startswith("stage: 2 of 3 done, 0 s, about")
-    assert lines[-1] == "stage: 3 of 3 done, 1 s" or lines[-1] == "stage: 3 of 3 done, 0 s"
