@@ -14,7 +14,7 @@ from typing import final
 import numpy as np
 
 from bayescal.density.batches import batches
-from bayescal.density.errors import NO_MODEL_ERROR, TAU, Errors, ErrorTerm, ModelError, Outliers
+from bayescal.density.errors import NO_MODEL_ERROR, SHARE, TAU, Errors, ErrorTerm, ModelError, Outliers
 from bayescal.density.geometry_fit import fit_geometry
 from bayescal.density.geometry_prior import (
     GeometryPrior,
@@ -39,6 +39,7 @@ from bayescal.numerics.geometry import Array
 APPROACH = (1.0, 0.1)  # model errors in mm with which the search for the mode begins
 REWEIGHTINGS = 6
 HALF_LOG_TWO_PI = 0.5 * np.log(2 * np.pi)
+EDGE = 1e-3  # how near to a bound, by the width of a uniform prior, a machine known otherwise is taken to be
 
 
 @final
@@ -133,6 +134,12 @@ class Posterior:
         """Names of the free parameters and errors."""
         return (*(self._layout.names[k] for k in self.coordinates.free), *self.errors.names)
 
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units."""
+        units = dict(zip(self._layout.names, self._layout.units, strict=True))
+        return tuple(units.get(name, "1" if name in (LENGTH, SHARE) else "mm") for name in self.names)
+
     def all_priors(self) -> dict[str, Prior]:
         """Return the priors of everything that is free by name, in order."""
         return dict(zip(self.names, (*self._prior.ordered, *self.errors.priors), strict=True))
@@ -167,6 +174,15 @@ class Posterior:
     def natural(self, y: Array) -> Array:
         """Return everything that is free in its own unit, shape (B, n)."""
         return np.concatenate([self.theta(y)[..., self.coordinates.free], self.errors.natural(self._zeta(y))], axis=-1)
+
+    def adopt(self, theta: Array, errors: Array) -> Array:
+        """Return the coordinates of machines θ (M, D), brought within the priors' bounds, with those of errors."""
+        coordinates, theta = self.coordinates, theta.copy()
+        bounded = coordinates.bounded
+        lower, upper = coordinates.lower[bounded], coordinates.upper[bounded]
+        margin, places = EDGE * (upper - lower), coordinates.free[bounded]
+        theta[:, places] = np.clip(theta[:, places], lower + margin, upper - margin)
+        return np.concatenate([coordinates.y_from_theta(theta), errors], axis=1)
 
     # --- density -------------------------------------------------------------------------------------------------
 
@@ -228,6 +244,10 @@ class Posterior:
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each pose, shape (B, P)."""
         return self.evaluate_poses(self.likelihood, y)
+
+    def pointwise_of(self, y: Array, row: int) -> Array:
+        """Return the log-likelihood of one pose, shape (B,), for coordinates (B, n)."""
+        return np.asarray(self.pointwise(y)[:, row])
 
     def evaluate_poses(self, likelihood: Likelihood, y: Array) -> Array:
         """Return the log-likelihood of each pose, of these or of others, shape (B, P), for coordinates (B, n)."""
