@@ -103,6 +103,14 @@ class Comparison:
             error[..., three] = _turn(*np.broadcast_arrays(measured[..., three], read[..., three]))
         return np.asarray(error)
 
+    def add(self, read: Array, error: Array) -> Array:
+        """Return what is measured, (..., K), from what is read and its error: the inverse of `subtract`."""
+        measured = np.asarray(read + error)
+        for three in self.rotations:
+            turn, at = (Rotation.from_rotvec(np.nan_to_num(one[..., three]).reshape(-1, 3)) for one in (error, read))
+            measured[..., three] = (turn * at).as_rotvec().reshape(measured[..., three].shape)
+        return measured
+
     def pull_back(self, error: Array, read: Array, slope: Array) -> Array:
         """Return the derivative of read minus measured from that of the readings, both (..., K, n)."""
         if not self.rotations:

@@ -12,6 +12,8 @@ from functools import cached_property
 import numpy as np
 from scipy.special import erfcinv, erfinv, ndtr
 
+from bayescal.density.model_error import LengthPrior
+from bayescal.density.priors import HalfNormalPrior, Prior
 from bayescal.numerics.geometry import Array
 
 
@@ -69,11 +71,11 @@ class NoiseModel:
         tau = np.sqrt(2.0) * self.tau_scale * _half_normal(zeta[..., n:])
         return np.concatenate([np.exp(self.log_sd * zeta[..., :n]), tau], axis=-1)
 
-    def prior_sd(self) -> Array:
-        """Return the standard deviations of the priors, shape (n,)."""
-        variance = self.log_sd**2
-        lognormal = np.sqrt((np.exp(variance) - 1.0) * np.exp(variance))
-        return np.concatenate([lognormal, self.tau_scale * np.sqrt(1.0 - 2.0 / np.pi)])
+    @property
+    def priors(self) -> tuple[Prior, ...]:
+        """Priors of all, in order."""
+        factors = (LengthPrior(1.0, float(sd)) for sd in self.log_sd)
+        return (*factors, *(HalfNormalPrior(float(scale)) for scale in self.tau_scale))
 
     def deviations(self, zeta: Array, sd: Array) -> tuple[Array, Array]:
         """Return s σ and τ of all readings, (B, P, K) and (B, 1, K), from coordinates (B, n) and stated σ (P, K)."""

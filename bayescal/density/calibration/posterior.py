@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
 from bayescal.density.calibration.noise import NoiseModel
@@ -19,14 +19,13 @@ from bayescal.density.calibration.whitening import Whitening
 from bayescal.density.elimination import half_log_volume, invert, left_of, project_out
 from bayescal.density.local import Funnel
 from bayescal.density.priors import Prior, UniformPrior
-from bayescal.density.readings.change import change_density
-from bayescal.density.readings.left_over import LeftOver
 from bayescal.errors import InputError, NumericalError
 from bayescal.numerics.geometry import Array
 
 HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
 STEP = 1e-4  # of a coordinate, for the slope of the poses' volume
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
+EDGE = 1e-3  # how near to a bound, by the width of a uniform prior, a machine known otherwise is taken to be
 GAIN = 1e-12  # of the squares, below which the search has arrived
 MAX_ITERATIONS = 200
 
@@ -121,7 +120,12 @@ class CalibrationPosterior:
     @cached_property
     def prior_sd(self) -> Array:
         """Standard deviations of all priors, shape (n,)."""
-        return np.concatenate([[self.priors[name].sd for name in self.geometry_names], self.noise.prior_sd()])
+        return np.array([prior.sd for prior in self.all_priors().values()])
+
+    def all_priors(self) -> dict[str, Prior]:
+        """Return the priors of all coordinates' parameters in their own units, by name and in order."""
+        own = (*(self.priors[name] for name in self.geometry_names), *self.noise.priors)
+        return dict(zip(self.names, own, strict=True))
 
     @cached_property
     def _uniform(self) -> tuple[np.ndarray, Array]:
@@ -155,14 +159,6 @@ class CalibrationPosterior:
         """Return the log-prior in the coordinates, (B, n) to (B,)."""
         return np.asarray(-0.5 * np.einsum("...i,...i->...", y, y) - self.n_parameters * HALF_LOG_TWO_PI)
 
-    def log_coordinates(self, y: Array) -> Array:
-        """Return the log-prior of each coordinate, (..., n)."""
-        return np.asarray(-0.5 * y**2 - HALF_LOG_TWO_PI)
-
-    def log_parameters(self, y: Array) -> Array:
-        """Return the log-prior of each parameter in its own unit, (..., n)."""
-        return change_density(self.log_coordinates(y), self.natural, y)
-
     def deviations(self, y: Array) -> tuple[Array, Array]:
         """Return s σ (B, P, K) and τ (B, 1, K) at coordinates (B, n)."""
         return self.noise.deviations(y[:, self.n_geometry :], self.likelihood.sd)
@@ -186,12 +182,6 @@ class CalibrationPosterior:
             theta[~inside] = self.centre
             total = self.log_prior(y) + self.likelihood.pointwise(theta, *self.deviations(y)).sum(axis=1)
         return np.where(inside & np.isfinite(total), total, -np.inf)
-
-    def leave_over(self, y: Array) -> LeftOver:
-        """Return what the best poses leave of the readings at coordinates (B, n)."""
-        white, at = self.stand(y)
-        likelihood = self.likelihood
-        return LeftOver(at.error, at.slope, likelihood.data.present, likelihood.freedom, white.vector, white.colour)
 
     def stand(self, y: Array) -> tuple[Whitening, Stand]:
         """Return the whitening and where machines of coordinates (B, n) explain the readings best."""
@@ -363,3 +353,38 @@ class CalibrationPosterior:
         parts = np.einsum("gk,pki,pkj->gij", self.noise.groups, rows, rows, optimize=True)
         tau = self.funnel_errors(y[None])[0]
         return Funnel(parts.sum(axis=0), np.eye(self.n_geometry), np.full(len(tau), 1e-12), tau, parts)
+
+    # --- what a fit is judged by -----------------------------------------------------------------------------------
+
+    @cached_property
+    def _alone(self) -> dict[int, CalibrationPosterior]:
+        return {}
+
+    def pointwise_of(self, y: Array, row: int) -> Array:
+        """Return the log-likelihood of one pose's readings, (B, n) to (B,)."""
+        if row not in self._alone:
+            self._alone[row] = replace(self, likelihood=self.likelihood.pick(np.array([row])))
+        return self._alone[row].pointwise(y)[:, 0]
+
+    def reduced_rows(self, y: Array) -> tuple[Array, Array]:
+        """Return white residuals that no pose explains (P, K), and their derivatives by the geometry (P, K, m), at y.
+
+        Poses that the density trusts less count less.
+        """
+        with np.errstate(all="ignore"):
+            white, at = self.stand(y[None])
+            error, slope, by_parameters = self.rows(y, white, at.pose)
+            trust, left = np.sqrt(self.likelihood.trust(at.square)[0]), project_out(slope)
+        return trust[:, None] * left_of(left, error), trust[:, None, None] * (left @ by_parameters)
+
+    def pose_information(self, y: Array, pose: int) -> Array:
+        """Return one pose's part of the information of the readings on the geometry at y, shape (m, m)."""
+        rows = self.reduced_rows(y)[1][pose]
+        return np.asarray(rows.T @ rows)
+
+    def adopt(self, theta: Array, errors: Array) -> Array:
+        """Return the coordinates of machines θ (M, D), brought within the priors' bounds, with those of errors."""
+        uniform, width = self._uniform
+        away = (theta - self.centre)[:, self._first] / width
+        inside = ndtri(np.clip(away + 0.5, EDGE, 1.0 - EDGE))
+        return np.concatenate([np.where(uniform, inside, away), errors], axis=1)

@@ -72,6 +72,42 @@ def predict_readings(
     return _collect(held, parts)
 
 
+def replicate_readings(
+    posterior: CalibrationPosterior, y: Array, rng: np.random.Generator, pose: Array | None = None
+) -> Array:
+    """Return readings of all rows had draws (B, n) been the truth, shape (B, P, K); NaN where none was taken.
+
+    Nobody knows the poses: they are drawn from what each draw's machine makes of the readings, to first order, or are
+    those given, (P, q), alike for all.
+    """
+    likelihood = posterior.likelihood
+    values, given = likelihood.data.values, {name: value[None] for name, value in likelihood.data.given.items()}
+    made = np.full((len(y), *values.shape), np.nan)
+    for part in likelihood.batches(len(y)):
+        theta, own = posterior.theta(y[part]), posterior.deviations(y[part])
+        white = likelihood.whiten(*own)
+        noise = rng.standard_normal((len(theta), *values.shape))
+        wider = np.ones(noise.shape[:2])
+        if np.isfinite(likelihood.freedom):
+            wider = np.sqrt(likelihood.freedom / rng.chisquare(likelihood.freedom, wider.shape))
+        if pose is None:
+            at = likelihood.stand(theta, white)
+            places = at.pose + wider[..., None] * _draw_poses(at.slope, rng)
+        else:
+            places = np.broadcast_to(pose, (len(theta), *pose.shape))
+        read = likelihood.model.read(theta[:, None], places, given)
+        error = white.colour(np.where(likelihood.data.present, wider[..., None] * noise, 0.0))
+        made[part] = np.where(likelihood.data.present, likelihood.comparison.add(read, error), np.nan)
+    return made
+
+
+def _draw_poses(slope: Array, rng: np.random.Generator) -> Array:
+    """Return draws about zero with the covariance (HᵀH)⁻¹, (B, P, q), for white slopes H (B, P, K, q)."""
+    triangle = np.linalg.qr(slope, mode="r")
+    normal = rng.standard_normal((*slope.shape[:2], slope.shape[-1], 1))
+    return np.asarray(np.linalg.solve(triangle, normal)[..., 0])
+
+
 def _apart(held: CalibrationLikelihood, channel: int) -> np.ndarray:
     """Return the channels that a channel is predicted from, a mask (K,): all but it and the rest of its rotation."""
     names = np.array([one.rotation for one in held.model.channels])

@@ -16,7 +16,7 @@ from bayescal.density.priors import Prior
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.beside import Beside, read_beside
 from bayescal.experiments.calibration.noise import build_noise, stated_noise
-from bayescal.experiments.calibration.priors import choose_priors
+from bayescal.experiments.calibration.priors import choose_priors, widen
 from bayescal.experiments.calibration.reading_tables import PoseReadings, read_tables
 from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
 from bayescal.experiments.calibration.workspace import Workspace, build_workspace, find_starts
@@ -73,10 +73,11 @@ class Variant:
             self.model, self.data.pick(which), self.workspace.volume, self.start[which], freedom
         )
 
-    def posterior(self, which: np.ndarray | None = None) -> CalibrationPosterior:
-        """Return the posterior of some poses, those for calibration by default."""
+    def posterior(self, which: np.ndarray | None = None, factor: float = 1.0) -> CalibrationPosterior:
+        """Return the posterior of some poses, those for calibration by default; ``factor`` widens all priors."""
         likelihood = self.likelihood(~self.verification if which is None else which)
-        return CalibrationPosterior(likelihood, self.priors, self.noise, self.fixed, self.common)
+        priors = self.priors if factor == 1.0 else {k: widen(one, factor) for k, one in self.priors.items()}
+        return CalibrationPosterior(likelihood, priors, self.noise, self.fixed, self.common)
 
     @property
     def internal(self) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.shared.estimate import Fit
+from bayescal.inference.leave_one_out import LeftOut
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
@@ -20,7 +20,7 @@ TIED = 2.0
 """Standard errors of the difference of elpd within which two variants predict alike."""
 
 
-def compare_variants(fits: Mapping[str, Fit]) -> pd.DataFrame:
+def compare_variants(left_out: Mapping[str, LeftOut]) -> pd.DataFrame:
     """Return elpd differences from the best variant with standard errors over the rows, and stacking weights.
 
     The densities of each row are taken relative to the best variant's there: neither differences nor weights change,
@@ -28,7 +28,6 @@ def compare_variants(fits: Mapping[str, Fit]) -> pd.DataFrame:
     """
     from arviz_stats import compare
 
-    left_out = {name: fit.left_out for name, fit in fits.items()}
     best = np.max([one.elpd for one in left_out.values()], axis=0)
     data = {name: _as_elpd_data(one.elpd - best, one.pareto_k) for name, one in left_out.items()}
     with warnings.catch_warnings():
@@ -55,6 +54,28 @@ def _as_elpd_data(elpd: Array, pareto_k: Array) -> ELPDDataLOO:
         good_k=PARETO_K_LIMIT,
         elpd_i=pointwise,
         pareto_k=k,
+    )
+
+
+def tabulate_comparison(left_out: Mapping[str, LeftOut]) -> pd.DataFrame:
+    """Return one row per variant of the same rows: elpd of rows left out, how sure it is, weight when stacked."""
+    summaries = {name: one.summarise() for name, one in left_out.items()}
+    several = compare_variants(left_out) if len(left_out) > 1 else None
+    return pd.DataFrame(
+        [
+            {
+                "variant": name,
+                "elpd_loo": summaries[name][0],
+                "elpd_loo_se": summaries[name][1],
+                "elpd_loo_difference": 0.0 if several is None else several["elpd_diff"][name],
+                "elpd_loo_difference_se": 0.0 if several is None else several["dse"][name],
+                "stacking_weight": 1.0 if several is None else several["weight"][name],
+                "loo_pareto_k_max": float(one.pareto_k.max()),
+                "loo_refitted": int(one.was_refitted.sum()),
+                "loo_unreliable": int(one.is_doubtful.sum()),
+            }
+            for name, one in left_out.items()
+        ]
     )
 
 

@@ -68,7 +68,7 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
     if slip is not None:
         summary["slip"] = asdict(slip)
     before = {
-        "ranking": tabulate_ranking(summary, compare_variants(free)),
+        "ranking": tabulate_ranking(summary, compare_variants({name: fit.left_out for name, fit in free.items()})),
         "parameters": tabulate_parameters(summary),
         "predictions": tabulate_predictions(inputs, posteriors),
         "left_out": tabulate_left_out(inputs, posteriors),

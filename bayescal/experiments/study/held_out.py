@@ -90,10 +90,11 @@ def _compute_pits(misfit: Array, flat: Array, held: np.ndarray) -> Array:
 
 def describe_stacking(inputs: StudyInputs, fits: Mapping[str, Fit]) -> dict[str, Any] | None:
     """Return weights and errors of the stacked prediction of the variants that tie; None where one leads alone."""
-    tied = find_tied(compare_variants(fits))
+    left_out = {name: fit.left_out for name, fit in fits.items()}
+    tied = find_tied(compare_variants(left_out))
     if len(tied) < 2:
         return None
-    weights = compare_variants({name: fits[name] for name in tied})["weight"].to_dict()
+    weights = compare_variants({name: left_out[name] for name in tied})["weight"].to_dict()
     chosen = {str(name): float(weight) for name, weight in weights.items()}
     mean, misfit = _mix(fits, chosen)
     prediction, held = summarise_misfit(mean, misfit), inputs.verification
