@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from bayescal.experiments.shared.reading_trees import save_draws
 from calibration_problems import correlation_of, density, linear_model, measurements, stated_noise
 from scipy import stats
 
 from bayescal.density.calibration.posterior import HALF_LOG_TWO_PI, CalibrationPosterior
 from bayescal.density.priors import NormalPrior, UniformPrior
-from bayescal.experiments.shared.reading_trees import save_draws
 
 N_POSES, N_READINGS = 3, 6
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -45,8 +45,9 @@ class ReadingSubject(Subject):
         density = own.pointwise(flat)
         some = self._thin(y)
         made = replicate_readings(own, some.reshape(-1, y.shape[-1]), np.random.default_rng(seed))
-        replicated = np.asarray(made.reshape(*some.shape[:2], *made.shape[1:]), dtype=np.float32)
-        return {"log_likelihood": density.reshape(*y.shape[:2], -1), "replicated": replicated}
+        replicated = made.reshape(*some.shape[:2], *made.shape[1:]).astype(np.float32)
+        found: dict[str, Any] = {"log_likelihood": density.reshape(*y.shape[:2], -1), "replicated": replicated}
+        return found
 
     def _thin(self, values: Array) -> Array:
         """Return what is of the draws that predict, from something of all, (E, S, ...)."""

@@ -60,8 +60,8 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
     run : Run
     """
     posteriors = compute_posteriors(inputs, run)
-    free, factors = _choose_free(inputs, posteriors), inputs.config.sensitivity.factor
-    await_widths = begin_widths(_weigh, inputs, free, factors, run)  # while workers compute them, all that needs none
+    free, factors = choose_free(inputs, posteriors), inputs.config.sensitivity.factor
+    await_widths = begin_widths(weigh, inputs, free, factors, run)  # while workers compute them, all that needs none
     identified = run.once("least squares", identify_variants, inputs, (LeastSquaresFit,))
     summary, files = _summarise(inputs, posteriors)
     slip = find_study_slip(inputs)
@@ -105,7 +105,8 @@ def fit_and_pack(inputs: StudyInputs, task: Task) -> Fit:
     return fit.pack(build_study_tree(inputs, task, fit), ONLY_SAVED)
 
 
-def _weigh(inputs: StudyInputs, task: WidthTask) -> ImportanceEvidence:
+def weigh(inputs: StudyInputs, task: WidthTask) -> ImportanceEvidence:
+    """Return the evidence of a variant with wider or narrower priors."""
     own, config = Task(task.variant, with_model_error=True), inputs.config
     known = Legs(inputs, own).posterior
     return weigh_widths(Legs(inputs, own, task.factor), known, task, config.seed, config.sampler, config.evidence)
@@ -171,14 +172,14 @@ def _describe_noise(inputs: StudyInputs) -> dict[str, dict[str, float]]:
     return {"measurement_noise_um": found}
 
 
-def _choose_free(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> dict[str, Fit]:
+def choose_free(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> dict[str, Fit]:
     """Return what was found with model error, by variant."""
     return {one.name: posteriors[Task(one.name, with_model_error=True)] for one in inputs.config.variants}
 
 
 def _stack(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> dict[str, Any]:
     """Return the stacked prediction of the variants that predict alike, if several do."""
-    free = _choose_free(inputs, posteriors)
+    free = choose_free(inputs, posteriors)
     stacked = describe_stacking(inputs, free) if len(free) > 1 else None
     return {} if stacked is None else {"stacked": stacked}
 

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import studies
+from bayescal.experiments.shared.reading_trees import build_reading_tree
 from reading_machines import EXPERIMENT
 from reading_studies import copy_shipped, describe_variant, load_small, write_small
 from rich.console import Console
@@ -31,7 +32,6 @@ from bayescal.experiments.self_calibration.kind import SelfCalibration
 from bayescal.experiments.self_calibration.page.verdict import explains, list_rows, write_names
 from bayescal.experiments.self_calibration.tables import rank_models, tabulate
 from bayescal.experiments.self_calibration.tool import assess_tool, predict_tool
-from bayescal.experiments.shared.reading_trees import build_reading_tree
 from bayescal.experiments.shared.trees import write_tree
 
 pytestmark = pytest.mark.runs
