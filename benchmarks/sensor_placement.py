@@ -20,8 +20,8 @@ import numpy as np
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.engine import Processes
 from bayescal.experiments.frame.parallel import Run
-from bayescal.density.readings.poses import eliminate_poses
-from bayescal.density.readings.tool import compute_tool_sensitivity
+from bayescal.experiments.shared.sensor_sets import eliminate_poses
+from bayescal.experiments.shared.sensor_sets import compute_tool_sensitivity
 from bayescal.experiments.sensor_placement.alignment import take_away
 from bayescal.experiments.sensor_placement.compute import CHUNK
 from bayescal.experiments.sensor_placement.inputs import PlacementInputs, read_placement

@@ -8,10 +8,13 @@ import numpy as np
 from function_machines import point_on_lines
 from reading_machines import WORKSPACE, LinearModel, sliding_star
 
-from bayescal.density.calibration.likelihood import GAUSSIAN, CalibrationLikelihood
+from bayescal.density.calibration.functions import FunctionErrors, Travel
+from bayescal.density.calibration.likelihood import CalibrationLikelihood
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.noise import NoiseModel
+from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.terms import Errors, ErrorTerm, ModelErrorTerm, NoiseFactor
+from bayescal.density.model_error import LengthPrior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.experiments.shared.reading_machine import draw_poses
 from bayescal.machines.readings import ReadingModel
@@ -25,39 +28,37 @@ def measurements(values: np.ndarray, sd: np.ndarray | float, correlation: np.nda
 
 
 def density(
-    model: ReadingModel, data: Measurements, start: np.ndarray | None = None, volume: float = 1.0, nu: float = GAUSSIAN
+    model: ReadingModel, data: Measurements, start: np.ndarray | None = None, volume: float = 1.0
 ) -> CalibrationLikelihood:
     """Return the density of readings, poses looked for from zero by default."""
     start = np.zeros((data.n_poses, len(model.coordinates))) if start is None else start
-    return CalibrationLikelihood(model, data, volume, start, nu)
+    return CalibrationLikelihood(model, data, volume, start)
 
 
-def pointwise(likelihood: CalibrationLikelihood, theta: np.ndarray, tau: float = 0.0) -> np.ndarray:
+def pointwise(likelihood: CalibrationLikelihood, theta: np.ndarray, tau: float = 0.0, nu: float = np.inf) -> np.ndarray:
     """Return the log-densities (C, P) with the noise as stated, a model error τ beside it."""
     own = np.broadcast_to(likelihood.sd, (len(theta), *likelihood.sd.shape))
-    return likelihood.pointwise(theta, own, np.full((len(theta), 1, own.shape[-1]), tau))
+    return likelihood.pointwise(theta, own, np.full((len(theta), 1, own.shape[-1]), tau), Outliers(nu))
 
 
-def stated_noise(n: int) -> NoiseModel:
-    """Return noise of n channels of which nothing is unknown."""
-    return NoiseModel(np.full(n, -1), np.full(n, -1))
-
-
-def unknown_noise(n: int, factors: bool = True, errors: bool = False, scale: float = 1.0) -> NoiseModel:
+def unknown_noise(n: int, factors: bool = True, errors: bool = False, scale: float = 1.0) -> tuple[ErrorTerm, ...]:
     """Return noise of n channels in two groups: a factor on the first one's, a model error on the second one's.
 
     With factors alone the first group is all channels but the last.
     """
-    first = np.where(np.arange(n) < n - 1, 0, -1)
-    none = np.full(n, -1)
-    return NoiseModel(
-        first if factors else none,
-        np.where(np.arange(n) > 0, 0, -1) if errors else none,
-        ("own",) if factors else (),
-        ("own",) if errors else (),
-        np.array([0.4] if factors else []),
-        np.array([scale] if errors else []),
-        ("mm",) if errors else (),
+    places = np.arange(n)
+    factor = NoiseFactor("own", places < n - 1, 0.4)
+    model_error = ModelErrorTerm("own", places > 0, scale, "mm")
+    return ((factor,) if factors else ()) + ((model_error,) if errors else ())
+
+
+def line_functions(kernel: str = "smooth", spread: float | None = None, scale: float = 0.1) -> FunctionErrors:
+    """Return errors of the first two lines that are functions of their readings, with a scale each."""
+    places, lengths = np.array([0, 1]), None if spread is None else LengthPrior(1.5, spread)
+    travel = Travel("reading", places, np.full(2, 500.0), np.full(2, 200.0))
+    group, labels = np.arange(2), ("d[1]", "d[2]")
+    return FunctionErrors(
+        kernel, 1.5, lengths, places, travel, 3.0, group, np.full(2, scale), 0.3, labels, ("mm", "mm")
     )
 
 
@@ -81,8 +82,8 @@ FREE = ("a_x[2]", "a_x[3]", "a_y[3]", "a_x[4]", "a_y[4]", "zero[1]", "zero[2]", 
 def lines_posterior(
     rng: np.random.Generator,
     n_poses: int = 20,
-    noise: NoiseModel | None = None,
-    nu: float = GAUSSIAN,
+    terms: tuple[ErrorTerm, ...] = (),
+    nu: float = np.inf,
     correlation: np.ndarray | None = None,
     uniform: bool = False,
     common: bool = False,
@@ -92,7 +93,6 @@ def lines_posterior(
     """Return the posterior of a point on four lines drawn from its priors, its coordinates y and the poses."""
     model = point_on_lines(4, bearing=bearing)
     k = len(model.channels)
-    noise = noise or stated_noise(k)
     sd = np.where(np.arange(k) < 4, LINE_SD, 1e-3)
     nominal = dict(zip(model.layout.names, model.layout.nominal, strict=True))
     priors: dict[str, Prior] = {name: NormalPrior(nominal[name], LINE_WIDTH) for name in FREE}
@@ -104,24 +104,24 @@ def lines_posterior(
         priors[name] = NormalPrior(0.0, LINE_WIDTH)
     pose = rng.uniform(-150.0, 150.0, (n_poses, 2))
     empty = measurements(np.zeros((n_poses, k)), sd, correlation)
-    blank = CalibrationPosterior(density(model, empty, pose, 9e4, nu), priors, noise, {}, shared)
+    blank = CalibrationPosterior(density(model, empty, pose, 9e4), priors, Errors(terms, Outliers(nu)), {}, shared)
     y = rng.standard_normal(blank.n_parameters)
     values = simulate(blank, y, pose, rng)
     lack = rng.random(n_poses) < missing  # one reading each: three lines left still tell where the point is
     values[lack, rng.integers(0, 4, n_poses)[lack]] = np.nan
     data = measurements(values, sd, correlation)
-    return replace(blank, likelihood=density(model, data, pose, 9e4, nu)), y, pose
+    return replace(blank, likelihood=density(model, data, pose, 9e4)), y, pose
 
 
 def simulate(posterior: CalibrationPosterior, y: np.ndarray, pose: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return readings (P, K) of the machine y (n,) at poses, as its density says."""
-    likelihood = posterior.likelihood
+    likelihood, freedom = posterior.likelihood, posterior.errors.outliers.freedom
     own, tau = posterior.deviations(y[None])
     covariance = own[0][:, :, None] * likelihood.correlation * own[0][:, None]
     covariance = covariance + np.einsum("pk,kl->pkl", np.broadcast_to(tau[0] ** 2, own[0].shape), np.eye(own.shape[-1]))
     noise = (np.linalg.cholesky(covariance) @ rng.standard_normal((*own[0].shape, 1)))[..., 0]
-    if np.isfinite(likelihood.freedom):
-        noise /= np.sqrt(rng.gamma(0.5 * likelihood.freedom, 2.0 / likelihood.freedom, (len(noise), 1)))
+    if np.isfinite(freedom):
+        noise /= np.sqrt(rng.gamma(0.5 * freedom, 2.0 / freedom, (len(noise), 1)))
     return likelihood.model.read(posterior.theta(y[None])[0], pose) + noise
 
 

@@ -11,11 +11,13 @@ from scipy.linalg import null_space
 from scipy.optimize import least_squares
 from scipy.stats import multivariate_normal
 
-from bayescal.density.priors import NormalPrior
-from bayescal.density.readings.likelihood import ReadingLikelihood
-from bayescal.density.readings.poses import SensorSet
-from bayescal.density.readings.posterior import SelfCalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationLikelihood
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.terms import Errors, ErrorTerm
+from bayescal.density.priors import NormalPrior, Prior
 from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters, workspace_volume
+from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings import Channel, Coordinate, Given, ReadingModel, Readings, SlidingPlatform
@@ -59,7 +61,8 @@ def small_posterior(
     model: SlidingPlatform | None = None,
     tolerances: ReadingTolerancesConfig = TOLERANCES,
     common: Iterable[str] = (),
-) -> SelfCalibrationPosterior:
+    terms: tuple[ErrorTerm, ...] = (),
+) -> CalibrationPosterior:
     """Return the posterior of a machine drawn within its tolerances, from readings with noise."""
     model = model or sliding_star()
     rng = np.random.default_rng(seed)
@@ -68,14 +71,35 @@ def small_posterior(
     pose = draw_poses(model, WORKSPACE.model_copy(update={"n_poses": n_poses}), rng)
     theta = free.draw(rng, 1)[0]
     measured = sensors.read(theta, pose) + sensors.noise * rng.standard_normal((n_poses, len(sensors.chosen)))
-    likelihood = ReadingLikelihood(sensors, measured, pose, workspace_volume(WORKSPACE))
+    likelihood = star_density(sensors, measured, pose)
     tied = {symbol: tuple(model.layout.names[k] for k in model.layout.index[symbol]) for symbol in common}
     shared = {member: symbol for symbol, members in tied.items() for member in members}
-    priors: dict[str, NormalPrior] = {}
+    priors: dict[str, Prior] = {}
     for place, scale in zip(free.places, free.scale, strict=True):
         name = model.layout.names[place]
         priors.setdefault(shared.get(name, name), NormalPrior(float(free.centre[place]), float(scale)))
-    return SelfCalibrationPosterior(likelihood, priors, common=tied)
+    return CalibrationPosterior(likelihood, priors, Errors(terms), common=tied)
+
+
+def star_density(
+    sensors: SensorSet, measured: np.ndarray, start: np.ndarray, volume: float | None = None
+) -> CalibrationLikelihood:
+    """Return the density of readings (P, K), poses looked for from some (P, 3)."""
+    names = tuple(f"C{k + 1}" for k in range(len(measured)))
+    data = Measurements(names, measured, np.broadcast_to(sensors.noise, measured.shape))
+    space = workspace_volume(WORKSPACE) if volume is None else volume
+    return CalibrationLikelihood(sensors.model.pick(sensors.chosen), data, space, start)
+
+
+def sensors_of(likelihood: CalibrationLikelihood) -> SensorSet:
+    """Return the sensors of a density whose noise is that of the first pose."""
+    return SensorSet(likelihood.model, np.arange(len(likelihood.model.channels)), likelihood.sd[0])
+
+
+def find_poses_of(likelihood: CalibrationLikelihood, theta: np.ndarray) -> np.ndarray:
+    """Return the poses (B, P, q) that machines (B, D) explain the readings with, the noise as stated."""
+    own = np.broadcast_to(likelihood.sd, (len(theta), *likelihood.sd.shape))
+    return likelihood.stand(theta, likelihood.whiten(own, np.zeros((len(theta), 1, own.shape[-1])))).pose
 
 
 class JointTarget:
@@ -85,11 +109,11 @@ class JointTarget:
     would stand, in units of what noise makes them uncertain by.
     """
 
-    def __init__(self, posterior: SelfCalibrationPosterior) -> None:
+    def __init__(self, posterior: CalibrationPosterior) -> None:
         self.posterior = posterior
         likelihood = posterior.likelihood
-        self.sensors, self.measured = likelihood.sensors, likelihood.measured
-        self.start = likelihood.find_poses(posterior.centre[None])[0][0]
+        self.sensors, self.measured = sensors_of(likelihood), likelihood.data.values
+        self.start = find_poses_of(likelihood, posterior.centre[None])[0]
         slope = self.sensors.linearise(posterior.centre, self.start, with_parameters=False).by_pose
         self.unit = np.linalg.cholesky(np.linalg.inv(np.swapaxes(slope, 1, 2) @ slope))
         self.n_poses = len(self.measured)
@@ -140,7 +164,7 @@ class JointTarget:
         here = self.sensors.linearise(theta, pose)
         own = self.posterior.n_parameters
         result = np.zeros((self.n_poses, len(self.sensors.chosen), len(y)))
-        result[..., :own] = -here.by_parameters @ self.posterior.moves.T
+        result[..., :own] = -here.by_parameters @ self.posterior.moves(y).T
         for p in range(self.n_poses):
             result[p, :, own + 3 * p : own + 3 * p + 3] = -here.by_pose[p] @ self.unit[p]
         return result.reshape(-1, len(y))

@@ -63,6 +63,9 @@ REGISTRIES = {
     "DEFORMATIONS": Registry(
         (f"{_MACHINES}.deformations",), "bayescal.deformations", f"{_MACHINES}.deformations:Deformation", ("name",)
     ),
+    "ERRORS": Registry(
+        ("bayescal.density.calibration",), "bayescal.errors", "bayescal.density.calibration.terms:ErrorTerm"
+    ),
     "SENSORS": Registry((f"{_MACHINES}.sensors",), "bayescal.sensors", f"{_MACHINES}.sensors:Sensor"),
     "CRITERIA": Registry(
         (f"{_POSES}.criteria",), "bayescal.criteria", f"{_POSES}.criteria:Criterion", ("name", "title", "source")

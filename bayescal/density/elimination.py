@@ -66,6 +66,15 @@ def solve_step(slope: Array, factor: list[list[Array]], error: Array) -> tuple[A
     return np.stack(solved, axis=-1), length
 
 
+def orthonormalise(slope: Array) -> Array:
+    """Return orthonormal columns (..., K, q) that span those of white H (..., K, q); NaN where H is singular."""
+    factor, axes = factorise(slope), np.empty(slope.shape)
+    for i in range(slope.shape[-1]):
+        rest = slope[..., i] - sum(factor[i][k][..., None] * axes[..., k] for k in range(i))
+        axes[..., i] = rest / factor[i][i][..., None]
+    return axes
+
+
 def project_out(slope: Array) -> Array:
     """Return 1 - H (HᵀH)⁻¹ Hᵀ for H (P, K, q), shape (P, K, K)."""
     return np.asarray(np.eye(slope.shape[1]) - slope @ invert(slope, 0.0))

@@ -81,9 +81,13 @@ def leave_out(draws: Array, log_likelihood: Array) -> LeftOut:
     n_draws = log_likelihood.shape[0] * log_likelihood.shape[1]
     by_parameter = np.moveaxis(draws, -1, 0)
     size = float(np.mean(array_stats.ess(by_parameter, method="mean"))) / n_draws if len(draws) > 1 else 1.0
-    elpd, pareto_k, effective = array_stats.loo(np.moveaxis(log_likelihood, -1, 0), r_eff=size)
-    constant = np.ptp(log_likelihood, axis=(0, 1)) < CONSTANT  # a row without redundancy: equal weights have no tail
-    pareto_k = np.where(constant, 0.0, np.where(np.isfinite(pareto_k), pareto_k, HOPELESS_K))
+    told = np.ptp(log_likelihood, axis=(0, 1)) > CONSTANT  # not of a row without redundancy: all weights are the same
+    elpd, pareto_k, effective = log_likelihood.mean(axis=(0, 1)), *np.zeros((2, log_likelihood.shape[-1]))
+    if told.any():
+        elpd[told], pareto_k[told], effective[told] = array_stats.loo(
+            np.moveaxis(log_likelihood[..., told], -1, 0), r_eff=size
+        )
+    pareto_k = np.where(np.isfinite(pareto_k), pareto_k, HOPELESS_K)
     return LeftOut(elpd, pareto_k, effective, np.full(len(elpd), np.nan))
 
 

@@ -5,12 +5,7 @@ pose v̂ that explains them best the density
 
     p(s | d) = (2π)^(-m/2) |Σ|^(-1/2) |HᵀΣ⁻¹H|^(-1/2) exp(-½ r²) / V,   r² = r̂ᵀ Σ⁻¹ r̂,   r̂ = s - h(v̂, d),
 
-with m = n - q. A robust one lets each pose have a precision w of its own, Gamma(ν/2, ν/2) distributed, that all its
-readings share: what went wrong at a pose spoils it as a whole. Integrated over w,
-
-    p(s | d) = Γ((ν + m)/2) / Γ(ν/2) (νπ)^(-m/2) |Σ|^(-1/2) |HᵀΣ⁻¹H|^(-1/2) (1 + r²/ν)^(-(ν + m)/2) / V,
-
-and (ν + m) / (ν + r²), the mean of w, says how far a pose is to be trusted.
+with m = n - q, and where single rows may be wrong that of `outliers.Outliers` in place of the normal one of r̂.
 """
 
 from __future__ import annotations
@@ -20,9 +15,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import gammaln
 
 from bayescal.density.calibration.measurements import Comparison, Measurements
+from bayescal.density.calibration.outliers import NORMAL, Outliers
 from bayescal.density.calibration.whitening import Whitening
 from bayescal.density.elimination import factorise, find_step, half_log_volume, invert, solve_step
 from bayescal.machines.readings import Given, ReadingModel
@@ -33,7 +28,6 @@ CLOSE = 0.03  # deviations of a reading, below which a step is taken to first or
 NEAR = 0.3  # deviations of a reading, within which H is taken for constant
 CHORD, ASTRAY = 0.1, 1.0  # length of white readings that a chord moves by, where chords end and where they are lost
 MAX_STEPS, MAX_CHORDS, MAX_SEARCH, PATIENCE = 30, 8, 60, 4
-GAUSSIAN = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +65,6 @@ class CalibrationLikelihood:
         V, in the units of the coordinates.
     start : ndarray, shape (P, q)
         Poses from which the best ones are looked for.
-    freedom : float
-        ν of a robust density; infinite for a normal one.
     anchor : ndarray, shape (D,), or None
         A machine near those that are asked for, which explains the readings at ``start``.
     """
@@ -81,7 +73,6 @@ class CalibrationLikelihood:
     data: Measurements
     volume: float
     start: Array
-    freedom: float = GAUSSIAN
     anchor: Array | None = None
 
     @cached_property
@@ -256,7 +247,7 @@ class CalibrationLikelihood:
         size = max(1, ROWS // self.data.n_poses)
         yield from (slice(k, k + size) for k in range(0, n, size))
 
-    def pointwise(self, theta: Array, own: Array, tau: Array) -> Array:
+    def pointwise(self, theta: Array, own: Array, tau: Array, outliers: Outliers = NORMAL) -> Array:
         """Return the log-density of each pose's readings, (C, P), -inf where a machine cannot stand.
 
         Parameters
@@ -265,29 +256,19 @@ class CalibrationLikelihood:
         own : ndarray, shape (C, P, K)
             s σ.
         tau : ndarray, shape (C, 1, K)
+        outliers : Outliers, optional
         """
         result = np.empty((len(theta), self.data.n_poses))
         for part in self.batches(len(theta)):
             white = self.whiten(own[part], tau[part])
             at = self.stand(theta[part], white)
-            result[part] = self.weigh(at.square) + white.log_det - half_log_volume(at.slope)
+            result[part] = outliers.weigh(at.square, self.n_spare) + self.offset(white, at)
         result[~np.isfinite(result)] = -np.inf
         return result
 
-    def weigh(self, square: Array) -> Array:
-        """Return the log-density of what is left, of unit covariance, from r² (C, P), and the pose's prior."""
-        m, nu = self.n_spare, self.freedom
-        flat = -np.log(self.volume)
-        if not np.isfinite(nu):
-            return np.asarray(flat - 0.5 * square - 0.5 * m * np.log(2.0 * np.pi))
-        constant = gammaln(0.5 * (nu + m)) - gammaln(0.5 * nu) - 0.5 * m * np.log(nu * np.pi)
-        return np.asarray(flat + constant - 0.5 * (nu + m) * np.log1p(square / nu))
-
-    def trust(self, square: Array) -> Array:
-        """Return the mean of each pose's precision w, (C, P); one where the density is normal."""
-        if not np.isfinite(self.freedom):
-            return np.ones_like(square)
-        return np.asarray((self.freedom + self.n_spare) / (self.freedom + square))
+    def offset(self, white: Whitening, at: Stand) -> Array:
+        """Return what the log-density of each pose has beside that of the white residual, (C, P)."""
+        return np.asarray(white.log_det - half_log_volume(at.slope) - np.log(self.volume))
 
 
 def search_poses(

@@ -33,6 +33,8 @@ class Measurements:
         What is known of each pose besides.
     correlation : ndarray, shape (P, K, K), or None
         Of the noise; the identity where it is None.
+    order : ndarray of int, shape (P,)
+        Places of the poses among all that were read, by default as they stand here.
     """
 
     poses: tuple[str, ...]
@@ -40,6 +42,12 @@ class Measurements:
     sd: Array
     given: Mapping[str, Array] = field(default_factory=dict)
     correlation: Array | None = None
+    order: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
+
+    def __post_init__(self) -> None:
+        """Count the poses where their order is not stated."""
+        if len(self.order) != len(self.poses):
+            object.__setattr__(self, "order", np.arange(len(self.poses)))
 
     @cached_property
     def present(self) -> np.ndarray:
@@ -56,12 +64,12 @@ class Measurements:
         names = tuple(np.array(self.poses, dtype=object)[which])
         given = {name: value[which] for name, value in self.given.items()}
         correlation = None if self.correlation is None else self.correlation[which]
-        return Measurements(names, self.values[which], self.sd[which], given, correlation)
+        return Measurements(names, self.values[which], self.sd[which], given, correlation, self.order[which])
 
     def only(self, channels: np.ndarray) -> Measurements:
         """Return the measurements with the readings of other channels, given by a mask (K,) or (P, K), left out."""
         values = np.where(channels, self.values, np.nan)
-        return Measurements(self.poses, values, self.sd, self.given, self.correlation)
+        return replace(self, values=values)
 
     def with_constraints(self, units: Sequence[str]) -> Measurements:
         """Return the measurements with a noise that no longer shows in place of none, by the units of K channels."""

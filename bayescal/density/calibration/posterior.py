@@ -1,29 +1,29 @@
-"""Posterior of a calibration: priors by parameter, unknown noise, readings with their poses eliminated.
+"""Posterior of a calibration: priors by parameter, errors as a composition of terms, poses eliminated.
 
 Coordinates are standard normal under the prior: a normal prior's parameter in its standard deviations, a uniform one's
-by Φ, those of the noise by `noise.NoiseModel`.
+by Φ, those of the errors as their terms say (`terms.Errors`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
-from bayescal.density.calibration.noise import NoiseModel
+from bayescal.density.calibration.terms import HALF_LOG_TWO_PI, CommonDraws, Errors
 from bayescal.density.calibration.whitening import Whitening
-from bayescal.density.elimination import half_log_volume, invert, left_of, project_out
+from bayescal.density.elimination import half_log_volume, invert, left_of, orthonormalise, project_out
 from bayescal.density.local import Funnel
+from bayescal.density.low_rank_columns import Coefficients, find_coefficients, split
 from bayescal.density.priors import Prior, UniformPrior
 from bayescal.errors import InputError, NumericalError
 from bayescal.numerics.geometry import Array
 
-HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
-STEP = 1e-4  # of a coordinate, for the slope of the poses' volume
+STEP = 1e-4  # of a coordinate, for the slope of the logarithms of volumes
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
 EDGE = 1e-3  # how near to a bound, by the width of a uniform prior, a machine known otherwise is taken to be
 GAIN = 1e-12  # of the squares, below which the search has arrived
@@ -32,14 +32,14 @@ MAX_ITERATIONS = 200
 
 @dataclass(frozen=True, eq=False)
 class CalibrationPosterior:
-    """Posterior of free parameters and unknown noise; a `bayescal.inference.target.Target`.
+    """Posterior of free parameters and of what is unknown of the errors; a `bayescal.inference.target.Target`.
 
     Attributes
     ----------
     likelihood : CalibrationLikelihood
     priors : mapping of name to Prior
         Of the free parameters.
-    noise : NoiseModel
+    errors : Errors
     fixed : mapping of parameter name to float
         Values of fixed parameters that are not nominal.
     common : mapping of name to tuple of parameter names
@@ -48,9 +48,9 @@ class CalibrationPosterior:
 
     likelihood: CalibrationLikelihood
     priors: Mapping[str, Prior]
-    noise: NoiseModel
-    fixed: Mapping[str, float]
-    common: Mapping[str, tuple[str, ...]]
+    errors: Errors = field(default_factory=Errors)
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    common: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the names."""
@@ -69,14 +69,14 @@ class CalibrationPosterior:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the free parameters, then of the noise's."""
-        return (*self.geometry_names, *self.noise.names)
+        """Names of the free parameters, then of the errors'."""
+        return (*self.geometry_names, *self.errors.names)
 
     @cached_property
     def units(self) -> tuple[str, ...]:
         """Units of all."""
         units = self.likelihood.model.layout.units
-        return (*(units[self.places(name)[0]] for name in self.geometry_names), *self.noise.units)
+        return (*(units[self.places(name)[0]] for name in self.geometry_names), *self.errors.units)
 
     def places(self, name: str) -> list[int]:
         """Return where the parameters of a coordinate stand in the layout."""
@@ -86,7 +86,7 @@ class CalibrationPosterior:
     @property
     def n_parameters(self) -> int:
         """Number n of coordinates."""
-        return len(self.priors) + self.noise.n_parameters
+        return len(self.priors) + self.errors.n_parameters
 
     @property
     def n_geometry(self) -> int:
@@ -123,8 +123,8 @@ class CalibrationPosterior:
         return np.array([prior.sd for prior in self.all_priors().values()])
 
     def all_priors(self) -> dict[str, Prior]:
-        """Return the priors of all coordinates' parameters in their own units, by name and in order."""
-        own = (*(self.priors[name] for name in self.geometry_names), *self.noise.priors)
+        """Return the priors of all parameters in their own units, by name and in order."""
+        own = (*(self.priors[name] for name in self.geometry_names), *self.errors.priors)
         return dict(zip(self.names, own, strict=True))
 
     @cached_property
@@ -144,35 +144,38 @@ class CalibrationPosterior:
         uniform, width = self._uniform
         return np.where(uniform, np.exp(-0.5 * y * y - HALF_LOG_TWO_PI) * width, width)
 
+    def zeta(self, y: Array) -> Array:
+        """Return the coordinates of the errors, (..., n) to (..., n - m)."""
+        return y[..., self.n_geometry :]
+
     def theta(self, y: Array) -> Array:
         """Return full parameter vectors (B, D) of coordinates (B, n)."""
         return np.asarray(self.centre + self._deviate(y[..., : self.n_geometry]) @ self._moves)
 
     def natural(self, y: Array) -> Array:
-        """Return parameters and noise in their own units, (..., n)."""
+        """Return parameters and what is unknown of the errors in their own units, (..., n)."""
         geometry = self.centre[self._first] + self._deviate(y[..., : self.n_geometry])
-        return np.concatenate([geometry, self.noise.natural(y[..., self.n_geometry :])], axis=-1)
+        return np.concatenate([geometry, self.errors.natural(self.zeta(y))], axis=-1)
 
     # --- density -------------------------------------------------------------------------------------------------
 
     def log_prior(self, y: Array) -> Array:
         """Return the log-prior in the coordinates, (B, n) to (B,)."""
-        return np.asarray(-0.5 * np.einsum("...i,...i->...", y, y) - self.n_parameters * HALF_LOG_TWO_PI)
-
-    def deviations(self, y: Array) -> tuple[Array, Array]:
-        """Return s σ (B, P, K) and τ (B, 1, K) at coordinates (B, n)."""
-        return self.noise.deviations(y[:, self.n_geometry :], self.likelihood.sd)
-
-    def finer(self) -> None:
-        """Return None: the density leaves nothing out."""
-
-    def pointwise(self, y: Array) -> Array:
-        """Return the log-likelihood of each pose's readings, (B, n) to (B, P)."""
-        return self.likelihood.pointwise(self.theta(y), *self.deviations(y))
+        place = np.concatenate([y[..., : self.n_geometry], self.errors.deviation(self.zeta(y))], axis=-1)
+        constant = self.n_parameters * HALF_LOG_TWO_PI + len(self.errors.switches) * np.log(2.0)
+        return np.asarray(-0.5 * np.einsum("...i,...i->...", place, place) - constant)
 
     def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
         """Return draws of the prior in the coordinates, shape (n_draws, n)."""
-        return rng.standard_normal((n_draws, self.n_parameters))
+        return self.errors.draw_prior(rng.standard_normal((n_draws, self.n_parameters)), self.n_geometry, rng)
+
+    def deviations(self, y: Array, other: CalibrationLikelihood | None = None) -> tuple[Array, Array]:
+        """Return f σ (B, P, K) and the root of the variances beside (B, 1 or P, K) at coordinates (B, n)."""
+        likelihood = other or self.likelihood
+        return self.errors.deviations(self.zeta(y), likelihood.data, likelihood.sd)
+
+    def finer(self) -> None:
+        """Return None: the density leaves nothing out."""
 
     def log_density(self, y: Array) -> Array:
         """Return log-likelihood plus log-prior, (B, n) to (B,), -inf where there is no machine."""
@@ -180,13 +183,103 @@ class CalibrationPosterior:
             theta = self.theta(y)
             inside = self.likelihood.model.layout.inside(theta)
             theta[~inside] = self.centre
-            total = self.log_prior(y) + self.likelihood.pointwise(theta, *self.deviations(y)).sum(axis=1)
+            total = self.log_prior(y) + self._log_likelihood(y, theta)
         return np.where(inside & np.isfinite(total), total, -np.inf)
+
+    def _log_likelihood(self, y: Array, theta: Array) -> Array:
+        likelihood, outliers = self.likelihood, self.errors.outliers
+        if not self.errors.has_columns:
+            return np.asarray(likelihood.pointwise(theta, *self.deviations(y), outliers).sum(axis=1))
+        total = np.empty(len(y))
+        for part, white, at in self._explain(y, theta, likelihood):
+            rest = likelihood.offset(white, at)
+            for some, found in self._absorb(y[part], white, at):
+                weighed = outliers.weigh(found.square, likelihood.n_spare) + rest[some]
+                total[part][some] = weighed.sum(axis=1) + found.penalty
+        return total
+
+    def pointwise(self, y: Array) -> Array:
+        """Return the log-likelihood of each pose's readings given all other poses, (B, n) to (B, P)."""
+        likelihood, outliers = self.likelihood, self.errors.outliers
+        if not self.errors.has_columns:
+            return likelihood.pointwise(self.theta(y), *self.deviations(y), outliers)
+        result = np.empty((len(y), likelihood.data.n_poses))
+        for part, white, at in self._explain(y, self.theta(y), likelihood):
+            rest = likelihood.offset(white, at)
+            for some, found in self._absorb(y[part], white, at):
+                result[part][some] = rest[some] + found.condition_each(outliers, likelihood.n_spare)
+        return np.where(np.isfinite(result), result, -np.inf)
+
+    def predict_density(self, other: CalibrationLikelihood, y: Array) -> Array:
+        """Return the log-density of each of Q other poses' readings given those of the posterior, (B, n) to (B, Q)."""
+        outliers = self.errors.outliers
+        if not self.errors.has_columns:
+            return other.pointwise(self.theta(y), *self.deviations(y, other), outliers)
+        result = np.empty((len(y), other.data.n_poses))
+        for part, white, at in self._explain(y, self.theta(y), self.likelihood):
+            for some, found in self._absorb(y[part], white, at):
+                own = y[part][some]
+                beyond = other.whiten(*self.deviations(own, other))
+                there = other.stand(self.theta(own), beyond)
+                columns = self.columns(own, beyond, there.slope, other)
+                told = found.condition_others(there.error, columns, outliers, other.n_spare)
+                result[part][some] = other.offset(beyond, there) + told
+        return np.where(np.isfinite(result), result, -np.inf)
+
+    def residuals(self, y: Array) -> Array:
+        """Return white residuals of the best poses and of the mean errors common to all rows, (B, n) to (B, P, K)."""
+        white, at = self.stand(y)
+        if not self.errors.has_columns:
+            return at.error
+        return np.concatenate([found.residual for _, found in self._absorb(y, white, at)])
 
     def stand(self, y: Array) -> tuple[Whitening, Stand]:
         """Return the whitening and where machines of coordinates (B, n) explain the readings best."""
         white = self.likelihood.whiten(*self.deviations(y))
         return white, self.likelihood.stand(self.theta(y), white)
+
+    def _explain(
+        self, y: Array, theta: Array, likelihood: CalibrationLikelihood
+    ) -> Iterator[tuple[slice, Whitening, Stand]]:
+        """Yield machines that are looked at together, with whitening and where they explain readings best."""
+        for part in likelihood.batches(len(y)):
+            white = likelihood.whiten(*self.deviations(y[part], likelihood))
+            yield part, white, likelihood.stand(theta[part], white)
+
+    # --- errors common to all rows -------------------------------------------------------------------------------
+
+    def columns(self, y: Array, white: Whitening, slope: Array, other: CalibrationLikelihood | None = None) -> Array:
+        """Return what coefficients do to white readings that are free of the poses, (B, P, K, N), for slopes H."""
+        likelihood = other or self.likelihood
+        acted = self._white_columns(y, white, likelihood)
+        with np.errstate(all="ignore"):
+            axes = orthonormalise(slope)
+            return np.asarray(acted - axes @ (np.swapaxes(axes, -1, -2) @ acted))
+
+    def _white_columns(self, y: Array, white: Whitening, likelihood: CalibrationLikelihood) -> Array:
+        acted = self.errors.columns(self.zeta(y), likelihood.data)
+        return white.rows(np.where(likelihood.data.present[..., None], acted, 0.0))
+
+    def absorb(self, y: Array) -> Coefficients:
+        """Return the coefficients of errors common to all rows given the readings, at coordinates (B, n)."""
+        white, at = self.stand(y)
+        return self._find(self.columns(y, white, at.slope), at.error)
+
+    def draw_common(self, y: Array, rng: np.random.Generator) -> CommonDraws:
+        """Return draws of the errors common to all rows, one for each of the coordinates (B, n)."""
+        white, at = self.stand(y)
+        parts = [(self.zeta(y[some]), found.draw(rng)) for some, found in self._absorb(y, white, at)]
+        return CommonDraws(self.errors, tuple(parts))
+
+    def _absorb(self, y: Array, white: Whitening, at: Stand) -> Iterator[tuple[slice, Coefficients]]:
+        """Yield the same of as many machines as are worked on together."""
+        n_columns = self.errors.columns(self.zeta(y[:1]), self.likelihood.data).shape[-1]
+        for some in split(*at.error.shape, n_columns):
+            columns = self.columns(y[some], white.pick(some), at.slope[some])
+            yield some, self._find(columns, at.error[some])
+
+    def _find(self, columns: Array, error: Array) -> Coefficients:
+        return find_coefficients(error, columns, self.errors.outliers, self.likelihood.n_spare)
 
     # --- derivatives ---------------------------------------------------------------------------------------------
 
@@ -201,52 +294,96 @@ class CalibrationPosterior:
         return np.asarray(self._moves * self._speed(y[: self.n_geometry])[:, None])
 
     def gradient(self, y: Array) -> tuple[Array, Array]:
-        """Return the gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n)."""
+        """Return the gradient (n,) of the log-density at y, shape (n,), and its Gauss-Newton Hessian (n, n).
+
+        Exact but for differences of logarithms of volumes, and of how H turns.
+        """
         with np.errstate(all="ignore"):
             white, at = self.stand(y[None])
             error, slope, by_parameters = self.rows(y, white, at.pose)
-            trust = self.likelihood.trust(at.square)[0]
+            trust = self.errors.outliers.trust(at.square, self.likelihood.n_spare)[0]
             left = project_out(slope)
-            rows = left @ by_parameters
+            rows, error = left @ by_parameters, left_of(left, error)
+            weighed, found, turn = trust[:, None, None] * rows, None, None
+            if self.errors.has_columns:
+                acted = self._white_columns(y[None], white, self.likelihood)[0]
+                found = self._find((left @ acted)[None], error[None])
+                error, trust, weighed = found.residual[0], found.trust[0], found.reduce(rows[None])[0]
+                follow = left_of(invert(slope, 0.0), acted @ found.mean[0])  # what coefficients make of the poses
+                turn = (trust[:, None] * error)[..., None] * follow[:, None]
             m, n = self.n_geometry, self.n_parameters
-            gradient, hessian = -y, -np.eye(n)
-            gradient[:m] += np.einsum("p,pki,pk->i", trust, rows, left_of(left, error)) + self._volume_slope(y)
-            hessian[:m, :m] -= np.einsum("p,pki,pkj->ij", trust, rows, rows, optimize=True)
+            gradient = -np.concatenate([y[:m], self.errors.deviation(y[m:])])
+            hessian = -np.eye(n)
+            gradient[:m] += np.einsum("p,pki,pk->i", trust, rows, error)
+            gradient[: n if found is not None else m] += self._volume_slope(y, turn)
+            hessian[:m, :m] -= np.einsum("pki,pkj->ij", rows, weighed, optimize=True)
             if n > m:
-                self._add_noise(y, white, left, left_of(left, error), trust, gradient, hessian)
+                self._add_errors(y, white, left, error, trust, found, gradient, hessian)
         return gradient, hessian
 
     def newton(self, y: Array) -> tuple[Array, Array]:
         """Return `gradient`, whose Hessian is nearly the exact one."""
         return self.gradient(y)
 
-    def _add_noise(
-        self, y: Array, white: Whitening, left: Array, error: Array, trust: Array, gradient: Array, hessian: Array
+    def _add_errors(
+        self,
+        y: Array,
+        white: Whitening,
+        left: Array,
+        error: Array,
+        trust: Array,
+        found: Coefficients | None,
+        gradient: Array,
+        hessian: Array,
     ) -> None:
-        """Add the noise's part, its expected curvature in place of the exact one."""
-        m, there = self.n_geometry, self.likelihood.data.present
-        slopes = self.noise.covariance_slopes(y[m:], self.likelihood.sd, self.likelihood.correlation)
+        """Add the part of the errors' unknowns, their expected curvature in place of the exact one.
+
+        Logarithms of volumes are in the gradient already where there are coefficients, ``found``.
+        """
+        m, likelihood = self.n_geometry, self.likelihood
+        there = likelihood.data.present
+        slopes = self.errors.covariance_slopes(y[m:], likelihood.data, likelihood.sd, likelihood.correlation)
         slopes = np.where(there[:, :, None] & there[:, None, :], slopes, 0.0)
         both = white.rows(np.swapaxes(white.rows(slopes), -1, -2))
-        square = np.einsum("p,pk,npkl,pl->n", trust, error, both, error, optimize=True)
         seen = left @ both
-        gradient[m:] += 0.5 * (square - np.trace(seen, axis1=-2, axis2=-1).sum(axis=-1))
+        gradient[m:] += 0.5 * np.einsum("p,pk,npkl,pl->n", trust, error, both, error, optimize=True)
         hessian[m:, m:] -= 0.5 * np.einsum("npkl,oplk->no", seen, seen, optimize=True)
+        if found is None:
+            gradient[m:] -= 0.5 * np.trace(seen, axis1=-2, axis2=-1).sum(axis=-1)
+            return
+        acted = self.errors.column_slopes(y[m:], likelihood.data)
+        moved = left @ white.rows(np.where(there[..., None], acted, 0.0))
+        gradient[m:] += np.einsum("p,pk,npku,u->n", trust, error, moved, found.mean[0], optimize=True)
+        hessian[m:, m:] -= found.inform(both, trust[:, None, None] * left @ both, moved)
 
-    def _volume_slope(self, y: Array) -> Array:
-        """Return the derivative of -½ Σ log |HᵀΣ⁻¹H| by the geometry's coordinates, by central differences, (m,)."""
+    def _volume_slope(self, y: Array, turn: Array | None = None) -> Array:
+        """Return the derivative of the logarithms of volumes by central differences, (m,); (n,) with coefficients.
+
+        These move the poses by δ, to first order; residuals r change with H by -r dH δ, ``turn`` being r δ, (P, K, q).
+        """
         m = self.n_geometry
-        if not self.likelihood.start.shape[-1]:
-            return np.zeros(m)
-        moves = STEP * np.eye(self.n_parameters)[:m]
+        n = m if turn is None else self.n_parameters
+        if not self.likelihood.start.shape[-1] and turn is None:
+            return np.zeros(n)
+        moves = STEP * np.eye(self.n_parameters)[:n]
         points = y + np.concatenate([moves, -moves])
-        values = np.concatenate([self._log_volume(points[part]) for part in self.likelihood.batches(2 * m)])
-        return np.asarray((values[:m] - values[m:]) / (2.0 * STEP))
+        parts = [self._log_volume(points[part], turn) for part in self.likelihood.batches(2 * n)]
+        volume, turned = (np.concatenate(one) for one in zip(*parts, strict=True))
+        turned[np.arange(2 * n) % n >= m] = 0.0  # by noise H is scaled alone, which is no turn
+        values = volume + turned
+        return np.asarray((values[:n] - values[n:]) / (2.0 * STEP))
 
-    def _log_volume(self, y: Array) -> Array:
-        """Return -½ Σ log |HᵀΣ⁻¹H| of machines (B, n) right where they stand, shape (B,)."""
+    def _log_volume(self, y: Array, turn: Array | None) -> tuple[Array, Array]:
+        """Return -½ Σ log |HᵀΣ⁻¹H| of machines (B, n) right where they stand, with that of coefficients; and -r H δ."""
         white, at = self.stand(y)  # whose H is that of a pose close by, the same for machines that are much alike
-        return -half_log_volume(self.likelihood.linearise(self.theta(y), at.pose, white)[1]).sum(axis=1)
+        slope = self.likelihood.linearise(self.theta(y), at.pose, white)[1]
+        volume = -half_log_volume(slope).sum(axis=1)
+        if turn is None:
+            return volume, np.zeros(len(y))
+        volume += white.log_det.sum(axis=1)
+        for some, found in self._absorb(y, white, Stand(at.pose, at.error, slope)):
+            volume[some] += found.log_volume
+        return volume, -np.einsum("bpkq,pkq->b", slope, turn)
 
     # --- climbing ------------------------------------------------------------------------------------------------
 
@@ -266,7 +403,8 @@ class CalibrationPosterior:
     def fit(self, y: Array, pose: Array) -> tuple[Array, Array]:
         """Return coordinates (n,) and poses (P, q) that explain readings and priors best, by Levenberg and Marquardt.
 
-        Machine and poses move together, the poses eliminated from each step; the noise stays that of y.
+        Machine, poses and coefficients move together, the latter two eliminated from each step; what is unknown of the
+        errors stays that of y.
 
         Raises
         ------
@@ -274,41 +412,51 @@ class CalibrationPosterior:
             Where the machine does not stand at the start.
         """
         white, damping = self.likelihood.whiten(*self.deviations(y[None])), DAMPING
+        columns = self._white_columns(y[None], white, self.likelihood)
         pose = np.broadcast_to(pose, (1, *pose.shape[-2:]))
         here = self.rows(y, white, pose)
-        cost = self._cost(y, here[0])
+        residual, cost = self._cost(y, here[0], columns)
         if not np.isfinite(cost):
             raise NumericalError("found no reading of the machine as expected at some start, expected one that stands")
         for _ in range(MAX_ITERATIONS):
-            move, follow = self._propose(y, *here, damping)
+            move, follow = self._propose(y, *here, columns[0], residual, damping)
             other, stood = y.copy(), pose + follow
             other[: self.n_geometry] += move
             there = self.rows(other, white, stood)
-            new = self._cost(other, there[0])
+            rest, new = self._cost(other, there[0], columns)
             if not new < cost:
                 damping *= 4.0
                 if damping > LARGEST_DAMPING:
                     break
                 continue
             done = cost - new < GAIN * max(cost, 1.0)
-            y, pose, here, cost, damping = other, stood, there, new, damping / 3.0
+            y, pose, here, residual, cost, damping = other, stood, there, rest, new, damping / 3.0
             if done:
                 break
         return y, pose[0]
 
-    def _cost(self, y: Array, error: Array) -> float:
-        freedom, squares = self.likelihood.freedom, np.einsum("pk,pk->p", error, error)
-        if np.isfinite(freedom):  # what is far off counts by its logarithm, as in the density
-            squares = (freedom + self.likelihood.n_spare) * np.log1p(squares / freedom)
-        total = float(squares.sum() + y @ y)
-        return total if self.likelihood.model.layout.inside(self.theta(y[None]))[0] else np.nan
+    def _cost(self, y: Array, error: Array, columns: Array) -> tuple[Array, float]:
+        """Return white errors (P, K) without what the best coefficients explain, and what all squares sum up to."""
+        square, spare = float(y @ y), self.likelihood.n_spare
+        if self.errors.has_columns:
+            found = self._find(columns, error[None])
+            error, square = found.residual[0], square + float(found.mean[0] @ found.mean[0])
+        total = square + float(self.errors.outliers.penalise(np.einsum("pk,pk->p", error, error), spare).sum())
+        return error, total if self.likelihood.model.layout.inside(self.theta(y[None]))[0] else np.nan
 
     def _propose(
-        self, y: Array, error: Array, slope: Array, by_parameters: Array, damping: float
+        self,
+        y: Array,
+        error: Array,
+        slope: Array,
+        by_parameters: Array,
+        columns: Array,
+        residual: Array,
+        damping: float,
     ) -> tuple[Array, Array]:
         """Return a damped step of the coordinates (m,) and the poses' (P, q) that follows."""
-        m = self.n_geometry
-        trust = np.sqrt(self.likelihood.trust(np.einsum("pk,pk->p", error, error)))
+        m, square = self.n_geometry, np.einsum("pk,pk->p", residual, residual)
+        trust = np.sqrt(self.errors.outliers.trust(square, self.likelihood.n_spare))
         # a little of the damping keeps poses that readings hardly tell from running away
         stiff = invert(slope, 1e-9 * damping / DAMPING)
         left = np.eye(slope.shape[1]) - slope @ stiff
@@ -316,21 +464,27 @@ class CalibrationPosterior:
         right = trust[:, None] * left_of(left, error)
         normal = np.einsum("pki,pkj->ij", rows, rows, optimize=True) + np.eye(m)
         side = np.einsum("pki,pk->i", rows, right) - y[:m]
+        acted = (trust[:, None, None] * (left @ columns)).reshape(right.size, -1)
+        inner = np.eye(acted.shape[1]) + acted.T @ acted
+        seen, told = acted.T @ rows.reshape(right.size, -1), acted.T @ right.ravel()
+        normal -= seen.T @ np.linalg.solve(inner, seen)
+        side -= seen.T @ np.linalg.solve(inner, told)
         move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), side)
-        return move, left_of(stiff, error - by_parameters @ move)
+        common = columns @ np.linalg.solve(inner, told - seen @ move)
+        return move, left_of(stiff, error - by_parameters @ move - common)
 
     # --- what inference asks for besides ---------------------------------------------------------------------------
 
     def jumps(self, y: Array) -> list[tuple[int, Array]]:
-        """Return nothing: no other mode is expected."""
-        del y
-        return []
+        """Return each error that has a switch, switched on or off; no other mode is expected."""
+        m = self.n_geometry
+        return [(jump, np.concatenate([y[:m], zeta])) for jump, zeta in self.errors.jumps(y[m:])]
 
     def funnel_errors(self, y: Array) -> Array:
         """Return the noise of each group of channels over the stated one, (B, n) to (B, N), rms of its readings."""
         own, tau = self.deviations(y)
         there, square = self.likelihood.data.present, (own**2 + tau**2) / self.likelihood.sd**2
-        mine = there * self.noise.groups[:, None]
+        mine = there * self.errors.groups(there.shape[1])[:, None]
         return np.sqrt(np.einsum("bpk,gpk->bg", square, mine) / np.maximum(mine.sum(axis=(1, 2)), 1))
 
     def groups(self) -> list[np.ndarray]:
@@ -343,16 +497,25 @@ class CalibrationPosterior:
 
     def funnel(self, y: Array) -> Funnel | None:
         """Return how the geometry depends on the noise at y, shape (n,); None where that is known."""
-        if not self.noise.n_parameters:
+        if not self.errors.has_noise:
             return None
         with np.errstate(all="ignore"):
             white, at = self.stand(y[None])
             _, slope, by_parameters = self.rows(y, white, at.pose)
-        rows = np.sqrt(self.likelihood.trust(at.square)[0])[:, None, None] * (project_out(slope) @ by_parameters)
+        left, prior = project_out(slope), np.eye(self.n_geometry)
+        trust = self.errors.outliers.trust(at.square, self.likelihood.n_spare)[0]
+        rows = left @ by_parameters
+        if self.errors.has_columns:  # JᵀS⁻¹J = Gᵀ(W⁻¹ + AAᵀ)G with G = S⁻¹J; the part with A does not hang on the noise
+            columns = (left @ self._white_columns(y[None], white, self.likelihood)[0])[None]
+            found = self._find(columns, at.error)
+            reduced, trust = found.reduce(rows[None])[0], found.trust[0]
+            acted = np.einsum("pku,pki->ui", found.columns[0], reduced, optimize=True)
+            rows, prior = reduced / trust[:, None, None], prior + acted.T @ acted
+        rows = np.sqrt(trust)[:, None, None] * rows
         # information is a sum over white readings, homogeneous in their precisions: each group's share is its readings'
-        parts = np.einsum("gk,pki,pkj->gij", self.noise.groups, rows, rows, optimize=True)
+        parts = np.einsum("gk,pki,pkj->gij", self.errors.groups(rows.shape[1]), rows, rows, optimize=True)
         tau = self.funnel_errors(y[None])[0]
-        return Funnel(parts.sum(axis=0), np.eye(self.n_geometry), np.full(len(tau), 1e-12), tau, parts)
+        return Funnel(parts.sum(axis=0), prior, np.full(len(tau), 1e-12), tau, parts)
 
     # --- what a fit is judged by -----------------------------------------------------------------------------------
 
@@ -361,25 +524,31 @@ class CalibrationPosterior:
         return {}
 
     def pointwise_of(self, y: Array, row: int) -> Array:
-        """Return the log-likelihood of one pose's readings, (B, n) to (B,)."""
+        """Return the log-likelihood of one pose's readings given all others, (B, n) to (B,)."""
+        if self.errors.has_columns:
+            return self.pointwise(y)[:, row]
         if row not in self._alone:
             self._alone[row] = replace(self, likelihood=self.likelihood.pick(np.array([row])))
         return self._alone[row].pointwise(y)[:, 0]
 
     def reduced_rows(self, y: Array) -> tuple[Array, Array]:
-        """Return white residuals that no pose explains (P, K), and their derivatives by the geometry (P, K, m), at y.
+        """Return white residuals that no pose explains (P, K), and their derivatives (P, K, m + N), at y (n,).
 
-        Poses that the density trusts less count less.
+        The derivatives are by the geometry, then by coefficients of errors common to all rows, standard normal under the
+        prior. Poses that the density trusts less count less.
         """
         with np.errstate(all="ignore"):
             white, at = self.stand(y[None])
             error, slope, by_parameters = self.rows(y, white, at.pose)
-            trust, left = np.sqrt(self.likelihood.trust(at.square)[0]), project_out(slope)
-        return trust[:, None] * left_of(left, error), trust[:, None, None] * (left @ by_parameters)
+            square = np.einsum("cpk,cpk->cp", *[self.residuals(y[None])] * 2)
+            trust = np.sqrt(self.errors.outliers.trust(square, self.likelihood.n_spare)[0])
+            left, common = project_out(slope), self._white_columns(y[None], white, self.likelihood)[0]
+        rows = left @ np.concatenate([by_parameters, common], axis=-1)
+        return trust[:, None] * left_of(left, error), trust[:, None, None] * rows
 
     def pose_information(self, y: Array, pose: int) -> Array:
         """Return one pose's part of the information of the readings on the geometry at y, shape (m, m)."""
-        rows = self.reduced_rows(y)[1][pose]
+        rows = self.reduced_rows(y)[1][pose, :, : self.n_geometry]
         return np.asarray(rows.T @ rows)
 
     def adopt(self, theta: Array, errors: Array) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
 from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.elimination import find_step
 from bayescal.numerics.geometry import Array
 
 INTERVAL = 0.9
@@ -77,27 +78,33 @@ def replicate_readings(
 ) -> Array:
     """Return readings of all rows had draws (B, n) been the truth, shape (B, P, K); NaN where none was taken.
 
-    Nobody knows the poses: they are drawn from what each draw's machine makes of the readings, to first order, or are
-    those given, (P, q), alike for all.
+    Nobody knows the poses: they are drawn given the readings, to first order, and so are errors common to all rows.
+    Where poses are given, (P, q), they are those, alike for all draws, and common errors are drawn from their prior.
     """
-    likelihood = posterior.likelihood
-    values, given = likelihood.data.values, {name: value[None] for name, value in likelihood.data.given.items()}
-    made = np.full((len(y), *values.shape), np.nan)
+    likelihood, errors, data = posterior.likelihood, posterior.errors, posterior.likelihood.data
+    given, nu = {name: value[None] for name, value in data.given.items()}, errors.outliers.freedom
+    made = np.full((len(y), *data.values.shape), np.nan)
     for part in likelihood.batches(len(y)):
-        theta, own = posterior.theta(y[part]), posterior.deviations(y[part])
-        white = likelihood.whiten(*own)
-        noise = rng.standard_normal((len(theta), *values.shape))
-        wider = np.ones(noise.shape[:2])
-        if np.isfinite(likelihood.freedom):
-            wider = np.sqrt(likelihood.freedom / rng.chisquare(likelihood.freedom, wider.shape))
+        theta, own, common = posterior.theta(y[part]), y[part], np.zeros((1, 1, 1))
+        white = likelihood.whiten(*posterior.deviations(own))
+        wider = np.ones((len(theta), data.n_poses, 1))
+        if errors.outliers.expected:
+            wider = np.sqrt(nu / rng.chisquare(nu, wider.shape))
         if pose is None:
             at = likelihood.stand(theta, white)
-            places = at.pose + wider[..., None] * _draw_poses(at.slope, rng)
+            places = at.pose + wider * _draw_poses(at.slope, rng)
+            if errors.has_columns:
+                common = posterior.draw_common(own, rng).at(data)
+                places -= find_step(at.slope, white.vector(np.where(data.present, common, 0.0)))[0]
         else:
             places = np.broadcast_to(pose, (len(theta), *pose.shape))
+            if errors.has_columns:
+                columns = errors.columns(posterior.zeta(own), data)
+                common = np.einsum("bpkn,bn->bpk", columns, rng.standard_normal((len(own), columns.shape[-1])))
         read = likelihood.model.read(theta[:, None], places, given)
-        error = white.colour(np.where(likelihood.data.present, wider[..., None] * noise, 0.0))
-        made[part] = np.where(likelihood.data.present, likelihood.comparison.add(read, error), np.nan)
+        noise = wider * rng.standard_normal((len(theta), *data.values.shape))
+        error = white.colour(np.where(data.present, noise, 0.0)) + common
+        made[part] = np.where(data.present, likelihood.comparison.add(read, error), np.nan)
     return made
 
 
@@ -124,8 +131,8 @@ def _predict(
 ) -> tuple[Array, Array]:
     """Return predicted means and noisy values of a channel, both (T, P)."""
     rest = replace(held, data=held.data.only(others), anchor=None)
-    theta = posterior.theta(y)
-    own, tau = posterior.noise.deviations(y[:, posterior.n_geometry :], held.sd)
+    theta, outliers = posterior.theta(y), posterior.errors.outliers
+    own, tau = posterior.deviations(y, held)
     mean, spread = (np.empty((len(y), held.data.n_poses)) for _ in range(2))
     given = {name: value[None] for name, value in held.data.given.items()}
     for part in rest.batches(len(y)):
@@ -134,14 +141,21 @@ def _predict(
         here = held.model.linearise(theta[part][:, None], at.pose, False, given)
         error = held.comparison.subtract(held.data.values, here.values)
         slope = held.comparison.pull_back(error, here.values, here.by_pose)[..., channel, :]
+        error_left, shift = at.error, np.zeros(error.shape[:-1])
+        if posterior.errors.has_columns:  # what errors common to all rows make of the pose, to first order
+            common = posterior.draw_common(y[part], rng).at(held.data)
+            moved, left = find_step(at.slope, white.vector(np.where(rest.data.present, common, 0.0)))
+            error_left = at.error - left
+            shift = common[..., channel] - np.einsum("tpq,tpq->tp", slope, moved)
         # what the others' noise tells of this reading's, as in Gaussian regression
         told_by = white.vector(_covary(held, own[part], channel, rest.data.present))
         slope = slope - np.einsum("tpk,tpkq->tpq", told_by, at.slope)
         own_noise = own[part][..., channel] ** 2 + tau[part][..., channel] ** 2 - (told_by**2).sum(axis=-1)
         variance = _spread_of_pose(slope, at) + own_noise
-        predicted = held.data.values[:, channel] - error[..., channel]
-        mean[part] = predicted + np.einsum("tpk,tpk->tp", told_by, at.error)
-        spread[part] = np.sqrt(variance * _widen(rest, at.square, rng))
+        predicted = held.data.values[:, channel] - error[..., channel] + shift
+        mean[part] = predicted + np.einsum("tpk,tpk->tp", told_by, error_left)
+        square = np.einsum("tpk,tpk->tp", error_left, error_left)
+        spread[part] = np.sqrt(variance * outliers.draw_widening(square, rest.n_spare, rng))
     return mean, mean + spread * rng.standard_normal(mean.shape)
 
 
@@ -156,14 +170,6 @@ def _spread_of_pose(slope: Array, at: Stand) -> Array:
     told = np.isfinite(at.error).all(axis=-1) & (np.linalg.det(np.nan_to_num(across)) > 0.0)
     inner = np.linalg.inv(np.where(told[..., None, None], across, np.eye(across.shape[-1])))
     return np.where(told, np.einsum("tpi,tpij,tpj->tp", slope, inner, slope), np.nan)
-
-
-def _widen(rest: CalibrationLikelihood, square: Array, rng: np.random.Generator) -> Array:
-    """Return draws of 1/w, the factor on a pose's variances given what is left of its other readings."""
-    if not np.isfinite(rest.freedom):
-        return np.ones_like(square)
-    shape = np.broadcast_to(0.5 * (rest.freedom + rest.n_spare), square.shape)
-    return np.asarray(0.5 * (rest.freedom + square) / rng.standard_gamma(shape))
 
 
 def _collect(held: CalibrationLikelihood, parts: list[tuple[np.ndarray, int, Array, Array]]) -> ReadingPredictions:

@@ -8,6 +8,8 @@ import numpy as np
 
 from bayescal.numerics.geometry import Array
 
+FEW = 16
+
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
@@ -21,7 +23,7 @@ class Whitening:
     matrix: Array | None
     log_det: Array
 
-    def pick(self, some: np.ndarray) -> Whitening:
+    def pick(self, some: np.ndarray | slice) -> Whitening:
         """Return that of some of the machines."""
         diagonal = None if self.diagonal is None else self.diagonal[some]
         return Whitening(diagonal, None if self.matrix is None else self.matrix[some], self.log_det[some])
@@ -42,7 +44,9 @@ class Whitening:
 
     def rows(self, slope: Array) -> Array:
         """Return white derivatives (C, P, K, n)."""
-        if self.diagonal is not None:  # column by column: n is small, and a last axis that short is slow
+        if self.diagonal is not None and slope.shape[-1] > FEW:
+            return np.asarray(self.diagonal[..., None] * slope)
+        if self.diagonal is not None:  # column by column: a last axis that short is slow
             shape = np.broadcast_shapes(self.diagonal.shape, slope.shape[:-1])
             result = np.empty((*shape, slope.shape[-1]))
             for i in range(slope.shape[-1]):

@@ -16,9 +16,9 @@ from bayescal.experiments.calibration.tables import Findings, Residuals, summari
 from bayescal.experiments.calibration.validation import Held, hold_back, list_folds
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
-from bayescal.experiments.shared.estimate import TREE, Fit, fit_posterior
+from bayescal.experiments.shared.estimate import TREE, Fit
 from bayescal.experiments.shared.prior_widths import WidthTask, begin_widths, tabulate_widths, weigh_widths
-from bayescal.experiments.shared.reading_fit import ONLY_SAVED, ReadingSubject
+from bayescal.experiments.shared.reading_fit import ReadingFit, ReadingSubject, fit_readings
 from bayescal.experiments.shared.trees import name_file, write_packed
 from bayescal.inference.importance import ImportanceEvidence
 from bayescal.numerics.geometry import Array
@@ -28,7 +28,7 @@ from bayescal.numerics.geometry import Array
 class _Fitted:
     """What one task of a variant finds; its verification where poses are kept for that."""
 
-    fit: Fit
+    fit: ReadingFit
     residuals: Residuals
     knowledge: Knowledge
     beside: list[Array]
@@ -73,12 +73,12 @@ def _list_files(fits: Mapping[str, Fit]) -> dict[str, Writer]:
 
 def _compute_variant(inputs: CalibrationInputs, name: str) -> _Fitted:
     variant, config = inputs.variants[name], inputs.config
-    subject = ReadingSubject(variant.posterior().anchored())
-    fit, posterior = fit_posterior(subject, config.seed, name, config.sampler, config.evidence), subject.posterior
+    posterior = variant.posterior().anchored()
+    fit = fit_readings(posterior, config.seed, name, config.sampler, config.evidence)
     covariance = np.atleast_2d(np.cov(fit.kept[:, : posterior.n_geometry], rowvar=False))
     held = [hold_back(inputs, variant, 0, fit.kept)] if variant.verification.any() else []
     return _Fitted(
-        fit.pack(subject.build_tree(fit, name), ONLY_SAVED),
+        fit,
         _explain(posterior, fit),
         assess(config, variant, posterior, fit.kept.mean(axis=0), covariance),
         [one.evaluate(variant.whole, posterior.theta(fit.kept)) for one in inputs.beside],
@@ -94,18 +94,21 @@ def _weigh(inputs: CalibrationInputs, task: WidthTask) -> ImportanceEvidence:
 
 def _explain(posterior: CalibrationPosterior, fit: Fit) -> Residuals:
     """Return the residuals of the best machine at the calibration poses."""
-    _, stand = posterior.stand(fit.mode[None])
+    white, stand = posterior.stand(fit.mode[None])
     own, tau = posterior.deviations(fit.mode[None])
-    likelihood = posterior.likelihood
+    likelihood, outliers = posterior.likelihood, posterior.errors.outliers
     given = {key: value[None] for key, value in likelihood.data.given.items()}
     read = likelihood.model.read(posterior.theta(fit.mode[None])[:, None], stand.pose, given)
-    left = likelihood.comparison.subtract(likelihood.data.values, read)[0]
+    residual = posterior.residuals(fit.mode[None])
+    common = white.colour(stand.error - residual)  # what errors common to all rows explain beyond the pose
+    left = (likelihood.comparison.subtract(likelihood.data.values, read) - common)[0]
+    square = np.einsum("pk,pk->p", residual[0], residual[0])
     return Residuals(
         stand.pose[0],
         np.where(likelihood.data.present, left, np.nan),
         np.sqrt(own[0] ** 2 + tau[0] ** 2) * np.ones_like(left),
-        stand.square[0],
-        likelihood.trust(stand.square)[0],
+        square,
+        outliers.trust(square, likelihood.n_spare),
         likelihood.n_readings - stand.pose.shape[-1],
     )
 

@@ -8,13 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.density.calibration.likelihood import GAUSSIAN, CalibrationLikelihood
+from bayescal.density.calibration.likelihood import CalibrationLikelihood
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.noise import NoiseModel
+from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.terms import Errors
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.beside import Beside, read_beside
+from bayescal.experiments.calibration.errors import build_terms
 from bayescal.experiments.calibration.noise import build_noise, stated_noise
 from bayescal.experiments.calibration.priors import choose_priors, widen
 from bayescal.experiments.calibration.reading_tables import PoseReadings, read_tables
@@ -40,7 +42,7 @@ class Variant:
     priors : mapping of name to Prior
     fixed : mapping of parameter name to float
     common : mapping of name to tuple of parameter names
-    noise : NoiseModel
+    errors : Errors
     data : Measurements
         Of all poses that it takes in, without the readings of other channels.
     verification : ndarray of bool, shape (P,)
@@ -55,7 +57,7 @@ class Variant:
     priors: Mapping[str, Prior]
     fixed: Mapping[str, float]
     common: Mapping[str, tuple[str, ...]]
-    noise: NoiseModel
+    errors: Errors
     data: Measurements
     verification: np.ndarray
     start: Array
@@ -68,16 +70,13 @@ class Variant:
 
     def likelihood(self, which: np.ndarray) -> CalibrationLikelihood:
         """Return the density of the readings of some poses, by a mask (P,)."""
-        freedom = GAUSSIAN if self.config.robust is None else self.config.robust
-        return CalibrationLikelihood(
-            self.model, self.data.pick(which), self.workspace.volume, self.start[which], freedom
-        )
+        return CalibrationLikelihood(self.model, self.data.pick(which), self.workspace.volume, self.start[which])
 
     def posterior(self, which: np.ndarray | None = None, factor: float = 1.0) -> CalibrationPosterior:
         """Return the posterior of some poses, those for calibration by default; ``factor`` widens all priors."""
         likelihood = self.likelihood(~self.verification if which is None else which)
         priors = self.priors if factor == 1.0 else {k: widen(one, factor) for k, one in self.priors.items()}
-        return CalibrationPosterior(likelihood, priors, self.noise, self.fixed, self.common)
+        return CalibrationPosterior(likelihood, priors, self.errors, self.fixed, self.common)
 
     @property
     def internal(self) -> np.ndarray:
@@ -117,7 +116,8 @@ def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
     variants = {}
     for one in config.variants:
         with name_faults(f"variant {one.name!r}"):
-            variants[one.name] = _build(config, one, models[one.machine or config.machine], readings, deviations)
+            machine = models[one.machine or config.machine]
+            variants[one.name] = _build(config, one, machine, readings, deviations, folder)
     beside = [read_beside(one, folder, model) for one in config.beside]
     return CalibrationInputs(config, getattr(model, "name", config.machine), variants, beside)
 
@@ -133,6 +133,7 @@ def _build(
     model: ReadingModel,
     readings: PoseReadings,
     deviations: Array,
+    folder: Path,
 ) -> Variant:
     rows = _choose_poses(section, model, readings)
     chosen = model.select(section.sensors if section.sensors is not None else config.sensors)
@@ -150,8 +151,12 @@ def _build(
     ).pick(rows)
     _check_noise(data, model)
     model.check_given(data.poses, data.given, [one for name in priors for one in common.get(name, (name,))])
-    noise = build_noise(config, section, whole, chosen)
     workspace = build_workspace(model, config.workspace, config.units)
+    terms = (
+        *build_noise(config, section, whole, chosen),
+        *build_terms(config, section, whole, chosen, data, workspace, folder),
+    )
+    outliers = Outliers(np.inf if section.robust is None else section.robust)
     unplaced = Variant(
         section,
         whole,
@@ -159,7 +164,7 @@ def _build(
         priors,
         fixed,
         common,
-        noise,
+        Errors(terms, outliers),
         data,
         readings.verification[rows],
         np.zeros((data.n_poses, len(model.coordinates))),

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bayescal.density.calibration.noise import NoiseModel
+from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, NoiseFactor
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.reading_tables import PoseReadings, units_like
 from bayescal.experiments.calibration.schema import (
@@ -66,35 +66,29 @@ def _factor(name: str, channel: Channel, field: str) -> float:
 
 def build_noise(
     config: CalibrationConfig, section: CalibrationVariantConfig, model: ReadingModel, chosen: np.ndarray
-) -> NoiseModel:
+) -> tuple[ErrorTerm, ...]:
     """Return what of the noise of the chosen channels is unknown; InputError for a group that no channel belongs to."""
-    groups = _groups(config, model)
-    some = {groups[k] for k in chosen}
+    groups = group_channels(config, model)
     for table in ("unknown_noise", "model_error"):
         for name in getattr(config, table):
             if name not in groups:
                 known = ", ".join(dict.fromkeys(filter(None, groups)))
                 raise InputError(f"{table}: found {name!r}, expected a group of channels: {known}")
-    unknown = section.noise == "unknown"
-    scales = {name: sd for name, sd in config.unknown_noise.items() if unknown and name in some}
-    taus = {name: one.scale for name, one in config.model_error.items() if unknown and name in some}
-    units = {group: channel.unit for group, channel in zip(groups, model.channels, strict=True)}
-    for name in taus:
-        if len({c.unit for g, c in zip(groups, model.channels, strict=True) if g == name}) > 1:
+    if section.noise != "unknown":
+        return ()
+    members = {name: np.array([groups[k] == name for k in chosen]) for name in groups}
+    factors = [NoiseFactor(name, members[name], sd) for name, sd in config.unknown_noise.items() if members[name].any()]
+    errors = []
+    for name, one in config.model_error.items():
+        units = {c.unit for g, c in zip(groups, model.channels, strict=True) if g == name}
+        if members[name].any() and len(units) > 1:
             raise InputError(f"model_error.{name}: found channels of several units, expected one")
-    mine = [groups[k] for k in chosen]
-    return NoiseModel(
-        np.array([list(scales).index(name) if name in scales else -1 for name in mine]),
-        np.array([list(taus).index(name) if name in taus else -1 for name in mine]),
-        tuple(scales),
-        tuple(taus),
-        np.array(list(scales.values())),
-        np.array(list(taus.values())),
-        tuple(units[name] for name in taus),
-    )
+        if members[name].any():
+            errors.append(ModelErrorTerm(name, members[name], one.scale, units.pop()))
+    return (*factors, *errors)
 
 
-def _groups(config: CalibrationConfig, model: ReadingModel) -> list[str]:
+def group_channels(config: CalibrationConfig, model: ReadingModel) -> list[str]:
     """Return the group of each channel, empty for those without noise."""
     result = []
     for channel in model.channels:

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from bayescal.config.classes import ClassMark, OwnSection
 from bayescal.config.sections import (
     ExperimentConfig,
     Factor,
@@ -98,12 +99,20 @@ class ModelErrorScaleConfig(Section):
     """Scale of the half-normal prior of the model error [unit of the channel]."""
 
 
+class ErrorTermConfig(OwnSection):
+    """An error of one cause that variants may have: `function`, or a class of one's own with its options beside it."""
+
+    kind: Annotated[str, ClassMark("ERRORS", beside=True), Field(validate_default=True)] = "function"
+    """`"function"`, or `file.py:Class` of one's own; its options stand beside it."""
+
+
 class CalibrationVariantConfig(Section):
     """A model of the readings.
 
     ``sensors`` are the channels it takes in, all by default; ``free`` the symbols or parameters that are free, by
     default all with a prior; those of an entry of ``common`` deviate alike, a symbol or a list of parameters.
-    ``noise`` says whether the noise is as stated or unknown as far as [unknown_noise] and [model_error] allow;
+    ``noise`` says whether the noise is as stated or unknown as far as [unknown_noise] and [model_error] allow,
+    ``errors`` which further errors it has;
     ``robust`` is the degree of freedom ν of a density that lets single poses be wrong; ``poses_with`` keeps to poses
     for which these columns are known; ``machine`` is another file for this variant.
     """
@@ -122,6 +131,8 @@ class CalibrationVariantConfig(Section):
     """Symbols, or lists of parameters, that deviate alike."""
     noise: Literal["unknown", "stated"] = "unknown"
     """Noise as `stated`, or `unknown` as far as [unknown_noise] and [model_error] allow."""
+    errors: Names | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Sections of [errors] that it has; all whose channels it takes in where nothing is said."""
     robust: Annotated[float, Field(ge=1.0, le=100.0)] | None = None
     """Degrees of freedom of a density that lets single poses be wrong; fewer forgive more [1]."""
     poses_with: Names = Field(default=[])
@@ -191,6 +202,8 @@ class CalibrationConfig(ExperimentConfig):
     """By group: standard deviation of the logarithm of a factor on its noise [1]."""
     model_error: dict[str, ModelErrorScaleConfig] = Field(default={})
     """By channel or kind: an error that the stated noise lacks."""
+    errors: dict[Name, ErrorTermConfig] = Field(default={}, exclude_if=lambda value: not value)
+    """By name: errors common to all rows, such as functions of what is read, or those of a class of one's own."""
     workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
     """By coordinate: smallest and largest value where accuracy counts; the machine's own where nothing is said [unit
     of the coordinate].

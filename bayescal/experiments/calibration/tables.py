@@ -20,8 +20,9 @@ from bayescal.experiments.calibration.knowledge_tables import (
     tabulate_accuracy,
 )
 from bayescal.experiments.calibration.validation import Held
-from bayescal.experiments.shared.estimate import Fit
+from bayescal.experiments.shared.reading_fit import ReadingFit
 from bayescal.experiments.shared.stacking import tabulate_comparison
+from bayescal.experiments.shared.function_errors import tabulate_functions
 from bayescal.numerics.geometry import Array
 
 DOUBTFUL = 0.01  # probability under the stated noise below which what a pose leaves is doubtful
@@ -57,7 +58,7 @@ class Residuals:
 class Findings:
     """All that was found for one variant."""
 
-    fit: Fit
+    fit: ReadingFit
     residuals: Residuals
     knowledge: Knowledge
     beside: list[Array]
@@ -69,7 +70,11 @@ def tabulate(inputs: CalibrationInputs, found: Mapping[str, Findings]) -> dict[s
     every = [(inputs.variants[name], one) for name, one in found.items()]
     predictions = pd.DataFrame([row for one in every for row in _list_predictions(*one)])
     tables = {
-        "variants": _compare(pd.DataFrame([_describe(*one, predictions) for one in every]), found),
+        "variants": tabulate_comparison(
+            pd.DataFrame([_describe(*one, predictions) for one in every]),
+            {name: one.fit.left_out for name, one in found.items()},
+            "data",
+        ),
         "parameters": pd.concat([_list_parameters(*one) for one in every], ignore_index=True),
         "residuals": pd.DataFrame([row for one in every for row in _list_residuals(*one)]),
         "poses": pd.concat([_list_poses(*one) for one in every], ignore_index=True),
@@ -79,16 +84,8 @@ def tabulate(inputs: CalibrationInputs, found: Mapping[str, Findings]) -> dict[s
         "next": pd.DataFrame([row for variant, one in every for row in list_next(variant, one.knowledge)]),
         "beside": pd.DataFrame([row for one in every for row in _list_beside(inputs, *one)]),
     }
+    tables |= tabulate_functions([(variant.name, one.fit.functions) for variant, one in every])
     return {name: table for name, table in tables.items() if not table.empty}
-
-
-def _compare(variants: pd.DataFrame, found: Mapping[str, Findings]) -> pd.DataFrame:
-    """Return the variants with how each predicts rows left out, beside the others with the same readings."""
-    groups = [
-        tabulate_comparison({name: found[name].fit.left_out for name in some["variant"]})
-        for _, some in variants.groupby("data", sort=False)
-    ]
-    return variants.merge(pd.concat(groups, ignore_index=True), on="variant")
 
 
 def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dict[str, Any]:
@@ -121,8 +118,9 @@ def _list_parameters(variant: Variant, one: Findings) -> pd.DataFrame:
     fit, posterior = one.fit, variant.posterior()
     layout = variant.model.layout
     start = [float(layout.nominal[posterior.places(name)[0]]) for name in posterior.geometry_names]
-    start += [1.0] * len(posterior.noise.scale_names) + [0.0] * len(posterior.noise.tau_names)
-    verdicts = [*one.knowledge.verdicts, *["noise"] * posterior.noise.n_parameters]
+    medians = posterior.errors.natural(np.zeros(posterior.errors.n_parameters))
+    start += [float(x) if unit == "1" else 0.0 for unit, x in zip(posterior.errors.units, medians, strict=True)]
+    verdicts = [*one.knowledge.verdicts, *["noise"] * posterior.errors.n_parameters]
     return pd.DataFrame(
         {
             "variant": variant.name,

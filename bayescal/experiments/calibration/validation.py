@@ -66,8 +66,7 @@ def hold_back(inputs: CalibrationInputs, variant: Variant, fold: int, known: Arr
     else:
         y = known[np.linspace(0, len(known) - 1, min(effort, len(known))).astype(int)]
     likelihood = variant.likelihood(held)
-    own, tau = posterior.noise.deviations(y[:, posterior.n_geometry :], likelihood.sd)
     with np.errstate(all="ignore"):
-        elpd = compute_elpd(likelihood.pointwise(posterior.theta(y), own, tau))
+        elpd = compute_elpd(posterior.predict_density(likelihood, y))
         predictions = predict_readings(posterior, likelihood, y, rng)
     return Held(np.flatnonzero(held), elpd, efficiency, pareto_k, predictions)

@@ -16,6 +16,7 @@ TITLES = {
     "MACHINES": "Machines of one function",
     "MODELS": "Kinematic models",
     "DEFORMATIONS": "Deformations of the platform",
+    "ERRORS": "Errors of readings",
     "SENSORS": "Sensors of an audit",
     "CRITERIA": "Criteria of pose selection",
     "METHODS": "Methods of pose selection",

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from bayescal.density.readings.likelihood import ReadingLikelihood
-from bayescal.density.readings.poses import null_basis
-from bayescal.density.readings.posterior import SelfCalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationLikelihood
+from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant, find_cause, list_starts
 from bayescal.experiments.shared.denied_slips import tell_denial
+from bayescal.experiments.shared.sensor_sets import null_basis
 from bayescal.numerics.geometry import Array
 
 DOUBT = 5.0  # standard deviations of χ² beyond which readings are not explained
@@ -71,10 +71,15 @@ def list_denied(inputs: ReadingInputs) -> list[str]:
     return [f"Readings of {name!r}: {cause.removeprefix('; ')}" for name, cause in found.items() if cause]
 
 
-def find_limit(posterior: SelfCalibrationPosterior) -> float:
+def find_limit(posterior: CalibrationPosterior) -> float:
     """Return the rms of what no pose explains, in what noise and posterior let one expect, that chance hardly gives."""
-    redundancy = posterior.likelihood.sensors.redundancy
+    redundancy = _redundancy(posterior)
     return float(np.sqrt(chi2.isf(CHANCE, redundancy) / redundancy))
+
+
+def _redundancy(posterior: CalibrationPosterior) -> int:
+    """Return how many more readings each pose has than coordinates."""
+    return int(posterior.likelihood.n_spare[0])
 
 
 def _complain(where: Path, variant: Variant, name: str, off: float, limit: float) -> None:
@@ -84,38 +89,39 @@ def _complain(where: Path, variant: Variant, name: str, off: float, limit: float
     )
 
 
-def _is_explained(posterior: SelfCalibrationPosterior, mode: Array) -> bool:
+def _is_explained(posterior: CalibrationPosterior, mode: Array) -> bool:
     """Whether readings and priors together leave no more than their number lets one expect."""
-    error = posterior.likelihood.find_poses(posterior.theta(mode[None]))[1]
-    count = posterior.likelihood.n_poses * posterior.likelihood.sensors.redundancy
-    return float((error**2).sum() + mode @ mode) <= count + DOUBT * np.sqrt(2.0 * count)
+    count = int(posterior.likelihood.n_spare.sum())
+    square = float((posterior.residuals(mode[None]) ** 2).sum() + mode @ mode)
+    return square <= count + DOUBT * np.sqrt(2.0 * count)
 
 
-def _find_suspect(posterior: SelfCalibrationPosterior, mode: Array) -> tuple[int, float] | None:
+def _find_suspect(posterior: CalibrationPosterior, mode: Array) -> tuple[int, float] | None:
     """Return a pose without which all others are explained, and how far its readings are off then."""
     likelihood = posterior.likelihood
-    square = (likelihood.find_poses(posterior.theta(mode[None]))[1][0] ** 2).sum(axis=1)
-    if (likelihood.n_poses - 1) * likelihood.sensors.redundancy < posterior.n_parameters:
+    square, n_poses = (posterior.residuals(mode[None])[0] ** 2).sum(axis=1), likelihood.data.n_poses
+    if (n_poses - 1) * _redundancy(posterior) < posterior.n_parameters:
         return None
     for suspect in np.argsort(-square)[:SUSPECTS]:
-        others = replace(posterior, likelihood=likelihood.select(np.arange(likelihood.n_poses) != suspect))
+        others = replace(posterior, likelihood=likelihood.pick(np.arange(n_poses) != suspect))
         found = others.approach()
         if _is_explained(others, found):
-            one = likelihood.select(np.arange(likelihood.n_poses) == suspect)
+            one = likelihood.pick(np.arange(n_poses) == suspect)
             off = float(measure_misfits(others, found, one)[0])
             if off > find_limit(others):
                 return int(suspect), off
     return None
 
 
-def measure_misfits(posterior: SelfCalibrationPosterior, mode: Array, other: ReadingLikelihood) -> Array:
+def measure_misfits(posterior: CalibrationPosterior, mode: Array, other: CalibrationLikelihood) -> Array:
     """Return what no pose explains of other readings, rms by what noise and posterior let one expect, shape (P,)."""
-    theta = posterior.theta(mode[None])
-    pose, error = other.find_poses(theta)
-    here = other.sensors.linearise(theta[0], pose[0])
-    basis = null_basis(here.by_pose)
-    rest = np.einsum("pzk,pk->pz", basis, error[0])
-    slope = basis @ here.by_parameters @ posterior.moves.T
-    covariance = slope @ posterior.covariance(mode) @ np.swapaxes(slope, -1, -2) + np.eye(other.sensors.redundancy)
+    theta, redundancy = posterior.theta(mode[None]), _redundancy(posterior)
+    white = other.whiten(*posterior.deviations(mode[None], other))
+    at = other.stand(theta, white)
+    _, slope, by_parameters = other.linearise(theta, at.pose, white, with_parameters=True)
+    basis = null_basis(slope[0])
+    rest = np.einsum("pzk,pk->pz", basis, at.error[0])
+    moved = basis @ by_parameters[0] @ posterior.moves(mode).T
+    covariance = moved @ np.linalg.inv(-posterior.gradient(mode)[1]) @ np.swapaxes(moved, -1, -2) + np.eye(redundancy)
     square = np.einsum("pz,pz->p", rest, np.linalg.solve(covariance, rest[..., None])[..., 0])
-    return np.sqrt(square / other.sensors.redundancy)
+    return np.sqrt(square / redundancy)

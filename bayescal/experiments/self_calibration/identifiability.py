@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.density.readings.absorbed import Absorber, Strength
-from bayescal.density.readings.poses import SensorSet, find_poses
+from bayescal.experiments.shared.sensor_sets import SensorSet, find_poses
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.reading_machine import tolerance_of
 from bayescal.identifiability.directions import Direction, find_directions
@@ -92,15 +91,14 @@ def audit_variant(inputs: ReadingInputs, variant: Variant) -> Identifiability:
 
 def _inform(inputs: ReadingInputs, variant: Variant, pose: Array, rows: Array) -> Information:
     """Return what rows (P, K, n) tell of the free parameters, beside functions of the sensors of their stated scale."""
-    free, functions = variant.free, variant.functions
-    if functions is None:
-        return information_of_rows(rows, free.scale)
-    readings = inputs.measured(variant.sensors, verification=False)
-    absorber = Absorber(functions, variant.sensors, readings)
-    slope = variant.sensors.linearise(free.centre, pose, with_parameters=False).by_pose
-    strength = Strength(functions.scale[None, functions.group], np.array([functions.length]))
-    others = absorber.rows(slope[None], absorber.root(strength))[0]
-    return marginalise(rows.reshape(-1, rows.shape[-1]) * free.scale, others.reshape(-1, others.shape[-1]))
+    if variant.functions is None:
+        return information_of_rows(rows, variant.free.scale)
+    posterior = inputs.posterior(variant)
+    y = np.zeros((1, posterior.n_parameters))
+    white = posterior.likelihood.whiten(*posterior.deviations(y))
+    slope = variant.sensors.linearise(variant.free.centre, pose, with_parameters=False).by_pose
+    others = posterior.columns(y, white, slope[None])[0]
+    return marginalise(rows.reshape(-1, rows.shape[-1]) * variant.free.scale, others.reshape(-1, others.shape[-1]))
 
 
 def _find_structure(inputs: ReadingInputs, variant: Variant) -> tuple[tuple[str, ...], Structure, tuple[str, ...]]:

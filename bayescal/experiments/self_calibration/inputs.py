@@ -11,14 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.density.calibration.functions import FunctionErrors
+from bayescal.density.calibration.likelihood import CalibrationLikelihood
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.terms import Errors
 from bayescal.density.model_error import INDEPENDENT
-from bayescal.density.priors import NormalPrior
-from bayescal.density.readings.calibrate import FreeParameters
-from bayescal.density.readings.functions import SensorFunctions
-from bayescal.density.readings.likelihood import ReadingLikelihood
-from bayescal.density.readings.poses import PoseFit, SensorSet, find_poses, null_basis
-from bayescal.density.readings.posterior import SelfCalibrationPosterior
-from bayescal.density.readings.structured_posterior import StructuredReadingPosterior
+from bayescal.density.priors import NormalPrior, Prior
+from bayescal.experiments.shared.sensor_sets import FreeParameters
+from bayescal.experiments.shared.sensor_sets import PoseFit, SensorSet, find_poses, null_basis
 from bayescal.errors import InputError
 from bayescal.experiments.self_calibration.functions import build_functions
 from bayescal.experiments.self_calibration.reading_table import ReadingTable, Truth, read_readings, read_truth
@@ -59,7 +60,7 @@ class Variant:
         Those that deviate alike.
     pose : ndarray, shape (P, q)
         Where the machine as expected explains all readings best.
-    functions : SensorFunctions or None
+    functions : FunctionErrors or None
         Errors of the sensors that are functions of what they read.
     """
 
@@ -68,7 +69,7 @@ class Variant:
     free: FreeParameters
     common: Mapping[str, tuple[str, ...]]
     pose: Array
-    functions: SensorFunctions | None = None
+    functions: FunctionErrors | None = None
 
     @property
     def name(self) -> str:
@@ -123,24 +124,29 @@ class ReadingInputs:
         """Return the readings of some sensors for one use, shape (P, K)."""
         return self.table.values[self.table.verification == verification][:, sensors.chosen]
 
-    def likelihood(self, variant: Variant, verification: bool = False) -> ReadingLikelihood:
+    def data(self, variant: Variant, verification: bool = False) -> Measurements:
+        """Return a variant's readings for one use."""
+        rows = self.table.verification == verification
+        values = self.measured(variant.sensors, verification)
+        names = tuple(name for name, mine in zip(self.table.poses, rows, strict=True) if mine)
+        return Measurements(names, values, np.broadcast_to(variant.sensors.noise, values.shape))
+
+    def likelihood(self, variant: Variant, verification: bool = False) -> CalibrationLikelihood:
         """Return the density of a variant's readings for one use."""
         start = variant.pose[self.table.verification == verification]
-        volume = workspace_volume(self.config.workspace)
-        return ReadingLikelihood(variant.sensors, self.measured(variant.sensors, verification), start, volume)
+        volume, model = workspace_volume(self.config.workspace), self.model.pick(variant.sensors.chosen)
+        return CalibrationLikelihood(model, self.data(variant, verification), volume, start)
 
-    def posterior(self, variant: Variant) -> SelfCalibrationPosterior:
+    def posterior(self, variant: Variant) -> CalibrationPosterior:
         """Return a variant's posterior."""
         names, free = self.model.layout.names, variant.free
         shared = {member: symbol for symbol, members in variant.common.items() for member in members}
-        priors: dict[str, NormalPrior] = {}
+        priors: dict[str, Prior] = {}
         for place, scale in zip(free.places, free.scale, strict=True):
             name = names[place]
             priors.setdefault(shared.get(name, name), NormalPrior(float(free.centre[place]), float(scale)))
-        likelihood, common = self.likelihood(variant), variant.common
-        if variant.functions is not None:
-            return StructuredReadingPosterior(likelihood, priors, common=common, functions=variant.functions)
-        return SelfCalibrationPosterior(likelihood, priors, common=common)
+        errors = Errors() if variant.functions is None else Errors((variant.functions,))
+        return CalibrationPosterior(self.likelihood(variant), priors, errors, common=variant.common)
 
     @cached_property
     def workspace(self) -> Array:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import qmc
 
-from bayescal.density.readings.poses import SensorSet
+from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.errors import InputError
 from bayescal.experiments.sensor_placement.schema import PlacementConfig, PlacementMachineConfig, PlacementSensorConfig
 from bayescal.experiments.shared.reading_machine import build_sensors, poses_about_home, tolerance_of

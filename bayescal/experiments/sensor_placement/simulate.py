@@ -6,12 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.density.readings.calibrate import FreeParameters, calibrate
-from bayescal.density.readings.poses import SensorSet
-from bayescal.density.readings.tool import locate_tool
+from bayescal.density.calibration.likelihood import CalibrationLikelihood
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.priors import NormalPrior
+from bayescal.errors import NumericalError
 from bayescal.experiments.sensor_placement.alignment import alignment_basis, take_away
 from bayescal.experiments.sensor_placement.inputs import PlacementInputs
 from bayescal.experiments.sensor_placement.placement import Placement, is_external
+from bayescal.experiments.shared.sensor_sets import FreeParameters, SensorSet, locate_tool
 from bayescal.numerics.geometry import Array
 
 
@@ -50,15 +53,30 @@ def simulate_set(inputs: PlacementInputs, placement: Placement, chosen: np.ndarr
     free = FreeParameters(every.places[seen], every.centre, every.scale[seen])
     measured = sensors.read(truth[:, None], inputs.pose)
     measured = measured + sensors.noise * rng.standard_normal(measured.shape)
-    found = calibrate(sensors, free, measured, inputs.pose, with_priors=True)
-    error, located = _locate(
-        inputs, placement, sensors.select(np.flatnonzero(~is_external(sensors))), truth, found.theta, rng
-    )
-    good = found.converged & located
+    found = np.array([_calibrate(sensors, free, one, inputs.pose) for one in measured])
+    error, located = _locate(inputs, placement, sensors.select(np.flatnonzero(~is_external(sensors))), truth, found, rng)
+    good = np.isfinite(found).all(axis=1) & located
     square = np.sum(error[good] ** 2, axis=-1).mean(axis=-1)
     rms = float(np.sqrt(square.mean())) if good.any() else float("nan")
     spread = float(square.std(ddof=1) / np.sqrt(good.sum()) / (2 * rms)) if good.sum() > 1 else float("nan")
     return Simulated(rms, spread, int(good.sum()), int((~good).sum()))
+
+
+def _calibrate(sensors: SensorSet, free: FreeParameters, measured: Array, pose: Array) -> Array:
+    """Return the best machine (D,) for readings (P, K), NaN where there is none."""
+    layout = sensors.model.layout
+    names = tuple(map(str, range(len(measured))))
+    data = Measurements(names, measured, np.broadcast_to(sensors.noise, measured.shape))
+    likelihood = CalibrationLikelihood(sensors.model.pick(sensors.chosen), data, 1.0, pose)
+    priors = {
+        layout.names[k]: NormalPrior(float(free.centre[k]), float(scale))
+        for k, scale in zip(free.places, free.scale, strict=True)
+    }
+    posterior = CalibrationPosterior(likelihood, priors)
+    try:
+        return posterior.theta(posterior.approach()[None])[0]
+    except NumericalError:
+        return np.full(layout.size, np.nan)
 
 
 def _locate(

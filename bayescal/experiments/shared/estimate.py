@@ -11,7 +11,7 @@ import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
@@ -263,10 +263,10 @@ class Fit(Estimate):
     power_scaling: Array
     wall_seconds: float
 
-    def pack(self, tree: xr.DataTree, only_saved: tuple[str, ...]) -> Fit:
-        """Return it with its tree as a file's bytes in place of the draws that nothing but that needs."""
+    def pack(self, tree: xr.DataTree, only_saved: tuple[str, ...]) -> Self:
+        """Return it with its tree as a file's bytes in place of what nothing but that needs."""
         evaluated = {name: value for name, value in self.evaluated.items() if name not in only_saved}
-        return replace(self, y=self.y[:, :0], evaluated=evaluated | {TREE: pack_tree(tree)})
+        return replace(self, evaluated=evaluated | {TREE: pack_tree(tree)})
 
 
 def estimate_posterior(

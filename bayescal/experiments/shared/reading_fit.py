@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
@@ -10,9 +11,11 @@ import numpy as np
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.calibration.prediction import replicate_readings
 from bayescal.experiments.shared.chi_square import ChiSquare
-from bayescal.experiments.shared.estimate import Arrays, Fit, Subject
+from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
+from bayescal.experiments.shared.function_errors import FoundFunctions, find_functions
 from bayescal.experiments.shared.soundness import fit_rows
 from bayescal.experiments.shared.trees import Draws, Readings, build_tree, limit_draws
+from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.inference.target import Fittable
 from bayescal.numerics.geometry import Array
 
@@ -21,6 +24,29 @@ if TYPE_CHECKING:
 
 PRIOR_DRAWS = 300
 ONLY_SAVED = ("log_likelihood", "replicated", "prior", "prior_replicated")
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingFit(Fit):
+    """A fit of readings.
+
+    Attributes
+    ----------
+    functions : FoundFunctions or None
+        Errors that are functions.
+    """
+
+    functions: FoundFunctions | None
+
+
+def fit_readings(
+    posterior: CalibrationPosterior, seed: int, name: str, sampler: SamplerConfig, effort: EvidenceConfig
+) -> ReadingFit:
+    """Return a posterior's fit and its tree's file; its random numbers depend on the seed and the name alone."""
+    subject = ReadingSubject(posterior)
+    fit = fit_posterior(subject, seed, name, sampler, effort)
+    functions = find_functions(posterior, fit.kept, np.random.default_rng([seed, 9, zlib.crc32(name.encode())]))
+    return ReadingFit(**vars(fit.pack(subject.build_tree(fit, name), ONLY_SAVED)), functions=functions)
 
 
 @dataclass(frozen=True, eq=False)

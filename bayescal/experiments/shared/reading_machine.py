@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from bayescal.density.readings.calibrate import FreeParameters
-from bayescal.density.readings.poses import SensorSet
+from bayescal.experiments.shared.sensor_sets import FreeParameters
+from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.errors import InputError
 from bayescal.machines.readings import ReadingModel, SlidingPlatform
 from bayescal.machines.readings.schema import (

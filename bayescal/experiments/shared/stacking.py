@@ -57,26 +57,37 @@ def _as_elpd_data(elpd: Array, pareto_k: Array) -> ELPDDataLOO:
     )
 
 
-def tabulate_comparison(left_out: Mapping[str, LeftOut]) -> pd.DataFrame:
-    """Return one row per variant of the same rows: elpd of rows left out, how sure it is, weight when stacked."""
-    summaries = {name: one.summarise() for name, one in left_out.items()}
-    several = compare_variants(left_out) if len(left_out) > 1 else None
-    return pd.DataFrame(
-        [
-            {
-                "variant": name,
-                "elpd_loo": summaries[name][0],
-                "elpd_loo_se": summaries[name][1],
-                "elpd_loo_difference": 0.0 if several is None else several["elpd_diff"][name],
-                "elpd_loo_difference_se": 0.0 if several is None else several["dse"][name],
-                "stacking_weight": 1.0 if several is None else several["weight"][name],
-                "loo_pareto_k_max": float(one.pareto_k.max()),
-                "loo_refitted": int(one.was_refitted.sum()),
-                "loo_unreliable": int(one.is_doubtful.sum()),
-            }
-            for name, one in left_out.items()
-        ]
-    )
+def tabulate_comparison(variants: pd.DataFrame, left_out: Mapping[str, LeftOut], same: str) -> pd.DataFrame:
+    """Return a table of variants with how each predicts rows left out, beside the others of the same rows.
+
+    Parameters
+    ----------
+    variants : DataFrame
+        A row per ``variant``.
+    left_out : mapping of str to LeftOut
+    same : str
+        Column that is the same for variants of the same rows.
+    """
+    rows = []
+    for _, some in variants.groupby(same, sort=False):
+        group = {str(name): left_out[str(name)] for name in some["variant"]}
+        several = compare_variants(group) if len(group) > 1 else None
+        for name, one in group.items():
+            elpd, se = one.summarise()
+            rows.append(
+                {
+                    "variant": name,
+                    "elpd_loo": elpd,
+                    "elpd_loo_se": se,
+                    "elpd_loo_difference": 0.0 if several is None else several["elpd_diff"][name],
+                    "elpd_loo_difference_se": 0.0 if several is None else several["dse"][name],
+                    "stacking_weight": 1.0 if several is None else several["weight"][name],
+                    "loo_pareto_k_max": float(one.pareto_k.max()),
+                    "loo_refitted": int(one.was_refitted.sum()),
+                    "loo_unreliable": int(one.is_doubtful.sum()),
+                }
+            )
+    return variants.merge(pd.DataFrame(rows), on="variant")
 
 
 def find_tied(comparison: pd.DataFrame) -> list[str]:

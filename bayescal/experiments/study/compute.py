@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
@@ -102,7 +102,7 @@ def compute_posteriors(inputs: StudyInputs, run: Run) -> dict[Task, Fit]:
 def fit_and_pack(inputs: StudyInputs, task: Task) -> Fit:
     """Return a posterior, with its tree's file in place of what only that has."""
     fit = run_task(inputs, task)
-    return fit.pack(build_study_tree(inputs, task, fit), ONLY_SAVED)
+    return replace(fit.pack(build_study_tree(inputs, task, fit), ONLY_SAVED), y=fit.y[:, :0])
 
 
 def weigh(inputs: StudyInputs, task: WidthTask) -> ImportanceEvidence:

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from bayescal.density.readings.calibrability import compute_calibrability
-from bayescal.density.readings.calibrate import FreeParameters
+from bayescal.experiments.shared.calibrability import compute_calibrability
+from bayescal.experiments.shared.sensor_sets import FreeParameters
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.reading_machine import ZEROS, draw_poses

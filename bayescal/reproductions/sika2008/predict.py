@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayescal.density.readings.calibrate import unweighted
-from bayescal.density.readings.poses import null_basis
-from bayescal.density.readings.tool import compute_tool_sensitivity
+from bayescal.experiments.shared.sensor_sets import null_basis
+from bayescal.experiments.shared.sensor_sets import compute_tool_sensitivity
 from bayescal.numerics.geometry import Array
+from bayescal.reproductions.sika2008.calibrate import unweighted
 from bayescal.reproductions.sika2008.setup import Plan
 
 

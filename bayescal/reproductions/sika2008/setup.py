@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.density.readings.calibrate import FreeParameters
-from bayescal.density.readings.poses import SensorSet
+from bayescal.experiments.shared.sensor_sets import FreeParameters
+from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.errors import InputError
 from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters, poses_about_home
 from bayescal.machines.read import read_sliding_platform

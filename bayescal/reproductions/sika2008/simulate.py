@@ -11,11 +11,11 @@ from functools import cached_property
 
 import numpy as np
 
-from bayescal.density.readings.calibrate import Calibrations, calibrate, unweighted
-from bayescal.density.readings.poses import SensorSet
-from bayescal.density.readings.tool import compute_tool_sensitivity, locate_tool
+from bayescal.experiments.shared.sensor_sets import SensorSet
+from bayescal.experiments.shared.sensor_sets import compute_tool_sensitivity, locate_tool
 from bayescal.errors import InputError, NumericalError
 from bayescal.numerics.geometry import Array
+from bayescal.reproductions.sika2008.calibrate import Calibrations, calibrate, unweighted
 from bayescal.reproductions.sika2008.setup import Plan, Plans
 
 PAPER, BAYESIAN = "paper", "bayesian"

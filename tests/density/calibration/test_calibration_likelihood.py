@@ -15,7 +15,8 @@ from scipy.stats import gamma, multivariate_normal
 
 from bayescal.density.calibration.likelihood import search_poses
 from bayescal.density.calibration.measurements import Comparison, Measurements
-from bayescal.density.readings.poses import SensorSet
+from bayescal.density.calibration.outliers import Outliers
+from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.machines.readings import Channel
 
 VOLUME = 50.0
@@ -142,8 +143,8 @@ def test_correlated_noise_is_a_turned_problem_of_independent_noise(rng):
     mixed = LinearModel(turn @ model.by_pose, turn @ model.by_parameters)
     data = measurements(values @ turn.T, deviation, covariance / deviation[:, None] / deviation)
     for nu in (np.inf, 4.0):
-        found = pointwise(density(mixed, data, nu=nu), theta)
-        np.testing.assert_allclose(found, pointwise(density(model, measurements(values, sd), nu=nu), theta), rtol=1e-11)
+        found = pointwise(density(mixed, data), theta, nu=nu)
+        np.testing.assert_allclose(found, pointwise(density(model, measurements(values, sd)), theta, nu=nu), rtol=1e-11)
 
 
 @pytest.mark.parametrize("nu", [1.5, 4.0, 30.0])
@@ -151,26 +152,26 @@ def test_a_robust_density_is_the_integral_over_each_poses_precision(rng, nu):
     model, theta, sd = linear_model(rng), rng.standard_normal((1, 3)), rng.uniform(0.5, 2.0, 6)
     values = 3.0 * rng.standard_normal((3, 6))
     values[2, 4] = np.nan
-    robust = density(model, measurements(values, sd), volume=VOLUME, nu=nu)
-    found = pointwise(robust, theta)[0]
+    robust = density(model, measurements(values, sd), volume=VOLUME)
+    found = pointwise(robust, theta, nu=nu)[0]
     square = robust.stand(theta, robust.whiten(robust.sd[None], np.zeros((1, 1, 6)))).square[0]
     for p in range(3):
         alone = robust.pick(np.array([p]))
 
         def weigh(w, one=alone, p=p):
-            wide = replace(one, freedom=np.inf, data=replace(one.data, sd=one.data.sd / np.sqrt(w)))
+            wide = replace(one, data=replace(one.data, sd=one.data.sd / np.sqrt(w)))
             return np.exp(pointwise(wide, theta)[0, 0] - found[p]) * gamma.pdf(w, 0.5 * nu, scale=2.0 / nu)
 
         total = quad(weigh, 0.0, np.inf, epsabs=1e-12, epsrel=1e-10)[0]
         assert total == pytest.approx(1.0, abs=1e-7)
         mean = quad(lambda w, weigh=weigh: w * weigh(w), 0.0, np.inf, epsabs=1e-12, epsrel=1e-10)[0]
-        assert robust.trust(square)[p] == pytest.approx(mean, rel=1e-6)
+        assert Outliers(nu).trust(square, robust.n_spare)[p] == pytest.approx(mean, rel=1e-6)
 
 
 def test_a_robust_density_of_much_freedom_is_normal(rng):
     model, theta = linear_model(rng), rng.standard_normal((4, 3))
     data = measurements(rng.standard_normal((5, 6)), 1.0)
-    wide = pointwise(density(model, data, nu=1e7), theta)
+    wide = pointwise(density(model, data), theta, nu=1e7)
     np.testing.assert_allclose(wide, pointwise(density(model, data), theta), rtol=0, atol=1e-4)
 
 

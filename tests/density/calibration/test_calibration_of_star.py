@@ -56,7 +56,7 @@ def test_both_kinds_have_the_same_density(star, name, rng):
     """Up to what poses are off by where H is taken for constant: 0.3 deviations of a reading."""
     expected, found = star.posterior(star.variants[name]), calibrate(star, name)
     assert found.names == expected.names
-    np.testing.assert_allclose(found.prior_sd, expected.scale, rtol=1e-12)
+    np.testing.assert_allclose(found.prior_sd, expected.prior_sd, rtol=1e-12)
     mode = expected.approach()
     np.testing.assert_allclose(found.approach(), mode, rtol=0, atol=1e-5)
     deviation = np.sqrt(np.diag(np.linalg.inv(-expected.gradient(mode)[1])))

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_problems import correlation_of, density, lines_posterior, stated_noise, unknown_noise
+from calibration_problems import correlation_of, density, line_functions, lines_posterior, measurements, unknown_noise
 from scipy.linalg import null_space
 from scipy.optimize import least_squares
 from scipy.stats import halfnorm, lognorm, norm, uniform
 
-from bayescal.density.calibration.noise import NoiseModel
 from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.terms import Errors, ModelErrorTerm
 from bayescal.density.elimination import project_out
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError, NumericalError
@@ -21,19 +21,29 @@ from bayescal.errors import InputError, NumericalError
 MIXED = np.array([[1.0, 0.6, 0.1, 0.0], [0.6, 1.0, 0.2, -0.3], [0.1, 0.2, 1.0, 0.5], [0.0, -0.3, 0.5, 1.0]])
 CASES = {
     "as stated": {},
-    "factor": {"noise": unknown_noise(4)},
-    "model error": {"noise": unknown_noise(4, False, True, 0.1)},
-    "factor and model error": {"noise": unknown_noise(4, True, True, 0.1)},
+    "factor": {"terms": unknown_noise(4)},
+    "model error": {"terms": unknown_noise(4, False, True, 0.1)},
+    "factor and model error": {"terms": unknown_noise(4, True, True, 0.1)},
     "robust": {"nu": 4.0},
-    "robust, factor and model error": {"nu": 3.0, "noise": unknown_noise(4, True, True, 0.1)},
+    "robust, factor and model error": {"nu": 3.0, "terms": unknown_noise(4, True, True, 0.1)},
     "correlated": {"correlation": MIXED},
-    "correlated, factor and model error": {"correlation": MIXED, "noise": unknown_noise(4, True, True, 0.1)},
+    "correlated, factor and model error": {"correlation": MIXED, "terms": unknown_noise(4, True, True, 0.1)},
     "uniform": {"uniform": True},
     "common": {"common": True, "uniform": True},
     "missing": {"missing": 0.5},
-    "a circle": {"bearing": True, "noise": unknown_noise(5, True, True, 0.1)},
+    "a circle": {"bearing": True, "terms": unknown_noise(5, True, True, 0.1)},
+    "functions": {"terms": (line_functions(),)},
+    "functions of a free length": {"terms": (line_functions("smooth", 0.3),)},
+    "functions, factor and model error": {"terms": (*unknown_noise(4, True, True, 0.1), line_functions("linear"))},
+    "functions, robust": {"nu": 4.0, "terms": (line_functions("quadratic"),), "n_poses": 30},
+    "functions, robust, factor and model error": {
+        "nu": 3.0,
+        "terms": (line_functions(), *unknown_noise(4, True, True, 0.1)),
+        "correlation": MIXED,
+        "missing": 0.3,
+    },
     "everything": {
-        "noise": unknown_noise(4, True, True, 0.1),
+        "terms": unknown_noise(4, True, True, 0.1),
         "nu": 5.0,
         "correlation": MIXED,
         "uniform": True,
@@ -87,31 +97,35 @@ def test_the_slope_of_the_volume_follows_the_poses(rng):
         assert slope[k] == pytest.approx((volume(y + move) - volume(y - move)) / 2e-3, rel=0.01, abs=2e-5)
 
 
-JOINT = {name: CASES[name] for name in ("as stated", "correlated", "uniform", "common", "missing", "robust")}
+JOINT_CASES = ("as stated", "correlated", "uniform", "common", "missing", "robust", "functions", "functions, robust")
+JOINT = {name: CASES[name] for name in JOINT_CASES}
 
 
 @pytest.mark.parametrize("case", JOINT.values(), ids=JOINT)
 def test_fit_is_least_squares_over_parameters_and_poses_together(case, rng):
-    posterior, _, pose = lines_posterior(rng, n_poses=12, **case)
-    likelihood, n = posterior.likelihood, posterior.n_parameters
+    posterior, _, pose = lines_posterior(rng, **{**case, "n_poses": 12})
+    likelihood, n, errors = posterior.likelihood, posterior.n_parameters, posterior.errors
+    columns = errors.columns(np.zeros((1, errors.n_parameters)), likelihood.data)
+    poses = n + 24
     white = likelihood.whiten(*posterior.deviations(np.zeros((1, n))))
-    freedom, spare = likelihood.freedom, likelihood.n_readings - 2
+    freedom, spare = posterior.errors.outliers.freedom, likelihood.n_readings - 2
 
     def residual(x):
-        y, at = x[:n], x[n:].reshape(1, -1, 2)
+        y, at, common = x[:n], x[n:poses].reshape(1, -1, 2), columns @ x[poses:]
         read = likelihood.model.read(posterior.theta(y[None])[:, None], at)
-        rest = white.vector(np.where(likelihood.data.present, likelihood.data.values - read, 0.0))[0]
+        rest = white.vector(np.where(likelihood.data.present, likelihood.data.values - read - common, 0.0))[0]
         if np.isfinite(freedom):  # a residual whose square is what the density has in its place
             square = (rest**2).sum(axis=1)
             rest = np.sqrt((freedom + spare) * np.log1p(square / freedom) / square)[:, None] * rest
-        return np.concatenate([rest.ravel(), y])
+        return np.concatenate([rest.ravel(), y, x[poses:]])
 
-    start = np.concatenate([np.zeros(n), pose.ravel()])
+    start = np.concatenate([np.zeros(n), pose.ravel(), np.zeros(columns.shape[-1])])
     joint = least_squares(residual, start, "3-point", x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
     y, at = posterior.fit(np.zeros(n), likelihood.start)
     np.testing.assert_allclose(y, joint[:n], rtol=0, atol=1e-6)
-    np.testing.assert_allclose(at, joint[n:].reshape(-1, 2), rtol=0, atol=1e-6)
-    np.testing.assert_allclose(posterior.polish(y + 0.1), y, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(at, joint[n:poses].reshape(-1, 2), rtol=0, atol=1e-6)
+    away = y + np.where(np.arange(n) < posterior.n_geometry, 0.1, 0.0)
+    np.testing.assert_allclose(posterior.polish(away), y, rtol=0, atol=1e-6)
 
 
 def test_fit_finds_poses_beside_a_constraint(rng):
@@ -154,15 +168,14 @@ def test_fit_says_where_there_is_no_machine(rng):
 @pytest.mark.parametrize("correlation", [None, MIXED], ids=["independent", "correlated"])
 def test_each_noise_governs_its_share_of_the_information(correlation, rng):
     """The information of the first group's readings grows with their precision, that of the others stays."""
-    noise = unknown_noise(4)
-    posterior, y, _ = lines_posterior(rng, noise=noise, correlation=correlation)
+    posterior, y, _ = lines_posterior(rng, terms=unknown_noise(4), correlation=correlation)
     m, step = posterior.n_geometry, 1e-3
     funnel = posterior.funnel(y)
     assert funnel.parts.shape == (2, m, m)
     information = -posterior.gradient(y)[1][:m, :m] - np.eye(m)
     np.testing.assert_allclose(funnel.parts.sum(axis=0), information, rtol=0, atol=1e-9 * information.max())
     if correlation is None:  # with correlated noise what is white belongs to no group alone
-        first = int(np.flatnonzero(noise.groups[:, 0])[0])
+        first = int(np.flatnonzero(posterior.errors.groups(4)[:, 0])[0])
         ahead, behind = (posterior.gradient(y + sign * step * np.eye(len(y))[m])[1][:m, :m] for sign in (1.0, -1.0))
         np.testing.assert_allclose(
             (ahead - behind) / (2.0 * step), 2.0 * 0.4 * funnel.parts[first], rtol=0, atol=0.01 * information.max()
@@ -170,20 +183,20 @@ def test_each_noise_governs_its_share_of_the_information(correlation, rng):
 
 
 def test_the_noise_of_each_group_is_counted_by_itself(rng):
-    posterior, y, _ = lines_posterior(rng, noise=unknown_noise(4, True, True, 0.1))
-    tau, own = posterior.funnel_errors(y[None])[0], posterior.noise.natural(y[posterior.n_geometry :])
+    posterior, y, _ = lines_posterior(rng, terms=unknown_noise(4, True, True, 0.1))
+    tau, own = posterior.funnel_errors(y[None])[0], posterior.errors.natural(y[posterior.n_geometry :])
     sd = posterior.likelihood.sd[0, 0]
     expected = {
         (1, 0, 0, 0): own[0],
         (0, 1, 1, 0): np.hypot(own[0], own[1] / sd),
         (0, 0, 0, 1): np.hypot(1.0, own[1] / sd),
     }
-    found = {tuple(group.astype(int)): value for group, value in zip(posterior.noise.groups, tau, strict=True)}
+    found = {tuple(group.astype(int)): value for group, value in zip(posterior.errors.groups(4), tau, strict=True)}
     assert found == pytest.approx(expected)
 
 
 def test_coordinates_are_standard_normal_under_the_priors(rng):
-    posterior, _, _ = lines_posterior(rng, uniform=True, common=True, noise=unknown_noise(4, True, True, 0.3))
+    posterior, _, _ = lines_posterior(rng, uniform=True, common=True, terms=unknown_noise(4, True, True, 0.3))
     y = np.linspace(-3.0, 3.0, 25)
     natural = posterior.natural(np.repeat(y[:, None], posterior.n_parameters, axis=1))
     quantile = norm.cdf(y)
@@ -213,22 +226,23 @@ def test_what_is_common_deviates_alike(rng):
 
 
 def test_slopes_of_the_covariance(rng):
-    noise, sd, correlation = unknown_noise(4, True, True, 0.3), rng.uniform(0.5, 2.0, (3, 4)), correlation_of(rng, 4)
+    noise, correlation = Errors(unknown_noise(4, True, True, 0.3)), correlation_of(rng, 4)
+    sd = rng.uniform(0.5, 2.0, (3, 4))
+    data = measurements(np.zeros((3, 4)), sd)
 
     def covariance(zeta):
-        own, tau = (one[0] for one in noise.deviations(zeta[None], sd))
+        own, tau = (one[0] for one in noise.deviations(zeta[None], data, sd))
         return own[:, :, None] * correlation * own[:, None] + tau[..., None] ** 2 * np.eye(4)
 
     zeta, step = np.array([0.3, -0.8]), 1e-5
-    found = noise.covariance_slopes(zeta, sd, correlation[None])
+    found = noise.covariance_slopes(zeta, data, sd, correlation[None])
     for k in range(2):
         ahead, behind = (covariance(zeta + sign * step * np.eye(2)[k]) for sign in (1.0, -1.0))
         np.testing.assert_allclose(found[k], (ahead - behind) / (2.0 * step), rtol=0, atol=1e-8)
 
 
 def test_no_model_error_far_down_and_no_end_far_up():
-    noise = NoiseModel(np.array([-1]), np.array([0]), (), ("a",), np.empty(0), np.array([2.0]), ("mm",))
-    low, high = noise.natural(np.array([[-30.0], [12.0]]))
+    low, high = ModelErrorTerm("a", np.ones(1, dtype=bool), 2.0, "mm").natural(np.array([[-30.0], [12.0]]))
     assert 0.0 <= low[0] < 1e-100
     assert high[0] == pytest.approx(halfnorm.isf(norm.sf(12.0), scale=2.0), rel=1e-9)
 
@@ -248,7 +262,7 @@ def test_outside_its_bounds_there_is_no_machine(rng):
     machine.parameters = blocks
     bounded = replace(model, machine=machine)
     likelihood = density(bounded, posterior.likelihood.data, pose)
-    limited = CalibrationPosterior(likelihood, posterior.priors, stated_noise(4), {}, {})
+    limited = CalibrationPosterior(likelihood, posterior.priors)
     k = limited.names.index("zero[1]")
     beyond = np.tile(0.0 * y, (2, 1))
     beyond[:, k] = [-0.9, -1.1]

@@ -13,7 +13,6 @@ from calibration_problems import (
     lines_posterior,
     measurements,
     simulate,
-    stated_noise,
     unknown_noise,
 )
 from reading_machines import LinearModel
@@ -21,8 +20,10 @@ from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
+from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.calibration.prediction import predict_readings
+from bayescal.density.calibration.terms import Errors
 from bayescal.density.priors import NormalPrior
 from bayescal.inference.importance import resample
 from bayescal.inference.proposal import MixtureProposal
@@ -35,9 +36,9 @@ def linear_problem(rng, correlation, nu=np.inf):
     """Return a posterior whose parameters hardly vary, so that its draws are the machine itself, with its data."""
     model, sd = linear_model(rng), rng.uniform(0.5, 2.0, 6)
     data = measurements(rng.standard_normal((3, 6)), sd, correlation)
-    likelihood = density(model, data, nu=nu)
+    likelihood = density(model, data)
     priors = {"d[1]": NormalPrior(0.0, 1e-9)}
-    return CalibrationPosterior(likelihood, priors, stated_noise(6), {}, {}), sd
+    return CalibrationPosterior(likelihood, priors, Errors((), Outliers(nu))), sd
 
 
 @pytest.mark.parametrize("nu", [np.inf, 4.0])
@@ -73,7 +74,7 @@ def test_a_linear_reading_has_the_closed_form(rng, correlated, nu):
 def test_a_reading_that_tells_the_pose_is_not_predicted(rng):
     model = LinearModel(np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.ones((3, 1)))
     likelihood = density(model, measurements(rng.standard_normal((2, 3)), 1.0))
-    posterior = CalibrationPosterior(likelihood, {"d[1]": NormalPrior(0.0, 1.0)}, stated_noise(3), {}, {})
+    posterior = CalibrationPosterior(likelihood, {"d[1]": NormalPrior(0.0, 1.0)})
     found = predict_readings(posterior, likelihood, np.zeros((50, 1)), rng)
     assert set(found.channel) == {0, 1}
     alone = replace(likelihood, data=likelihood.data.only(np.array([True, False, True])))
@@ -98,7 +99,7 @@ def test_rotations_are_predicted_near_half_a_turn(rng):
     values = np.concatenate([(one * Rotation.from_rotvec(pose)).as_rotvec() for one in small], axis=1)
     assert (np.abs(values[:, :3] - values[:, 3:]).max(axis=1) > 1.0).any()  # some lie beyond
     likelihood = density(model, measurements(values, sd), pose)
-    posterior = CalibrationPosterior(likelihood, {"d[1]": NormalPrior(0.0, 1.0)}, stated_noise(6), {}, {})
+    posterior = CalibrationPosterior(likelihood, {"d[1]": NormalPrior(0.0, 1.0)})
     found = predict_readings(posterior, likelihood, np.zeros((1000, 1)), rng)
     assert len(found.measured) == 120
     assert np.abs(found.measured - found.mean).max() < 6.0 * np.sqrt(2.0) * sd
@@ -144,7 +145,7 @@ def coverage(rng, n_sets, **case):
         posterior, y, _ = lines_posterior(rng, n_poses=15, **case)
         pose = rng.uniform(-150.0, 150.0, (10, 2))
         blank = measurements(np.zeros((10, 4)), posterior.likelihood.data.sd[0], case.get("correlation"))
-        empty = density(posterior.likelihood.model, blank, pose, 9e4, posterior.likelihood.freedom)
+        empty = density(posterior.likelihood.model, blank, pose, 9e4)
         values = simulate(replace(posterior, likelihood=empty), y, pose, rng)
         held = replace(empty, data=replace(blank, values=values))
         _, drawn = draw_posterior(posterior, rng)
@@ -154,7 +155,7 @@ def coverage(rng, n_sets, **case):
 
 COVERED = {
     "stated": {},
-    "factor and model error": {"noise": unknown_noise(4, True, True, 0.05)},
+    "factor and model error": {"terms": unknown_noise(4, True, True, 0.05)},
     "robust": {"nu": 4.0},
     "correlated": {"correlation": np.full((4, 4), 0.7) + 0.3 * np.eye(4)},
 }

@@ -9,8 +9,9 @@ import pytest
 from calibration_problems import correlation_of, density, linear_model, lines_posterior, measurements, simulate
 from scipy.stats import chisquare
 
-from bayescal.density.calibration.noise import NoiseModel
+from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.terms import Errors, ModelErrorTerm, NoiseFactor
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.inference.importance import resample
 from bayescal.inference.proposal import MixtureProposal
@@ -49,24 +50,16 @@ def p_values(ranks):
 def linear_problem(rng, nu=np.inf, correlation=None):
     """Return a posterior of linear readings with an unknown factor, a model error and a uniform prior; its truth."""
     model = linear_model(np.random.default_rng(5), 5, 2, 2)
-    noise = NoiseModel(
-        np.array([0, 0, 0, -1, -1]),
-        np.array([-1, -1, -1, 0, 0]),
-        ("a",),
-        ("b",),
-        np.array([0.5]),
-        np.array([0.5]),
-        ("mm",),
-    )
+    first = np.arange(5) < 3
+    terms = (NoiseFactor("a", first, 0.5), ModelErrorTerm("b", ~first, 0.5, "mm"))
     priors = {"d[1]": NormalPrior(0.0, 1.0), "d[2]": UniformPrior(-2.0, 2.0)}
     pose = 3.0 * rng.standard_normal((8, 2))
     sd = np.array([0.5, 0.4, 0.3, 0.5, 0.5])
-    blank = CalibrationPosterior(
-        density(model, measurements(np.zeros((8, 5)), sd, correlation), nu=nu), priors, noise, {}, {}
-    )
+    empty = density(model, measurements(np.zeros((8, 5)), sd, correlation))
+    blank = CalibrationPosterior(empty, priors, Errors(terms, Outliers(nu)))
     y = rng.standard_normal(4)
     data = replace(blank.likelihood.data, values=simulate(blank, y, pose, rng))
-    return replace(blank, likelihood=density(model, data, nu=nu)), y
+    return replace(blank, likelihood=density(model, data)), y
 
 
 def rank_linear(rng, n, spoil=1.0, **case):
@@ -104,10 +97,10 @@ def test_ranks_of_many_linear_problems_are_uniform(case, rng):
 @pytest.mark.parametrize("case", [{}, {"missing": 0.5, "nu": 4.0}], ids=["plain", "robust with readings missing"])
 def test_ranks_of_a_point_on_lines_are_uniform(case, rng):
     """Parameters and the noise's factor of a machine with poses to be found."""
-    noise = NoiseModel(np.zeros(4, dtype=int), np.full(4, -1), ("lines",), (), np.array([0.5]))
+    terms = (NoiseFactor("lines", np.ones(4, dtype=bool), 0.5),)
     ranks = []
     for _ in range(150):
-        posterior, y, _ = lines_posterior(rng, n_poses=15, noise=noise, **case)
+        posterior, y, _ = lines_posterior(rng, n_poses=15, terms=terms, **case)
         ranks.append((draw(posterior.anchored(), rng) < y).sum(axis=0))
     found = p_values(np.array(ranks))
     assert found[-1] > 0.01

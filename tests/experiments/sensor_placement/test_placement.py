@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from placement_problems import FOLDER, read, shrink
 
-from bayescal.density.readings.poses import eliminate_poses
-from bayescal.density.readings.tool import compute_tool_sensitivity
+from bayescal.experiments.shared.sensor_sets import eliminate_poses
+from bayescal.experiments.shared.sensor_sets import compute_tool_sensitivity
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.sensor_placement.alignment import alignment_basis, take_away
 from bayescal.experiments.sensor_placement.inputs import displace, read_placement

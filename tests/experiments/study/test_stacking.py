@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from bayescal.experiments.shared.stacking import compare_variants, find_tied, tabulate_comparison
@@ -88,10 +89,12 @@ def test_one_that_leads_alone_is_not_stacked(fits):
 
 
 def test_a_table_says_how_each_predicts_beside_the_best(fits):
-    table = tabulate_comparison(left_out_of(fits)).set_index("variant")
-    assert list(table.index) == list(fits)
-    assert table["stacking_weight"].sum() == pytest.approx(1.0, abs=0.01)
+    variants = pd.DataFrame({"variant": [*fits, "alone"], "data": [*["same"] * 3, "other"], "n": range(4)})
+    left_out = left_out_of(fits) | {"alone": fits["left"].left_out}
+    table = tabulate_comparison(variants, left_out, "data").set_index("variant")
+    assert list(table.index) == [*fits, "alone"]
+    same = table.loc[list(fits)]
+    assert same["stacking_weight"].sum() == pytest.approx(1.0, abs=0.01)
+    assert same["elpd_loo_difference"].max() == 0.0
     assert table["elpd_loo"]["left"] == pytest.approx(fits["left"].left_out.weighted.sum())
-    assert table["elpd_loo_difference"].max() == 0.0
-    alone = tabulate_comparison({"left": fits["left"].left_out})
-    assert alone["stacking_weight"].tolist() == [1.0]
+    assert table["stacking_weight"]["alone"] == 1.0

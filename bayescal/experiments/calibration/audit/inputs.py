@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.noise import NoiseModel
+from bayescal.density.calibration.terms import Errors
 from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.audit.planned_poses import PlannedPoses, plan_poses
@@ -120,7 +120,7 @@ def _build(
         {name: NormalPrior(one.mean, one.sd) for name, one in priors.items()},
         fixed,
         common,
-        NoiseModel(np.full(len(chosen), -1), np.full(len(chosen), -1)),
+        Errors(),
         data,
         np.zeros(len(planned.names), dtype=bool),
         planned.pose,

@@ -19,6 +19,7 @@ from bayescal.experiments.calibration.page.verdict import (
     state_verdict,
 )
 from bayescal.experiments.shared.diagnostics_table import tabulate_diagnostics
+from bayescal.experiments.shared.function_page import judge_functions, show_functions
 from bayescal.experiments.shared.joints import MOST_POSES
 from bayescal.experiments.shared.judgement_page import tabulate_power_scaling, tabulate_widths
 from bayescal.experiments.shared.machine_scene import AXES, build_line_scene
@@ -48,6 +49,7 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
         _show_variants(tables, summary),
         _show_parameters(tables, best),
         *show_machine(tables, best),
+        *show_functions(tables),
         show_accuracy(tables),
         *_show_predictions(tables, best),
         _show_poses(tables, best),
@@ -64,7 +66,7 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
         summary["title"],
         name_origin(summary["origin"]),
         state_headline(tables, summary),
-        tuple(state_verdict(tables, summary)),
+        (*state_verdict(tables, summary), *judge_functions(tables)),
         tuple(sections),
         (("Machine", str(summary["machine"])), ("Data of the best variant", str(row["data"]))),
     )

@@ -8,7 +8,6 @@ from typing import Any
 import pandas as pd
 
 from bayescal.experiments.self_calibration.page import figures
-from bayescal.experiments.self_calibration.page.functions import judge_functions, show_functions
 from bayescal.experiments.self_calibration.page.verdict import (
     Row,
     explains,
@@ -19,6 +18,7 @@ from bayescal.experiments.self_calibration.page.verdict import (
 )
 from bayescal.experiments.shared.diagnostics_table import tabulate_diagnostics
 from bayescal.experiments.shared.guide_symbols import tabulate_symbols
+from bayescal.experiments.shared.function_page import judge_functions, show_functions
 from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Section, make_section, make_table
 from bayescal.report.numbers import (
     NOTHING,

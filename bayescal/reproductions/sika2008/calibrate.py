@@ -11,39 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.density.readings.poses import SensorSet, null_basis, solve_least_squares
+from bayescal.experiments.shared.calibrability import MM_PER_METRE, in_units
+from bayescal.experiments.shared.sensor_sets import FreeParameters, SensorSet, null_basis, solve_least_squares
 from bayescal.machines.readings import Readings
 from bayescal.numerics.geometry import Array
 
 BATCH = 16
 STEP_TOLERANCE = 1e-7  # of a parameter's scale
 REGULAR = 1e-13  # of the largest pivot, below which a system has no solution
-MM_PER_METRE = 1000.0
-
-
-@dataclass(frozen=True, eq=False)
-class FreeParameters:
-    """What is calibrated, about the machine as expected.
-
-    Attributes
-    ----------
-    places : ndarray of int, shape (n,)
-        Where they stand in the layout.
-    centre : ndarray, shape (D,)
-        The machine as expected, from which a calibration starts.
-    scale : ndarray, shape (n,)
-        Tolerances: standard deviations beforehand, mm and rad.
-    """
-
-    places: np.ndarray
-    centre: Array
-    scale: Array
-
-    def draw(self, rng: np.random.Generator, n: int) -> Array:
-        """Return machines within the tolerances, shape (n, D)."""
-        theta = np.tile(self.centre, (n, 1))
-        theta[:, self.places] += self.scale * rng.standard_normal((n, len(self.places)))
-        return theta
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +41,6 @@ class Calibrations:
     square: Array
     converged: np.ndarray
     n_iterations: np.ndarray
-
-
-def in_units(sensors: SensorSet, length: float, angle: float) -> SensorSet:
-    """Return the sensors with a length in mm and an angle in rad for noise, whatever their own."""
-    units = [length if sensors.model.channels[k].unit == "mm" else angle for k in sensors.chosen]
-    return SensorSet(sensors.model, sensors.chosen, np.array(units))
 
 
 def unweighted(sensors: SensorSet) -> SensorSet:

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.density.readings.calibrate import MM_PER_METRE, FreeParameters, in_units
-from bayescal.density.readings.poses import SensorSet, eliminate_poses
+from bayescal.experiments.shared.sensor_sets import FreeParameters, SensorSet, eliminate_poses
 from bayescal.numerics.geometry import Array
 
-DEGREE = float(np.pi / 180)
+DEGREE, MM_PER_METRE = float(np.pi / 180), 1000.0
 
 
 @dataclass(frozen=True)
@@ -35,6 +34,12 @@ class Calibrability:
     millimetres_radians: float
     millimetres_degrees: float
     scaled: float
+
+
+def in_units(sensors: SensorSet, length: float, angle: float) -> SensorSet:
+    """Return the sensors with a length in mm and an angle in rad for noise, whatever their own."""
+    units = [length if sensors.model.channels[k].unit == "mm" else angle for k in sensors.chosen]
+    return SensorSet(sensors.model, sensors.chosen, np.array(units))
 
 
 def compute_calibrability(

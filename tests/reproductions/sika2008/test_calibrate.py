@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from sliding_platforms import make_problem
 
 from bayescal.density.readings.calibrate import BATCH, calibrate, unweighted
-from bayescal.density.readings.poses import find_poses
+from bayescal.experiments.shared.sensor_sets import find_poses
 from bayescal.errors import InputError
 
 

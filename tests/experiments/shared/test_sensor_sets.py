@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from reading_machines import SENSORS, SETS, WORKSPACE, LinearModel, sliding_star, star_of
 
-from bayescal.density.readings.poses import (
+from bayescal.experiments.shared.sensor_sets import (
     SensorSet,
     eliminate_poses,
     find_poses,

@@ -1,4 +1,4 @@
-"""Errors of sensors that are functions of what they read: whether there are any, how large, of which sensor."""
+"""Errors that are functions, on pages: whether there are any, how large, of which sensor."""
 
 from __future__ import annotations
 
@@ -9,20 +9,22 @@ from typing import Any
 import pandas as pd
 from matplotlib.figure import Figure as Drawing
 
-from bayescal.experiments.self_calibration.page.verdict import Row, list_rows
 from bayescal.report.blocks import Block, Cell, Column, Figure, Level, Section, Statement, make_table
 from bayescal.report.numbers import NOTHING, format_fixed, format_significant, join_words
 from bayescal.report.style import GREY, LEG_COLOURS
 from bayescal.report.symbols import quote, set_parameter, split_name
 
+type Row = dict[str, Any]
+
 COLUMNS = 2
 SHARE, CERTAIN = 0.5, 0.9995
-SHOWN = {"um": "µm", "arcsec": "arcsec"}
+SHOWN = {"um": "µm"}
+INPUTS = {"reading": "what they read", "commands": "where the machine stands", "order": "the order of the rows"}
 TEXT = (
-    "A scale that is off or an encoder that sits askew errs by the same function of its reading every time. Each "
-    "sensor has such a function, zero at home, with the kernel of its variant; whether sensors of a kind have any is "
-    "for the readings to say, the probability beforehand being one half. A geometry that is off imitates much of it, "
-    "and what the readings do not tell of an error is as wide as its scale: that is what the intervals then hold."
+    "A scale that is off, an encoder that sits askew or a drift is the same function every time: of the sensor's own "
+    "reading, of where the machine stands, or of the order of the rows. Whether there is such an error is for the "
+    "readings to say, its prior probability being one half. A geometry that is off imitates much of it, and the part of "
+    "an error that the readings do not determine is as wide as its scale: the intervals hold it."
 )
 NOTE = (
     "Scale: what a sensor errs by at the end of its range, one standard deviation, where there is an error; left of "
@@ -35,12 +37,12 @@ def show_functions(tables: dict[str, pd.DataFrame]) -> list[Section]:
     if "functions" not in tables:
         return []
     blocks: list[Block] = [TEXT, _tabulate(tables)]
-    curves = tables["function_curves"]
+    curves = tables.get("function_curves", pd.DataFrame(columns=["variant"]))
     for name, title in _list_titles(tables).items():
         own = curves[curves["variant"] == name]
-        caption = f"{title}: errors over what was read, mean and 90 % interval."
-        blocks.append(Figure(f"functions_{name}", caption, partial(draw_functions, own)))
-    return [Section("Errors that are functions of the readings", tuple(blocks))]
+        caption = f"{title}: errors over what they depend on, mean and 90 % interval."
+        blocks += [] if own.empty else [Figure(f"functions_{name}", caption, partial(draw_functions, own))]
+    return [Section("Errors that are functions", tuple(blocks))]
 
 
 def judge_functions(tables: dict[str, pd.DataFrame]) -> list[Statement]:
@@ -52,24 +54,33 @@ def judge_functions(tables: dict[str, pd.DataFrame]) -> list[Statement]:
 
 
 def _judge(title: str, rows: list[Row]) -> Statement:
-    kinds: dict[str, list[Row]] = {}
+    kinds: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
-        kinds.setdefault(split_name(str(row["sensor"]))[0], []).append(row)
+        kinds.setdefault((split_name(str(row["sensor"]))[0], INPUTS[row["of"]]), []).append(row)
     parts = []
     level: Level = "good"
-    for kind, own in kinds.items():
+    for (kind, of), own in kinds.items():
         largest = max(own, key=lambda row: row["rms"])
         present = max(row["present"] for row in own)
         chance = _format_chance(present)
         if present > SHARE:
             level = "warning"
-            size = f"{format_significant(largest['rms'], 2)} {SHOWN[largest['unit']]} rms"
+            size = f"{format_significant(largest['rms'], 2)} {_unit(largest['unit'])} rms"
             parts.append(
-                f"sensors {kind} err by functions of what they read ({chance}), {largest['sensor']} most, {size}"
+                f"sensors {kind} err by functions of {of} ({chance}), {largest['sensor']} most, {size}"
             )
         else:
-            parts.append(f"sensors {kind} need none ({chance})")
+            parts.append(f"sensors {kind} need none of {of} ({chance})")
     return Statement(f"“{title}”: {join_words(parts)}.", level, "Sensors' errors")
+
+
+def _unit(name: str) -> str:
+    return SHOWN.get(name, name)
+
+
+def list_rows(table: pd.DataFrame) -> list[Row]:
+    """Return the rows of a table by the names of its columns."""
+    return [{str(key): value for key, value in row.items()} for row in table.to_dict("records")]
 
 
 def _format_chance(present: float) -> str:
@@ -88,15 +99,17 @@ def _list_titles(tables: dict[str, pd.DataFrame]) -> dict[str, str]:
 def _tabulate(tables: dict[str, pd.DataFrame]) -> Block:
     titles = _list_titles(tables)
     columns = [Column("Variant", kind="text"), Column("Kernel", kind="text"), Column("Sensor", kind="text")]
+    columns += [Column("Function of", kind="text")]
     columns += [Column("Unit", kind="text"), Column("Present", "%"), Column("Scale stated"), Column("Scale found")]
     columns += [Column("left of prior", "%"), Column("Size", "rms over the poses, mean [5 %, 95 %]")]
     rows: list[list[str | Cell]] = []
     for row in list_rows(tables["functions"]):
         line: list[str | Cell] = [titles[str(row["variant"])], str(row["kernel"]), str(row["sensor"])]
-        line += [SHOWN[row["unit"]], format_fixed(100.0 * row["present"], 1), format_significant(row["scale_stated"])]
+        line += [INPUTS[row["of"]].replace("they read", "it reads"), _unit(row["unit"])]
+        line += [format_fixed(100.0 * row["present"], 1), format_significant(row["scale_stated"])]
         line += [_or_nothing(row["scale"], 2), _or_nothing(100.0 * row["left"], 2), _format_size(row)]
         rows.append(line)
-    caption = "Sensors' errors that are functions of what they read."
+    caption = "Sensors' errors that are functions."
     return make_table(caption, columns, rows, [Statement(NOTE)], style="wide")
 
 
@@ -110,22 +123,23 @@ def _format_size(row: dict[str, Any]) -> str:
 
 
 def draw_functions(curves: pd.DataFrame) -> Drawing:
-    """Return a panel for each kind of sensor: errors with their 90 % intervals over what was read."""
-    kinds: dict[str, list[str]] = {}
-    for sensor in dict.fromkeys(curves["sensor"].astype(str)):
-        kinds.setdefault(split_name(sensor)[0], []).append(sensor)
+    """Return a panel for each kind of sensor and input: errors with their 90 % intervals over what they depend on."""
+    kinds: dict[tuple[str, str], list[str]] = {}
+    for sensor, of in dict.fromkeys(zip(curves["sensor"].astype(str), curves["of"].astype(str), strict=True)):
+        kinds.setdefault((split_name(sensor)[0], of), []).append(sensor)
     n_rows = math.ceil(len(kinds) / COLUMNS)
     figure = Drawing(figsize=(9.4, 0.4 + 2.8 * n_rows))
     grid = figure.subplots(n_rows, COLUMNS, squeeze=False).ravel()
-    for axes, (kind, sensors) in zip(grid, kinds.items(), strict=False):
+    for axes, ((kind, of), sensors) in zip(grid, kinds.items(), strict=False):
         for k, sensor in enumerate(sensors):
-            own, colour = curves[curves["sensor"] == sensor], LEG_COLOURS[k % len(LEG_COLOURS)]
+            own, colour = curves[(curves["sensor"] == sensor) & (curves["of"] == of)], LEG_COLOURS[k % len(LEG_COLOURS)]
             axes.fill_between(own["reading"], own["low"], own["high"], color=colour, alpha=0.2, linewidth=0.0)
             axes.plot(own["reading"], own["mean"], color=colour, label=set_parameter(sensor))
         unit = str(curves[curves["sensor"] == sensors[0]]["unit"].iloc[0])
         axes.axhline(0.0, color=GREY, linewidth=0.8)
-        axes.set_xlabel(f"reading of {quote(kind)} ({'mm' if unit == 'um' else 'rad'})")
-        axes.set_ylabel(f"error ({SHOWN[unit]})")
+        inner = {"um": "mm", "arcsec": "rad"}.get(unit, unit)
+        axes.set_xlabel(f"reading of {quote(kind)} ({inner})" if of == "reading" else "row")
+        axes.set_ylabel(f"error of {quote(kind)} ({_unit(unit)})")
         axes.legend(ncols=2)
     for axes in grid[len(kinds) :]:
         axes.set_axis_off()

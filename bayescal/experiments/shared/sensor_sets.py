@@ -1,4 +1,4 @@
-"""Poses from readings: least squares over what the sensors read, and what is left of readings when no pose is known.
+"""Sensors of a machine, the poses and the tool that their readings tell, and residuals when no pose is known.
 
 With whitened readings s, H = ∂h/∂v and A = ∂h/∂d of a pose, rows that an orthonormal basis Z of the left null space of
 H takes are free of the pose: Zᵀ(s - h(v̂, d)) depends on the parameters alone, by -ZᵀA to first order. That is what a
@@ -83,6 +83,31 @@ class SensorSet:
                 f"{len(self.chosen)} readings, less {self.n_coordinates} unknowns of each pose) "
                 f"for {n_parameters} parameters, expected at least as many"
             )
+
+
+@dataclass(frozen=True, eq=False)
+class FreeParameters:
+    """What is calibrated, about the machine as expected.
+
+    Attributes
+    ----------
+    places : ndarray of int, shape (n,)
+        Where they stand in the layout.
+    centre : ndarray, shape (D,)
+        The machine as expected, from which a calibration starts.
+    scale : ndarray, shape (n,)
+        Tolerances: standard deviations beforehand, mm and rad.
+    """
+
+    places: np.ndarray
+    centre: Array
+    scale: Array
+
+    def draw(self, rng: np.random.Generator, n: int) -> Array:
+        """Return machines within the tolerances, shape (n, D)."""
+        theta = np.tile(self.centre, (n, 1))
+        theta[:, self.places] += self.scale * rng.standard_normal((n, len(self.places)))
+        return theta
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,3 +200,59 @@ def null_basis(by_pose: Array) -> Array:
 def eliminate_poses(here: Readings) -> Array:
     """Return ZᵀA, what readings say of the parameters when no pose is known, shape (..., K - q, D)."""
     return null_basis(here.by_pose) @ here.by_parameters
+
+
+@dataclass(frozen=True, eq=False)
+class ToolPositions:
+    """The tool's centre at P poses of C machines.
+
+    Attributes
+    ----------
+    position : ndarray, shape (C, P, m)
+        mm, base frame.
+    converged : ndarray of bool, shape (C, P)
+    """
+
+    position: Array
+    converged: np.ndarray
+
+
+def locate_tool(sensors: SensorSet, theta: Array, measured: Array, start: Array) -> ToolPositions:
+    """Return the tool's centre that machines (C, D) make of readings (P, K) or (C, P, K), mm and rad."""
+    found = find_poses(sensors, theta[:, None], measured, start, check=False)
+    position, _, _ = sensors.model.tool(theta[:, None], found.pose)
+    return ToolPositions(position, found.converged)
+
+
+@dataclass(frozen=True, eq=False)
+class ToolSensitivity:
+    """How the tool's centre, as located from readings, errs to first order.
+
+    Attributes
+    ----------
+    by_parameters : ndarray, shape (P, m, D)
+        By an error of the parameters, the readings being right, mm.
+    by_noise : ndarray, shape (P, m, K)
+        By noise of the readings, in units of their standard deviations, mm.
+    """
+
+    by_parameters: Array
+    by_noise: Array
+
+    def covariance(self, places: np.ndarray, covariance: Array) -> Array:
+        """Return the covariance of the tool's centre for that (n, n) of parameters at ``places``, (P, m, m), mm²."""
+        slope = self.by_parameters[..., places]
+        return np.asarray(slope @ covariance @ np.swapaxes(slope, -1, -2))
+
+    @property
+    def noise_covariance(self) -> Array:
+        """Covariance of the tool's centre for the noise of the readings in use, (P, m, m), mm²."""
+        return np.asarray(self.by_noise @ np.swapaxes(self.by_noise, -1, -2))
+
+
+def compute_tool_sensitivity(sensors: SensorSet, theta: Array, pose: Array) -> ToolSensitivity:
+    """Return how the tool's centre errs at poses (P, q) of one machine (D,)."""
+    here = sensors.linearise(theta, pose)
+    gain = np.linalg.pinv(here.by_pose)
+    _, by_pose, by_parameters = sensors.model.tool(theta, pose)
+    return ToolSensitivity(by_parameters - by_pose @ gain @ here.by_parameters, by_pose @ gain)

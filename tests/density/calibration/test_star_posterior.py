@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.polynomial.hermite_e import hermegauss
 from reading_machines import (
     SETS,
     WORKSPACE,
+    SENSORS,
+    TOLERANCES,
     JointTarget,
+    find_poses_of,
     gaussian_log_evidence,
+    sensors_of,
     sliding_star,
     small_posterior,
+    star_density,
     star_of,
 )
 
+from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.priors import NormalPrior
-from bayescal.density.readings.posterior import SelfCalibrationPosterior
 from bayescal.errors import InputError
-from bayescal.experiments.shared.reading_machine import workspace_volume
+from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters, workspace_volume
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import estimate_by_importance
@@ -25,6 +31,7 @@ from bayescal.inference.mode import find_modes
 from bayescal.inference.sampling import sample_posterior
 from bayescal.machines.readings.schema import ReadingTolerancesConfig
 
+VOLUME = workspace_volume(WORKSPACE)
 TINY = ReadingTolerancesConfig(length_mm=1e-3, angle_deg=1e-4, zero_deg=1e-3)
 
 
@@ -39,6 +46,11 @@ def sample(target, seed, steps=120):
     bridge = estimate_by_bridge(density, draws.straight, draws.log_density, rng, 4000, found.proposal)
     assert not draws.diagnostics.list_problems()
     return draws.y.reshape(-1, target.n_parameters), importance.log_evidence, bridge.log_evidence
+
+
+def covariance_at(posterior, y):
+    """Return the covariance of the coordinates to first order at y, shape (n, n)."""
+    return np.linalg.inv(-posterior.gradient(y)[1])
 
 
 # --- against the poses as unknowns -----------------------------------------------------------------------------------
@@ -72,7 +84,7 @@ def test_the_poses_follow_their_normal_given_the_parameters(names, rng):
     mode = find_modes(posterior)[0]
     y = mode.y + rng.standard_normal((300, posterior.n_parameters)) @ np.linalg.cholesky(mode.covariance).T
     theta = posterior.theta(y)
-    pose, _ = posterior.likelihood.find_poses(theta)
+    pose = find_poses_of(posterior.likelihood, theta)
     slope = joint.sensors.linearise(theta[:, None], pose, with_parameters=False).by_pose
     factor = np.linalg.cholesky(np.linalg.inv(np.swapaxes(slope, -1, -2) @ slope))
     normal = rng.standard_normal(pose.shape)
@@ -101,9 +113,9 @@ def test_evidence_has_the_closed_form_where_tolerances_are_tiny(names):
     n_poses = 20 if names == SETS[4] else 10  # just enough equations
     posterior = small_posterior(names, n_poses, 7, tolerances=TINY)
     likelihood = posterior.likelihood
-    pose, _ = likelihood.find_poses(posterior.centre[None])
+    pose = find_poses_of(likelihood, posterior.centre[None])[0]
     expected = gaussian_log_evidence(
-        likelihood.sensors, likelihood.measured, pose[0], posterior.moves, workspace_volume(WORKSPACE)
+        sensors_of(likelihood), likelihood.data.values, pose, posterior.moves(posterior.approach()), VOLUME
     )
     _, importance, bridge = sample(posterior, 3, steps=25)
     assert importance == pytest.approx(expected, abs=0.02)
@@ -114,7 +126,7 @@ def test_covariance_is_that_of_the_draws():
     posterior = small_posterior(SETS[8], 10, 9)
     draws, _, _ = sample(posterior, 4, steps=40)
     mode = posterior.approach()
-    factor = np.linalg.cholesky(posterior.covariance(mode))
+    factor = np.linalg.cholesky(covariance_at(posterior, mode))
     white = np.linalg.solve(factor, (draws - mode).T)
     np.testing.assert_allclose(np.cov(white), np.eye(len(mode)), atol=0.1)
 
@@ -127,7 +139,7 @@ def test_covariance_is_that_of_the_draws():
 def test_gradient_against_differences(names, common, rng):
     posterior = small_posterior(names, 20, 11, common=common)
     mode = posterior.approach()
-    factor = np.linalg.cholesky(posterior.covariance(mode))  # a step along one parameter alone is far off a ridge
+    factor = np.linalg.cholesky(covariance_at(posterior, mode))  # a step along one parameter alone is far off a ridge
     for distance in (0.0, 1.0, 5.0):
         y = mode + distance * factor @ rng.standard_normal(len(mode))
         steps = 1e-2 * factor.T
@@ -153,7 +165,7 @@ def test_parameters_that_deviate_alike_are_one_coordinate(rng):
     assert posterior.n_parameters == every.n_parameters - 3
     assert [name for name in posterior.names if name.startswith("l")] == ["l"]
     y = rng.standard_normal((4, posterior.n_parameters))
-    layout = posterior.likelihood.sensors.model.layout
+    layout = posterior.likelihood.model.layout
     lengths = layout.take(posterior.theta(y), "l") - layout.take(layout.nominal, "l")
     place = posterior.names.index("l")
     np.testing.assert_allclose(lengths, np.repeat(0.3 * y[:, place, None], 4, axis=1), rtol=1e-9)
@@ -161,13 +173,13 @@ def test_parameters_that_deviate_alike_are_one_coordinate(rng):
     spread = every.natural(np.zeros((1, every.n_parameters)))
     assert spread.shape == (1, 22)
     same = posterior.log_density(y) - posterior.log_prior(y)
-    np.testing.assert_allclose(same, every.likelihood(posterior.theta(y)), rtol=1e-12)
+    np.testing.assert_allclose(same, every.likelihood.pointwise(posterior.theta(y), *every.deviations(y)).sum(axis=1), rtol=1e-12)
 
 
 def test_prior_is_normal_about_the_machine_as_expected():
     posterior = small_posterior(SETS[4], 20, 11)
     y = np.zeros((1, posterior.n_parameters))
-    assert (posterior.theta(y)[0] == posterior.likelihood.sensors.model.layout.nominal).all()
+    assert (posterior.theta(y)[0] == posterior.likelihood.model.layout.nominal).all()
     assert posterior.log_prior(y)[0] == pytest.approx(-9.0 * np.log(2 * np.pi))
 
 
@@ -183,15 +195,84 @@ def test_prior_is_normal_about_the_machine_as_expected():
 def test_unknown_parameters_are_refused(priors, fixed, common):
     likelihood = small_posterior(SETS[8], 20, 11).likelihood
     with pytest.raises(InputError, match="unknown here, expected one of x_P, y_P"):
-        SelfCalibrationPosterior(likelihood, {k: NormalPrior(0.0, v) for k, v in priors.items()}, fixed, common)
+        CalibrationPosterior(
+            likelihood, {k: NormalPrior(0.0, v) for k, v in priors.items()}, fixed=fixed, common=common
+        )
 
 
 def test_a_fixed_value_stays():
     likelihood = small_posterior(SETS[8], 20, 11).likelihood
-    posterior = SelfCalibrationPosterior(likelihood, {"l[1]": NormalPrior(801.0, 0.5)}, {"l[2]": 799.5})
-    assert likelihood.sensors.model.layout.take(posterior.theta(np.ones((1, 1))), "l")[0].tolist() == [
+    posterior = CalibrationPosterior(likelihood, {"l[1]": NormalPrior(801.0, 0.5)}, fixed={"l[2]": 799.5})
+    assert likelihood.model.layout.take(posterior.theta(np.ones((1, 1))), "l")[0].tolist() == [
         801.5,
         799.5,
         800,
         800,
     ]
+
+
+# --- the density of one pose's readings ---------------------------------------------------------------------------------
+
+
+def make(names, seed=2, model=None):
+    """Return sensors, a likelihood of noisy readings, and machines within the tolerances."""
+    model = model or sliding_star()
+    rng = np.random.default_rng(seed)
+    sensors = build_sensors(model, SENSORS, names)
+    free = free_parameters(model, sensors.names, TOLERANCES)
+    pose = draw_poses(model, WORKSPACE, rng)
+    theta = free.draw(rng, 1)[0]
+    measured = sensors.read(theta, pose) + sensors.noise * rng.standard_normal((len(pose), len(sensors.chosen)))
+    near = theta + 1e-3 * free.draw(rng, 4) - 1e-3 * free.centre
+    return sensors, star_density(sensors, measured, pose), near
+
+
+def evaluate(likelihood, theta):
+    """Return the log-density (C, P) with the noise as stated."""
+    own = np.broadcast_to(likelihood.sd, (len(theta), *likelihood.sd.shape))
+    return likelihood.pointwise(theta, own, np.zeros((len(theta), 1, own.shape[-1])))
+
+
+@pytest.mark.parametrize("names", [*SETS.values(), ("s", "phi[2]")])
+def test_it_is_the_integral_over_the_pose(names):
+    """Gauss-Hermite quadrature over all three coordinates of each pose, with the machine itself."""
+    sensors, likelihood, theta = make(names)
+    nodes, weights = hermegauss(7)
+    grid = np.stack(np.meshgrid(nodes, nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 3)
+    weight = (weights[:, None, None] * weights[:, None] * weights).ravel()
+    pose = find_poses_of(likelihood, theta[:1])
+    slope = sensors.linearise(theta[0], pose[0], with_parameters=False).by_pose
+    factor = np.linalg.cholesky(np.linalg.inv(np.swapaxes(slope, 1, 2) @ slope))
+    stand = pose[0][:, None] + np.einsum("pij,gj->pgi", factor, grid)
+    error = (likelihood.data.values[:, None] - sensors.read(theta[0], stand)) / sensors.noise
+    scale = -np.log(sensors.noise).sum() - 0.5 * len(sensors.noise) * np.log(2 * np.pi)
+    inside = -0.5 * (error**2).sum(axis=-1) + 0.5 * (grid**2).sum(axis=-1)
+    log_integral = np.log(np.sum(weight * np.exp(inside - inside[:, :1]), axis=1)) + inside[:, 0]
+    expected = log_integral + scale + np.linalg.slogdet(factor)[1] - np.log(VOLUME)
+    np.testing.assert_allclose(evaluate(likelihood, theta[:1])[0], expected, rtol=0, atol=1e-4)
+
+
+def test_the_density_is_normalised():
+    """Integrated over all readings that the workspace gives, with volume elements of its own.
+
+    Four readings s = h(v) + t u of a machine with three legs: v over the workspace, t across its image.
+    """
+    model = star_of(3)
+    names = ("s", "phi[1]")
+    sensors = build_sensors(model, SENSORS, names)
+    rng = np.random.default_rng(1)
+    small = WORKSPACE.model_copy(update={"n_poses": 400, "angle_deg": 10.0})
+    pose, volume = draw_poses(model, small, rng), workspace_volume(small)
+    nominal, direction = model.layout.nominal, np.array([0.0, 0.0, 0.0, 1.0])
+    slope = model.linearise(nominal, pose, with_parameters=False).by_pose[:, sensors.chosen]
+    element = np.abs(np.linalg.det(np.concatenate([slope, np.broadcast_to(direction[:, None], (400, 4, 1))], axis=2)))
+    width = 5.0 * sensors.noise[3]
+    # what of t stands out of the image is seen less of, where the other readings make up for it
+    steps = np.linspace(-8.0 * width, 8.0 * width, 161)
+    total = np.zeros(400)
+    for t in steps:
+        measured = sensors.read(nominal, pose) + t * direction
+        likelihood = star_density(sensors, measured, pose, volume)
+        total += np.exp(evaluate(likelihood, nominal[None])[0]) * element * (steps[1] - steps[0])
+    # E over v of ∫ p |ds/d(v, t)| dt, times the volume that v is drawn from
+    assert total.mean() * volume == pytest.approx(1.0, abs=2e-3)

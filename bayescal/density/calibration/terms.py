@@ -1,0 +1,500 @@
+"""Errors of readings as a composition of terms, each a cause with unknowns of its own.
+
+A row's readings err by noise of covariance f_i C_ij f_j + δ_ij v_i and by what is linear in coefficients that all rows
+share,
+
+    s_n = h(θ, v_n) + Φ_n(ζ) u + ε_n,    u ~ N(0, 1),
+
+with C the stated covariance. A term with coordinates ζ supplies one of three: a factor f on the stated deviations, a
+variance v added to them, or columns Φ. All terms hold together, and with outliers, which are of a row as a whole.
+
+A term of one's own is a class: names, units and priors of its coordinates, and `ErrorTerm.variance` or
+`ErrorTerm.columns`. In a config it stands as ``[errors.NAME]`` with ``kind = "own_term.py:OwnTerm"`` and the keys of its
+``Config``.
+"""
+
+from __future__ import annotations
+
+from abc import ABC
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+from scipy.special import erfcinv, erfinv, ndtr
+
+from bayescal.config.sections import Section
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.outliers import NORMAL, Outliers
+from bayescal.density.model_error import LengthPrior
+from bayescal.density.priors import HalfNormalPrior, Prior
+from bayescal.errors import BayescalError, InputError
+from bayescal.machines.readings import ReadingModel
+from bayescal.numerics.geometry import Array
+
+HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
+STEP = 1e-5  # of a coordinate, for slopes of a term that states none
+
+
+class Slopes(NamedTuple):
+    """Derivatives by the n coordinates of a term: of log f (n, P, K), of v (n, P, K), of Φ (n, P, K, N)."""
+
+    log_factor: Array | None = None
+    variance: Array | None = None
+    columns: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class TermRows:
+    """What a term of a config is made for.
+
+    Attributes
+    ----------
+    name : str
+        Of its section.
+    model : ReadingModel
+        The machine with the K channels that are read.
+    data : Measurements
+        All rows, those that are held back too.
+    groups : tuple of str
+        Of the channels, empty for those without noise.
+    reach : ndarray, shape (K,)
+        How far readings go from those at home over the workspace, in the channels' units.
+    home : ndarray, shape (K,)
+        What the machine as expected reads at home.
+    """
+
+    name: str
+    model: ReadingModel
+    data: Measurements
+    groups: tuple[str, ...]
+    reach: Array
+    home: Array
+
+    def select(self, names: Sequence[str] | None) -> np.ndarray:
+        """Return the places of channels, kinds or groups of them, the machine's own channels for None.
+
+        Raises
+        ------
+        InputError
+            For a name that no channel has, or where there is none left.
+        """
+        channels = self.model.channels
+        if names is None:
+            return np.flatnonzero([not one.external for one in channels])
+        known = [(one.name, one.kind, group) for one, group in zip(channels, self.groups, strict=True)]
+        for name in names:
+            if not any(name in some for some in known):
+                all_names = ", ".join(dict.fromkeys(filter(None, (n for some in known for n in some[1:]))))
+                raise InputError(f"found channel {name!r}, expected some of {all_names}")
+        return np.flatnonzero([any(name in some for name in names) for some in known])
+
+
+class ErrorTerm(ABC):
+    """A cause of errors with n coordinates of its own, standard normal under the prior about their places.
+
+    Attributes
+    ----------
+    Config : type of Section
+        Its section of a config; nothing by default.
+    names, units : tuple of str, length n
+        Of what is unknown of it.
+    priors : tuple of Prior, length n
+        Of the same, in these units.
+    """
+
+    Config: ClassVar[type[Section]] = Section
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    priors: tuple[Prior, ...]
+
+    @classmethod
+    def build(cls, config: Any, rows: TermRows) -> Self:
+        """Return the term of a checked section; by default the class is called with both."""
+        return cls(config, rows)  # type: ignore[call-arg]  # a class of one's own has that constructor, or its own build
+
+    @property
+    def concerns(self) -> np.ndarray | None:
+        """Which channels' noise it changes, by a factor or a variance, shape (K,), bool; None for all."""
+        return None
+
+    # --- what it does: one of three ----------------------------------------------------------------------------------
+
+    def factor(self, zeta: Array) -> Array | None:
+        """Return the factor f on stated deviations, (B, n) to (B, K); by default there is none."""
+        del zeta
+
+    def variance(self, zeta: Array, data: Measurements) -> Array | None:
+        """Return the variance v beside the stated noise, (B, n) to (B, P, K); by default there is none."""
+        del zeta, data
+
+    def columns(self, zeta: Array, data: Measurements) -> Array | None:
+        """Return Φ, what coefficients do to readings, (B, n) to (B, P, K, N) or (1, P, K, N); by default nothing."""
+        del zeta, data
+
+    def slopes(self, zeta: Array, data: Measurements) -> Slopes:
+        """Return the derivatives at ζ, shape (n,); by central differences where a term states none."""
+        moved = zeta + STEP * np.concatenate([np.eye(len(zeta)), -np.eye(len(zeta))])
+        factor, variance, columns = self.factor(moved), self.variance(moved, data), self.columns(moved, data)
+        return Slopes(
+            None if factor is None else np.broadcast_to(_differ(np.log(factor))[:, None], (len(zeta), *data.sd.shape)),
+            None if variance is None else np.broadcast_to(_differ(variance), (len(zeta), *data.sd.shape)),
+            None if columns is None or len(columns) == 1 else _differ(columns),
+        )
+
+    # --- coordinates -------------------------------------------------------------------------------------------------
+
+    def natural(self, zeta: Array) -> Array:
+        """Return what is unknown in its own units, (..., n) to (..., n); by default by the priors' quantiles."""
+        share = ndtr(zeta)
+        return np.stack([prior.at_quantile(share[..., k]) for k, prior in enumerate(self.priors)], axis=-1)
+
+    @property
+    def switches(self) -> dict[int, float]:
+        """Coordinates that have a second place, at which there is no error, each with that place."""
+        return {}
+
+
+def _differ(values: Array) -> Array:
+    plus, minus = np.split(values, 2)
+    return np.asarray((plus - minus) / (2.0 * STEP))
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseFactor(ErrorTerm):
+    """An unknown factor on the stated noise of some channels, log-normal about one.
+
+    Attributes
+    ----------
+    label : str
+        Of the group of channels.
+    channels : ndarray of bool, shape (K,)
+    log_sd : float
+        Standard deviation of the factor's logarithm.
+    """
+
+    label: str
+    channels: np.ndarray
+    log_sd: float
+
+    @property
+    def concerns(self) -> np.ndarray:
+        """Its channels."""
+        return self.channels
+
+    @property
+    def names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """``noise_factor(motor)``."""
+        return (f"noise_factor({self.label})",)
+
+    @property
+    def units(self) -> tuple[str, ...]:  # type: ignore[override]
+        """None."""
+        return ("1",)
+
+    @property
+    def priors(self) -> tuple[Prior, ...]:  # type: ignore[override]
+        """Log-normal."""
+        return (LengthPrior(1.0, self.log_sd),)
+
+    def natural(self, zeta: Array) -> Array:
+        """Return the factor."""
+        return np.asarray(np.exp(self.log_sd * zeta))
+
+    def factor(self, zeta: Array) -> Array:
+        """Return it for its channels, one for the others."""
+        return np.where(self.channels, self.natural(zeta), 1.0)
+
+    def slopes(self, zeta: Array, data: Measurements) -> Slopes:
+        """Return that of its logarithm."""
+        del zeta
+        return Slopes(log_factor=np.broadcast_to(np.where(self.channels, self.log_sd, 0.0), (1, *data.sd.shape)))
+
+
+@dataclass(frozen=True, eq=False)
+class ModelErrorTerm(ErrorTerm):
+    """An error τ of some channels that the stated noise lacks, drawn anew at every row; half normal.
+
+    Attributes
+    ----------
+    label : str
+        Of the group of channels.
+    channels : ndarray of bool, shape (K,)
+    scale : float
+        Of the half normal, in the channels' unit.
+    unit : str
+    """
+
+    label: str
+    channels: np.ndarray
+    scale: float
+    unit: str
+
+    @property
+    def concerns(self) -> np.ndarray:
+        """Its channels."""
+        return self.channels
+
+    @property
+    def names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """``model_error(motor)``."""
+        return (f"model_error({self.label})",)
+
+    @property
+    def units(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The channels'."""
+        return (self.unit,)
+
+    @property
+    def priors(self) -> tuple[Prior, ...]:  # type: ignore[override]
+        """Half normal."""
+        return (HalfNormalPrior(self.scale),)
+
+    def natural(self, zeta: Array) -> Array:
+        """Return τ; without loss where Φ(ζ) is close to one."""
+        return np.asarray(np.sqrt(2.0) * self.scale * np.where(zeta > 0, erfcinv(ndtr(-zeta)), erfinv(ndtr(zeta))))
+
+    def variance(self, zeta: Array, data: Measurements) -> Array:
+        """Return τ² for its channels, zero for the others."""
+        del data
+        return np.where(self.channels, self.natural(zeta) ** 2, 0.0)[:, None]
+
+    def slopes(self, zeta: Array, data: Measurements) -> Slopes:
+        """Return 2 τ dτ/dζ."""
+        size = self.natural(zeta)
+        speed = 0.5 * self.scale * np.exp(0.5 * ((size / self.scale) ** 2 - zeta**2))
+        slope = np.where(self.channels, 2.0 * size * speed, 0.0)
+        return Slopes(variance=np.broadcast_to(slope, (1, *data.sd.shape)))
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """All terms together, and what rows are like that are wrong as a whole; coordinates in the terms' order.
+
+    Attributes
+    ----------
+    terms : tuple of ErrorTerm
+    outliers : Outliers
+    """
+
+    terms: tuple[ErrorTerm, ...] = ()
+    outliers: Outliers = NORMAL
+
+    # --- coordinates -------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _slices(self) -> list[slice]:
+        ends = np.cumsum([0, *(len(term.names) for term in self.terms)])
+        return [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+
+    @property
+    def n_parameters(self) -> int:
+        """Number n of coordinates of all terms."""
+        return sum(len(term.names) for term in self.terms)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of all that is unknown."""
+        return tuple(name for term in self.terms for name in term.names)
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """Units of all."""
+        return tuple(unit for term in self.terms for unit in term.units)
+
+    @cached_property
+    def priors(self) -> tuple[Prior, ...]:
+        """Priors of all."""
+        return tuple(prior for term in self.terms for prior in term.priors)
+
+    @cached_property
+    def switches(self) -> dict[int, float]:
+        """Coordinates with a second place, at which there is no such error, each with that place."""
+        found = zip(self._slices, self.terms, strict=True)
+        return {part.start + k: place for part, term in found for k, place in term.switches.items()}
+
+    def of(self, zeta: Array) -> Sequence[tuple[ErrorTerm, Array]]:
+        """Return each term with its coordinates (..., n_t) of all of them (..., n)."""
+        return [(term, zeta[..., part]) for term, part in zip(self.terms, self._slices, strict=True)]
+
+    def natural(self, zeta: Array) -> Array:
+        """Return all that is unknown in its own units, (..., n)."""
+        return np.concatenate([zeta[..., :0], *(term.natural(own) for term, own in self.of(zeta))], axis=-1)
+
+    def deviation(self, zeta: Array) -> Array:
+        """Return coordinates less their places, standard normal under the prior, (..., n)."""
+        found = zeta.copy()
+        for k, place in self.switches.items():
+            found[..., k] -= np.where(zeta[..., k] > 0.5 * place, 0.0, place)
+        return found
+
+    def draw_prior(self, y: Array, first: int, rng: np.random.Generator) -> Array:
+        """Return draws (S, m) of standard normals with half of the switches, from coordinate ``first`` on, off."""
+        found = y.copy()
+        places = [first + k for k in self.switches]
+        off = rng.random((len(y), len(places))) < 0.5 if places else np.zeros((len(y), 0), dtype=bool)
+        found[:, places] += np.where(off, list(self.switches.values()), 0.0)
+        return found
+
+    def jumps(self, zeta: Array) -> list[tuple[int, Array]]:
+        """Return each error switched on or off, from ζ, shape (n,)."""
+        found = []
+        for jump, (k, place) in enumerate(self.switches.items()):
+            image = zeta.copy()
+            image[k] = place if zeta[k] > 0.5 * place else 0.0
+            found.append((jump, image))
+        return found
+
+    def share_present(self, zeta: Array) -> dict[str, float]:
+        """Return the share of draws (S, n) with each error that has a switch, by the name of its scale."""
+        return {self.names[k]: float((zeta[:, k] > 0.5 * place).mean()) for k, place in self.switches.items()}
+
+    # --- what they do ------------------------------------------------------------------------------------------------
+
+    def deviations(self, zeta: Array, data: Measurements, sd: Array) -> tuple[Array, Array]:
+        """Return f σ and the root of all variances beside, (B, P, K) and (B, 1 or P, K), at (B, n) and σ (P, K)."""
+        own, beside = np.broadcast_to(sd, (len(zeta), *sd.shape)), np.zeros((len(zeta), 1, sd.shape[1]))
+        for term, part in self.of(zeta):
+            factor, variance = term.factor(part), term.variance(part, data)
+            own = own if factor is None else factor[:, None] * own
+            beside = beside if variance is None else beside + variance
+        return own, np.sqrt(beside)
+
+    @cached_property
+    def has_columns(self) -> bool:
+        """Whether some errors are common to all rows."""
+        return any(type(term).columns is not ErrorTerm.columns for term in self.terms)
+
+    @cached_property
+    def _noisy(self) -> list[ErrorTerm]:
+        factor, variance = ErrorTerm.factor, ErrorTerm.variance
+        return [one for one in self.terms if type(one).factor is not factor or type(one).variance is not variance]
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether something of the noise of single rows is unknown."""
+        return bool(self._noisy)
+
+    def groups(self, n_channels: int) -> Array:
+        """Return which of K channels have the same unknowns of their noise, or none, ones and zeros (N, K)."""
+        every = np.ones(n_channels, dtype=bool)
+        both = [every if term.concerns is None else term.concerns for term in self._noisy]
+        keys = [tuple(j for j, mine in enumerate(both) if mine[k]) for k in range(n_channels)]
+        return np.array([[key == kind for key in keys] for kind in sorted(set(keys))], dtype=np.float64)
+
+    def columns(self, zeta: Array, data: Measurements) -> Array:
+        """Return Φ of all terms side by side, (B, P, K, N)."""
+        found = [term.columns(part, data) for term, part in self.of(zeta)]
+        shape = (len(zeta), *data.sd.shape)
+        wide = [np.broadcast_to(one, (*shape, one.shape[-1])) for one in found if one is not None]
+        return np.concatenate([np.zeros((*shape, 0)), *wide], axis=-1)
+
+    def act(self, zeta: Array, data: Measurements, coefficients: Array) -> list[Array | None]:
+        """Return what coefficients (B, N) make of each term, (B, P, K); None of one without columns."""
+        found: list[Array | None] = []
+        start = 0
+        for term, part in self.of(zeta):
+            own = term.columns(part, data)
+            if own is None:
+                found.append(None)
+                continue
+            some = coefficients[:, start : start + own.shape[-1]]
+            found.append(np.asarray((own @ some[:, None, :, None])[..., 0]))
+            start += own.shape[-1]
+        return found
+
+    def slopes(self, zeta: Array, data: Measurements) -> list[Slopes]:
+        """Return the derivatives at ζ, shape (n,), of each coordinate, without its axis."""
+        found = []
+        for term, part in self.of(zeta):
+            own = term.slopes(part, data)
+            found += [Slopes(*(None if one is None else one[k] for one in own)) for k in range(len(part))]
+        return found
+
+    def column_slopes(self, zeta: Array, data: Measurements) -> Array:
+        """Return the derivatives of Φ by all coordinates at ζ, shape (n,), (n, P, K, N)."""
+        widths = [0 if (own := term.columns(part[None], data)) is None else own.shape[-1] for term, part in self.of(zeta)]
+        result = np.zeros((len(zeta), *data.sd.shape, sum(widths)))
+        start = 0
+        for (term, part), where, width in zip(self.of(zeta), self._slices, widths, strict=True):
+            own = term.slopes(part, data).columns if width else None
+            if own is not None:
+                result[where, ..., start : start + width] = own
+            start += width
+        return result
+
+    def covariance_slopes(self, zeta: Array, data: Measurements, sd: Array, correlation: Array) -> Array:
+        """Return the derivatives of the noise's covariance by the coordinates at ζ, shape (n,), (n, P, K, K).
+
+        Parameters
+        ----------
+        zeta : ndarray, shape (n,)
+        data : Measurements
+        sd : ndarray, shape (P, K)
+        correlation : ndarray, shape (P, K, K) or (1, K, K)
+        """
+        own = self.deviations(zeta[None], data, sd)[0][0]
+        stated = own[:, :, None] * correlation * own[:, None, :]
+        result = np.zeros((len(zeta), *stated.shape))
+        for k, one in enumerate(self.slopes(zeta, data)):
+            if one.log_factor is not None:
+                result[k] = stated * (one.log_factor[:, :, None] + one.log_factor[:, None, :])
+            if one.variance is not None:
+                result[k] += one.variance[:, :, None] * np.eye(sd.shape[1])
+        return result
+
+
+def check_term(term: ErrorTerm, data: Measurements) -> None:
+    """Raise InputError where what a term of somebody else's class supplies does not fit together."""
+    n, (n_poses, n_channels) = len(term.names), data.sd.shape
+    for what, found in (("units", term.units), ("priors", term.priors)):
+        if len(found) != n:
+            raise InputError(f"found {len(found)} {what} for {n} names, expected one each")
+    zeta = np.zeros((2, n))
+    try:
+        factor, variance, columns = term.factor(zeta), term.variance(zeta, data), term.columns(zeta, data)
+    except BayescalError:
+        raise
+    except Exception as error:
+        text = " ".join(str(error).split())
+        raise InputError(f"found a term that fails with {type(error).__name__}: {text}, expected one that works") from error
+    shapes = {
+        "factor": (factor, [(2, n_channels)]),
+        "variance": (variance, [(2, n_poses, n_channels), (2, 1, n_channels)]),
+        "columns": (columns, [(b, n_poses, n_channels) for b in (1, 2)]),
+    }
+    if sum(one is not None for one, _ in shapes.values()) != 1:
+        raise InputError("found a term with none or several of factor, variance and columns, expected one of them")
+    for what, (one, expected) in shapes.items():
+        if one is None:
+            continue
+        if one.shape[: len(expected[0])] not in expected or one.ndim != len(expected[0]) + (what == "columns"):
+            raise InputError(f"found {what} of shape {one.shape} for two machines, expected {expected[0]}")
+        if not np.isfinite(one).all() or (what != "columns" and (one < 0.0).any()):
+            raise InputError(f"found {what} that is not finite, or below zero, expected one that is neither")
+
+
+@dataclass(frozen=True, eq=False)
+class CommonDraws:
+    """Draws of the coefficients of errors common to all rows.
+
+    Attributes
+    ----------
+    errors : Errors
+    parts : tuple of (zeta, coefficients)
+        Of some of the T draws each, (B, n) and (B, N): with a free length coefficients belong together with the others
+        that they were drawn with.
+    """
+
+    errors: Errors
+    parts: tuple[tuple[Array, Array], ...]
+
+    def by_term(self, data: Measurements) -> list[Array | None]:
+        """Return what each term does to readings at rows like these, (T, P, K); None of one without columns."""
+        found = [self.errors.act(zeta, data, coefficients) for zeta, coefficients in self.parts]
+        return [None if one[0] is None else np.concatenate(one) for one in zip(*found, strict=True)]  # type: ignore[arg-type]
+
+    def at(self, data: Measurements) -> Array:
+        """Return the same of all terms together."""
+        return np.asarray(sum(one for one in self.by_term(data) if one is not None))

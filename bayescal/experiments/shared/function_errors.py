@@ -1,0 +1,122 @@
+"""What was found of errors that are functions: whether there are any, how large they are, and how they run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from bayescal.density.calibration.functions import FunctionErrors
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.terms import CommonDraws
+from bayescal.density.model_error import BORDER
+from bayescal.experiments.frame.memory import Need, check_memory
+from bayescal.density.low_rank_columns import BUDGET
+from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import ARCSECOND, MICROMETRE
+
+CURVE = 25
+SHOWN = {"mm": (1.0 / MICROMETRE, "um"), "rad": (1.0 / ARCSECOND, "arcsec")}
+INTERVAL = [0.05, 0.95]
+REMEDY = "fewer poses, a longer length, or no such errors"
+
+
+@dataclass(frozen=True, eq=False)
+class FoundFunctions:
+    """What draws of a posterior tell of its functions.
+
+    Attributes
+    ----------
+    draws : CommonDraws
+        In the channels' units.
+    rows : list of dict
+        Of each function: how probable an error is, its scale, its size over the calibration poses; µm and arcsec.
+    curves : list of dict
+        Its course over what it depends on, where that is one number.
+    """
+
+    draws: CommonDraws
+    rows: list[dict[str, Any]]
+    curves: list[dict[str, Any]]
+
+
+def check_functions(term: FunctionErrors, n_poses: int, n_channels: int) -> None:
+    """Raise InputError where functions need more memory than there is."""
+    n = len(term.places) * term.root(np.array([term.length])).shape[-1]
+    held = 6.0 * BUDGET + n_poses * n_channels * n * (8.0 + 2.0 * len(term.names)) + 4.0 * n**2
+    check_memory(Need(each=8.0 * held, sizes=f"{n_poses} poses with {n} coefficients of functions", remedy=REMEDY), 1)
+
+
+def find_functions(
+    posterior: CalibrationPosterior, y: Array, rng: np.random.Generator
+) -> FoundFunctions | None:
+    """Return what draws (T, n) tell of a posterior's functions; None where it has none."""
+    if not any(isinstance(term, FunctionErrors) for term in posterior.errors.terms):
+        return None
+    draws, data = posterior.draw_common(y, rng), posterior.likelihood.data
+    names = posterior.likelihood.model.names
+    grid = _grid(data)
+    rows: list[dict[str, Any]] = []
+    curves: list[dict[str, Any]] = []
+    at_poses, along = draws.by_term(data), draws.by_term(grid)
+    terms = posterior.errors.of(posterior.zeta(y))
+    for (term, zeta), errors, course in zip(terms, at_poses, along, strict=True):
+        if not isinstance(term, FunctionErrors) or errors is None or course is None:
+            continue
+        for k, group in zip(term.places, term.group, strict=True):
+            factor, unit = SHOWN.get(term.scale_units[group], (1.0, term.scale_units[group]))
+            there = data.present[:, k]
+            size = factor * np.sqrt(np.mean(errors[:, there, k] ** 2, axis=1))
+            low, high = np.quantile(size, INTERVAL)
+            own = {"sensor": names[k], "of": term.travel.of, "unit": unit}
+            rows.append(
+                {
+                    **own,
+                    "kernel": term.kernel,
+                    "present": float((zeta[:, group] > BORDER).mean()),
+                    **_describe_scale(term, factor, group, term.scales(zeta)[:, group]),
+                    "rms": float(size.mean()),
+                    "rms_low": float(low),
+                    "rms_high": float(high),
+                }
+            )
+            if term.rows is None:
+                x = grid.values[:, k] if term.travel.of == "reading" else 1.0 + grid.order
+                mean, (low, high) = course[..., k].mean(axis=0), np.quantile(course[..., k], INTERVAL, axis=0)
+                values = zip(x, factor * mean, factor * low, factor * high, strict=True)
+                curves += [{**own, "reading": at, "mean": m, "low": a, "high": b} for at, m, a, b in values]
+    return FoundFunctions(draws, rows, curves)
+
+
+def _grid(data: Measurements) -> Measurements:
+    """Return rows over what was read, evenly, and over the order of the rows."""
+    low, high = (pick(np.where(data.present, data.values, np.nan), axis=0) for pick in (np.nanmin, np.nanmax))
+    values, order = np.linspace(low, high, CURVE), np.linspace(data.order.min(), data.order.max(), CURVE).astype(int)
+    return replace(
+        data, poses=tuple(map(str, range(CURVE))), values=values, sd=np.ones_like(values), correlation=None, order=order
+    )
+
+
+def _describe_scale(term: FunctionErrors, factor: float, group: int, scale: Array) -> dict[str, float]:
+    """Return a scale as stated and as found where there is an error, and what is left of its prior's spread."""
+    there = scale[scale > 0.0]
+    found = {"scale_stated": factor * float(term.scale[group]), "scale": float("nan"), "left": float("nan")}
+    if len(there) > 1:
+        found["scale"] = factor * float(np.median(there))
+        found["left"] = float(np.log(there).std() / term.spread)
+    return found
+
+
+def tabulate_functions(found: Sequence[tuple[str, FoundFunctions | None]]) -> dict[str, pd.DataFrame]:
+    """Return the tables of all variants with such errors; none where none has."""
+    there = [(name, one) for name, one in found if one is not None]
+    if not there:
+        return {}
+    return {
+        "functions": pd.DataFrame([{"variant": name, **row} for name, one in there for row in one.rows]),
+        "function_curves": pd.DataFrame([{"variant": name, **row} for name, one in there for row in one.curves]),
+    }

@@ -1,0 +1,177 @@
+"""Errors that a config names in [errors]: functions, and terms of somebody else's classes from outside the package."""
+
+from __future__ import annotations
+
+import json
+
+import calibrations
+import numpy as np
+import pandas as pd
+import pytest
+
+from bayescal.errors import InputError
+from bayescal.experiments.calibration.inputs import read_inputs
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.run import run_experiment
+from bayescal.report.pictures import Picture
+
+OWN = '''
+"""Errors of a delta printer's own: a drift that wanders, and noise that grows away from the middle."""
+
+import numpy as np
+
+from bayescal.config.sections import Positive, Section
+from bayescal.density.calibration.terms import ErrorTerm
+from bayescal.density.priors import HalfNormalPrior
+
+
+class WanderConfig(Section):
+    scale_mm: Positive
+
+
+class Wander(ErrorTerm):
+    """All carriages drift together by a random walk from row to row."""
+
+    Config = WanderConfig
+
+    def __init__(self, config, rows):
+        self.names, self.units = (f"wander({rows.name})",), ("mm",)
+        self.priors = (HalfNormalPrior(config.scale_mm),)
+        self.own = rows.select(["s"])
+
+    def columns(self, zeta, data):
+        steps = np.tril(np.ones((24, 24)))[np.minimum(data.order, 23)] / 5.0
+        found = np.zeros((len(zeta), data.n_poses, data.sd.shape[1], 24))
+        found[:, :, self.own] = self.natural(zeta)[:, 0, None, None, None] * steps[:, None]
+        return found
+
+
+class Edge(ErrorTerm):
+    """Noise that grows with a channel's distance from its middle."""
+
+    names, units, priors = ("edge",), ("mm",), (HalfNormalPrior(0.01),)
+
+    def __init__(self, config, rows):
+        self.home, self.reach = rows.home, rows.reach
+
+    def variance(self, zeta, data):
+        away = np.where(data.present, (data.values - self.home) / self.reach, 0.0)
+        return (self.natural(zeta)[:, 0, None, None] * away) ** 2
+
+
+class Short(Edge):
+    units = ()
+
+
+class Both(Edge):
+    def factor(self, zeta):
+        return np.ones((len(zeta), 3))
+
+
+class Failing(Edge):
+    def variance(self, zeta, data):
+        return data.nothing
+'''
+TERMS = """
+[errors.wander]
+kind = "own_errors.py:Wander"
+scale_mm = 0.01
+
+[errors.edge]
+kind = "own_errors.py:Edge"
+
+[errors.motors]
+channels = ["s"]
+kernel = "quadratic"
+scale_um = 20.0
+per = "channel"
+
+[errors.drift]
+channels = ["s"]
+of = "order"
+scale_um = 5.0
+
+[errors.bed]
+channels = ["s"]
+of = "commands"
+length_spread = 0.2
+scale_um = 5.0
+"""
+
+
+def write(folder, terms=TERMS):
+    path = calibrations.write_delta(folder)
+    (path.parent / "own_errors.py").write_text(OWN)
+    path.write_text(path.read_text() + terms)
+    return path
+
+
+def read(path):
+    config = load(path)[1]
+    return read_inputs(config, path.parent)
+
+
+def test_all_terms_hold_together_and_have_their_gradient(tmp_path, rng):
+    """Own terms, functions of three inputs, unknown noise and outliers: slopes are those of differences."""
+    path = write(tmp_path)
+    calibrations.change(path, 'name = "all"', 'name = "all"\nrobust = 4.0')
+    posterior = read(path).variants["all"].posterior().anchored()
+    expected = ("wander(wander)", "edge", *(f"sigma_g(motors, s[{k}])" for k in (1, 2, 3)))
+    assert posterior.errors.names[-8:] == (*expected, "sigma_g(drift)", "sigma_g(bed)", "L_g(bed)")
+    y = posterior.approach() + 0.05 * rng.standard_normal(posterior.n_parameters)
+    gradient, hessian = posterior.gradient(y)
+    assert (np.linalg.eigvalsh(-hessian) > 0.0).all()
+    moves = 1e-3 * np.eye(len(y))
+    values = [posterior.log_density(y + times * moves) for times in (-2.0, -1.0, 1.0, 2.0)]
+    differences = (8.0 * (values[2] - values[1]) - (values[3] - values[0])) / 12e-3
+    np.testing.assert_allclose(gradient, differences, rtol=1e-4, atol=2e-2)
+    assert np.isfinite(posterior.pointwise(y[None])).all()
+
+
+def test_variants_choose_their_errors_by_name(tmp_path):
+    path = write(tmp_path)
+    calibrations.change(path, 'name = "all"', 'name = "all"\nerrors = ["drift", "edge"]')
+    variants = read(path).variants
+    assert variants["all"].errors.names[-2:] == ("edge", "sigma_g(drift)")
+    others = next(one for name, one in variants.items() if name != "all")
+    assert "wander(wander)" in others.errors.names
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('channels = ["s"]\nkernel', 'channels = ["sx"]\nkernel', "found channel 'sx', expected some of"),
+        ("scale_um = 20.0", "scale_arcsec = 20.0", "found scale_arcsec for s.1., which reads in mm, expected scale_um"),
+        ("scale_um = 20.0", "scale_um = 20.0\nscale_mm = 1.0", "found scale_um and scale_mm, expected one of scale"),
+        ('kernel = "quadratic"', 'kernel = "smooth"\nlength = 0.01', "found smooth errors of a length down to 0.01 ranges"),
+        ("own_errors.py:Wander", "own_errors.py:Wanderer", "Wanderer"),
+        ("scale_mm = 0.01", "scale_m = 0.01", "scale_m"),
+        ("own_errors.py:Edge", "own_errors.py:Short", "errors.edge: found 0 units for 1 names, expected one each"),
+        ("own_errors.py:Edge", "own_errors.py:Both", "none or several of factor, variance and columns"),
+        ("own_errors.py:Edge", "own_errors.py:Failing", "fails with AttributeError"),
+        ('name = "all"', 'name = "all"\nerrors = ["drfit"]', "errors: found 'drfit', expected some of wander, edge, motors"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(tmp_path, old, new, message):
+    path = write(tmp_path)
+    calibrations.change(path, old, new)
+    with pytest.raises(InputError, match=message) as caught:
+        read(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.runs
+def test_an_own_term_and_functions_run_to_a_page(tmp_path, monkeypatch):
+    monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
+    terms = TERMS.partition("[errors.drift]")[0]
+    path = write(tmp_path, terms)
+    run_experiment(load(path)[1], path.parent, tmp_path / "out")
+    found = pd.read_csv(tmp_path / "out" / "functions.csv")
+    assert set(found["sensor"]) == {f"s[{k}]" for k in (1, 2, 3)}
+    assert found["present"].between(0.0, 1.0).all()
+    assert set(pd.read_csv(tmp_path / "out" / "function_curves.csv")["of"]) == {"reading"}
+    provenance = json.loads((tmp_path / "out" / "provenance.json").read_text())
+    assert "own_errors.py" in provenance["files"]
+    names = set(pd.read_csv(tmp_path / "out" / "parameters.csv")["parameter"])
+    assert {"wander(wander)", "edge", "sigma_g(motors, s[1])"} <= names
+    assert "Errors that are functions" in (tmp_path / "out" / "report.html").read_text()
