@@ -18,12 +18,14 @@ import numpy as np
 from jax.scipy.special import ndtr, ndtri
 
 from bayescal.density.pose_likelihood import REFINEMENTS
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 
 jax.config.update("jax_enable_x64", True)
 
 
-def build_log_likelihood(problem: Problem, posterior: Posterior, exact_solve: bool) -> Callable[[jax.Array], jax.Array]:
+def build_log_likelihood(
+    problem: Problem, posterior: LegPosterior, exact_solve: bool
+) -> Callable[[jax.Array], jax.Array]:
     """Return the log-likelihood as a function of z, shape (60,), up to an additive constant."""
     whitening = jnp.asarray(np.linalg.inv(np.linalg.cholesky(posterior.likelihood.legs_known)))
     errors = build_errors(problem, posterior, None if exact_solve else REFINEMENTS)
@@ -35,7 +37,7 @@ def build_log_likelihood(problem: Problem, posterior: Posterior, exact_solve: bo
     return log_likelihood
 
 
-def build_structured_log_density(problem: Problem, posterior: Posterior) -> Callable[[jax.Array], jax.Array]:
+def build_structured_log_density(problem: Problem, posterior: LegPosterior) -> Callable[[jax.Array], jax.Array]:
     """Return the log-density of geometry, τ of each leg and one scale, all standardised, up to an additive constant.
 
     There is a structured error: whether there is one is a switch, which gradients do not see.
@@ -45,7 +47,11 @@ def build_structured_log_density(problem: Problem, posterior: Posterior) -> Call
     combination, unmap = jnp.asarray(likelihood.combination), jnp.asarray(likelihood._unmap)
     n_legs = likelihood.n_legs
     weight = jnp.asarray(likelihood.actuator_weight)
-    known, scale, spread = jnp.asarray(likelihood._mean_known), posterior.model_error.scale, posterior.kernel_scale
+    known, scale, spread = (
+        jnp.asarray(likelihood._mean_known),
+        posterior.errors.model_error.scale,
+        posterior.kernel_scale,
+    )
 
     def log_density(z: jax.Array) -> jax.Array:
         tau = -scale * ndtri(0.5 * ndtr(-z[m : m + n_legs]))
@@ -60,10 +66,12 @@ def build_structured_log_density(problem: Problem, posterior: Posterior) -> Call
     return log_density
 
 
-def build_errors(problem: Problem, posterior: Posterior, refinements: int | None) -> Callable[[jax.Array], jax.Array]:
+def build_errors(
+    problem: Problem, posterior: LegPosterior, refinements: int | None
+) -> Callable[[jax.Array], jax.Array]:
     """Return the legs' errors, shape (P, 6), as a function of z, by so many iterations, or None by solving."""
     machine, poses = problem.machine, problem.poses
-    layout, coordinates = machine.layout, posterior.coordinates
+    layout, coordinates = machine.layout, posterior.sampling.coordinates
     likelihood = posterior.likelihood
     frozen = getattr(likelihood, "base", likelihood)  # the iteration leads to errors seen by this machine's poses
     nominal_pose, gain = jnp.asarray(frozen._pose_jacobian), jnp.asarray(frozen._gain)

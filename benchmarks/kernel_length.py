@@ -34,7 +34,7 @@ from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.errors import KernelLength, KernelScale
 from bayescal.density.model_error import LengthPrior, build_kernel
 from bayescal.density.errors import ModelError
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior, build_leg_posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.inference.exploration import explore
@@ -69,19 +69,19 @@ class Twin:
             for name, value in zip(block.names, block.nominal, strict=True)
         }
 
-    def fixed(self, kernel: str, length: float) -> Posterior:
+    def fixed(self, kernel: str, length: float) -> LegPosterior:
         """Return the posterior with a length that is known."""
         travel = self.likelihood.machine.mechanism.actuator_range
         likelihood = StructuredLikelihood(self.likelihood, build_kernel(kernel, length), travel)
-        return Posterior(likelihood, self.priors(), ModelError(MODEL_ERROR_SCALE), terms=(SCALE,))
+        return build_leg_posterior(likelihood, self.priors(), ModelError(MODEL_ERROR_SCALE), terms=(SCALE,))
 
-    def free(self, kernel: str, lengths: LengthPrior) -> Posterior:
+    def free(self, kernel: str, lengths: LengthPrior) -> LegPosterior:
         """Return the posterior with a length that is not."""
         likelihood = FreeLengthLikelihood(
             self.likelihood, kernel, lengths, self.likelihood.machine.mechanism.actuator_range
         )
         error = ModelError(MODEL_ERROR_SCALE)
-        return Posterior(likelihood, self.priors(), error, terms=(SCALE, KernelLength(lengths)))
+        return build_leg_posterior(likelihood, self.priors(), error, terms=(SCALE, KernelLength(lengths)))
 
 
 def simulate(kernel: str, lengths: LengthPrior, seed: int) -> Twin:
@@ -145,7 +145,7 @@ def compare_evidences(twin: Twin, kernel: str, lengths: LengthPrior, seed: int) 
     return {"free": free[0], "free_se": free[1], "integrated": total, "integrated_se": error, "off": free[0] - total}
 
 
-def evaluate_evidence(posterior: Posterior, seed: int, n_draws: int) -> tuple[float, float]:
+def evaluate_evidence(posterior: LegPosterior, seed: int, n_draws: int) -> tuple[float, float]:
     """Return a log-evidence and its standard error."""
     found = explore(posterior, np.random.SeedSequence(seed), max_pilots=0)
     rng = np.random.default_rng(seed)
@@ -158,7 +158,7 @@ def compare_densities(kernel: str, lengths: LengthPrior, n_draws: int = 400) -> 
     twin, rng = simulate(kernel, lengths, 0), np.random.default_rng(1)
     posterior = twin.free(kernel, lengths)
     theta = np.tile(twin.theta, (n_draws, 1))
-    theta[:, posterior.coordinates.free] += 1e-3 * rng.standard_normal((n_draws, posterior.n_geometry))
+    theta[:, posterior.sampling.free] += 1e-3 * rng.standard_normal((n_draws, posterior.n_geometry))
     scales = [MODEL_ERROR_SCALE * np.abs(rng.standard_normal((n_draws, 6))), 0.02 * rng.uniform(0.5, 1.5, (n_draws, 6))]
     length = lengths.draw(n_draws, rng)
     errors = np.column_stack([*scales, length])
@@ -174,7 +174,10 @@ def compare_densities(kernel: str, lengths: LengthPrior, n_draws: int = 400) -> 
 def time_density(kernel: str, lengths: LengthPrior, repeats: int = 40) -> None:
     """Print the time of the posterior density over that with τ per leg alone."""
     twin, rng = simulate(kernel, lengths, 0), np.random.default_rng(0)
-    plain, fixed = Posterior(twin.likelihood, twin.priors(), ModelError(MODEL_ERROR_SCALE)), twin.fixed(kernel, 2.0)
+    plain, fixed = (
+        build_leg_posterior(twin.likelihood, twin.priors(), ModelError(MODEL_ERROR_SCALE)),
+        twin.fixed(kernel, 2.0),
+    )
     free = twin.free(kernel, lengths)
     y = 1e-3 * rng.normal(size=(BATCH, free.n_parameters))
     y[:, -1] = rng.normal(size=BATCH)

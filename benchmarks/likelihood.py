@@ -55,7 +55,7 @@ def loop_data(problem: Problem) -> LoopData:
 def draw_machines(problem: Problem) -> tuple[Array, Array]:
     """Return parameter vectors (B, 66) near the truth and model errors (B, 6) in mm."""
     rng = np.random.default_rng(SEED)
-    coordinates = problem.posterior().coordinates
+    coordinates = problem.posterior().sampling.coordinates
     theta = np.tile(problem.theta, (N_MACHINES, 1))
     theta[:, coordinates.free] += SPREAD * coordinates.scale * rng.normal(size=(N_MACHINES, len(coordinates.free)))
     return theta, TAU * np.abs(rng.normal(size=(N_MACHINES, problem.likelihood().n_legs)))

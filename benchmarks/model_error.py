@@ -37,7 +37,7 @@ from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.errors import KernelScale
 from bayescal.density.model_error import LinearKernel, SmoothKernel
 from bayescal.density.errors import ModelError
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior, build_leg_posterior
 from bayescal.density.prediction import replicate
 from bayescal.density.schema import BlundersConfig, NormalConfig
 from bayescal.density.structured import StructuredLikelihood
@@ -126,9 +126,9 @@ def judge(
     }
 
 
-def judge_scale(inputs: StudyInputs, posterior: Posterior, y: Array, truth: float | None) -> dict[str, float]:
+def judge_scale(inputs: StudyInputs, posterior: LegPosterior, y: Array, truth: float | None) -> dict[str, float]:
     """Return what draws tell of the kernel's scale where there is an error, and how far that is from the truth."""
-    if not isinstance(posterior, Posterior):
+    if not isinstance(posterior, LegPosterior):
         return {}
     scale = posterior.scales(y)[:, 0]
     there = scale > 0.0
@@ -142,10 +142,10 @@ def judge_scale(inputs: StudyInputs, posterior: Posterior, y: Array, truth: floa
     return found
 
 
-def measure_poses(inputs: StudyInputs, posterior: Posterior, variant: object, y: Array) -> float:
+def measure_poses(inputs: StudyInputs, posterior: LegPosterior, variant: object, y: Array) -> float:
     """Return the mean position error of the verification poses, mm."""
     held, rng = inputs.likelihood(variant, verification=True), np.random.default_rng(0)
-    likelihood, theta, errors = posterior.likelihood, posterior.theta(y), posterior.model_errors(y)
+    likelihood, theta, errors = posterior.likelihood, posterior.theta(y), posterior.errors.amplitudes(posterior.zeta(y))
     if isinstance(likelihood, StructuredLikelihood):
         assert isinstance(held, PoseLikelihood)
         return float(predict_structured(likelihood, held, theta, errors, rng)[0].summarise().position_error.mean())
@@ -161,7 +161,7 @@ def time_density(repeats: int) -> None:
     for kernel in (LinearKernel(), SmoothKernel(5.0)):
         likelihood = StructuredLikelihood(plain.likelihood, kernel, problem.machine.mechanism.actuator_range)
         scale = KernelScale(0.02, 0.05)
-        one = Posterior(likelihood, plain.priors, ModelError(MODEL_ERROR_SCALE), terms=(scale,))
+        one = build_leg_posterior(likelihood, plain.priors, ModelError(MODEL_ERROR_SCALE), terms=(scale,))
         contestants[kernel.name] = lambda one=one: one.log_density(y)
     seconds = time_interleaved(contestants, repeats)
     for name, times in seconds.items():

@@ -27,8 +27,8 @@ import numpy as np
 
 from bayescal.data.actuators import read_moves
 from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.next_pose.inputs import NextInputs, read_next
 from bayescal.experiments.next_pose.state import State, find_state
@@ -138,8 +138,8 @@ def join(one: MeasuredPoses | None, other: MeasuredPoses) -> MeasuredPoses:
 def find(problem: Problem, poses: MeasuredPoses, start: Array | None) -> State:
     """Return what is known after poses, updated from a mode."""
     measured, old = problem.measured, problem.measured.posterior
-    posterior = Posterior(
-        PoseLikelihood(measured.machine, poses, measured.actuator_noise), old.priors, old.model_error, old.fixed
+    posterior = build_leg_posterior(
+        PoseLikelihood(measured.machine, poses, measured.actuator_noise), old.priors, old.errors.model_error, old.fixed
     )
     own = replace(measured, poses=poses, posterior=posterior)
     return find_state(own, start, problem.requirements, problem.inputs.workspace, DRAWS, SEED)
@@ -147,10 +147,10 @@ def find(problem: Problem, poses: MeasuredPoses, start: Array | None) -> State:
 
 def tighten(problem: Problem) -> Problem:
     """Return the problem with requirements that the plan meets with the stated probability."""
-    centre = problem.measured.posterior.coordinates.start
+    centre = problem.measured.posterior.sampling.start
     tau = np.zeros(6)
-    if problem.measured.posterior.model_error.scale is not None:
-        tau[:] = 0.5 * problem.measured.posterior.model_error.scale
+    if problem.measured.posterior.errors.model_error.scale is not None:
+        tau[:] = 0.5 * problem.measured.posterior.errors.model_error.scale
     state = find(problem, Twin(problem, centre, tau, np.random.default_rng(1)).measure(problem.plan), None)
     factor = float(np.quantile(state.standing.largest.max(axis=1), STATED))
     limits = [Requirement(one.name, one.limit * factor) for one in problem.requirements]
@@ -160,9 +160,9 @@ def tighten(problem: Problem) -> Problem:
 def draw_twin(problem: Problem, number: int) -> Twin:
     """Return a machine drawn from the tolerances."""
     rng, posterior = np.random.default_rng([SEED, number]), problem.measured.posterior
-    theta, free = posterior.coordinates.start.copy(), posterior.coordinates.free
-    theta[free] += posterior.coordinates.scale * rng.standard_normal(len(free))
-    scale = posterior.model_error.scale
+    theta, free = posterior.sampling.start.copy(), posterior.sampling.free
+    theta[free] += posterior.sampling.coordinates.scale * rng.standard_normal(len(free))
+    scale = posterior.errors.model_error.scale
     tau = np.zeros(6) if scale is None else np.abs(rng.normal(0.0, scale, 6))
     return Twin(problem, theta, tau, rng)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.errors import ModelError
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior, build_leg_posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.inference.mode import Mode
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -22,13 +22,13 @@ MIRRORING = {"a_x": 2.0, "a_y": 2.0, "b_x": 2.0, "b_y": 2.0, "l": 2.0}  # mm, wh
 NO_MACHINE = -1e10  # its log-density
 
 
-def build_well() -> tuple[Problem, Posterior]:
+def build_well() -> tuple[Problem, LegPosterior]:
     """Return the problem of sampling.py."""
     problem = simulate()
     return problem, problem.posterior()
 
 
-def build_misfitting() -> tuple[Problem, Posterior]:
+def build_misfitting() -> tuple[Problem, LegPosterior]:
     """Return the same machine, measured with errors that no parameter explains."""
     problem = simulate()
     moved = problem.poses.actuators - problem.machine.mechanism.initial_actuator_positions
@@ -37,22 +37,22 @@ def build_misfitting() -> tuple[Problem, Posterior]:
     return problem, problem.posterior()
 
 
-def build_ridge() -> tuple[Problem, Posterior]:
+def build_ridge() -> tuple[Problem, LegPosterior]:
     """Return what RR-8096 frees, with its tolerance of u_x: one mode holds nearly all, with a ridge along a u_x."""
     return _build_nominal(MIRRORING | {"u_x": 0.05})
 
 
-def build_multimodal() -> tuple[Problem, Posterior]:
+def build_multimodal() -> tuple[Problem, LegPosterior]:
     """Return the same with twice the tolerance of u_x: both directions of a leg that have its gain are plausible."""
     return _build_nominal(MIRRORING | {"u_x": 0.1})
 
 
-def build_lengths() -> tuple[Problem, Posterior]:
+def build_lengths() -> tuple[Problem, LegPosterior]:
     """Return a machine of which six lengths are unknown: few enough for nested samplers to come to an end."""
     return _build_nominal({"l": MIRRORING["l"]})
 
 
-def _build_nominal(spreads: dict[str, float]) -> tuple[Problem, Posterior]:
+def _build_nominal(spreads: dict[str, float]) -> tuple[Problem, LegPosterior]:
     """Return a machine that is nominal but for symbols with these prior standard deviations, which are free."""
     problem, rng = simulate(), np.random.default_rng(SEED + 7)
     machine = problem.machine
@@ -67,7 +67,7 @@ def _build_nominal(spreads: dict[str, float]) -> tuple[Problem, Posterior]:
         for name, prior in problem.priors().items()
         if name.partition("[")[0] in spreads
     }
-    return problem, Posterior(problem.likelihood(), priors, ModelError(None))
+    return problem, build_leg_posterior(problem.likelihood(), priors, ModelError(None))
 
 
 def _add(poses: MeasuredPoses, at, error: Array) -> MeasuredPoses:
@@ -88,8 +88,8 @@ BUILD = {
 class PlainDensity:
     """The posterior over standardised parameters z, normalised as bayescal's evidence is."""
 
-    def __init__(self, posterior: Posterior) -> None:
-        self.posterior, coordinates = posterior, posterior.coordinates
+    def __init__(self, posterior: LegPosterior) -> None:
+        self.posterior, coordinates = posterior, posterior.sampling.coordinates
         self.start, self.free, self.scale = coordinates.start, coordinates.free, coordinates.scale
         self.n = len(self.free)
         self._whitening = np.linalg.inv(np.linalg.cholesky(posterior.likelihood.error_covariance(np.zeros(6))))
@@ -103,7 +103,7 @@ class PlainDensity:
 
     def mode_shares(self, modes: list[Mode], z: Array) -> list[float]:
         """Return which share of draws (..., n) is nearest to each mode, in its own standard deviations."""
-        y = self.posterior.coordinates.y_from_theta(self.theta(z.reshape(-1, self.n)))
+        y = self.posterior.sampling.y_from_theta(self.theta(z.reshape(-1, self.n)))
         white = [np.linalg.solve(np.linalg.cholesky(mode.covariance), (y - mode.y).T) for mode in modes]
         nearest = np.argmin([np.sum(one**2, axis=0) for one in white], axis=0)
         return [float(np.mean(nearest == k)) for k in range(len(modes))]

@@ -31,12 +31,12 @@ def calibrate(subject: Subject, poses: MeasuredPoses) -> CalibratedMachine:
     """Return the machine as a calibration by poses leaves it, by Laplace's approximation; the twins have no τ."""
     posterior = subject.posterior_of(poses)
     y = posterior.polish(posterior.approach())
-    change = posterior.coordinates.jacobian(posterior.theta(y[None])[0])[posterior.coordinates.free]
+    change = posterior.sampling.jacobian(posterior.theta(y[None])[0])[posterior.sampling.free]
     data, prior = posterior.information(y)
     covariance = change @ np.linalg.inv(data + prior) @ change.T
     machine = subject.measured.machine
     errors = IndependentErrors(subject.measured.actuator_noise, np.zeros(machine.mechanism.n_legs))
-    theta, free = posterior.theta(y[None])[0], posterior.coordinates.free
+    theta, free = posterior.theta(y[None])[0], posterior.sampling.free
     return CalibratedMachine(machine, theta, free, covariance, None, errors, Source("twin", VARIANT, "simulated"))
 
 

@@ -34,7 +34,7 @@ from numpyro.infer import NUTS
 from bayescal.numerics.geometry import Array
 from bayescal.inference.exploration import Exploration, explore
 from bayescal.inference.sampling import sample_posterior
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 
 N_CHAINS = 4
 N_WALKERS, N_BURN_IN, N_STEPS = 128, 40, 120  # the package's defaults
@@ -54,7 +54,7 @@ def measure(draws: Array) -> dict[str, float]:
     }
 
 
-def run_bayescal(posterior: Posterior, n_steps: int = N_STEPS) -> tuple[dict[str, float], Exploration, Array]:
+def run_bayescal(posterior: LegPosterior, n_steps: int = N_STEPS) -> tuple[dict[str, float], Exploration, Array]:
     """Return the figures of bayescal's sampler, its exploration and its draws (ensembles, walkers · steps, 60)."""
     timing, found, draws, acceptance = draw_bayescal(posterior, n_steps)
     seconds, exploration = timing
@@ -67,7 +67,7 @@ def run_bayescal(posterior: Posterior, n_steps: int = N_STEPS) -> tuple[dict[str
 
 
 def draw_bayescal(
-    posterior: Posterior, n_steps: int = N_STEPS
+    posterior: LegPosterior, n_steps: int = N_STEPS
 ) -> tuple[tuple[float, float], Exploration, Array, float]:
     """Return the seconds of everything and of the exploration, the exploration, the draws and the acceptance."""
     start = time.process_time()
@@ -125,16 +125,16 @@ def run_nuts(
     return figures, draws
 
 
-def choose_density(problem: Problem, posterior: Posterior, z: Array):
+def choose_density(problem: Problem, posterior: LegPosterior, z: Array):
     """Return the faster of the JAX log-densities that are bayescal's, its name and the times of one gradient in µs.
 
     Both are compared with bayescal's density at z, shape (n, 60), first; one that differs by more than a constant, as
     the exact solution does where poses are far off, is another posterior. AssertionError where both do.
     """
-    start, scale, free = posterior.coordinates.start, posterior.coordinates.scale, posterior.coordinates.free
+    start, scale, free = posterior.sampling.start, posterior.sampling.coordinates.scale, posterior.sampling.free
     theta = np.tile(start, (len(z), 1))
     theta[:, free] += scale * z
-    expected = posterior.log_density(posterior.coordinates.y_from_theta(theta))
+    expected = posterior.log_density(posterior.sampling.y_from_theta(theta))
     densities, times, differences = {}, {}, {}
     for name, exact in (("solve", True), ("iteration", False)):
         likelihood = build_log_likelihood(problem, posterior, exact)
@@ -165,7 +165,7 @@ def main() -> None:
     problem = simulate()
     posterior = problem.posterior()
     ours, found, draws = run_bayescal(posterior)
-    centre, scale = posterior.coordinates.start[posterior.coordinates.free], posterior.coordinates.scale
+    centre, scale = posterior.sampling.start[posterior.sampling.free], posterior.sampling.coordinates.scale
     z = (draws - centre) / scale
     starts = np.stack([chain[len(chain) // 2] for chain in z])
     density, comparison = choose_density(problem, posterior, z[:, :: z.shape[1] // 10].reshape(-1, z.shape[-1]))

@@ -29,25 +29,25 @@ from bayescal.density.errors import KernelScale
 from bayescal.density.model_error import LinearKernel
 from bayescal.density.errors import ModelError
 from bayescal.density.structured import StructuredLikelihood
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior, build_leg_posterior
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import Machine
 from bayescal.numerics.geometry import Array
 
 
-def build_problem() -> tuple[Problem, Posterior]:
+def build_problem() -> tuple[Problem, LegPosterior]:
     """Return the problem seen by a model that leaves the deformation out, and its posterior."""
     problem = simulate()
     machine = Machine(problem.machine.mechanism, problem.machine.model, NoDeformation())
     problem = replace(problem, machine=machine)
     likelihood = StructuredLikelihood(problem.likelihood(), LinearKernel(), machine.mechanism.actuator_range)
     scale = KernelScale(0.02, 0.5)
-    return problem, Posterior(likelihood, problem.priors(), ModelError(MODEL_ERROR_SCALE), terms=(scale,))
+    return problem, build_leg_posterior(likelihood, problem.priors(), ModelError(MODEL_ERROR_SCALE), terms=(scale,))
 
 
-def standardise(posterior: Posterior, draws: Array) -> Array:
+def standardise(posterior: LegPosterior, draws: Array) -> Array:
     """Return natural draws (..., n) as NUTS' coordinates."""
-    coordinates, m, scale = posterior.coordinates, posterior.n_geometry, posterior.kernel_scale
+    coordinates, m, scale = posterior.sampling.coordinates, posterior.n_geometry, posterior.kernel_scale
     z = draws.copy()
     z[..., :m] = (draws[..., :m] - coordinates.start[coordinates.free]) / coordinates.scale
     for k, prior in enumerate(list(posterior.all_priors().values())[m:-1], start=m):
@@ -56,9 +56,9 @@ def standardise(posterior: Posterior, draws: Array) -> Array:
     return z
 
 
-def compare(posterior: Posterior, density, z: Array) -> float:
+def compare(posterior: LegPosterior, density, z: Array) -> float:
     """Return by how much the densities differ at draws z (n, d) but for a constant; AssertionError where it is much."""
-    coordinates, m = posterior.coordinates, posterior.n_geometry
+    coordinates, m = posterior.sampling.coordinates, posterior.n_geometry
     theta = np.tile(coordinates.start, (len(z), 1))
     theta[:, coordinates.free] += coordinates.scale * z[:, :m]
     y = np.concatenate([coordinates.y_from_theta(theta), z[:, m:]], axis=1)

@@ -31,7 +31,7 @@ CLEAR = 3.0
 def make_sessions(subject: Subject, moves: bool, rng: np.random.Generator) -> tuple[SessionModel, Array]:
     """Return sessions of a twin, and the true lengths in each, (S, N), less those of the first."""
     posterior, machine = subject.posterior, subject.measured.machine
-    truth, free = subject.draw_prior(rng), posterior.coordinates.free
+    truth, free = subject.draw_prior(rng), posterior.sampling.free
     lengths = np.flatnonzero(np.isin(free, machine.layout.index["l"]))
     loadings = walk_loadings(DAYS_IN_MONTH * np.arange(SESSIONS))
     scales = np.abs(rng.normal(0.0, SCALE * moves, len(lengths)))
@@ -48,8 +48,8 @@ def make_sessions(subject: Subject, moves: bool, rng: np.random.Generator) -> tu
     mean, sd = np.array([one.mean for one in priors]), np.array([one.sd for one in priors])
     units = tuple(f"l[{k}]" for k in range(1, len(lengths) + 1))
     drift = Drift(loadings, lengths, np.arange(len(lengths)), units, SCALE)
-    start = posterior.coordinates.start
-    return SessionModel(tuple(parts), start, free, mean, sd, drift, (), posterior.model_error), moved
+    start = posterior.sampling.start
+    return SessionModel(tuple(parts), start, free, mean, sd, drift, (), posterior.errors.model_error), moved
 
 
 def compare(model: SessionModel, fit: SessionFit, moved: Array) -> tuple[Array, Array]:

@@ -141,9 +141,9 @@ def find_pose_slip(subject: Subject, poses: MeasuredPoses) -> tuple[str, str] | 
         return PoseLikelihood(measured.machine, some, measured.actuator_noise)
 
     rereads = tuple((text, partial(of, other)) for text, other in list_rereads(poses))
-    suspect = Suspect(partial(of, poses), measured.posterior.coordinates, poses.actuators, rereads)
+    suspect = Suspect(partial(of, poses), measured.posterior.sampling.coordinates, poses.actuators, rereads)
     position = float(np.diagonal(poses.covariance, axis1=1, axis2=2)[:, :3].mean())
-    scale = measured.posterior.model_error.scale or 0.0
+    scale = measured.posterior.errors.model_error.scale or 0.0
     stated = float(np.sqrt(position + scale**2 + measured.actuator_noise**2))
     found = find_slip([suspect], measured.machine.mechanism.initial_actuator_positions, stated)
     return None if found is None else (found.fault, found.text)

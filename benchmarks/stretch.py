@@ -31,7 +31,7 @@ from bayescal.numerics.geometry import Array
 from bayescal.inference.diagnostics import diagnose
 from bayescal.inference.exploration import explore
 from bayescal.inference.sampling import sample_posterior
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 
 N_ENSEMBLES, N_WALKERS, N_BURN_IN, N_STEPS = 4, 128, 20, 40  # the study's
 SEED = 20261121
@@ -42,11 +42,11 @@ CHUNK = 50
 class PlainDensity:
     """The same posterior over the parameters in units of their prior sds and the logarithms of τ in mm."""
 
-    def __init__(self, posterior: Posterior) -> None:
+    def __init__(self, posterior: LegPosterior) -> None:
         self._posterior, self._n = posterior, posterior.n_geometry
         priors = list(posterior.all_priors().values())[: self._n]
         self._centre, self._sd = (np.array([getattr(p, name) for p in priors]) for name in ("mean", "sd"))
-        self._scale = posterior.model_error.scale
+        self._scale = posterior.errors.model_error.scale
 
     def from_natural(self, natural: Array) -> Array:
         """Return plain coordinates of natural parameters (B, n)."""
@@ -62,15 +62,15 @@ class PlainDensity:
         """Return the log-density (B,), up to a constant; through the sampling coordinates and their volume."""
         posterior, natural = self._posterior, self.to_natural(plain)
         tau = natural[:, self._n :]
-        theta = np.broadcast_to(posterior.coordinates.start, (len(plain), len(posterior.coordinates.start))).copy()
-        theta[:, posterior.coordinates.free] = natural[:, : self._n]
+        theta = np.broadcast_to(posterior.sampling.start, (len(plain), len(posterior.sampling.start))).copy()
+        theta[:, posterior.sampling.free] = natural[:, : self._n]
         total = posterior.likelihood(theta, tau) + halfnorm.logpdf(tau, scale=self._scale).sum(axis=1)
         total += plain[:, self._n :].sum(axis=1)
-        normal = ~posterior.coordinates.bounded
+        normal = ~posterior.sampling.coordinates.bounded
         total -= 0.5 * np.sum(plain[:, : self._n][:, normal] ** 2, axis=1)
-        low, high = posterior.coordinates.lower, posterior.coordinates.upper
+        low, high = posterior.sampling.coordinates.lower, posterior.sampling.coordinates.upper
         inside = np.all((natural[:, : self._n] > low) & (natural[:, : self._n] < high), axis=1)
-        good = inside & posterior.coordinates.layout.inside(theta) & np.isfinite(total)
+        good = inside & posterior.sampling.layout.inside(theta) & np.isfinite(total)
         return np.where(good, total, -np.inf)
 
 
@@ -86,7 +86,7 @@ def measure(natural: Array, seconds: float) -> dict[str, float]:
     }
 
 
-def run_bayescal(posterior: Posterior) -> tuple[dict[str, float], Array]:
+def run_bayescal(posterior: LegPosterior) -> tuple[dict[str, float], Array]:
     """Return the figures of bayescal's sampler and its natural draws (ensembles, walkers, steps, n)."""
     start = time.perf_counter()
     found = explore(posterior, np.random.SeedSequence(SEED), N_WALKERS)
@@ -139,17 +139,17 @@ def sum_autocorrelation(z: Array) -> Array:
     return 1.0 + 2.0 * correlation[1:].sum(axis=0)
 
 
-def check_same_density(posterior: Posterior, density: PlainDensity) -> None:
+def check_same_density(posterior: LegPosterior, density: PlainDensity) -> None:
     """Compare differences of both densities near the mode, with the volumes of the coordinates taken out."""
     rng = np.random.default_rng(SEED)
     y = 0.05 * rng.standard_normal((20, posterior.n_parameters))
     y[:, posterior.n_geometry :] += ndtri(0.6)
     natural = posterior.natural(y)
-    volume = posterior.coordinates.log_volume(posterior.theta(y))
-    bounded = posterior.coordinates.bounded
+    volume = posterior.sampling.coordinates.log_volume(posterior.theta(y))
+    bounded = posterior.sampling.coordinates.bounded
     volume = volume - 0.5 * np.sum(y[:, : posterior.n_geometry][:, bounded] ** 2, axis=1)
     zeta, tau = y[:, posterior.n_geometry :], natural[:, posterior.n_geometry :]
-    volume = volume + np.log(posterior.model_error.slope(zeta, tau)).sum(axis=1)
+    volume = volume + np.log(posterior.errors.model_error.slope(zeta, tau)).sum(axis=1)
     plain = density(density.from_natural(natural)) - np.log(tau).sum(axis=1)
     difference = posterior.log_density(y) - volume - plain
     if np.ptp(difference) > AGREEMENT * np.abs(plain).max():

@@ -24,8 +24,8 @@ import numpy as np  # noqa: E402 - after the number of threads is set
 
 from bayescal.data.measured_poses import MeasuredPoses  # noqa: E402
 from bayescal.density.errors import ModelError  # noqa: E402
+from bayescal.density.legs import LegPosterior, build_leg_posterior  # noqa: E402
 from bayescal.density.pose_likelihood import PoseLikelihood  # noqa: E402
-from bayescal.density.posterior import Posterior  # noqa: E402
 from bayescal.density.priors import NormalPrior  # noqa: E402
 from bayescal.files.csv_tables import read_matrix  # noqa: E402
 from bayescal.machines.deformations.matrix import MatrixDeformation  # noqa: E402
@@ -68,9 +68,11 @@ class Problem:
                 priors |= {n: NormalPrior(x, sd) for n, x in zip(block.names, block.nominal, strict=True)}
         return priors
 
-    def posterior(self, model_error: bool = False) -> Posterior:
+    def posterior(self, model_error: bool = False) -> LegPosterior:
         """Return the posterior, without model error or with one per leg."""
-        return Posterior(self.likelihood(), self.priors(), ModelError(MODEL_ERROR_SCALE if model_error else None))
+        return build_leg_posterior(
+            self.likelihood(), self.priors(), ModelError(MODEL_ERROR_SCALE if model_error else None)
+        )
 
 
 def simulate(seed: int = SEED) -> Problem:

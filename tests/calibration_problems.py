@@ -89,6 +89,7 @@ def lines_posterior(
     common: bool = False,
     missing: float = 0.0,
     bearing: bool = False,
+    commanded: tuple[int, ...] = (),
 ) -> tuple[CalibrationPosterior, np.ndarray, np.ndarray]:
     """Return the posterior of a point on four lines drawn from its priors, its coordinates y and the poses."""
     model = point_on_lines(4, bearing=bearing)
@@ -110,6 +111,8 @@ def lines_posterior(
     lack = rng.random(n_poses) < missing  # one reading each: three lines left still tell where the point is
     values[lack, rng.integers(0, 4, n_poses)[lack]] = np.nan
     data = measurements(values, sd, correlation)
+    if commanded:
+        data = replace(data, commanded=np.tile(np.isin(np.arange(k), commanded), (n_poses, 1)))
     return replace(blank, likelihood=density(model, data, pose, 9e4)), y, pose
 
 

@@ -13,8 +13,8 @@ import telescope_machines as machines
 
 from bayescal.density.errors import ModelError
 from bayescal.density.exact import CommonErrors, ExactDensity
+from bayescal.density.legs import LegPosterior, build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.experiments.study.fit import build_costly
 from bayescal.inference.correction import correct_evidence
@@ -35,7 +35,7 @@ class Problem:
 
     theta: np.ndarray
     tau: np.ndarray
-    posterior: Posterior
+    posterior: LegPosterior
     exact: ExactDensity
 
 
@@ -68,7 +68,7 @@ def draw_problem(model, deformation, symbols, rng, n_poses=40):
     poses = _simulate(machine, theta, actuators, tau, rng, common is not None)
     likelihood = PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE, None if common is None else common.variance)
     exact = ExactDensity(likelihood, machines.ACTUATOR_NOISE, common)
-    return Problem(theta, tau, Posterior(likelihood, priors, ModelError(SCALE)), exact)
+    return Problem(theta, tau, build_leg_posterior(likelihood, priors, ModelError(SCALE)), exact)
 
 
 def _simulate(machine, theta, actuators, tau, rng, with_matrix):
@@ -105,10 +105,10 @@ def solve(problem, seed):
 def measure(problem, y):
     """Return quantities of draws (B, n): the parameters in their units, the model errors and Σ τ²."""
     natural = problem.posterior.natural(y)
-    return np.column_stack([natural, np.sum(problem.posterior.tau(y) ** 2, axis=-1)])
+    return np.column_stack([natural, np.sum(problem.posterior.errors.tau(problem.posterior.zeta(y)) ** 2, axis=-1)])
 
 
 def measure_truth(problem):
     """Return the same of the truth."""
-    free = problem.theta[problem.posterior.coordinates.free]
+    free = problem.theta[problem.posterior.sampling.free]
     return np.concatenate([free, problem.tau, [np.sum(problem.tau**2)]])

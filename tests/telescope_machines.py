@@ -12,8 +12,8 @@ import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.errors import ModelError
+from bayescal.density.legs import LegPosterior, build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.machines.deformations import DEFORMATIONS, Deformation, NominalDeformation
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
@@ -248,7 +248,7 @@ def build_posterior(
     model_error: ModelError,
     symbols: tuple[str, ...] | None = None,
     machine: Machine | None = None,
-) -> Posterior:
+) -> LegPosterior:
     """Return a posterior with normal priors of 2 mm (lengths), 0.01 (kappa) and 0.05 (directions) about nominal."""
     machine = machine or build_machine(deformation)
     layout = machine.layout
@@ -260,7 +260,7 @@ def build_posterior(
         if symbol in chosen
         for name, k in zip(block.names, layout.index[symbol], strict=True)
     }
-    return Posterior(PoseLikelihood(machine, poses, ACTUATOR_NOISE), priors, model_error)
+    return build_leg_posterior(PoseLikelihood(machine, poses, ACTUATOR_NOISE), priors, model_error)
 
 
 def central_difference(function, x: np.ndarray, step: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from scipy.special import erfcinv, erfinv, gammaln, ndtr
 
 from bayescal.density.model_error import BORDER, LENGTH, OFF, SCALE, KernelScalePrior, LengthPrior
 from bayescal.density.priors import HalfNormalPrior, Prior, SharePrior
+from bayescal.density.protocols import ErrorCoordinates
 from bayescal.numerics.geometry import Array
 
 TAU, SHARE = "tau", "epsilon"
@@ -266,8 +267,8 @@ def compare_outlier(square: Array, n_rows: np.ndarray | int) -> Array:
 
 
 @dataclass(frozen=True)
-class Errors:
-    """All errors of a posterior: terms and outliers, in the order of their coordinates.
+class LegErrors(ErrorCoordinates):
+    """All errors of the legs' density: terms and outliers, in the order of their coordinates.
 
     Attributes
     ----------
@@ -302,6 +303,18 @@ class Errors:
     def n_parameters(self) -> int:
         """Number k of coordinates ζ."""
         return self.n_amplitudes + (self.outliers is not None)
+
+    @property
+    def model_error(self) -> ModelError:
+        """The model error τ, or none."""
+        found = self.terms[0]
+        assert isinstance(found, ModelError)
+        return found
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of what is free."""
+        return tuple("1" if name in (LENGTH, SHARE) else "mm" for name in self.names)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -391,3 +404,8 @@ class Errors:
                     image[k] = other
                     found.append((k, image))
         return found
+
+    def mean_square_tau(self, natural: Array) -> float:
+        """Return the mean of τ² over draws in natural units (..., k) and over legs, mm²; zero without model error."""
+        tau = natural[..., self.place(TAU)]
+        return float(np.mean(tau**2)) if tau.shape[-1] else 0.0

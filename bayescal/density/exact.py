@@ -30,7 +30,6 @@ import numpy as np
 
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.structured import StructuredLikelihood
-from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.models.base import Linearisation, newton_step
 from bayescal.numerics.geometry import Array, compute_pose_error, matrix_from_rotation_vector
 
@@ -180,7 +179,7 @@ class ExactDensity:
         """Return the closure at the predicted poses: the hot path leads there, Newton's method goes the rest."""
         machine, poses = self._likelihood.machine, self._likelihood.poses
         closure = machine.model.prepare(machine.layout, theta[:, None])
-        basis = self._bend(theta)
+        basis = machine.basis_at(theta[:, None], poses.actuators)
         error = self._likelihood.pose_errors(theta)
         error[~(np.isfinite(error).all(axis=-1) & (np.abs(error).max(axis=-1) < FAR))] = np.nan
         deflects = self._shared is not None or self._mixes
@@ -205,14 +204,6 @@ class ExactDensity:
             by_deflection, here = more - actuators, replace(here, actuators=actuators)
             legs = actuators - by_deflection @ _leave_diagonal(gain)
         return _Here(np.where(np.isnan(error), np.nan, exact), replace(here, residual=left), by_deflection, legs)
-
-    def _bend(self, theta: Array) -> DeformationBasis:
-        """Return displacements with their deflections, whose gain is that of the machines (B, D) themselves."""
-        machine = self._likelihood.machine
-        n_legs = self._likelihood.n_legs
-        unit = machine.deformation.basis(np.eye(n_legs)).deflection(machine.layout, theta[:, None])
-        gain = np.swapaxes(np.broadcast_to(unit, (len(theta), n_legs, n_legs)), -1, -2)
-        return replace(machine.basis(self._likelihood.poses.actuators), actuator_gain=gain[:, None])
 
     # --- density -------------------------------------------------------------------------------------------------
 

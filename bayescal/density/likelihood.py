@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.batches import batches
-from bayescal.density.local import Local
+from bayescal.density.errors import LegErrors
+from bayescal.density.leg_sampling import LegSampling, build_sampling
+from bayescal.density.local import Funnel, Local, root_of, turn_to_coordinates
+from bayescal.density.priors import Prior
+from bayescal.density.protocols import Elimination
+from bayescal.errors import InputError
+from bayescal.limits import FAR_AWAY
 from bayescal.machines.kinematics import Machine
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
@@ -18,9 +26,13 @@ if TYPE_CHECKING:
     from bayescal.density.pose_likelihood import PoseLikelihood
     from bayescal.density.structured import StructuredLikelihood
 
+APPROACH = (1.0, 0.1)  # model errors in mm with which the search for the mode begins
+REWEIGHTINGS = 6
+TOLERANCE = 1e-6  # of least squares
 
-class Likelihood(ABC):
-    """The density of measurements at P poses as a posterior needs it.
+
+class Likelihood(Elimination[LegSampling, LegErrors]):
+    """The density of measurements of a machine on legs at P poses.
 
     At each pose the measurements err by K rows, normal with a covariance that does not depend on the parameters θ (D,):
     what is known of it, and the model errors τ_i of the N legs, C = C⁰ + W diag(w_i τ_i²) Wᵀ.
@@ -108,9 +120,13 @@ class Likelihood(ABC):
         """Whether nothing is left out of the rows for speed that could be had."""
         return False
 
-    def solved(self) -> Likelihood | None:
+    def finer(self) -> Likelihood | None:
         """Return the same density without what its hot path leaves out of the rows; None where that is nothing."""
         return None
+
+    def like(self, other: Likelihood) -> Likelihood:
+        """Return a density of other poses that leaves out as much as this one does."""
+        return (other.finer() or other) if self.is_solved else other
 
     # --- densities -----------------------------------------------------------------------------------------------
 
@@ -159,7 +175,101 @@ class Likelihood(ABC):
         """Return the log-likelihood, shape (B,); arguments as in `pointwise`."""
         return self.pointwise(theta, model_error).sum(axis=1)
 
+    # --- under errors with coordinates ---------------------------------------------------------------------------
+
+    def sampling(
+        self, priors: Mapping[str, Prior], fixed: Mapping[str, float], common: Mapping[str, tuple[str, ...]]
+    ) -> LegSampling:
+        """Return the coordinates of the free parameters; no leg's parameters deviate alike with another's."""
+        if common:
+            raise InputError(f"common: found {next(iter(common))!r}, expected none: legs deviate each by themselves")
+        return build_sampling(self.machine, self.layout, priors, fixed, self.closing_poses)
+
+    def density(self, theta: Array, errors: LegErrors, zeta: Array) -> Array:
+        """Return the log-likelihood, shape (B,); see `Elimination.density`."""
+        if errors.outliers is None:
+            return self(theta, errors.amplitudes(zeta))
+        return self._mix(theta, errors, zeta)[0].sum(axis=1)
+
+    def density_by_row(self, theta: Array, errors: LegErrors, zeta: Array) -> Array:
+        """Return the log-likelihood of each pose, shape (B, P); see `Elimination.density_by_row`."""
+        if errors.outliers is None:
+            return self.pointwise(theta, errors.amplitudes(zeta))
+        return np.concatenate([self._mix(theta[part], errors, zeta[part])[0] for part in batches(len(theta))])
+
+    def outlier_probabilities(self, theta: Array, errors: LegErrors, zeta: Array) -> Array:
+        """Return how probable it is that each pose is an outlier, shape (B, P)."""
+        return np.concatenate([self._mix(theta[part], errors, zeta[part])[1] for part in batches(len(theta))])
+
+    def _mix(self, theta: Array, errors: LegErrors, zeta: Array) -> tuple[Array, Array]:
+        """Return the log-density of poses that may be outliers, and the probability that they are, shapes (B, P)."""
+        assert errors.outliers is not None
+        density, square = self.evaluate(theta, errors.amplitudes(zeta))
+        share = errors.shares(zeta)[:, None]
+        with np.errstate(all="ignore"):  # where there is no machine
+            both = density + errors.outliers.add(square, self.n_rows, share)
+            outlier = errors.outliers.probability(square, self.n_rows, share)
+        return np.where(np.isfinite(both), both, -np.inf), outlier
+
     # --- derivatives ---------------------------------------------------------------------------------------------
+
+    def linearise(self, theta: Array, change: Array, errors: LegErrors, zeta: Array) -> Local:
+        """Return the density around θ (D,), ζ (k,), with dθ/dy (D, m), and precisions as far as each pose counts."""
+        precision = np.linalg.inv(self.error_covariance(errors.amplitudes(zeta)))
+        rows, slope = self.error_jacobian(theta)
+        local = Local(theta, rows, turn_to_coordinates(slope, change), precision, change)
+        if errors.outliers is None:
+            return local
+        counts, outlier = self._weigh_poses(rows, precision, errors, zeta)
+        return local._replace(precision=counts[:, None, None] * precision, counts=counts, outlier=outlier)
+
+    def _weigh_poses(self, rows: Array, precision: Array, errors: LegErrors, zeta: Array) -> tuple[Array, Array]:
+        """Return how much each pose counts, shape (P,), and its probability of being an outlier."""
+        assert errors.outliers is not None
+        square = np.einsum("pi,pij,pj->p", rows, precision, rows)
+        return errors.outliers.weigh(square, self.n_rows, errors.shares(zeta))
+
+    def inform(self, theta: Array, change: Array, errors: LegErrors, zeta: Array) -> Array:
+        """Return the information of the data on the geometry, shape (m, m)."""
+        return self.nearest(errors.amplitudes(zeta)).linearise(theta, change, errors, zeta).inform()
+
+    def inform_row(self, theta: Array, change: Array, errors: LegErrors, zeta: Array, row: int) -> Array:
+        """Return what one pose tells of the geometry beyond all others, shape (m, m)."""
+        view = self.nearest(errors.amplitudes(zeta))
+        return view.inform_by_pose(view.linearise(theta, change, errors, zeta), row)
+
+    def differentiate(
+        self, theta: Array, change: Array, errors: LegErrors, zeta: Array, newton: bool
+    ) -> tuple[Array, Array]:
+        """Return gradient and Hessian of the log-likelihood; see `Elimination.differentiate`.
+
+        Newton's Hessian is exact in the model errors, and so not always negative definite. It is that of Gauss and
+        Newton where how much a pose counts depends on the model errors, too, or the density is interpolated.
+        """
+        m, k = change.shape[1], errors.n_amplitudes
+        gradient, hessian = np.zeros(m + len(zeta)), np.zeros((m + len(zeta), m + len(zeta)))
+        amplitudes, slopes, inside = errors.amplitudes(zeta), errors.slopes(zeta), slice(m, m + k)
+        views = self.views(amplitudes)
+        for share, view in views:
+            local = view.linearise(theta, change, errors, zeta)
+            gradient[:m] -= share * (local.weighted.ravel() @ local.slope.reshape(-1, m))
+            hessian[:m, :m] -= share * local.inform()
+            if k and newton and len(views) == 1 and errors.outliers is None:
+                across, own, by_errors = view.curve_by_errors(local, amplitudes)
+                hessian[:m, inside] = across @ slopes.T
+                hessian[inside, :m] = hessian[:m, inside].T
+                gradient[inside] = slopes @ by_errors
+                hessian[inside, inside] = slopes @ own @ slopes.T + np.diag(errors.curvatures(zeta) @ by_errors)
+            elif k:
+                by_errors, curvature = view.differentiate_by_errors(local, amplitudes)
+                gradient[inside] += share * (slopes @ by_errors)
+                hessian[inside, inside] += share * (slopes @ curvature @ slopes.T)
+            if local.outlier is not None and errors.outliers is not None:
+                epsilon, speed = errors.shares(zeta), errors.outliers.share.slope(zeta[-1])
+                by_share = local.outlier / epsilon - (1.0 - local.outlier) / (1.0 - epsilon)
+                gradient[-1] += by_share.sum() * speed
+                hessian[-1, -1] -= np.sum(by_share**2) * speed**2
+        return gradient, hessian
 
     def views(self, model_error: Array) -> list[tuple[float, Likelihood]]:
         """Return the densities, with their shares, whose log-densities it interpolates at model errors (K,)."""
@@ -228,3 +338,104 @@ class Likelihood(ABC):
     def errors_by_level(self, model_error: Array) -> Array:
         """Return the error of each leg at each level, shape (..., L N), mm."""
         return model_error[..., : self.n_legs]
+
+    def groups(self, sampling: LegSampling, errors: LegErrors) -> list[np.ndarray]:
+        """Return which coordinates a model error makes uncertain together: each leg's.
+
+        With an error that is a function of the pose, or where free frames tie the legs together and all have one model
+        error, everything is one group.
+        """
+        if self.levels is not None or (self._ties_legs(sampling) and errors.model_error.shared):
+            return super().groups(sampling, errors)
+        return sampling.legs
+
+    def _ties_legs(self, sampling: LegSampling) -> bool:
+        """Return whether parameters are free that no leg has, those of frames."""
+        return bool((sampling.free >= self.machine.layout.size).any())
+
+    def funnel_errors(self, errors: LegErrors, zeta: Array) -> Array:
+        """Return the errors of each leg that the geometry's uncertainty depends on, shape (B, N) or (B, L N)."""
+        return self.errors_by_level(errors.amplitudes(zeta))
+
+    def funnel(self, sampling: LegSampling, errors: LegErrors, y: Array) -> Funnel | None:
+        """Return how the geometry depends on the errors at y, shape (n,); None where there are none.
+
+        None, too, where free frames tie legs together that each have an error: no leg is uncertain by itself then.
+
+        Where the error is a function of the pose, what the geometry is worth hangs on its scale s: the larger it is,
+        the less do combinations of poses tell in which the kernel's error is. The joint mode of scale and geometry is
+        therefore none of the scale's density; that is seen in straight coordinates only (as restricted likelihood has
+        it: Patterson and Thompson 1971).
+        """
+        if not errors.n_amplitudes or (self._ties_legs(sampling) and not errors.model_error.shared):
+            return None
+        zeta, m, n = y[sampling.size :], sampling.size, self.n_legs
+        theta = sampling.theta_from_y(y[None, :m])[0]
+        change, amplitudes = sampling.jacobian(theta), errors.amplitudes(zeta)
+        view, own = self.nearest(amplitudes), self.errors_by_level(amplitudes)
+        local, rows = view.linearise(theta, change, errors, zeta), sampling.prior_slope(change)
+        weight, level = view.actuator_weight[:, :n], self.levels
+        if level is None:
+            inverse = view.see_by_legs(np.linalg.inv(view.error_covariance(amplitudes)))
+            precision = np.diagonal(inverse, axis1=-2, axis2=-1).mean(axis=0)
+            variance = 1.0 / np.maximum(precision, np.finfo(float).tiny)
+            rest = np.maximum(variance / weight.mean(axis=0) - own**2, 1e-12)
+            return Funnel(local.inform(), rows.T @ rows, rest, own)
+        root, _ = root_of(local.precision)
+        seen, white = root @ local.slope, (root @ local.errors[..., None])[..., 0]
+        chosen = np.eye(level.max() + 1)[level]
+        parts = np.einsum("kl,kia,kib->liab", chosen, seen, seen, optimize=True)
+        scores = -np.einsum("kl,kia,ki->lia", chosen, seen, white, optimize=True)
+        variance = 1.0 / np.diagonal(local.precision, axis1=-2, axis2=-1) / weight
+        rest = np.maximum((chosen.T @ variance / chosen.sum(axis=0)[:, None]).ravel() - own**2, 1e-12)
+        information = parts.sum(axis=(0, 1))
+        return Funnel(information, rows.T @ rows, rest, own, parts.reshape(-1, m, m), scores.reshape(-1, m))
+
+    # --- search for the mode -------------------------------------------------------------------------------------
+
+    def approach(self, sampling: LegSampling, errors: LegErrors) -> Array:
+        """Return initial values near the mode, shape (n,): the nominal machine, led to the data by ever smaller errors.
+
+        Far off, everything seems to be the fault of every parameter; a coarse fit moves only those that matter, and
+        what is hardly determined stays near its prior. Outliers are weighed down on the way.
+        """
+        y = np.zeros(sampling.size + errors.n_parameters)
+        for size in APPROACH if errors.outliers is None else (*APPROACH, APPROACH[-1] / 3.0):
+            y = self._fit(sampling, errors, y, errors.uniform(size))
+        return y if errors.outliers is None else self.polish(sampling, errors, y)
+
+    def polish(self, sampling: LegSampling, errors: LegErrors, y: Array) -> Array:
+        """Return y, shape (n,), with the geometry of least squares at its errors, reweighted where outliers may be."""
+        return self._fit(sampling, errors, y, errors.amplitudes(y[sampling.size :]))
+
+    def _fit(self, sampling: LegSampling, errors: LegErrors, start: Array, amplitudes: Array) -> Array:
+        """Return y with the geometry of least squares, whitened rows and priors together, at amplitudes (K,)."""
+        view, found, m = self.nearest(amplitudes), start.copy(), sampling.size
+        covariance = view.error_covariance(amplitudes)
+        whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+        if errors.outliers is None:
+            found[:m] = view.fit_geometry(sampling, start[:m], whitening)
+            return found
+        precision = np.linalg.inv(covariance)
+        for _ in range(REWEIGHTINGS):
+            rows = view.errors(sampling.theta_from_y(found[None, :m]))[0]
+            weight, _ = view._weigh_poses(rows, precision, errors, found[m:])
+            found[:m] = view.fit_geometry(sampling, found[:m], whitening * np.sqrt(weight)[:, None, None])
+        return found
+
+    def fit_geometry(self, sampling: LegSampling, start: Array, whitening: Array) -> Array:
+        """Return the geometry's coordinates of least squares, shape (m,), for whitening matrices (P, K, K)."""
+
+        def residual(y: Array) -> Array:
+            theta = sampling.theta_from_y(y[None])
+            white = (whitening @ self.errors(theta)[0][..., None]).ravel()
+            value = np.concatenate([white, sampling.prior_residual(y, theta[0])])
+            return np.where(np.isfinite(value) & self.layout.inside(theta)[0], value, FAR_AWAY)
+
+        def jacobian(y: Array) -> Array:
+            theta = sampling.theta_from_y(y[None])[0]
+            change = sampling.jacobian(theta)
+            slope = turn_to_coordinates(self.error_jacobian(theta)[1], change)
+            return np.concatenate([(whitening @ slope).reshape(-1, len(start)), sampling.prior_slope(change)])
+
+        return np.asarray(least_squares(residual, start, jacobian, method="lm", xtol=TOLERANCE, ftol=TOLERANCE).x)

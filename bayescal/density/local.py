@@ -50,6 +50,13 @@ def turn_to_coordinates(slope: Array, change: Array) -> Array:
     return np.asarray((slope.reshape(-1, len(change)) @ change).reshape(*slope.shape[:-1], change.shape[1]))
 
 
+def root_of(matrix: Array) -> tuple[Array, Array]:
+    """Return the symmetric square roots of positive definite matrices (..., N, N), and their inverses."""
+    values, vectors = np.linalg.eigh(matrix)
+    root = np.sqrt(values)[..., None, :]
+    return (vectors * root) @ np.swapaxes(vectors, -1, -2), (vectors / root) @ np.swapaxes(vectors, -1, -2)
+
+
 @dataclass(frozen=True, eq=False)
 class Funnel:
     """How the geometry depends on the model errors around a point; see `bayescal.inference.target.Funnel`."""

@@ -150,7 +150,7 @@ class PoseLikelihood(Likelihood):
         """Whether the pose errors are solved for, not refined step by step."""
         return self._solves
 
-    def solved(self) -> Self | None:
+    def finer(self) -> Self | None:
         """Return the same density with A(θ) e = f solved: slower, and right however much A(θ) differs from A⁰.
 
         Steps of refinement gain little, or lead away, where the stiffness of legs is hardly known, for instance.

@@ -30,7 +30,7 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.batches import batches
 from bayescal.density.columns import factor_by_columns
 from bayescal.density.likelihood import Likelihood
-from bayescal.density.local import Local
+from bayescal.density.local import Local, root_of
 from bayescal.density.model_error import Kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
@@ -57,13 +57,6 @@ class Conditional(NamedTuple):
 
     mean: Array
     covariance: Array
-
-
-def root_of(matrix: Array) -> tuple[Array, Array]:
-    """Return the symmetric square roots of positive definite matrices (..., N, N), and their inverses."""
-    values, vectors = np.linalg.eigh(matrix)
-    root = np.sqrt(values)[..., None, :]
-    return (vectors * root) @ np.swapaxes(vectors, -1, -2), (vectors / root) @ np.swapaxes(vectors, -1, -2)
 
 
 def map_covariance(first: Array, second: Array) -> Array:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 from bayescal.inference.diagnostics import Diagnostics
 from bayescal.inference.exploration import count_walkers, explore
 from bayescal.inference.sampling import sample_posterior
@@ -44,7 +44,7 @@ class Draws:
 
     @cached_property
     def mean(self) -> Array:
-        """Posterior mean of the parameters, shape (m,)."""
+        """LegPosterior mean of the parameters, shape (m,)."""
         return np.asarray(self.values.mean(axis=0))
 
     def thin(self, n: int) -> Array:
@@ -52,7 +52,7 @@ class Draws:
         return self.values[np.linspace(0, len(self.values) - 1, min(n, len(self.values))).astype(int)]
 
 
-def draw_posterior(posterior: Posterior, config: DrawsConfig, n_draws: int, seed: np.random.SeedSequence) -> Draws:
+def draw_posterior(posterior: LegPosterior, config: DrawsConfig, n_draws: int, seed: np.random.SeedSequence) -> Draws:
     """Return at least n draws of a posterior, explored first, as a study does it."""
     explore_seed, ensemble_seed = seed.spawn(2)
     exploration = explore(posterior, explore_seed, config.walkers)

@@ -135,7 +135,7 @@ def move_without(
             return -np.asarray(posterior.pointwise_of(straight.y_from_x(x), pose))
 
     y = exploration.modes[0].y
-    information = -pull_back(straight, y, posterior.pose_information(y, pose))
+    information = -pull_back(straight, y, posterior.row_information(y, pose))
     return correct(CostlyDensity(straight.log_density, gain, information), draws, modes, covariance, WEIGHED)
 
 

@@ -119,8 +119,8 @@ class Fittable(Target, Protocol):
     def pointwise_of(self, y: Array, row: int) -> Array:
         """Return the log-likelihood of one row given all others, (B, n) to (B,)."""
 
-    def pose_information(self, y: Array, pose: int) -> Array:
-        """Return one row's part of the information of the data on the geometry at y, shape (m, m)."""
+    def row_information(self, y: Array, row: int) -> Array:
+        """Return what one row tells of the geometry at y beyond all others, shape (m, m)."""
 
 
 class Funnel(Protocol):

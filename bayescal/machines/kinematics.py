@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -84,6 +84,13 @@ class Machine:
     def basis(self, actuators: Array) -> DeformationBasis:
         """Return displacements from the nominal initial positions with their deflections, positions (..., N) in mm."""
         return self.deformation.basis(actuators - self.mechanism.initial_actuator_positions)
+
+    def basis_at(self, theta: Array, actuators: Array) -> DeformationBasis:
+        """Return the same with the actuators' gain of the machines (..., D) themselves, not of the nominal one."""
+        n_legs = self.mechanism.n_legs
+        unit = self.deformation.basis(np.eye(n_legs)).deflection(self.layout, theta[..., None, :])
+        gain = np.swapaxes(np.broadcast_to(unit, (*theta.shape[:-1], n_legs, n_legs)), -1, -2)
+        return replace(self.basis(actuators), actuator_gain=gain)
 
     def linearise(self, theta: Array, position: Array, rotation: Array, actuators: Array) -> Linearisation:
         """Return the closure and its derivatives at poses (..., 3), (..., 3, 3) and actuator positions (..., N)."""

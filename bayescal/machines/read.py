@@ -1,25 +1,28 @@
-"""The one reader of machine files: mechanisms on legs, and platforms on sliding legs."""
+"""The one reader of machine files: mechanisms on legs, platforms on sliding legs, machines of one function."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 from pydantic import create_model
 
 from bayescal.config.classes import Choice, choose, name_failures
+from bayescal.config.files import find_classes, find_files
 from bayescal.config.lines import find_line
 from bayescal.config.load import check_section, read_toml
 from bayescal.config.registry import find_class, is_own, list_references, list_sources
 from bayescal.config.sections import Section
 from bayescal.errors import BayescalError, InputError, name_faults
+from bayescal.files.csv_tables import read_matrix
 from bayescal.machines.deformations import Deformation, NominalDeformation
 from bayescal.machines.kinematics import Machine, check_drive, check_home_pose
 from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mechanism, section_of_rod
 from bayescal.machines.models import KinematicModel
 from bayescal.machines.parameters import HomeStart
-from bayescal.machines.readings import FunctionModel, ReadingMachine, ReadingModel, SlidingPlatform
-from bayescal.machines.readings.schema import MachineFileConfig, SlidingPlatformConfig
+from bayescal.machines.readings import FunctionModel, ReadingMachine, ReadingModel, SlidingPlatform, SpatialMachine
+from bayescal.machines.readings.schema import LegsMachineConfig, MachineFileConfig, SlidingPlatformConfig
 from bayescal.machines.readings.sliding_platform import matrix_of_angle
 from bayescal.machines.schema import BeamSectionConfig, HomeConfig, LoadConfig, MechanismConfig, PointsConfig
 from bayescal.numerics.geometry import Array
@@ -211,8 +214,8 @@ def build_chosen_machine(chosen: Choice[KinematicModel], mechanism: Mechanism, d
 def read_reading_model(path: Path) -> ReadingModel:
     """Return the machine of a TOML file seen by its sensors, whatever its kind.
 
-    Its ``kind`` is ``sliding_platform`` or a machine of one function: a built-in name, an installed package's, or
-    ``file.py:Class`` beside the file. The class's own section is ``[machine]``.
+    Its ``kind`` is ``legs``, ``sliding_platform`` or a machine of one function: a built-in name, an installed
+    package's, or ``file.py:Class`` beside the file. The class's own section is ``[machine]``.
 
     Raises
     ------
@@ -221,10 +224,10 @@ def read_reading_model(path: Path) -> ReadingModel:
     """
     content, text = read_toml(path)
     kind = content.get("kind")
-    if kind == "sliding_platform":
-        return read_sliding_platform(path)
+    if isinstance(kind, str) and kind in READERS:
+        return READERS[kind](path)
     if not isinstance(kind, str):
-        names = ", ".join(sorted(["sliding_platform", *list_references("MACHINES")]))
+        names = ", ".join(sorted([*READERS, *list_references("MACHINES")]))
         raise InputError(f"{path}: kind: found {kind!r}, expected one of {names}, or file.py:Class")
     found = _find(kind, path)
     schema = create_model("MachineFile", __base__=MachineFileConfig, machine=(found.Config, ...))
@@ -248,16 +251,42 @@ def _find(kind: str, path: Path) -> type[ReadingMachine]:
     return find_class("MACHINES", kind, ReadingMachine, "kind", path, path.parent)  # type: ignore[type-abstract]
 
 
-def find_machine_class(path: Path) -> type[ReadingMachine] | None:
-    """Return the class of a machine of one function by its file; None for other kinds."""
-    kind = read_toml(path)[0].get("kind")
-    return None if kind == "sliding_platform" or not isinstance(kind, str) else _find(kind, path)
+def find_machine_classes(path: Path) -> list[type]:
+    """Return the classes that a machine's file names: that of a machine of one function, or those of legs."""
+    content, text = read_toml(path)
+    kind = content.get("kind")
+    if kind == "legs":
+        return find_classes(check_section(LegsMachineConfig, content, path, text), path.parent)
+    return [] if kind in READERS or not isinstance(kind, str) else [_find(kind, path)]
 
 
 def list_machine_sources(path: Path) -> list[str]:
-    """Return the Python files that a machine's file takes its class from, relative to it; nothing for built-in ones."""
-    kind = read_toml(path)[0].get("kind")
+    """Return the files that a machine's file names, those of its classes too, relative to it."""
+    content, text = read_toml(path)
+    kind = content.get("kind")
+    if kind == "legs":
+        return find_files(check_section(LegsMachineConfig, content, path, text), path.parent)
     return list_sources("MACHINES", kind, path.parent) if isinstance(kind, str) else []
+
+
+def read_legs(path: Path) -> SpatialMachine:
+    """Return the mechanism on legs of a TOML file seen by its sensors; InputError names the file."""
+    content, text = read_toml(path)
+    config = check_section(LegsMachineConfig, content, path, text)
+    file = path.parent / config.mechanism
+    mechanism = load_mechanism(file)
+
+    def read_nominal() -> Array:
+        if config.matrix is None:
+            raise InputError(f"{path}: found no matrix for deformation 'matrix', expected its CSV file")
+        return 1e-3 * read_matrix(path.parent / config.matrix, mechanism.n_legs)
+
+    nominal = NominalDeformation(config.kappa, read_nominal)
+    names = config.model, config.deformation
+    machine = build_named_machine(mechanism, file, *names, nominal, "machine", path.parent)
+    with name_faults(file):
+        check_home_pose(machine)
+    return SpatialMachine(machine, np.array(config.tool_mm), config.name)
 
 
 def read_sliding_platform(path: Path) -> SlidingPlatform:
@@ -289,3 +318,7 @@ def build_sliding_platform(config: SlidingPlatformConfig) -> SlidingPlatform:
         home=np.array([*origin, angle]),
         forward=np.array([leg.points == "along" for leg in config.legs]),
     )
+
+
+READERS: Mapping[str, Callable[[Path], ReadingModel]] = {"legs": read_legs, "sliding_platform": read_sliding_platform}
+"""Readers of machine files by their kind, where that is no class."""

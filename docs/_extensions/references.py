@@ -27,7 +27,7 @@ from bayescal.config.registry import find_class, list_references
 from bayescal.config.sections import FileMark, Section
 from bayescal.experiments.frame.load import find_kind, load
 from bayescal.machines.readings import ReadingMachine
-from bayescal.machines.readings.schema import MachineFileConfig, SlidingPlatformConfig
+from bayescal.machines.readings.schema import LegsMachineConfig, MachineFileConfig, SlidingPlatformConfig
 from bayescal.machines.schema import MechanismConfig
 
 if TYPE_CHECKING:
@@ -175,12 +175,16 @@ def collect_examples() -> Examples:
     return found
 
 
+READ_ALONE: dict[str, type[BaseModel]] = {"legs": LegsMachineConfig, "sliding_platform": SlidingPlatformConfig}
+"""Machines whose file is one section."""
+
+
 def read_shipped(path: Path) -> Iterator[BaseModel]:
     """Return the sections of a shipped file: of an experiment, or of a machine."""
     content, _ = read_toml(path)
     kind = str(content.get("kind", ""))
-    if kind == "sliding_platform":
-        yield SlidingPlatformConfig.model_validate(content)
+    if kind in READ_ALONE:
+        yield READ_ALONE[kind].model_validate(content)
     elif isinstance(content.get("machine"), dict) and "seed" not in content:
         yield MachineFileConfig.model_validate({key: one for key, one in content.items() if key != "machine"})
         own = find_class("MACHINES", kind, ReadingMachine, "kind", path, path.parent)
@@ -255,6 +259,7 @@ def list_schemas() -> dict[str, tuple[str, str, type[BaseModel]]]:
             "A machine of one function, `machine` in an experiment.",
             MachineFileConfig,
         ),
+        "legs": ("Machine: legs with readings", "Legs as `machine` in a calibration.", LegsMachineConfig),
         "sliding_platform": ("Machine: sliding platform", "The file of a planar machine.", SlidingPlatformConfig),
     }
     for name in sorted(list_references("MACHINES")):

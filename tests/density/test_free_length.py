@@ -7,9 +7,9 @@ import telescope_machines as machines
 from bayescal.density.errors import KernelLength, KernelScale, ModelError
 from bayescal.density.exact import ExactDensity
 from bayescal.density.free_length import REACH, FreeLengthLikelihood, count_nodes
+from bayescal.density.legs import build_leg_posterior
 from bayescal.density.model_error import LENGTH, LengthPrior, QuadraticKernel, SmoothKernel, build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_prediction import pointwise_given
@@ -112,8 +112,8 @@ def build_posterior(poses, likelihood, shared=True):
     priors = {n: NormalPrior(nominal[n], machines.PRIOR_SD.get(n.split("[")[0], 2.0)) for n in names}
     scale, error = KernelScale(0.02, 0.3, shared), ModelError(0.01)
     if isinstance(likelihood, FreeLengthLikelihood):
-        return Posterior(likelihood, priors, error, terms=(scale, KernelLength(LENGTHS)))
-    return Posterior(likelihood, priors, error, terms=(scale,))
+        return build_leg_posterior(likelihood, priors, error, terms=(scale, KernelLength(LENGTHS)))
+    return build_leg_posterior(likelihood, priors, error, terms=(scale,))
 
 
 @pytest.fixture(scope="module")
@@ -148,9 +148,9 @@ def test_gradient_is_that_of_the_dense_kernel(poses, free, start):
 def test_curvature_by_length_is_expected_curvature(poses, free, start):
     """The mean over data of the outer product of scores, of whitened errors drawn from the density itself."""
     (posterior, y), n = start, 1000
-    errors, rng = posterior.model_errors_at(y), np.random.default_rng(5)
+    errors, rng = posterior.errors.amplitudes(posterior.zeta(y)), np.random.default_rng(5)
     likelihood = posterior.likelihood.nearest(errors)
-    local = posterior._linearise(y, likelihood)
+    local = likelihood.linearise(*posterior._around(y), posterior.errors, posterior.zeta(y))
     root = np.linalg.cholesky(np.linalg.inv(local.precision))
     scores = []
     for _ in range(n):
@@ -196,8 +196,8 @@ def test_straight_coordinates_lead_back_and_keep_volumes(start):
 
 def test_pose_information_is_that_of_the_nearest_length(poses, free, start):
     (_, likelihood), (posterior, y) = free, start
-    known = build_posterior(poses, likelihood.nearest(posterior.model_errors_at(y)))
-    np.testing.assert_allclose(posterior.pose_information(y, 3), known.pose_information(y[:-1], 3), rtol=1e-9)
+    known = build_posterior(poses, likelihood.nearest(posterior.errors.amplitudes(posterior.zeta(y))))
+    np.testing.assert_allclose(posterior.row_information(y, 3), known.row_information(y[:-1], 3), rtol=1e-9)
 
 
 # --- kernels ---------------------------------------------------------------------------------------------------------

@@ -7,9 +7,9 @@ from scipy.special import logsumexp
 
 from bayescal.density.errors import KernelLength, KernelScale, ModelError
 from bayescal.density.free_length import FreeLengthLikelihood
+from bayescal.density.legs import build_leg_posterior
 from bayescal.density.model_error import LengthPrior, build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.inference.exploration import explore
@@ -45,9 +45,9 @@ def build(poses, kernel, length=None):
     error = ModelError(5e-3, shared=True)
     if length is None:
         likelihood = FreeLengthLikelihood(poses, kernel, LENGTHS, machines.ACTUATOR_RANGE)
-        return Posterior(likelihood, priors, error, terms=(SCALE, KernelLength(LENGTHS)))
+        return build_leg_posterior(likelihood, priors, error, terms=(SCALE, KernelLength(LENGTHS)))
     likelihood = StructuredLikelihood(poses, build_kernel(kernel, length), machines.ACTUATOR_RANGE)
-    return Posterior(likelihood, priors, error, terms=(SCALE,))
+    return build_leg_posterior(likelihood, priors, error, terms=(SCALE,))
 
 
 def evaluate(posterior, n_draws):

@@ -10,8 +10,8 @@ from bayescal.data.instruments.points import PointReadings
 from bayescal.data.instruments.poses import PoseReadings
 from bayescal.density.errors import ModelError
 from bayescal.density.instruments import InstrumentLikelihood
+from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.machines.frames import move_frames
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -222,7 +222,7 @@ def test_gradient_of_the_posterior_with_frames_and_model_error(rng, shared):
     nominal = dict(zip(layout.names, layout.nominal, strict=True))
     sd = {name: 2e-3 if name[5:6] == "r" else 1.0 for name in free}
     priors = {name: NormalPrior(float(nominal[name]), sd[name]) for name in free}
-    posterior = Posterior(likelihood, priors, ModelError(0.01, shared))
+    posterior = build_leg_posterior(likelihood, priors, ModelError(0.01, shared))
     y = posterior.polish(posterior.approach()) + 0.02 * rng.standard_normal(posterior.n_parameters)
     gradient, _ = posterior.gradient(y)
     steps = np.full(posterior.n_parameters, 1e-4)
@@ -242,7 +242,7 @@ def test_directions_of_horizontal_guides_are_free_beside_the_frames(rng):
     free = [name for name in likelihood.layout.names if name.startswith(("l[", "u_", "base", "tool"))]
     nominal = dict(zip(likelihood.layout.names, likelihood.layout.nominal.tolist(), strict=True))
     sd = {name: 1.0 if name.startswith("l[") or name[-2] == "_" else 2e-3 for name in free}
-    posterior = Posterior(likelihood, {n: NormalPrior(nominal[n], sd[n]) for n in free}, ModelError(None))
+    posterior = build_leg_posterior(likelihood, {n: NormalPrior(nominal[n], sd[n]) for n in free}, ModelError(None))
     y = posterior.polish(posterior.approach()) + 0.02 * rng.standard_normal(posterior.n_parameters)
     expected = machines.central_difference(lambda x: posterior.log_density(x[None])[0], y, np.full(len(y), 1e-4))
     np.testing.assert_allclose(posterior.gradient(y)[0], expected, rtol=1e-4, atol=1e-3 * np.abs(expected).max())

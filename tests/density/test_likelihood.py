@@ -240,7 +240,7 @@ def test_what_is_kept_of_one_machine_is_not_taken_for_anothers(rng):
     np.testing.assert_allclose(likelihood.leg_errors(first)[0], errors[0], rtol=0, atol=1e-11)
     first[:] = second  # in place: what was kept must not be compared with itself
     np.testing.assert_allclose(likelihood.leg_errors(first)[0], errors[1], rtol=0, atol=1e-11)
-    for other in (likelihood.refined(), likelihood.solved()):
+    for other in (likelihood.refined(), likelihood.finer()):
         assert np.any(other.leg_errors(second) != likelihood.leg_errors(second))
         np.testing.assert_allclose(other.leg_errors(second)[0], other.leg_errors(theta)[1], rtol=0, atol=1e-11)
 
@@ -285,10 +285,10 @@ def test_refinements_left_out_are_the_third_power_of_the_change(n_legs, rng, mon
 @pytest.mark.parametrize("n_legs", [6, 8])
 def test_solved_errors_are_those_of_many_refinements(n_legs, rng, monkeypatch):
     likelihood, theta = build("matrix", 50e-3, rng) if n_legs == 6 else build_redundant(rng)[:2]
-    solved = likelihood.solved()
+    solved = likelihood.finer()
     assert solved.is_solved
     assert not likelihood.is_solved
-    assert solved.solved() is None
+    assert solved.finer() is None
     found = solved.leg_errors(theta)
     assert np.abs(found - likelihood.leg_errors(theta)).max() > 1e-9
     monkeypatch.setattr(likelihood, "_refinements", 30)
@@ -305,7 +305,7 @@ def test_errors_of_legs_far_from_nominal_have_to_be_solved_for(rng):
     poses = machines.place_poses(machine, theta, actuators, error)
     likelihood = PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE)
     exact = newton_leg_errors(likelihood, theta)
-    refined, solved = (one.leg_errors(theta[None])[0] for one in (likelihood, likelihood.solved()))
+    refined, solved = (one.leg_errors(theta[None])[0] for one in (likelihood, likelihood.finer()))
     assert np.abs(refined - exact).max() > 0.05 * np.abs(exact).max()
     assert np.abs(solved - exact).max() < 1e-3 * np.abs(exact).max()
 
@@ -313,7 +313,7 @@ def test_errors_of_legs_far_from_nominal_have_to_be_solved_for(rng):
 def test_a_machine_without_numbers_has_no_solved_density(rng):
     likelihood, theta = build("matrix", 5e-3, rng)
     theta[1] = np.nan
-    found = likelihood.solved().pointwise(theta, TAU)
+    found = likelihood.finer().pointwise(theta, TAU)
     assert np.isfinite(found[[0, 2]]).all()
     assert (found[1] == -np.inf).all()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from eliminated_legs import eliminate_legs, evaluate_legs
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density import pose_likelihood as likelihood_module
@@ -99,3 +100,13 @@ def test_parts_are_the_whole(density, theta, monkeypatch, kind):
     np.testing.assert_allclose(ExactDensity(parted, NOISE)(theta, tau), exact, rtol=1e-11)
     apart = np.concatenate([part.pointwise(theta, tau) for _, part in parted.parts()], axis=1)
     np.testing.assert_array_equal(apart, found[0])
+
+
+def test_more_legs_than_six_have_the_density_of_the_general_route(machine):
+    """Commanded positions lie on a surface of six dimensions among twelve; struts' closures are in their units."""
+    density, rng = measure(machine, 6), np.random.default_rng(8)
+    theta = machine.layout.nominal + 0.003 * rng.standard_normal((3, machine.layout.size))
+    tau = rng.uniform(0.0, 0.02, (3, 12))
+    general = eliminate_legs(machine, density.poses, NOISE, machine.layout.nominal)
+    found = evaluate_legs(general, theta, tau).sum(axis=1)
+    np.testing.assert_allclose(found, ExactDensity(density, NOISE)(theta, tau), atol=0.02)

@@ -8,7 +8,7 @@ import telescope_machines as machines
 from scipy import stats
 
 from bayescal.density.errors import ModelError
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import build_leg_posterior
 from bayescal.density.priors import HalfNormalPrior, NormalPrior, UniformPrior
 from bayescal.errors import InputError
 from bayescal.inference.mode import find_mode
@@ -53,7 +53,7 @@ def leaning_poses(leaning):
 @pytest.fixture(params=SUBSETS.values(), ids=SUBSETS.keys())
 def coordinates(request, leaning, leaning_poses):
     """Return the coordinates of a subset of the parameters."""
-    return build(leaning_poses, request.param, mechanism=leaning).coordinates
+    return build(leaning_poses, request.param, mechanism=leaning).sampling.coordinates
 
 
 def test_coordinates_are_a_bijection(coordinates, rng):
@@ -124,7 +124,7 @@ def test_volume_of_the_coordinates(coordinates, rng):
 
 def test_shears_hold_the_initial_joint_and_the_actuator_gain(leaning, leaning_poses, rng):
     """Moving a direction alone leaves c = a + ρ^0 u where it is, and κ - u_z - the slopes times u_x, u_y."""
-    coordinates = build(leaning_poses, mechanism=leaning).coordinates
+    coordinates = build(leaning_poses, mechanism=leaning).sampling.coordinates
     layout, names = coordinates.layout, np.array(coordinates.layout.names)[coordinates.free]
     y = np.zeros((2, len(names)))
     y[1, np.char.startswith(names.astype(str), "u_")] = rng.uniform(-1, 1, 12)
@@ -141,7 +141,7 @@ def test_shears_hold_the_initial_joint_and_the_actuator_gain(leaning, leaning_po
 
 
 def test_directions_off_the_sphere_are_nan(leaning, leaning_poses):
-    coordinates = build(leaning_poses, ("u_x", "l"), mechanism=leaning).coordinates
+    coordinates = build(leaning_poses, ("u_x", "l"), mechanism=leaning).sampling.coordinates
     y = np.zeros((2, 12))
     y[1, 0] = 30.0
     theta = coordinates.theta_from_y(y)
@@ -211,7 +211,7 @@ def test_uniform_priors_are_kept_and_standard_normal_in_their_coordinate(twin):
     machine = machines.build_machine("matrix")
     likelihood = build(twin).likelihood
     priors = {"l[2]": UniformPrior(495.0, 503.0), "b_x[1]": NormalPrior(machine.layout.nominal[18], 2.0)}
-    posterior = Posterior(likelihood, priors, ModelError(None))
+    posterior = build_leg_posterior(likelihood, priors, ModelError(None))
     length = posterior.names.index("l[2]")
     y = np.zeros((5, 2))
     y[:, length] = [-40.0, -1.0, 0.0, 1.0, 40.0]
@@ -222,17 +222,17 @@ def test_uniform_priors_are_kept_and_standard_normal_in_their_coordinate(twin):
     inside = y[1:4, length]
     expected = stats.norm(0, 2).logpdf(0.0) + np.log(2.0) - np.log(8.0) + np.log(8.0 * stats.norm.pdf(inside))
     np.testing.assert_allclose(posterior.log_prior(y)[1:4], expected)
-    again = posterior.coordinates.y_from_theta(posterior.theta(y[1:4]))
+    again = posterior.sampling.y_from_theta(posterior.theta(y[1:4]))
     np.testing.assert_allclose(again, y[1:4], atol=1e-9)
-    slope = posterior.coordinates.jacobian(posterior.theta(y[1:2])[0])
-    assert slope[posterior.coordinates.free[length], length] == pytest.approx(8.0 * stats.norm.pdf(-1.0))
+    slope = posterior.sampling.jacobian(posterior.theta(y[1:2])[0])
+    assert slope[posterior.sampling.free[length], length] == pytest.approx(8.0 * stats.norm.pdf(-1.0))
 
 
 def test_gradient_with_a_uniform_prior(twin):
     machine = machines.build_machine("matrix")
     priors = {"l[2]": UniformPrior(499.0, 502.0), "u_y[1]": UniformPrior(-0.1, 0.1)}
     priors["a_x[1]"] = NormalPrior(machine.layout.nominal[0], 2.0)
-    posterior = Posterior(build(twin).likelihood, priors, ModelError(0.01, shared=True))
+    posterior = build_leg_posterior(build(twin).likelihood, priors, ModelError(0.01, shared=True))
     y = find_mode(posterior, np.zeros(posterior.n_parameters)).y + 0.01
     found = posterior.gradient(y)[0]
     expected = machines.central_difference(lambda x: posterior.log_density(x[None])[0], y, np.full(len(y), 1e-5))
@@ -241,7 +241,7 @@ def test_gradient_with_a_uniform_prior(twin):
 
 def test_prior_mean_and_fixed_values_set_the_start(twin):
     likelihood = build(twin).likelihood
-    posterior = Posterior(likelihood, {"l[2]": NormalPrior(501.0, 1.0)}, ModelError(None), {"a_x[3]": 140.0})
+    posterior = build_leg_posterior(likelihood, {"l[2]": NormalPrior(501.0, 1.0)}, ModelError(None), {"a_x[3]": 140.0})
     theta = posterior.theta(np.array([[0.5]]))[0]
     layout = likelihood.machine.layout
     changed = {name: value for name, value in zip(layout.names, theta - layout.nominal, strict=True) if value}
@@ -250,7 +250,7 @@ def test_prior_mean_and_fixed_values_set_the_start(twin):
 
 def test_unknown_parameter_is_refused(twin):
     with pytest.raises(InputError, match=r"'a_q\[1\]': unknown here"):
-        Posterior(build(twin).likelihood, {"a_q[1]": NormalPrior(0.0, 1.0)}, ModelError(None))
+        build_leg_posterior(build(twin).likelihood, {"a_q[1]": NormalPrior(0.0, 1.0)}, ModelError(None))
 
 
 def test_names_of_the_model_errors(twin):
@@ -277,7 +277,7 @@ def model_error(request):
 def test_density_is_likelihood_times_prior(twin, model_error, rng):
     posterior = build(twin, SUBSETS["six of a leg"], model_error)
     y = 0.1 * rng.standard_normal((3, posterior.n_parameters))
-    theta, tau = posterior.theta(y), np.broadcast_to(posterior.tau(y), (3, 6))
+    theta, tau = posterior.theta(y), np.broadcast_to(posterior.errors.tau(posterior.zeta(y)), (3, 6))
     expected = posterior.likelihood(theta, tau) + posterior.log_prior(y)
     np.testing.assert_allclose(posterior.log_density(y), expected, rtol=1e-12)
     np.testing.assert_allclose(posterior.pointwise(y).sum(axis=1), posterior.likelihood(theta, tau), rtol=1e-12)

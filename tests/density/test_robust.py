@@ -46,7 +46,8 @@ def spoil(poses, rng):
 
 
 def build(poses, model_error=ERRORS["per leg"], share=PRIOR):
-    return replace(machines.build_posterior("matrix", poses, model_error), outliers=Outliers(share))
+    plain = machines.build_posterior("matrix", poses, model_error)
+    return replace(plain, errors=replace(plain.errors, outliers=Outliers(share)))
 
 
 def draw(posterior, mode, n, rng):
@@ -57,7 +58,9 @@ def draw(posterior, mode, n, rng):
 def suspect(posterior, rng):
     """Return how probable it is that each calibration pose is a blunder."""
     y = draw(posterior, find_modes(posterior)[0], 200, rng)
-    return posterior.outlier_probabilities(posterior.likelihood, y).mean(axis=0)
+    return posterior.likelihood.outlier_probabilities(posterior.theta(y), posterior.errors, posterior.zeta(y)).mean(
+        axis=0
+    )
 
 
 # --- density ---------------------------------------------------------------------------------------------------------
@@ -94,7 +97,7 @@ def test_blunders_are_t_distributed(rng):
 def test_density_is_the_mixture(twin, model_error, rng):
     posterior = build(spoil(twin, rng)[0], model_error)
     y = 0.3 * rng.standard_normal((3, posterior.n_parameters))
-    theta, tau, share = posterior.theta(y), posterior.tau(y), posterior.errors.shares(y)
+    theta, tau, share = posterior.theta(y), posterior.errors.tau(posterior.zeta(y)), posterior.errors.shares(y)
     errors = posterior.likelihood.pose_errors(theta)
     expected = posterior.log_prior(y)
     for b in range(3):

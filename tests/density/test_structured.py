@@ -6,6 +6,7 @@ import telescope_machines as machines
 from scipy.stats import multivariate_normal
 
 from bayescal.density.errors import KernelScale, ModelError
+from bayescal.density.legs import build_leg_posterior
 from bayescal.density.model_error import (
     OFF,
     KernelScalePrior,
@@ -15,7 +16,6 @@ from bayescal.density.model_error import (
     build_kernel,
 )
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.density.structured import StructuredLikelihood, map_covariance
 from bayescal.density.structured_prediction import pointwise_given, predict_structured
@@ -159,7 +159,7 @@ def build_posterior(poses, kernel, shared):
     position = {name: k for k, name in enumerate(layout.names)}
     priors = {n: NormalPrior(layout.nominal[position[n]], machines.PRIOR_SD.get(n.split("[")[0], 2.0)) for n in names}
     scale = KernelScale(0.02, 0.3, shared)
-    return Posterior(build(poses, kernel), priors, ModelError(0.01), terms=(scale,))
+    return build_leg_posterior(build(poses, kernel), priors, ModelError(0.01), terms=(scale,))
 
 
 @pytest.mark.parametrize("shared", [True, False], ids=["shared", "per leg"])
@@ -193,7 +193,7 @@ def test_curvature_by_all_model_errors_against_differences(poses, shared):
 
 def test_lengths_follow_the_joints(poses):
     posterior = build_posterior(poses, LinearKernel(), True)
-    coordinates, n = posterior.coordinates, posterior.n_geometry
+    coordinates, n = posterior.sampling.coordinates, posterior.n_geometry
     y = 0.4 * np.random.default_rng(4).standard_normal((3, n))
     theta = coordinates.theta_from_y(y)
     np.testing.assert_allclose(coordinates.y_from_theta(theta), y, atol=1e-10)
@@ -206,7 +206,7 @@ def test_lengths_follow_the_joints(poses):
     y[:, [k for k, name in enumerate(posterior.names[:n]) if name.startswith("l[")]] = 0.0
     y = np.vstack([np.zeros(n), y])
     moved = likelihood.leg_errors(coordinates.theta_from_y(y)).mean(axis=1)
-    plain = Posterior(likelihood, posterior.priors).coordinates.theta_from_y(y)
+    plain = build_leg_posterior(likelihood, posterior.priors).sampling.theta_from_y(y)
     assert np.abs(moved - moved[0]).max() < 5e-3
     assert np.abs(likelihood.leg_errors(plain).mean(axis=1) - moved[0]).max() > 0.1
 
@@ -298,14 +298,15 @@ def test_proposal_holds_a_scale_that_is_hardly_known(wrong):
 def test_information_of_a_pose_is_what_is_lost_without_it(wrong):
     """Against all poses' covariance written out, and without the pose's rows and columns."""
     posterior, y = wrong
-    local, u = posterior._linearise(y, posterior.likelihood), posterior.likelihood.combination
+    likelihood, u = posterior.likelihood, posterior.likelihood.combination
+    local = likelihood.linearise(*posterior._around(y), posterior.errors, posterior.zeta(y))
     covariance = np.einsum("pk,qk,kij->piqj", u, u, np.linalg.inv(local.precision)).reshape(24 * 6, 24 * 6)
     slope = np.einsum("pk,kim->pim", u, local.slope).reshape(24 * 6, -1)
     rest = np.delete(np.arange(24 * 6), np.arange(6 * 5, 6 * 6))
     whole, without = (
         slope[k].T @ np.linalg.solve(covariance[np.ix_(k, k)], slope[k]) for k in (np.arange(24 * 6), rest)
     )
-    found = posterior.pose_information(y, 5)
+    found = posterior.row_information(y, 5)
     assert np.abs(found - (whole - without)).max() < 1e-7 * np.abs(whole).max()
     assert np.abs(found).max() > 1e-3 * np.abs(whole).max()
 

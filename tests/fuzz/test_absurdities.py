@@ -19,7 +19,7 @@ from bayescal.config.registry import list_references
 from bayescal.experiments.frame.load import find_kind
 from bayescal.limits import LARGEST_SEED
 from bayescal.machines.readings.line_machine import LineMachineConfig
-from bayescal.machines.readings.schema import SlidingPlatformConfig
+from bayescal.machines.readings.schema import LegsMachineConfig, SlidingPlatformConfig
 from bayescal.machines.readings.strut_machine import StrutMachineConfig
 from bayescal.machines.schema import MechanismConfig
 
@@ -142,7 +142,8 @@ SCHEMAS = [find_kind(name, None, None).schema for name in list_references("KINDS
 
 
 @pytest.mark.parametrize(
-    "schema", [*SCHEMAS, MechanismConfig, SlidingPlatformConfig, LineMachineConfig, StrutMachineConfig]
+    "schema",
+    [*SCHEMAS, MechanismConfig, LegsMachineConfig, SlidingPlatformConfig, LineMachineConfig, StrutMachineConfig],
 )
 def test_every_number_has_bounds(schema):
     found = {

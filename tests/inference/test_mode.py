@@ -7,6 +7,7 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.density.errors import ModelError
+from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
@@ -71,7 +72,7 @@ def test_exact_data_return_the_truth():
     assert np.abs(error[:, :3]).max() < 0.5e-3
     assert np.abs(nominal[:, :3]).max() > 0.1
     sd = np.sqrt(np.diag(mode.covariance))
-    assert np.abs((posterior.coordinates.y_from_theta(truth) - mode.y) / sd).max() < 1.0
+    assert np.abs((posterior.sampling.y_from_theta(truth) - mode.y) / sd).max() < 1.0
 
 
 def test_laplace_is_close_to_the_evidence_of_a_normal_posterior(twin):
@@ -93,7 +94,7 @@ def mirrored():
         "none",
         machines.place_poses(machine, layout.nominal, machines.table_3_actuators(), np.zeros((40, 6))),
         ModelError(None),
-    ).coordinates.legs[:, 0]
+    ).sampling.coordinates.legs[:, 0]
     theta = layout.nominal.copy()
     theta[layout.index["u_x"]] = np.sin(np.arctan(slope)) + 0.03 * np.array([1, -1, 1, -1, 1, -1])
     rng = np.random.default_rng(5)
@@ -104,7 +105,7 @@ def mirrored():
 def test_mirror_images_of_a_direction_are_found(mirrored):
     """With κ fixed the actuator gain u_z + s u_x has two solutions; seen from one of them, the other is found."""
     posterior, layout = mirrored, mirrored.likelihood.machine.layout
-    slope = posterior.coordinates.legs[:, 0]
+    slope = posterior.sampling.coordinates.legs[:, 0]
     modes = find_modes(posterior)
     assert len(modes) > 1
     densities = [mode.log_density for mode in modes]
@@ -151,7 +152,7 @@ def test_mirrors_of_two_legs_at_once_are_found():
     poses = machines.simulate_poses(machine, layout.nominal, machines.table_3_actuators()[:12], np.zeros(6), rng)
     priors = {f"{s}[{leg}]": NormalPrior(layout.nominal[layout.index[s][leg - 1]], 2.0) for s in SIX for leg in (1, 2)}
     priors |= {f"u_y[{leg}]": UniformPrior(-0.3, 0.3) for leg in (1, 2)}
-    posterior = Posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(None))
+    posterior = build_leg_posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(None))
     modes = find_modes(posterior)
     assert len(modes) == 4
     best, *others = (layout.take(posterior.theta(mode.y[None])[0], "u_y")[:2] for mode in modes)
@@ -165,7 +166,9 @@ def test_a_mirror_beyond_the_bounds_is_no_start(twin):
     """A jump that leads out of a uniform prior is left out; the mode is found all the same."""
     machine = machines.build_machine("none")
     priors = {"u_y[1]": UniformPrior(-0.05, 0.05), "l[1]": NormalPrior(500.0, 2.0)}
-    posterior = Posterior(PoseLikelihood(machine, twin, machines.ACTUATOR_NOISE), priors, ModelError(0.01, shared=True))
+    posterior = build_leg_posterior(
+        PoseLikelihood(machine, twin, machines.ACTUATOR_NOISE), priors, ModelError(0.01, shared=True)
+    )
     assert find_modes(posterior)[0].converged
 
 
@@ -176,7 +179,7 @@ def test_draws_of_the_prior_lead_to_modes_that_no_jump_knows(monkeypatch):
     poses = machines.simulate_poses(machine, layout.nominal, machines.table_3_actuators()[:12], np.zeros(6), rng)
     priors = {f"{s}[1]": NormalPrior(layout.nominal[layout.index[s][0]], 2.0) for s in SIX}
     priors |= {"u_y[1]": UniformPrior(-0.3, 0.3)}
-    posterior = Posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(None))
+    posterior = build_leg_posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(None))
     both = find_modes(posterior)
     assert len(both) == 2
     monkeypatch.setattr(Posterior, "jumps", lambda self, y: [])

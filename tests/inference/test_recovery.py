@@ -60,7 +60,7 @@ def fit(theta, tau, seed):
     weights /= weights.sum()
     chosen = rng.choice(N_DRAWS, 2000, p=weights)
     y = found.straight.y_from_x(x[chosen])
-    truth = np.concatenate([theta[posterior.coordinates.free], tau])
+    truth = np.concatenate([theta[posterior.sampling.free], tau])
     likelihoods = evaluate_in_batches(posterior.log_density, y) - posterior.log_prior(y)
     true_likelihood = posterior.likelihood(theta[None], tau)[0]
     rank = int(np.sum(likelihoods[:N_RANKS] < true_likelihood))

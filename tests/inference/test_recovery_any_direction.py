@@ -11,8 +11,8 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.density.errors import ModelError
+from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.information import information_of_rows
@@ -84,14 +84,14 @@ def fit(request):
     poses = measure(machine, theta, actuators, rng)
     nominal = dict(zip(layout.names, layout.nominal.tolist(), strict=True))
     priors = {name: NormalPrior(nominal[name], one) for name, one in sd.items()}
-    posterior = Posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(None))
+    posterior = build_leg_posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(None))
     found = explore(posterior, np.random.SeedSequence(5))
     x = found.proposal.draw(N_DRAWS, rng)
     log_weights = evaluate_in_batches(found.straight.log_density, x) - found.proposal.log_density(x)
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
     draws = posterior.natural(found.straight.y_from_x(x[rng.choice(N_DRAWS, N_DRAWS, p=weights)]))
-    return Fit(machine, actuators, sd, theta[posterior.coordinates.free], draws, 1 / (N_DRAWS * np.sum(weights**2)))
+    return Fit(machine, actuators, sd, theta[posterior.sampling.free], draws, 1 / (N_DRAWS * np.sum(weights**2)))
 
 
 def test_posterior_covers_the_truth(fit):

@@ -11,8 +11,8 @@ from scipy import stats
 from scipy.special import logsumexp
 
 from bayescal.density.errors import ModelError
+from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import NumericalError
 from bayescal.inference.clusters import fit_mixture
@@ -55,7 +55,7 @@ def estimate(toy, seed=1, n_runs=4):
 
 
 def test_normal_likelihood():
-    """Posterior a thousandth as wide as the prior: evidence and moments in closed form."""
+    """LegPosterior a thousandth as wide as the prior: evidence and moments in closed form."""
     found = estimate(Toy(normal(0.4, 1e-3), 4))
     assert found.log_evidence == pytest.approx(4 * stats.norm.logpdf(0.4, 0, np.sqrt(1 + 1e-6)), abs=0.03)
     assert found.mixed
@@ -174,7 +174,7 @@ def test_draws_of_a_machines_prior(twin, rng):
         "u_x[1]": NormalPrior(0.0, 0.05),
         "u_y[1]": NormalPrior(0.01, 0.04),
     }
-    posterior = Posterior(PoseLikelihood(machine, twin, 1e-3), priors, ModelError(0.01, shared=True))
+    posterior = build_leg_posterior(PoseLikelihood(machine, twin, 1e-3), priors, ModelError(0.01, shared=True))
     natural = posterior.natural(posterior.draw_prior(4000, rng))
     for k, (name, prior) in enumerate(posterior.all_priors().items()):
         if isinstance(prior, UniformPrior):

@@ -12,8 +12,8 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.density.errors import ModelError
+from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.inference.importance import evaluate_in_batches
 from bayescal.inference.integration import Effort, integrate_posterior
@@ -63,7 +63,7 @@ class Case:
                 narrow, bounded = NormalPrior(value, width), UniformPrior(value - width, value + width)
                 priors[f"{symbol}[{leg}]"] = narrow if kind == "normal" else bounded
         likelihood = PoseLikelihood(machine, self.measure(), machines.ACTUATOR_NOISE * self.noise)
-        return Posterior(likelihood, priors, self.tau)
+        return build_leg_posterior(likelihood, priors, self.tau)
 
 
 ALL, ONE, TWO = (1, 2, 3, 4, 5, 6), (1,), (1, 2)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import studies
 
+from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.inference import updating
 from bayescal.inference.mode import find_modes
 from bayescal.inference.updating import climb, update
@@ -25,7 +25,7 @@ def posteriors(tmp_path_factory):
     variance = inputs.matrix_variance(variant, verification=False)[:8]
     noise = 1e-3 * inputs.config.data.actuator_noise_um
     likelihood = PoseLikelihood(whole.likelihood.machine, poses, noise, variance)
-    return Posterior(likelihood, whole.priors, whole.model_error, whole.fixed), whole
+    return build_leg_posterior(likelihood, whole.priors, whole.errors.model_error, whole.fixed), whole
 
 
 def test_the_mode_is_that_of_a_search_from_the_beginning(posteriors):

@@ -213,7 +213,7 @@ def test_coordinates_are_a_bijection_of_known_volume(kind, with_kappa, rng):
     components = guided.SYMBOLS[kind]
     symbols = ("a_x", "a_y", "a_z", "l", "rho0", *components, *(("kappa",) if with_kappa else ()))
     posterior = build_posterior(guided.build_guided(kind, seed=2), symbols, "linear" if with_kappa else "none")
-    coordinates = posterior.coordinates
+    coordinates = posterior.sampling.coordinates
     y = 0.5 * rng.standard_normal((4, len(coordinates.free)))
     theta = coordinates.theta_from_y(y)
     np.testing.assert_allclose(coordinates.y_from_theta(theta), y, atol=1e-9)

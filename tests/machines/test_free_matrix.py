@@ -8,9 +8,9 @@ import telescope_machines as machines
 
 from bayescal.calibrated.settle import find_hindrance
 from bayescal.density.errors import KernelScale, ModelError, Outliers
+from bayescal.density.legs import build_leg_posterior
 from bayescal.density.model_error import LinearKernel
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, SharePrior
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.machines.closing_coordinates import ClosingCoordinates
@@ -65,8 +65,8 @@ def build_priors(likelihood):
 
 
 def test_derivatives_by_the_entries(likelihood):
-    plain = Posterior(likelihood, build_priors(likelihood), ModelError(0.01))
-    assert isinstance(plain.coordinates, ClosingCoordinates)
+    plain = build_leg_posterior(likelihood, build_priors(likelihood), ModelError(0.01))
+    assert isinstance(plain.sampling.coordinates, ClosingCoordinates)
     y = plain.polish(plain.approach())
     y += np.random.default_rng(3).standard_normal(len(y)) / np.sqrt(-np.diag(plain.gradient(y)[1]))
     gradient, hessian = plain.gradient(y)
@@ -77,29 +77,29 @@ def test_derivatives_by_the_entries(likelihood):
 
 def find_sds(posterior, y):
     """Return the sds of the free parameters to first order, in their own units."""
-    change = posterior.coordinates.jacobian(posterior.theta(y[None])[0])[posterior.coordinates.free]
+    change = posterior.sampling.jacobian(posterior.theta(y[None])[0])[posterior.sampling.free]
     return np.sqrt(np.diagonal(change @ np.linalg.inv(sum(posterior.information(y))) @ change.T))
 
 
 def test_explicit_entries_leave_of_the_geometry_what_the_linear_kernel_leaves(likelihood):
     """The information on the geometry with the entries marginalised, against that of the kernel of the same scale."""
     machine, priors = machines.build_machine("none"), build_priors(likelihood)
-    plain = Posterior(likelihood, priors, ModelError(0.01))
+    plain = build_leg_posterior(likelihood, priors, ModelError(0.01))
     y = plain.polish(plain.approach())
     poses = PoseLikelihood(machine, likelihood.poses, machines.ACTUATOR_NOISE)
     kernel = StructuredLikelihood(poses, LinearKernel(), machines.ACTUATOR_RANGE)
     rest = {name: prior for name, prior in priors.items() if not name.startswith("K_")}
-    other = Posterior(kernel, rest, ModelError(0.01), terms=(KernelScale(0.02, 0.05),))
+    other = build_leg_posterior(kernel, rest, ModelError(0.01), terms=(KernelScale(0.02, 0.05),))
     start = np.concatenate([other.polish(other.approach())[: len(rest)], y[len(priors) :], [0.0]])
     expected = find_sds(other, start)
     assert np.abs(find_sds(plain, y)[: len(rest)] / expected - 1.0).max() < 0.02
-    assert (expected / find_sds(Posterior(poses, rest, ModelError(0.01)), start[:-1])).max() > 2.0
+    assert (expected / find_sds(build_leg_posterior(poses, rest, ModelError(0.01)), start[:-1])).max() > 2.0
 
 
 def test_stands_beside_blunders(likelihood):
-    plain = Posterior(likelihood, build_priors(likelihood), ModelError(0.01))
-    robust = replace(plain, outliers=Outliers(SharePrior(0.02)))
-    assert isinstance(robust.coordinates, ClosingCoordinates)
+    plain = build_leg_posterior(likelihood, build_priors(likelihood), ModelError(0.01))
+    robust = replace(plain, errors=replace(plain.errors, outliers=Outliers(SharePrior(0.02))))
+    assert isinstance(robust.sampling.coordinates, ClosingCoordinates)
     y = robust.polish(robust.approach())
     assert np.isfinite(robust.log_density(y[None])).all()
 

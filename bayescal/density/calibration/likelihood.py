@@ -6,6 +6,11 @@ pose v̂ that explains them best the density
     p(s | d) = (2π)^(-m/2) |Σ|^(-1/2) |HᵀΣ⁻¹H|^(-1/2) exp(-½ r²) / V,   r² = r̂ᵀ Σ⁻¹ r̂,   r̂ = s - h(v̂, d),
 
 with m = n - q, and where single rows may be wrong that of `outliers.Outliers` in place of the normal one of r̂.
+
+Where the data say which channels c the machine was commanded by, the pose is uniformly distributed in these and not in
+its coordinates: |∂h_c/∂v| takes the place of 1/V, sqrt |JᵀJ| with J = ∂h_c/∂v where they are more than the
+coordinates. That is p(s | d) over the density of the commanded positions, which is uniform then: p(other readings |
+commanded positions, d), in which no workspace appears.
 """
 
 from __future__ import annotations
@@ -109,6 +114,19 @@ class CalibrationLikelihood:
         return np.where(both, self.data.correlation, np.eye(n))
 
     @cached_property
+    def error_gain(self) -> Array | None:
+        """How model errors show in the readings, (P, K, K); None where each shows in its own channel alone.
+
+        That of one machine where it starts: the gain hardly changes with the machine.
+        """
+        theta, there = self.model.layout.nominal if self.anchor is None else self.anchor, self.data.present
+        gain = self.model.error_gain(theta, self.start, self.data.given)
+        if gain is None:
+            return None
+        known = np.isfinite(gain).all(axis=(-1, -2), keepdims=True) & there[:, :, None] & there[:, None, :]
+        return np.where(known, gain, np.eye(gain.shape[-1]))
+
+    @cached_property
     def _given(self) -> Given:
         return {name: value[None] for name, value in self.data.given.items()}
 
@@ -125,12 +143,13 @@ class CalibrationLikelihood:
     def whiten(self, own: Array, tau: Array) -> Whitening:
         """Return the whitening for deviations s σ (C, P, K) and τ (C, 1, K)."""
         there = self.data.present
-        if self.data.correlation is None:
+        if self.data.correlation is None and self.error_gain is None:
             weight = np.where(there, 1.0 / np.sqrt(own**2 + tau**2), 0.0)
             return Whitening(weight, None, np.log(np.where(there, weight, 1.0)).sum(axis=-1))
         own, tau = np.where(there, own, 1.0), np.where(there, tau, 0.0)
         covariance = own[..., :, None] * self.correlation * own[..., None, :]
-        factor = np.linalg.cholesky(covariance + tau[..., None] ** 2 * np.eye(own.shape[-1]))
+        spread = tau[..., None, :] * (np.eye(own.shape[-1]) if self.error_gain is None else self.error_gain)
+        factor = np.linalg.cholesky(covariance + spread @ np.swapaxes(spread, -1, -2))
         log_det = -np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
         return Whitening(None, np.linalg.inv(factor), log_det)
 
@@ -268,7 +287,23 @@ class CalibrationLikelihood:
 
     def offset(self, white: Whitening, at: Stand) -> Array:
         """Return what the log-density of each pose has beside that of the white residual, (C, P)."""
-        return np.asarray(white.log_det - half_log_volume(at.slope) - np.log(self.volume))
+        return np.asarray(white.log_det + self.log_volume(at.slope, white))
+
+    def log_volume(self, slope: Array, white: Whitening) -> Array:
+        """Return the log of what white readings leave of the pose's volume, times its prior density there, (C, P).
+
+        Parameters
+        ----------
+        slope : ndarray, shape (C, P, K, q)
+            H, white.
+        white : Whitening
+        """
+        left, commanded = -half_log_volume(slope), self.data.commanded
+        if commanded is None or not slope.shape[-1]:
+            return np.asarray(left - np.log(self.volume))
+        own = np.stack([white.colour(slope[..., i]) for i in range(slope.shape[-1])], axis=-1)
+        measure = half_log_volume(np.where(commanded[..., None], own, 0.0))
+        return np.asarray(left + np.where(commanded.any(axis=1), measure, -np.log(self.volume)))
 
 
 def search_poses(

@@ -33,6 +33,8 @@ class Measurements:
         What is known of each pose besides.
     correlation : ndarray, shape (P, K, K), or None
         Of the noise; the identity where it is None.
+    commanded : ndarray of bool, shape (P, K), or None
+        Which readings are positions that the machine was commanded to; none where it is None.
     order : ndarray of int, shape (P,)
         Places of the poses among all that were read, by default as they stand here.
     """
@@ -42,6 +44,7 @@ class Measurements:
     sd: Array
     given: Mapping[str, Array] = field(default_factory=dict)
     correlation: Array | None = None
+    commanded: np.ndarray | None = None
     order: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
 
     def __post_init__(self) -> None:
@@ -64,12 +67,19 @@ class Measurements:
         names = tuple(np.array(self.poses, dtype=object)[which])
         given = {name: value[which] for name, value in self.given.items()}
         correlation = None if self.correlation is None else self.correlation[which]
-        return Measurements(names, self.values[which], self.sd[which], given, correlation, self.order[which])
+        commanded = None if self.commanded is None else self.commanded[which]
+        order = self.order[which]
+        return Measurements(names, self.values[which], self.sd[which], given, correlation, commanded, order)
 
     def only(self, channels: np.ndarray) -> Measurements:
-        """Return the measurements with the readings of other channels, given by a mask (K,) or (P, K), left out."""
-        values = np.where(channels, self.values, np.nan)
-        return replace(self, values=values)
+        """Return the measurements with the readings of other channels, given by a mask (K,) or (P, K), left out.
+
+        A pose that loses one of its commanded positions has none: what is left of them need not determine it.
+        """
+        values, commanded = np.where(channels, self.values, np.nan), self.commanded
+        if commanded is not None:
+            commanded = commanded & ~(commanded & ~np.asarray(channels)).any(axis=1, keepdims=True)
+        return replace(self, values=values, commanded=commanded)
 
     def with_constraints(self, units: Sequence[str]) -> Measurements:
         """Return the measurements with a noise that no longer shows in place of none, by the units of K channels."""
@@ -95,9 +105,9 @@ class Comparison:
 
     @cached_property
     def rotations(self) -> list[slice]:
-        """Where the components of rotation vectors stand."""
+        """Where the components of rotation vectors stand, of those that are there whole."""
         names = [one.rotation for one in self.channels]
-        starts = [names.index(name) for name in dict.fromkeys(filter(None, names))]
+        starts = [names.index(name) for name in dict.fromkeys(filter(None, names)) if names.count(name) == 3]
         return [slice(k, k + 3) for k in starts]
 
     def subtract(self, measured: Array, read: Array) -> Array:

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
-from bayescal.density.calibration.terms import HALF_LOG_TWO_PI, CommonDraws, Errors
+from bayescal.density.calibration.terms import HALF_LOG_TWO_PI, NO_ERRORS, CommonDraws, Errors
 from bayescal.density.calibration.whitening import Whitening
-from bayescal.density.elimination import half_log_volume, invert, left_of, orthonormalise, project_out
+from bayescal.density.elimination import invert, left_of, orthonormalise, project_out
 from bayescal.density.local import Funnel
 from bayescal.density.low_rank_columns import Coefficients, find_coefficients, split
 from bayescal.density.priors import Prior, UniformPrior
@@ -48,7 +48,7 @@ class CalibrationPosterior:
 
     likelihood: CalibrationLikelihood
     priors: Mapping[str, Prior]
-    errors: Errors = field(default_factory=Errors)
+    errors: Errors = NO_ERRORS
     fixed: Mapping[str, float] = field(default_factory=dict)
     common: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
@@ -267,6 +267,8 @@ class CalibrationPosterior:
 
     def draw_common(self, y: Array, rng: np.random.Generator) -> CommonDraws:
         """Return draws of the errors common to all rows, one for each of the coordinates (B, n)."""
+        if not self.errors.has_columns:
+            return CommonDraws(self.errors, ())
         white, at = self.stand(y)
         parts = [(self.zeta(y[some]), found.draw(rng)) for some, found in self._absorb(y, white, at)]
         return CommonDraws(self.errors, tuple(parts))
@@ -274,7 +276,8 @@ class CalibrationPosterior:
     def _absorb(self, y: Array, white: Whitening, at: Stand) -> Iterator[tuple[slice, Coefficients]]:
         """Yield the same of as many machines as are worked on together."""
         n_columns = self.errors.columns(self.zeta(y[:1]), self.likelihood.data).shape[-1]
-        for some in split(*at.error.shape, n_columns):
+        n_machines, n_poses, n_channels = at.error.shape
+        for some in split(n_machines, n_poses, n_channels, n_columns):
             columns = self.columns(y[some], white.pick(some), at.slope[some])
             yield some, self._find(columns, at.error[some])
 
@@ -342,7 +345,9 @@ class CalibrationPosterior:
         """
         m, likelihood = self.n_geometry, self.likelihood
         there = likelihood.data.present
-        slopes = self.errors.covariance_slopes(y[m:], likelihood.data, likelihood.sd, likelihood.correlation)
+        slopes = self.errors.covariance_slopes(
+            y[m:], likelihood.data, likelihood.sd, likelihood.correlation, likelihood.error_gain
+        )
         slopes = np.where(there[:, :, None] & there[:, None, :], slopes, 0.0)
         both = white.rows(np.swapaxes(white.rows(slopes), -1, -2))
         seen = left @ both
@@ -374,10 +379,10 @@ class CalibrationPosterior:
         return np.asarray((values[:n] - values[n:]) / (2.0 * STEP))
 
     def _log_volume(self, y: Array, turn: Array | None) -> tuple[Array, Array]:
-        """Return -½ Σ log |HᵀΣ⁻¹H| of machines (B, n) right where they stand, with that of coefficients; and -r H δ."""
+        """Return log-volumes of machines (B, n) right where they stand, with that of coefficients; and -r H δ."""
         white, at = self.stand(y)  # whose H is that of a pose close by, the same for machines that are much alike
         slope = self.likelihood.linearise(self.theta(y), at.pose, white)[1]
-        volume = -half_log_volume(slope).sum(axis=1)
+        volume = self.likelihood.log_volume(slope, white).sum(axis=1)
         if turn is None:
             return volume, np.zeros(len(y))
         volume += white.log_det.sum(axis=1)
@@ -534,8 +539,8 @@ class CalibrationPosterior:
     def reduced_rows(self, y: Array) -> tuple[Array, Array]:
         """Return white residuals that no pose explains (P, K), and their derivatives (P, K, m + N), at y (n,).
 
-        The derivatives are by the geometry, then by coefficients of errors common to all rows, standard normal under the
-        prior. Poses that the density trusts less count less.
+        The derivatives are by the geometry, then by coefficients of errors common to all rows, which are standard
+        normal under the prior. Poses that the density trusts less count less.
         """
         with np.errstate(all="ignore"):
             white, at = self.stand(y[None])
@@ -546,9 +551,9 @@ class CalibrationPosterior:
         rows = left @ np.concatenate([by_parameters, common], axis=-1)
         return trust[:, None] * left_of(left, error), trust[:, None, None] * rows
 
-    def pose_information(self, y: Array, pose: int) -> Array:
-        """Return one pose's part of the information of the readings on the geometry at y, shape (m, m)."""
-        rows = self.reduced_rows(y)[1][pose, :, : self.n_geometry]
+    def row_information(self, y: Array, row: int) -> Array:
+        """Return what one pose's readings tell of the geometry at y, shape (m, m)."""
+        rows = self.reduced_rows(y)[1][row, :, : self.n_geometry]
         return np.asarray(rows.T @ rows)
 
     def adopt(self, theta: Array, errors: Array) -> Array:

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.config.classes import label_class
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior, find_function_of_pose
 from bayescal.errors import InputError
 from bayescal.experiments.audit.schema import NOT_STRUCTURED, AuditConfig
 from bayescal.experiments.frame.load import load
@@ -46,7 +46,7 @@ class Measured:
         Tolerances of the study's priors; the machine at which derivatives are taken.
     plan : Plan
         The calibration poses, with what is known of each.
-    posterior : Posterior
+    posterior : LegPosterior
     draws : Draws or None
         None where the design wants no draws.
     n_held_back : int
@@ -56,7 +56,7 @@ class Measured:
     origin: str
     knowledge: Knowledge
     plan: Plan
-    posterior: Posterior
+    posterior: LegPosterior
     draws: Draws | None
     n_held_back: int = 0
 
@@ -118,7 +118,7 @@ def draw_measured(config: AuditConfig, found: MeasuredVariant, run: Run) -> Meas
     names = posterior.names[: posterior.n_geometry]
     centre = dict(zip(names, values.tolist(), strict=True))
     knowledge = Knowledge(found.machine, {name: found.priors[name].sd for name in names}, {**found.fixed, **centre})
-    variance = posterior.mean_square_tau(natural)
+    variance = posterior.errors.mean_square_tau(posterior.zeta(natural))
     model_error = float(np.sqrt(variance + found.left_variance))
     information = np.linalg.inv(found.poses.covariance)
     function = _find_function(posterior, natural)
@@ -128,13 +128,13 @@ def draw_measured(config: AuditConfig, found: MeasuredVariant, run: Run) -> Meas
     return Measured(found.origin, knowledge, plan, found.posterior, draws, found.n_held_back)
 
 
-def draw(task: tuple[Posterior, DrawsConfig, int, int]) -> Draws:
+def draw(task: tuple[LegPosterior, DrawsConfig, int, int]) -> Draws:
     """Return draws of a posterior: so many, by a design's effort and seed."""
     posterior, effort, wanted, seed = task
     return draw_posterior(posterior, effort, wanted, np.random.SeedSequence([seed, SEED]))
 
 
-def _find_function(posterior: Posterior, natural: Array) -> FunctionOfPose | None:
+def _find_function(posterior: LegPosterior, natural: Array) -> FunctionOfPose | None:
     """Return what the legs err by as a function of the pose, of draws in natural units (S, n); None where nothing."""
-    function = posterior.function_of_pose(natural)
+    function = find_function_of_pose(posterior, natural)
     return FunctionOfPose(*function) if function is not None and function[1].any() else None

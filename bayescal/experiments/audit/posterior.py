@@ -1,4 +1,4 @@
-"""Posterior identifiability: what draws of the posterior say of the ridges that the information foretells.
+"""LegPosterior identifiability: what draws of the posterior say of the ridges that the information foretells.
 
 With data the draws are those of the study's posterior. Without data they are those of the posterior to expect: the
 planned poses of the expected machine, measured without error but weighed as their noise deserves.
@@ -22,8 +22,8 @@ import numpy as np
 from scipy.linalg import subspace_angles
 
 from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.legs import LegPosterior, build_leg_posterior, check_machine
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.schema import UniformConfig
 from bayescal.errors import InputError
@@ -181,7 +181,7 @@ def audit_posterior(inputs: AuditInputs, audit: Audit, run: Run) -> PosteriorLev
     return PosteriorLevel(inputs, origin, draws, angle, judge_draws(inputs, draws, rng))
 
 
-def build_expected_posterior(inputs: AuditInputs) -> Posterior | LeftOut:
+def build_expected_posterior(inputs: AuditInputs) -> LegPosterior | LeftOut:
     """Return the posterior of noise-free planned poses of the expected machine, or why it cannot be had."""
     knowledge, plan = inputs.knowledge, inputs.plan
     machine = knowledge.machine
@@ -199,8 +199,8 @@ def build_expected_posterior(inputs: AuditInputs) -> Posterior | LeftOut:
     poses = MeasuredPoses(names, found.position, found.rotation, np.linalg.inv(information), plan.actuators)
     model_error = np.full(plan.actuators.shape, plan.model_error**2)
     likelihood = PoseLikelihood(machine, poses, plan.actuator_noise, model_error)
-    posterior = Posterior(likelihood, list_priors(inputs), fixed=knowledge.fixed)
-    posterior.check_machine()
+    posterior = build_leg_posterior(likelihood, list_priors(inputs), fixed=knowledge.fixed)
+    check_machine(posterior)
     return posterior
 
 

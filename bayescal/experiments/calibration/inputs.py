@@ -148,7 +148,9 @@ def _build(
         deviations[:, chosen],
         {name: readings.given[name] for name in model.given},
         None if readings.correlation is None else readings.correlation[:, chosen][:, :, chosen],
+        readings.commanded[:, chosen] if readings.commanded[rows].any() else None,
     ).pick(rows)
+    _check_commanded(readings.commanded[rows], whole, model)
     _check_noise(data, model)
     model.check_given(data.poses, data.given, [one for name in priors for one in common.get(name, (name,))])
     workspace = build_workspace(model, config.workspace, config.units)
@@ -188,6 +190,25 @@ def _choose_poses(section: CalibrationVariantConfig, model: ReadingModel, readin
         for k in np.flatnonzero(rows & ~known[name])[:1]:
             raise InputError(f"pose {readings.poses[k]!r}: found no {name}, expected it, or poses_with = [{name!r}]")
     return rows
+
+
+def _check_commanded(commanded: np.ndarray, whole: ReadingModel, model: ReadingModel) -> None:
+    """Raise InputError for commanded channels (P, K of the whole machine) that cannot say where a machine stands."""
+    for k in np.flatnonzero(commanded.any(axis=0)):
+        if (name := whole.names[k]) not in whole.commanded:
+            raise InputError(f"data.commanded: found {name!r}, expected some of {', '.join(whole.commanded) or 'none'}")
+        if name not in model.names:
+            raise InputError(f"data.commanded: found {name!r}, which is not among the sensors, expected it there")
+    q = len(model.coordinates)
+    for row in np.unique(commanded[commanded.any(axis=1)], axis=0):
+        units = [whole.channels[k].unit for k in np.flatnonzero(row)]
+        if len(units) < q:
+            raise InputError(f"data.commanded: found {len(units)} channels, expected at least {q}, one per coordinate")
+        if len(units) > q and len(set(units)) > 1:
+            raise InputError(
+                f"data.commanded: found {' and '.join(dict.fromkeys(units))}, expected one unit where "
+                f"{len(units)} channels command {q} coordinates"
+            )
 
 
 def _check_noise(data: Measurements, model: ReadingModel) -> None:

@@ -1,4 +1,4 @@
-"""What kinds of experiment on a machine of one function have in common: its class belongs to their identity."""
+"""What kinds of experiment on a machine with readings have in common: its files and classes are of their identity."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from bayescal.config.registry import hash_modules
 from bayescal.config.sections import ExperimentConfig
 from bayescal.experiments.frame.experiment import Experiment
-from bayescal.machines.read import find_machine_class, list_machine_sources
+from bayescal.machines.read import find_machine_classes, list_machine_sources
 
 
 class MachineExperiment[C: ExperimentConfig, I](Experiment[C, I]):
@@ -20,7 +20,7 @@ class MachineExperiment[C: ExperimentConfig, I](Experiment[C, I]):
         """Return the files of the machines, relative to the config's folder."""
 
     def files(self, config: C, folder: Path) -> list[str]:
-        """Return the input files, the sources of machines' own classes among them."""
+        """Return the input files, those that machines' files name and the sources of their classes among them."""
         sources = [
             os.path.normpath(Path(name).parent / one)
             for name in self.machines(config)
@@ -30,5 +30,5 @@ class MachineExperiment[C: ExperimentConfig, I](Experiment[C, I]):
 
     def modules(self, config: C, folder: Path) -> dict[str, str]:
         """Return the hashes of installed modules that the machines' classes stand in."""
-        own = [find_machine_class(folder / name) for name in self.machines(config)]
-        return super().modules(config, folder) | hash_modules([one for one in own if one is not None])
+        own = [one for name in self.machines(config) for one in find_machine_classes(folder / name)]
+        return super().modules(config, folder) | hash_modules(own)

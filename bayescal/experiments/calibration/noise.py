@@ -43,7 +43,7 @@ def stated_noise(sensors: Mapping[str, ChannelConfig], readings: PoseReadings, m
 def noise_of_channels(sensors: Mapping[str, ChannelConfig], model: ReadingModel) -> Array:
     """Return what the config says of each channel, (K,); NaN where it says nothing."""
     nothing = np.full((1, len(model.channels)), np.nan)
-    empty = PoseReadings(("",), np.zeros(1, dtype=bool), nothing, nothing.copy(), None)
+    empty = PoseReadings(("",), np.zeros(1, dtype=bool), nothing, nothing.copy(), None, np.zeros(nothing.shape, bool))
     return stated_noise(sensors, empty, model)[0]
 
 

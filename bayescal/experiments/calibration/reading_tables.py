@@ -37,6 +37,8 @@ class PoseReadings:
     values, sd : ndarray, shape (P, K)
         In the channels' units; NaN where there is none: not read, or no deviation of its own.
     correlation : ndarray, shape (P, K, K), or None
+    commanded : ndarray of bool, shape (P, K)
+        Which readings are positions that the machine was commanded to.
     given : dict of str to ndarray, shape (P,)
         NaN where it is not known.
     """
@@ -46,6 +48,7 @@ class PoseReadings:
     values: Array
     sd: Array
     correlation: Array | None
+    commanded: np.ndarray
     given: dict[str, Array] = field(default_factory=dict)
 
 
@@ -99,6 +102,7 @@ def read_tables(
         np.full((n, k), np.nan),
         np.full((n, k), np.nan),
         np.tile(np.eye(k), (n, 1, 1)) if any(c.startswith("corr_") for t in tables for c in t.columns) else None,
+        np.zeros((n, k), dtype=bool),
         {name: np.full(n, np.nan) for name in given},
     )
     for table, one in zip(tables, sections, strict=True):
@@ -139,6 +143,10 @@ def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channe
     for name in section.channels:
         if not any(name in (one, one.partition("[")[0]) for one in read):
             raise InputError(f"{table.path}: found no column of channel {name!r}, which data.channels asks for")
+    for name in section.commanded:
+        asked = [one.name for one in channels if name in (one.name, one.kind)]
+        if missing := [one for one in asked or [name] if one not in read]:
+            raise InputError(f"{table.path}: found no column of channel {missing[0]!r}, which is in data.commanded")
     return table
 
 
@@ -181,6 +189,12 @@ def _fill(
             _fill_correlation(found, table, name, column, values, rows)
         else:
             _fill_channel(found, table, name, column, channels[column.places[0]], values, rows)
+    for k, channel in enumerate(channels):
+        if {channel.name, channel.kind} & set(section.commanded):
+            for row in np.flatnonzero(~np.isfinite(found.values[rows, k]))[:1]:
+                where = table.where(int(row))
+                raise InputError(f"{where}: found no {channel.name}, expected it as data.commanded says")
+            found.commanded[rows, k] = True
 
 
 def _fill_channel(

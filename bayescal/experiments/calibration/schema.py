@@ -49,7 +49,8 @@ class DataTableConfig(Section):
     """A CSV table of readings, a row a pose; rows of the same pose in several tables belong together.
 
     ``channels`` must be there, all others are optional; columns in ``ignore`` may be there and are not read; poses in
-    ``hold_back`` are kept for verification.
+    ``hold_back`` are kept for verification. Channels in ``commanded`` say where the machine was sent to: its poses are
+    uniformly distributed in these then, and not in its coordinates.
     """
 
     file: InputFile
@@ -60,6 +61,10 @@ class DataTableConfig(Section):
     """Columns that are not read."""
     hold_back: Names = Field(default=[])
     """Poses that are kept for verification."""
+    commanded: Names = Field(default=[], exclude_if=lambda value: not value)
+    """Channels, or kinds of them, that the machine was commanded by: before they are measured its poses are uniformly
+    distributed in these; in its coordinates where nothing is said.
+    """
 
 
 class ChannelConfig(Section):

@@ -20,9 +20,9 @@ from bayescal.experiments.calibration.knowledge_tables import (
     tabulate_accuracy,
 )
 from bayescal.experiments.calibration.validation import Held
+from bayescal.experiments.shared.function_errors import tabulate_functions
 from bayescal.experiments.shared.reading_fit import ReadingFit
 from bayescal.experiments.shared.stacking import tabulate_comparison
-from bayescal.experiments.shared.function_errors import tabulate_functions
 from bayescal.numerics.geometry import Array
 
 DOUBTFUL = 0.01  # probability under the stated noise below which what a pose leaves is doubtful

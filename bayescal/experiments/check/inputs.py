@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.density.legs import find_function_of_pose
 from bayescal.errors import InputError
 from bayescal.experiments.check.schema import CheckConfig
 from bayescal.experiments.check.subject import Subject
@@ -61,7 +62,7 @@ def read_check(config: CheckConfig, folder: Path) -> CheckInputs:
 def _refuse_function(measured: MeasuredVariant, where: str) -> None:
     """Raise InputError where legs err by a function of the pose."""
     posterior = measured.posterior
-    function = posterior.function_of_pose(posterior.natural(np.zeros((1, posterior.n_parameters))))
+    function = find_function_of_pose(posterior, posterior.natural(np.zeros((1, posterior.n_parameters))))
     if function is not None:
         raise InputError(
             f"{where}: found kernel {function[0].name!r} of its model error, expected 'independent', or deformation "

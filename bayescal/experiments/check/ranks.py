@@ -12,7 +12,7 @@ import zlib
 
 import numpy as np
 
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 from bayescal.errors import NumericalError
 from bayescal.experiments.check.subject import Subject, join_poses
 from bayescal.inference.exploration import Exploration, explore
@@ -31,7 +31,7 @@ type Shared = tuple[Subject, Array, int, int]
 
 
 def draw_posterior(
-    posterior: Posterior, n_draws: int, seed: np.random.SeedSequence
+    posterior: LegPosterior, n_draws: int, seed: np.random.SeedSequence
 ) -> tuple[Array, Exploration, Array]:
     """Return draws in natural units (S, n), the exploration, and efficiency and Pareto k of their weights, (2,).
 

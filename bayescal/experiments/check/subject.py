@@ -8,8 +8,8 @@ import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.errors import ModelError
+from bayescal.density.legs import LegPosterior
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import UniformPrior
 from bayescal.errors import NumericalError
 from bayescal.experiments.shared.measured import MeasuredVariant
@@ -32,7 +32,7 @@ class Subject:
     measured: MeasuredVariant
 
     @property
-    def posterior(self) -> Posterior:
+    def posterior(self) -> LegPosterior:
         """The posterior of the measured data."""
         return self.measured.posterior
 
@@ -53,16 +53,17 @@ class Subject:
             variance = np.tile(variance, (poses.n_poses // self.n_poses, 1))
         return PoseLikelihood(self.measured.machine, poses, self.measured.actuator_noise, variance)
 
-    def posterior_of(self, poses: MeasuredPoses, with_model_error: bool = True) -> Posterior:
+    def posterior_of(self, poses: MeasuredPoses, with_model_error: bool = True) -> LegPosterior:
         """Return the posterior of other poses of the plan."""
-        error = self.posterior.model_error if with_model_error else ModelError(None)
-        return replace(self.posterior, likelihood=self.likelihood(poses), model_error=error)
+        error = self.posterior.errors.model_error if with_model_error else ModelError(None)
+        errors = replace(self.posterior.errors, terms=(error, *self.posterior.errors.terms[1:]))
+        return replace(self.posterior, likelihood=self.likelihood(poses), errors=errors)
 
     def theta_of(self, natural: Array) -> tuple[Array, Array]:
         """Return θ (D,) and τ (N,) of parameters and model errors in natural units, shape (n,)."""
         posterior = self.posterior
-        theta, n = posterior.coordinates.start.copy(), posterior.n_geometry
-        theta[posterior.coordinates.free] = natural[:n]
+        theta, n = posterior.sampling.start.copy(), posterior.n_geometry
+        theta[posterior.sampling.free] = natural[:n]
         tau = natural[n:] if len(natural) > n else np.zeros(1)
         return theta, np.broadcast_to(tau, (posterior.likelihood.n_legs,)).copy()
 
@@ -80,7 +81,7 @@ class Subject:
                 values.append(rng.uniform(prior.lower, prior.upper))
             else:
                 values.append(rng.normal(prior.mean, prior.sd))
-        scale = posterior.model_error.scale
+        scale = posterior.errors.model_error.scale
         errors = 0.0 if scale is None else scale
         return np.concatenate([values, np.abs(rng.normal(0.0, errors, posterior.n_parameters - len(values)))])
 

@@ -51,7 +51,10 @@ class State:
     @cached_property
     def model_error(self) -> Array:
         """Model errors of the draws, with what the measured part of a deformation leaves, shape (S, N), mm."""
-        tau = np.broadcast_to(self.measured.posterior.tau(self.belief.draws), (len(self.theta), self.n_legs))
+        tau = np.broadcast_to(
+            self.measured.posterior.errors.tau(self.measured.posterior.zeta(self.belief.draws)),
+            (len(self.theta), self.n_legs),
+        )
         return np.sqrt(tau**2 + self.measured.left_variance)
 
     @property
@@ -61,7 +64,7 @@ class State:
 
     @property
     def _free(self) -> np.ndarray:
-        return self.measured.posterior.coordinates.free
+        return self.measured.posterior.sampling.free
 
     @cached_property
     def knowledge(self) -> Knowledge:
@@ -83,7 +86,7 @@ class State:
         """Of the parameters, in units of the tolerances, shape (m, m)."""
         posterior = self.measured.posterior
         m = posterior.n_geometry
-        change = posterior.coordinates.jacobian(self.calibrated)[self._free] / self.knowledge.sd[:, None]
+        change = posterior.sampling.jacobian(self.calibrated)[self._free] / self.knowledge.sd[:, None]
         return np.asarray(change @ self.belief.covariance[:m, :m] @ change.T)
 
     # --- the requirements ----------------------------------------------------------------------------------------

@@ -18,8 +18,6 @@ from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.model_error import INDEPENDENT
 from bayescal.density.priors import NormalPrior, Prior
-from bayescal.experiments.shared.sensor_sets import FreeParameters
-from bayescal.experiments.shared.sensor_sets import PoseFit, SensorSet, find_poses, null_basis
 from bayescal.errors import InputError
 from bayescal.experiments.self_calibration.functions import build_functions
 from bayescal.experiments.self_calibration.reading_table import ReadingTable, Truth, read_readings, read_truth
@@ -34,6 +32,7 @@ from bayescal.experiments.shared.reading_machine import (
 )
 from bayescal.experiments.shared.reading_slips import find_reading_slip
 from bayescal.experiments.shared.search_memory import check_readings
+from bayescal.experiments.shared.sensor_sets import FreeParameters, PoseFit, SensorSet, find_poses, null_basis
 from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
 from bayescal.machines.readings.schema import PlanarPosesConfig

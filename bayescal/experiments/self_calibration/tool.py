@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.terms import CommonDraws, Errors
 from bayescal.errors import NumericalError
 from bayescal.experiments.self_calibration.fit import VariantFit
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
@@ -112,11 +113,11 @@ def predict_tool(inputs: ReadingInputs, variant: Variant, fit: VariantFit, rng: 
 
 def _correct(readings: Array, variant: Variant, fit: VariantFit) -> Array:
     """Return readings (V, K) of the machine's own sensors less draws of their functions, (V, k) or (T, V, k)."""
-    if fit.functions is None:
+    if variant.functions is None:
         return readings[:, variant.kept]
     names = tuple(map(str, range(len(readings))))
     rows = Measurements(names, readings, np.broadcast_to(variant.sensors.noise, readings.shape))
-    return np.asarray((readings - fit.functions.draws.at(rows))[..., variant.kept])
+    return np.asarray((readings - CommonDraws(Errors((variant.functions,)), fit.common).at(rows))[..., variant.kept])
 
 
 def assess_tool(inputs: ReadingInputs, variant: Variant, fit: VariantFit) -> ToolAccuracy:

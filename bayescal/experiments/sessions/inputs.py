@@ -69,7 +69,7 @@ def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
     warmth = [_read_temperatures(one, it.poses, folder) for one, it in zip(config.sessions, measured, strict=True)]
     parts = [part for k, it in enumerate(measured) for part in _split(config, k, it, warmth[k])]
     mean, sd = _list_priors(config, first)
-    coordinates = first.posterior.coordinates
+    coordinates = first.posterior.sampling.coordinates
     model = SessionModel(
         tuple(parts),
         coordinates.start,
@@ -78,7 +78,7 @@ def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
         sd,
         _build_drift(config, first),
         _build_expansions(config.thermal, first.machine.layout),
-        first.posterior.model_error,
+        first.posterior.errors.model_error,
     )
     if config.drift.hierarchy == "walk":
         check_same_machine(model, first.posterior, [one.label for one in config.sessions])
@@ -176,8 +176,8 @@ def _split(config: SessionsConfig, session: int, measured: MeasuredVariant, warm
 def _list_priors(config: SessionsConfig, measured: MeasuredVariant) -> tuple[Array, Array]:
     """Return means and standard deviations of the free parameters' priors, in their order in θ."""
     posterior, layout = measured.posterior, measured.machine.layout
-    priors = [posterior.priors[layout.names[k]] for k in posterior.coordinates.free]
-    for prior, k in zip(priors, posterior.coordinates.free, strict=True):
+    priors = [posterior.priors[layout.names[k]] for k in posterior.sampling.free]
+    for prior, k in zip(priors, posterior.sampling.free, strict=True):
         if not isinstance(prior, NormalPrior):
             raise InputError(
                 f"{config.study}: parameters: found a uniform prior of {layout.names[k]}, expected normal ones, since "
@@ -188,7 +188,7 @@ def _list_priors(config: SessionsConfig, measured: MeasuredVariant) -> tuple[Arr
 
 def _build_drift(config: SessionsConfig, measured: MeasuredVariant) -> Drift:
     drift, layout = config.drift, measured.machine.layout
-    free = measured.posterior.coordinates.free
+    free = measured.posterior.sampling.free
     index, units = [], []
     for symbol in drift.symbols:
         if symbol not in measured.free:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 from bayescal.density.sessions.model import SessionModel
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
@@ -17,14 +17,14 @@ WARM = 0.1
 """Millimetres that a leg may be off besides, by temperature, noise and model error."""
 
 
-def check_same_machine(model: SessionModel, posterior: Posterior, labels: Sequence[str]) -> None:
+def check_same_machine(model: SessionModel, posterior: LegPosterior, labels: Sequence[str]) -> None:
     """Raise InputError where the legs of a session are off those of the first by far more than they can have moved.
 
     Parameters
     ----------
     model : SessionModel
         Of a walk.
-    posterior : Posterior
+    posterior : LegPosterior
         Of the first session by itself.
     labels : sequence of str
     """

@@ -13,9 +13,9 @@ from bayescal.density.calibration.functions import FunctionErrors
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.calibration.terms import CommonDraws
+from bayescal.density.low_rank_columns import BUDGET
 from bayescal.density.model_error import BORDER
 from bayescal.experiments.frame.memory import Need, check_memory
-from bayescal.density.low_rank_columns import BUDGET
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -31,15 +31,12 @@ class FoundFunctions:
 
     Attributes
     ----------
-    draws : CommonDraws
-        In the channels' units.
     rows : list of dict
         Of each function: how probable an error is, its scale, its size over the calibration poses; µm and arcsec.
     curves : list of dict
         Its course over what it depends on, where that is one number.
     """
 
-    draws: CommonDraws
     rows: list[dict[str, Any]]
     curves: list[dict[str, Any]]
 
@@ -51,13 +48,11 @@ def check_functions(term: FunctionErrors, n_poses: int, n_channels: int) -> None
     check_memory(Need(each=8.0 * held, sizes=f"{n_poses} poses with {n} coefficients of functions", remedy=REMEDY), 1)
 
 
-def find_functions(
-    posterior: CalibrationPosterior, y: Array, rng: np.random.Generator
-) -> FoundFunctions | None:
-    """Return what draws (T, n) tell of a posterior's functions; None where it has none."""
+def find_functions(posterior: CalibrationPosterior, y: Array, draws: CommonDraws) -> FoundFunctions | None:
+    """Return what draws (T, n), and of each the errors common to all rows, tell of functions; None without any."""
     if not any(isinstance(term, FunctionErrors) for term in posterior.errors.terms):
         return None
-    draws, data = posterior.draw_common(y, rng), posterior.likelihood.data
+    data = posterior.likelihood.data
     names = posterior.likelihood.model.names
     grid = _grid(data)
     rows: list[dict[str, Any]] = []
@@ -89,7 +84,7 @@ def find_functions(
                 mean, (low, high) = course[..., k].mean(axis=0), np.quantile(course[..., k], INTERVAL, axis=0)
                 values = zip(x, factor * mean, factor * low, factor * high, strict=True)
                 curves += [{**own, "reading": at, "mean": m, "low": a, "high": b} for at, m, a, b in values]
-    return FoundFunctions(draws, rows, curves)
+    return FoundFunctions(rows, curves)
 
 
 def _grid(data: Measurements) -> Measurements:

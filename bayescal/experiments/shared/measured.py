@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 from bayescal.density.priors import Prior
 from bayescal.machines.kinematics import Machine
 from bayescal.numerics.geometry import Array
@@ -32,7 +32,7 @@ class MeasuredVariant:
     priors : mapping of parameter to Prior
     fixed : mapping of parameter to float
         Values of fixed ones that are not nominal.
-    posterior : Posterior
+    posterior : LegPosterior
     poses : MeasuredPoses
         The calibration poses.
     actuator_noise : float
@@ -56,7 +56,7 @@ class MeasuredVariant:
     machine: Machine
     priors: Mapping[str, Prior]
     fixed: Mapping[str, float]
-    posterior: Posterior
+    posterior: LegPosterior
     poses: MeasuredPoses
     actuator_noise: float
     left_variance: float

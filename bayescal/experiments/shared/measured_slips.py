@@ -69,12 +69,12 @@ def _suspect(measured: MeasuredVariant) -> Suspect:
         poses = replace(measured.poses.select(chosen), actuators=actuators)
         return PoseLikelihood(measured.machine, poses, measured.actuator_noise)
 
-    return Suspect(likelihood_of, measured.posterior.coordinates, measured.poses.actuators)
+    return Suspect(likelihood_of, measured.posterior.sampling.coordinates, measured.poses.actuators)
 
 
 def _state_error(measured: MeasuredVariant) -> float:
     """Return what a leg may err by as stated: model error, actuators, the measured position, mm."""
-    scale = measured.posterior.model_error.scale or 0.0
+    scale = measured.posterior.errors.model_error.scale or 0.0
     return float(np.sqrt(_position_variance(measured.poses) + scale**2 + measured.actuator_noise**2))
 
 

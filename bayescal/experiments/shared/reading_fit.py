@@ -34,9 +34,12 @@ class ReadingFit(Fit):
     ----------
     functions : FoundFunctions or None
         Errors that are functions.
+    common : tuple of pairs of ndarray
+        Draws of errors common to all rows, as `CommonDraws.parts`.
     """
 
     functions: FoundFunctions | None
+    common: tuple[tuple[Array, Array], ...]
 
 
 def fit_readings(
@@ -45,8 +48,10 @@ def fit_readings(
     """Return a posterior's fit and its tree's file; its random numbers depend on the seed and the name alone."""
     subject = ReadingSubject(posterior)
     fit = fit_posterior(subject, seed, name, sampler, effort)
-    functions = find_functions(posterior, fit.kept, np.random.default_rng([seed, 9, zlib.crc32(name.encode())]))
-    return ReadingFit(**vars(fit.pack(subject.build_tree(fit, name), ONLY_SAVED)), functions=functions)
+    common = posterior.draw_common(fit.kept, np.random.default_rng([seed, 9, zlib.crc32(name.encode())]))
+    functions = find_functions(posterior, fit.kept, common)
+    packed = fit.pack(subject.build_tree(fit, name), ONLY_SAVED)
+    return ReadingFit(**vars(packed), functions=functions, common=common.parts)
 
 
 @dataclass(frozen=True, eq=False)

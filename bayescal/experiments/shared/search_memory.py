@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bayescal.density.batches import BATCH, POSES
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 from bayescal.experiments.frame.memory import check_arrays
 from bayescal.inference.exploration import count_walkers
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
@@ -22,7 +22,7 @@ ARRAYS, OF_POSES = 40, 28
 """Of the hot loop of an instrument's readings, components of vectors counted one by one, and of poses', as measured."""
 
 
-def list_search(posterior: Posterior) -> list[Sequence[float]]:
+def list_search(posterior: LegPosterior) -> list[Sequence[float]]:
     """Return the arrays of a posterior's derivatives and hot loop; see `estimate_arrays`."""
     likelihood = posterior.likelihood
     rows = likelihood.n_poses * likelihood.n_legs

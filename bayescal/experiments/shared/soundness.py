@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
+from bayescal.density.legs import LegPosterior
 from bayescal.density.likelihood import Likelihood
-from bayescal.density.posterior import Posterior
+from bayescal.density.local import turn_to_coordinates
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.inference.target import Fittable
 from bayescal.numerics.geometry import Array
@@ -47,7 +48,7 @@ class Misfit:
 
 
 def find_misfit(
-    posterior: Posterior,
+    posterior: LegPosterior,
     mode: Array,
     likelihood: Likelihood,
     shared: Array | None = None,
@@ -57,7 +58,7 @@ def find_misfit(
 
     Parameters
     ----------
-    posterior : Posterior
+    posterior : LegPosterior
     mode : ndarray, shape (n,)
         Its model errors count as noise.
     likelihood : Likelihood
@@ -69,17 +70,20 @@ def find_misfit(
         Poses that count; all without it.
     """
     theta = posterior.theta(mode[None])[0]
-    model_error = np.broadcast_to(posterior.model_errors(mode[None]), (1, likelihood.n_model_errors))[0]
+    amplitudes = posterior.errors.amplitudes(posterior.zeta(mode[None]))
+    model_error = np.broadcast_to(amplitudes, (1, likelihood.n_model_errors))[0]
     whitening = np.linalg.inv(np.linalg.cholesky(likelihood.error_covariance(model_error)))
     errors = likelihood.errors(theta[None])[0]
-    by_machine, prior_slope = posterior.residual_slope(theta)
+    change = posterior.sampling.jacobian(theta)
+    by_machine = turn_to_coordinates(likelihood.error_jacobian(theta)[1], change)
+    prior_slope = posterior.sampling.prior_slope(change)
     extra = np.empty((*errors.shape, 0)) if shared is None else shared
     if counted is not None:
         errors, whitening = errors[counted], whitening[counted]
         by_machine, extra = by_machine[counted], extra[counted]
     slope = whitening @ np.concatenate([by_machine, extra], axis=-1)
     n_extra = extra.shape[-1]
-    prior = np.concatenate([posterior.prior_residual(mode, theta), np.zeros(n_extra)])
+    prior = np.concatenate([posterior.sampling.prior_residual(mode[: posterior.n_geometry], theta), np.zeros(n_extra)])
     # rows beyond what was measured at a pose are exactly zero
     return fit_rows(
         (whitening @ errors[..., None])[..., 0],

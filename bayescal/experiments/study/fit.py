@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 
 from bayescal.density.exact import ExactDensity
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 from bayescal.density.prediction import Prediction
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
@@ -77,7 +77,7 @@ class Legs(Subject):
     factor: float = 1.0
 
     @cached_property
-    def posterior(self) -> Posterior:
+    def posterior(self) -> LegPosterior:
         """The posterior."""
         variant = self.inputs.variant(self.task.variant)
         return self.inputs.posterior(variant, self.task.with_model_error, self.factor)
@@ -95,21 +95,22 @@ class Legs(Subject):
 
     def find_costly(self, exploration: Exploration) -> CostlyDensity | None:
         """Return the exact density of measured poses; None where these are not measured, or may be blunders."""
-        posterior = cast("Posterior", exploration.straight.posterior)
+        posterior = cast("LegPosterior", exploration.straight.posterior)
         exact = self.inputs.exact_density(self.inputs.variant(self.task.variant), posterior)
         return None if exact is None else build_costly(exact, exploration)
 
     def replicate_prior(self, posterior: Fittable, seed: np.random.SeedSequence) -> Arrays:
         """Return draws of the prior and what they make of the calibration poses."""
-        return replicate_prior(cast("Posterior", posterior), seed)
+        return replicate_prior(cast("LegPosterior", posterior), seed)
 
     def measure_misfit(self, posterior: Fittable, mode: Array) -> ChiSquare:
         """Return χ² at a mode (n,) of the poses that are no blunders there."""
-        legs, clean = cast("Posterior", posterior), None
+        legs, clean = cast("LegPosterior", posterior), None
         if legs.likelihood.structured is not None:
             return find_misfit(legs, mode, legs.likelihood).chi_square
-        if legs.outliers is not None:
-            clean = legs.outlier_probabilities(legs.likelihood, mode[None])[0] < BLUNDER
+        if legs.errors.outliers is not None:
+            at = legs.theta(mode[None]), legs.errors, legs.zeta(mode[None])
+            clean = legs.likelihood.outlier_probabilities(*at)[0] < BLUNDER
         return find_misfit(legs, mode, *self.inputs.without_shared_errors(self.task.variant), clean).chi_square
 
     def evaluate(self, posterior: Fittable, y: Array, seed: np.random.SeedSequence) -> Arrays:
@@ -117,14 +118,14 @@ class Legs(Subject):
 
         They are of the hot path, whose covariance is that of the nominal machine, pose by pose.
         """
-        return _evaluate(self.inputs, self.task, cast("Posterior", posterior), y, seed)
+        return _evaluate(self.inputs, self.task, cast("LegPosterior", posterior), y, seed)
 
 
 def _evaluate(
-    inputs: StudyInputs, task: Task, posterior: Posterior, kept: Array, seed: np.random.SeedSequence
+    inputs: StudyInputs, task: Task, posterior: LegPosterior, kept: Array, seed: np.random.SeedSequence
 ) -> Arrays:
     variant, flat = inputs.variant(task.variant), kept.reshape(-1, kept.shape[-1])
-    theta, errors = posterior.theta(flat), posterior.model_errors(flat)
+    theta, errors = posterior.theta(flat), posterior.errors.amplitudes(posterior.zeta(flat))
     chosen = spread(len(flat), limit_draws(SAVED_DRAWS, POSE_NUMBERS * len(inputs.verification)))
     every = SomeDraws(theta, errors)
     some = every.choose(chosen)
@@ -137,7 +138,7 @@ def _evaluate(
         structured, rng = posterior.likelihood.structured, np.random.default_rng(rng_seed)
         likelihood = posterior.likelihood
         if use or structured is not None:  # otherwise that of the same poses is at hand
-            likelihood = posterior.as_fine(inputs.likelihood(variant, use))
+            likelihood = posterior.likelihood.like(inputs.likelihood(variant, use))
         found: Arrays
         if structured is not None and likelihood.of_poses is not None:
             found, more = evaluate_structured(structured, likelihood.of_poses, theta, errors, chosen, use, rng)
@@ -156,11 +157,11 @@ def _evaluate(
 def build_costly(exact: ExactDensity, exploration: Exploration) -> CostlyDensity:
     """Return the exact density in straight coordinates, beside the one that was explored."""
     straight = exploration.straight
-    posterior = cast("Posterior", straight.posterior)
+    posterior = cast("LegPosterior", straight.posterior)
 
     def excess(x: Array) -> Array:
         y = straight.y_from_x(x)
-        theta, errors = posterior.theta(y), posterior.model_errors(y)
+        theta, errors = posterior.theta(y), posterior.errors.amplitudes(posterior.zeta(y))
         with np.errstate(invalid="ignore"):
             found = exact(theta, errors) - posterior.likelihood(theta, errors)
         return np.where(np.isfinite(found), found, -np.inf)
@@ -168,8 +169,8 @@ def build_costly(exact: ExactDensity, exploration: Exploration) -> CostlyDensity
     # what the exact density knows of the geometry more; of the model errors it is taken to know the same
     y = exploration.modes[0].y
     theta = posterior.theta(y[None])[0]
-    change = posterior.coordinates.jacobian(theta)
-    more = change.T @ exact.information(theta, posterior.model_errors_at(y)) @ change - posterior.information(y)[0]
+    change, amplitudes = posterior.sampling.jacobian(theta), posterior.errors.amplitudes(posterior.zeta(y))
+    more = change.T @ exact.information(theta, amplitudes) @ change - posterior.information(y)[0]
     return CostlyDensity(straight.log_density, excess, pull_back(straight, y, more))
 
 

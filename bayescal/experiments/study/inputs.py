@@ -12,9 +12,9 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import JointDeflection, KappaEstimate, MatrixEstimate
 from bayescal.density.errors import ErrorTerm, ModelError, Outliers
 from bayescal.density.exact import CommonErrors, ExactDensity
+from bayescal.density.legs import LegPosterior, build_leg_posterior
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.model_error import INDEPENDENT
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, Prior, SharePrior, UniformPrior
 from bayescal.density.schema import FixedConfig, NormalConfig
 from bayescal.errors import InputError
@@ -146,13 +146,13 @@ class StudyInputs:
         extra = self.matrix_variance(variant, verification)
         return self.measured.likelihood(self.machine(variant), verification, noise, extra)
 
-    def exact_density(self, variant: VariantConfig, posterior: Posterior) -> ExactDensity | None:
+    def exact_density(self, variant: VariantConfig, posterior: LegPosterior) -> ExactDensity | None:
         """Return the exact density beside a variant's at the calibration poses.
 
         None where these are not measured, and where they may be blunders: to these it hardly matters.
         """
         poses, structured = posterior.likelihood.of_poses, posterior.likelihood.structured
-        if poses is None or posterior.outliers is not None:
+        if poses is None or posterior.errors.outliers is not None:
             return None
         noise = self.config.data.actuator_noise_um * MICROMETRE
         return ExactDensity(poses, noise, self.matrix_errors(variant, verification=False), structured=structured)
@@ -190,7 +190,7 @@ class StudyInputs:
         assert self._pads is not None
         return likelihood, self._pads.shared_errors(self.displacement[~self.verification], likelihood.actuator_weight)
 
-    def posterior(self, variant: VariantConfig, with_model_error: bool, factor: float = 1.0) -> Posterior:
+    def posterior(self, variant: VariantConfig, with_model_error: bool, factor: float = 1.0) -> LegPosterior:
         """Return the posterior of a variant; ``factor`` multiplies the widths of all parameters' priors."""
         priors, fixed = self.priors(variant, factor)
         error = ModelError(None)
@@ -202,7 +202,7 @@ class StudyInputs:
             likelihood, terms = give_kernel(likelihood, self.config, variant, self.mechanism.actuator_range)
         blunders = self.config.blunders
         outliers = None if blunders is None else Outliers(SharePrior(blunders.expected_share))
-        return Posterior(likelihood, priors, error, fixed, terms, outliers)
+        return build_leg_posterior(likelihood, priors, error, fixed, terms, outliers)
 
     def priors(self, variant: VariantConfig, factor: float = 1.0) -> tuple[dict[str, Prior], dict[str, float]]:
         """Return the priors of a variant's free parameters and frames, and what is fixed off nominal.

@@ -14,7 +14,7 @@ from rich.console import Console
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.config.classes import label_class
 from bayescal.config.registry import find_class
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.memory import Need
@@ -218,7 +218,7 @@ def _describe_variant(results: str, name: str, fit: Mapping[str, Any]) -> dict[s
     }
 
 
-def _check_noise(posterior: Posterior, path: Path) -> None:
+def _check_noise(posterior: LegPosterior, path: Path) -> None:
     """Raise InputError for poses that may be blunders, which audits and checks do not have."""
-    if posterior.outliers is not None:
+    if posterior.errors.outliers is not None:
         raise InputError(f"{path}: found blunders, expected none: audits and checks have no poses that may be spoilt")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from bayescal.config.load import look_up
 from bayescal.data.actuators import check_moves, check_range
+from bayescal.density.legs import check_machine
 from bayescal.errors import InputError, PoseInputError, name_faults
 from bayescal.experiments.shared.search_memory import check_poses
 from bayescal.experiments.study.inputs import StudyInputs
@@ -39,7 +40,7 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
         check_poses(len(measured.names), mechanism.n_legs, machine.layout.size)
         check_measurement(inputs.measured, machine, config.data, folder)
         with name_faults(f"variant {variant.name!r}"):
-            inputs.posterior(variant, with_model_error=True).check_machine()
+            check_machine(inputs.posterior(variant, with_model_error=True))
             _check_widths(inputs, variant)
         if variant.published is not None:
             read_published(folder / variant.published, mechanism.n_legs)
@@ -62,4 +63,4 @@ def _check_widths(inputs: StudyInputs, variant: VariantConfig) -> None:
     """Raise InputError for a factor that takes a uniform prior beyond what a parameter may be."""
     for factor in inputs.config.sensitivity.factor:
         with name_faults(f"sensitivity.factor {factor:g}"):
-            inputs.posterior(variant, True, factor).check_machine()
+            check_machine(inputs.posterior(variant, True, factor))

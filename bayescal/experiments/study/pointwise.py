@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayescal.density.legs import LegPosterior
 from bayescal.density.likelihood import Likelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.prediction import replicate
 from bayescal.numerics.geometry import Array
 
@@ -26,7 +26,7 @@ class SomeDraws:
 
 
 def evaluate_poses(
-    posterior: Posterior,
+    posterior: LegPosterior,
     likelihood: Likelihood,
     y: Array,
     every: SomeDraws,
@@ -37,7 +37,7 @@ def evaluate_poses(
 
     Parameters
     ----------
-    posterior : Posterior
+    posterior : LegPosterior
     likelihood : Likelihood
         Of the poses.
     y : ndarray, shape (S, n)
@@ -61,25 +61,29 @@ def evaluate_poses(
 
 
 def _evaluate(
-    posterior: Posterior,
+    posterior: LegPosterior,
     likelihood: Likelihood,
     y: Array,
     every: SomeDraws,
     some: SomeDraws,
     rng: np.random.Generator,
 ) -> dict[str, Array]:
-    if posterior.outliers is None:
+    if posterior.errors.outliers is None:
         density = likelihood.pointwise(every.theta, every.model_error)
     else:
-        density = posterior.evaluate_poses(likelihood, y)
+        density = posterior.evaluate_rows(likelihood, y)
     made = replicate(likelihood, some.theta, some.model_error, rng)
     misfit = made.misfit.astype(np.float32).swapaxes(0, 1)
     found = {"log_likelihood": density.T, **vars(made.summarise()), "misfit": misfit}
     return found | _suspect(posterior, likelihood, y)
 
 
-def _suspect(posterior: Posterior, likelihood: Likelihood, y: Array) -> dict[str, Array]:
+def _suspect(posterior: LegPosterior, likelihood: Likelihood, y: Array) -> dict[str, Array]:
     """Return how probable it is that each pose is a blunder, shape (P,), where they may be."""
-    if posterior.outliers is None:
+    if posterior.errors.outliers is None:
         return {}
-    return {"blunder_probability": posterior.outlier_probabilities(likelihood, y).mean(axis=0)}
+    return {
+        "blunder_probability": likelihood.outlier_probabilities(
+            posterior.theta(y), posterior.errors, posterior.zeta(y)
+        ).mean(axis=0)
+    }

@@ -44,7 +44,7 @@ def _suspect(inputs: StudyInputs, variant: VariantConfig) -> Suspect:
     rereads: tuple[tuple[str, LikelihoodOf], ...] = ()
     if isinstance(measured, InstrumentMeasurement) and measured.has_poses:  # those of targets have no form of their own
         rereads = tuple((text, partial(of_poses, poses)) for text, poses in list_rereads(measured.poses))
-    coordinates = inputs.posterior(variant, with_model_error=False).coordinates
+    coordinates = inputs.posterior(variant, with_model_error=False).sampling.coordinates
     return Suspect(likelihood_of, coordinates, measured.actuators, rereads)
 
 

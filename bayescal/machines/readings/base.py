@@ -127,6 +127,11 @@ class ReadingModel(ABC):
         return ()
 
     @property
+    def commanded(self) -> tuple[str, ...]:
+        """Names of the channels that a controller can command: by default all that are the machine's own."""
+        return tuple(one.name for one in self.channels if not one.external)
+
+    @property
     def member(self) -> str:
         """What one of many is called: that ``l[2]`` is of leg, line, joint or belt 2."""
         return "leg"
@@ -174,6 +179,14 @@ class ReadingModel(ABC):
     @abstractmethod
     def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
         """Return the readings with their derivatives; arguments as in `read`."""
+
+    def error_gain(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array | None:
+        """Return how the model error of each channel shows in all of them, (..., K, K), arguments as in `read`.
+
+        None, as by default, where each shows in its own channel alone.
+        """
+        del theta, pose, given
+        return None
 
     @abstractmethod
     def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
@@ -249,6 +262,11 @@ class _Picked(ReadingModel):
         return self.whole.given
 
     @property
+    def commanded(self) -> tuple[str, ...]:
+        """What the whole machine can be commanded by, of the sensors left."""
+        return tuple(name for name in self.whole.commanded if name in self.names)
+
+    @property
     def member(self) -> str:
         """What the whole machine says."""
         return self.whole.member
@@ -274,6 +292,11 @@ class _Picked(ReadingModel):
         found = self.whole.linearise(theta, pose, with_parameters, given)
         by_parameters = found.by_parameters[..., self.places, :] if with_parameters else found.by_parameters
         return Readings(found.values[..., self.places], found.by_pose[..., self.places, :], by_parameters)
+
+    def error_gain(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array | None:
+        """Return how the model errors of the sensors left show in them."""
+        gain = self.whole.error_gain(theta, pose, given)
+        return None if gain is None else gain[..., self.places, :][..., self.places]
 
     def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
         """Return the whole machine's tool."""

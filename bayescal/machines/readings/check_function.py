@@ -42,6 +42,11 @@ def check_members(name: str, machine: ReadingMachine) -> None:
     if not machine.parameters or not machine.channels:
         raise InputError(f"{where}: found no parameter or no channel, expected at least one of each")
     _check_rotations(where, machine.channels)
+    known = {name for one in machine.channels for name in (one.name, one.kind)}
+    for name in machine.commanded:
+        if name not in known:
+            channels = ", ".join(one.name for one in machine.channels)
+            raise InputError(f"{where}: commanded: found {name!r}, expected some of {channels}")
 
 
 def _check_rotations(where: str, channels: Sequence[Channel]) -> None:

@@ -38,6 +38,8 @@ class ReadingMachine(ABC):
         Its section of the machine's file; nothing by default.
     given : tuple of str
         Columns of the data that `read` needs beside coordinates: a temperature, a commanded value.
+    commanded : sequence of str
+        Channels, or kinds of them, that a controller can command; all that are not external where it is empty.
     frame_parameters : tuple of str
         Names of parameters that only say where a frame is, such as ``a_x[1]``.
     member : str
@@ -46,6 +48,7 @@ class ReadingMachine(ABC):
 
     Config: ClassVar[type[Section]] = Section
     given: tuple[str, ...] = ()
+    commanded: Sequence[str] = ()
     frame_parameters: tuple[str, ...] = ()
     member: str = "leg"
     parameters: Sequence[ParameterBlock]
@@ -175,6 +178,13 @@ class FunctionModel(ReadingModel):
     def given(self) -> tuple[str, ...]:
         """What has to be known of each row of the data."""
         return tuple(self.machine.given)
+
+    @property
+    def commanded(self) -> tuple[str, ...]:
+        """What the machine says that a controller can command, else all channels of its own."""
+        if not self.machine.commanded:
+            return super().commanded
+        return tuple(one.name for one in self.channels if {one.name, one.kind} & set(self.machine.commanded))
 
     @property
     def member(self) -> str:

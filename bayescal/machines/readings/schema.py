@@ -9,8 +9,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from bayescal.config.sections import Number, Positive, Section
-from bayescal.limits import LARGEST
+from bayescal.config.classes import ClassMark
+from bayescal.config.sections import InputFile, Number, Positive, Section, Vector
+from bayescal.limits import LARGEST, LARGEST_KAPPA
 
 type Count = Annotated[int, Field(ge=1, le=100_000)]
 type Turn = Annotated[float, Field(ge=-360.0, le=360.0, allow_inf_nan=False)]
@@ -81,6 +82,25 @@ class MachineFileConfig(Section):
     """What pages call the machine; its name where nothing is said."""
     source: str = ""
     """Where the dimensions come from."""
+
+
+class LegsMachineConfig(MachineFileConfig):
+    """A mechanism on legs seen by its sensors, through a kinematic model and a deformation of the platform."""
+
+    kind: Literal["legs"]
+    """`"legs"`."""
+    mechanism: InputFile
+    """The mechanism's TOML file."""
+    model: Annotated[str, ClassMark("MODELS")]
+    """Kinematic model; `bayescal list models` shows all."""
+    deformation: Annotated[str, ClassMark("DEFORMATIONS")] = "none"
+    """Deformation of the platform: `none`, `linear` or `matrix`, or one of your own."""
+    kappa: Annotated[Number, Field(ge=-LARGEST_KAPPA, le=LARGEST_KAPPA)] = 0.0
+    """Nominal share of its leg's displacement by which a joint shifts, for the deformation `linear` [1]."""
+    matrix: InputFile | None = None
+    """CSV file of the matrix K for the deformation `matrix`, in thousandths."""
+    tool_mm: Vector = Field(default=[0.0, 0.0, 0.0])
+    """The tool's centre, platform frame."""
 
 
 class ReadingSensorConfig(Section):

@@ -119,6 +119,11 @@ class SlidingPlatform(ReadingModel):
         return (*internal, *outside)
 
     @property
+    def commanded(self) -> tuple[str, ...]:
+        """The carriages."""
+        return tuple(one.name for one in self.channels if one.kind == "s")
+
+    @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """x, y and φ of the platform's frame."""
         kinds = zip(("x", "y", "phi"), ("mm", "mm", "rad"), self.home, strict=True)

@@ -4,7 +4,6 @@ The pose v is position and rotation vector of the platform frame in the base fra
 
 - ``rho[i]``: the position of actuator i, by inverse kinematics. With the closure f(pose, ρ; d) = 0 the derivatives are
   ∂ρ/∂v = -(∂f/∂ρ)⁻¹ ∂f/∂v and ∂ρ/∂d = -(∂f/∂ρ)⁻¹ ∂f/∂d, those of a hexapod's struts being its Jacobian's.
-  A deformation's part of ∂f/∂ρ is that of its nominal parameters, as everywhere.
 - ``tilt_a[i]``, ``tilt_b[i]``: how far leg i is inclined at its base joint, about two axes fixed there: angles of its
   vector g from the nominal one at home, in the planes of e0 with e1 and with e2,
 
@@ -18,7 +17,7 @@ The pose v is position and rotation vector of the platform frame in the base fra
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -38,6 +37,7 @@ from bayescal.numerics.geometry import (
 
 TILTS = ("tilt_a", "tilt_b")
 POSE = ("x", "y", "z", "rx", "ry", "rz")
+TURN = 0.5 * np.pi  # rad, the largest half width of a workspace about an axis
 UPRIGHT = 1.0 - 1e-9  # of a leg's direction along z, beyond which x is taken for horizontal
 
 
@@ -51,15 +51,17 @@ class SpatialMachine(ReadingModel):
         Mechanism, model and deformation.
     tool_point : ndarray, shape (3,)
         The tool's centre, platform frame, mm; known.
+    name : str
+        That of the mechanism where it is left out.
     """
 
     machine: Machine
     tool_point: Array
+    name: str = ""
 
-    @property
-    def name(self) -> str:
-        """Name of the mechanism."""
-        return self.machine.mechanism.name
+    def __post_init__(self) -> None:
+        """Take over the mechanism's name."""
+        object.__setattr__(self, "name", self.name or self.machine.mechanism.name)
 
     @property
     def n_legs(self) -> int:
@@ -84,13 +86,29 @@ class SpatialMachine(ReadingModel):
         """Encoders, inclinometers about e1 and e2, then the pose seen from beside the machine."""
         kinds = (("rho", "mm"), *((kind, "rad") for kind in TILTS))
         internal = [Channel(f"{kind}[{leg}]", unit) for kind, unit in kinds for leg in range(1, self.n_legs + 1)]
-        return (*internal, *(Channel(n, u, external=True) for n, u in zip(POSE, self.pose_units, strict=True)))
+        seen = [Channel(name, "mm", external=True) for name in POSE[:3]]
+        return (*internal, *seen, *(Channel(name, "rad", external=True, rotation="r") for name in POSE[3:]))
 
     @property
+    def commanded(self) -> tuple[str, ...]:
+        """The actuators."""
+        return tuple(one.name for one in self.channels if one.kind == "rho")
+
+    @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """Position and rotation vector of the platform's frame."""
-        kinds = zip(POSE, ("mm",) * 3 + ("rad",) * 3, self.home, strict=True)
-        return tuple(Coordinate(name, unit, float(home), reach=0.0) for name, unit, home in kinds)
+        kinds = zip(POSE, self.pose_units, self.home, self._reach, strict=True)
+        return tuple(Coordinate(name, unit, float(home), float(reach)) for name, unit, home, reach in kinds)
+
+    @cached_property
+    def _reach(self) -> Array:
+        """How far the actuators' range takes the platform from home to first order, mm and rad, shape (6,)."""
+        theta, home = self.layout.nominal[: self.machine.layout.size], self.home
+        rotation = matrix_from_rotation_vector(home[3:])
+        here = self.machine.linearise(theta, home[:3], rotation, self.machine.mechanism.initial_actuator_positions)
+        by_actuators = np.abs(np.linalg.pinv(here.pose) @ here.actuators)
+        reach = self.machine.mechanism.actuator_range * by_actuators.sum(axis=-1)
+        return np.asarray(np.minimum(reach, [np.inf] * 3 + [TURN] * 3))
 
     @property
     def pose_units(self) -> tuple[str, ...]:
@@ -109,8 +127,13 @@ class SpatialMachine(ReadingModel):
         """Return the parameters of the legs that carry a sensor and the zeros of inclinometers.
 
         An inclinometer does not see how long a strut is. Parameters that are no leg's own, or of a deformation, are
-        seen by every sensor on a leg.
+        seen by every sensor on a leg, and all of them where actuators deflect the joints of other legs.
         """
+        channels = tuple(channels)
+        if self._couples and any(name.partition("[")[0] not in POSE for name in channels):
+            zeros = {name for kind in TILTS for name in self.layout.block(f"{kind}0").names}
+            read = {name.replace("[", "0[") for name in channels if name.partition("[")[0] in TILTS}
+            return tuple(name for name in self.layout.names if name not in zeros - read)
         seen: set[str] = set()
         blind = {"l"} if self.machine.mechanism.drive == "strut" else set()
         for name in channels:
@@ -123,6 +146,12 @@ class SpatialMachine(ReadingModel):
             if kind in TILTS:
                 seen.add(f"{kind}0[{leg}")
         return tuple(name for name in self.layout.names if name in seen)
+
+    @property
+    def _couples(self) -> bool:
+        """Whether an actuator deflects the joints of other legs."""
+        gain = self.machine.basis(self.machine.mechanism.initial_actuator_positions).actuator_gain
+        return bool(np.any(gain * ~np.eye(self.n_legs, dtype=bool)))
 
     def _is_own(self, block: ParameterBlock) -> bool:
         shared = {b.symbol for b in self.machine.deformation.blocks(self.n_legs)}
@@ -171,7 +200,7 @@ class SpatialMachine(ReadingModel):
         del given
         machine, n, own = self.machine, self.n_legs, theta[..., : self.machine.layout.size]
         position, rotation, actuators = self._stand(theta, pose)
-        basis = machine.basis(actuators)
+        basis = machine.basis_at(own, actuators)
         closure = machine.model.prepare(machine.layout, own)(position, rotation, basis, with_parameters)
         legs = compute_leg_vectors(machine.layout, own, position, rotation, basis)
         values = self._values(theta, pose, actuators, legs.vector)
@@ -193,6 +222,30 @@ class SpatialMachine(ReadingModel):
         by_pose[..., 3:] = by_pose[..., 3:] @ _turn_by_coordinates(pose)
         by_pose[..., 3 * n :, :] = np.eye(len(POSE))
         return Readings(values, by_pose, by_parameters)
+
+    def error_gain(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array | None:
+        """Return how the model error of each channel shows in all of them; see `ReadingModel.error_gain`.
+
+        A leg's model error is an error of its own closure: unlike a displacement of its actuator it deflects no other
+        leg's joint. With B = ∂f/∂ρ, and L the same where actuators deflect nothing but their own joints, it shows in
+        the actuators as B⁻¹ L.
+        """
+        del given
+        if not self._couples:
+            return None
+        own = theta[..., : self.machine.layout.size]
+        position, rotation, actuators = self._stand(theta, pose)
+        basis = self.machine.basis_at(own, actuators)
+        alone = basis.actuator_gain * np.eye(self.n_legs)
+        closure = self.machine.model.prepare(self.machine.layout, own)
+        whole, lone = (
+            closure(position, rotation, one, with_parameters=False).actuators
+            for one in (basis, replace(basis, actuator_gain=alone))
+        )
+        gain = np.zeros((*actuators.shape[:-1], len(self.channels), len(self.channels)))
+        gain[...] = np.eye(len(self.channels))
+        gain[..., : self.n_legs, : self.n_legs] = _invert(whole) @ lone
+        return gain
 
     def _covectors(self, vector: Array) -> list[Array]:
         """Return the derivatives of both tilts by the leg vectors, each of shape (..., N, 3)."""

@@ -55,6 +55,50 @@ def test_deviations_correlation_and_model_errors_make_the_covariance(rng, correl
         assert found[c, p] == pytest.approx(closed_form(model, values[p], covariance, theta[c]), rel=1e-9)
 
 
+@pytest.mark.parametrize("chosen", [(0, 1), (4, 2), (0, 1, 3), (0, 1, 2, 3, 4, 5)])
+@pytest.mark.parametrize("correlated", [False, True])
+def test_readings_given_commanded_positions_have_the_closed_form(rng, chosen, correlated):
+    """The pose normal with a huge variance, over its density: flat in the commanded channels as a surface."""
+    model, sd, theta = linear_model(rng), rng.uniform(0.5, 2.0, 6), rng.standard_normal((4, 3))
+    values, of = rng.standard_normal((7, 6)), correlation_of(rng, 6) if correlated else np.eye(6)
+    data = replace(measurements(values, sd, of), commanded=np.tile(np.isin(np.arange(6), chosen), (7, 1)))
+    found = pointwise(density(model, data, volume=VOLUME), theta)
+    wide = 1e3
+    covariance = sd[:, None] * of * sd + wide**2 * model.by_pose @ model.by_pose.T
+    own = model.by_pose[list(chosen)]
+    flat = np.log(2.0 * np.pi * wide**2) + 0.5 * np.linalg.slogdet(own.T @ own)[1]
+    expected = [multivariate_normal.logpdf(values, model.by_parameters @ one, covariance) + flat for one in theta]
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4)
+
+
+def test_as_many_commanded_channels_as_coordinates_leave_the_density_of_the_others_given_them(rng):
+    """That of what they predict of the others, normalised: neither workspace nor unit of the coordinates matter."""
+    model, sd, theta = linear_model(rng), rng.uniform(0.5, 2.0, 6), rng.standard_normal(3)
+    values, commanded = rng.standard_normal((7, 6)), np.arange(6) < 2
+    data = replace(measurements(values, sd), commanded=np.tile(commanded, (7, 1)))
+    shifted = values - model.by_parameters @ theta
+    gain = model.by_pose[2:] @ np.linalg.inv(model.by_pose[:2])
+    covariance = np.diag(sd[2:] ** 2) + gain @ np.diag(sd[:2] ** 2) @ gain.T
+    expected = multivariate_normal.logpdf(shifted[:, 2:] - shifted[:, :2] @ gain.T, cov=covariance)
+    for volume, scale in ((1.0, 1.0), (VOLUME, 0.01)):
+        one = LinearModel(scale * model.by_pose, model.by_parameters)
+        found = pointwise(density(one, data, volume=volume), theta[None])[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_each_pose_has_commanded_channels_of_its_own_or_none(rng):
+    model, sd, theta = linear_model(rng), rng.uniform(0.5, 2.0, 6), rng.standard_normal((4, 3))
+    commanded = np.array([[1, 1, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0], [0, 0, 1, 1, 1, 0]], dtype=bool)
+    data = replace(measurements(rng.standard_normal((3, 6)), sd), commanded=commanded)
+    found = pointwise(density(model, data, volume=VOLUME), theta)
+    for k in range(3):
+        alone = data.pick(np.array([k]))
+        alone = alone if commanded[k].any() else replace(alone, commanded=None)
+        np.testing.assert_allclose(found[:, k], pointwise(density(model, alone, volume=VOLUME), theta)[:, 0])
+    left = data.only(np.arange(6) != 2)
+    np.testing.assert_array_equal(left.commanded, commanded & [[True], [True], [False]])
+
+
 def test_a_reading_not_taken_is_no_reading(rng):
     """As of a machine that does not have the sensor, with correlated noise as well."""
     model, sd, theta = linear_model(rng), rng.uniform(0.5, 2.0, 6), rng.standard_normal((4, 3))

@@ -31,6 +31,8 @@ CASES = {
     "uniform": {"uniform": True},
     "common": {"common": True, "uniform": True},
     "missing": {"missing": 0.5},
+    "commanded": {"commanded": (0, 2), "terms": unknown_noise(4, True, True, 0.1)},
+    "commanded by more than coordinates": {"commanded": (0, 1, 2), "correlation": MIXED},
     "a circle": {"bearing": True, "terms": unknown_noise(5, True, True, 0.1)},
     "functions": {"terms": (line_functions(),)},
     "functions of a free length": {"terms": (line_functions("smooth", 0.3),)},
@@ -66,7 +68,8 @@ def test_the_gradient_is_that_of_central_differences(case, anchored, rng):
     # four points: what bends the density most, its fourth power, does not show
     values = [posterior.log_density(y + times * moves) for times in (-2.0, -1.0, 1.0, 2.0)]
     expected = (8.0 * (values[2] - values[1]) - (values[3] - values[0])) / (12.0 * step)
-    np.testing.assert_allclose(gradient, expected, rtol=1e-6, atol=3e-4)
+    # the noise moves the best pose, and with it the volume: left out, and more with the measure of commanded positions
+    np.testing.assert_allclose(gradient, expected, rtol=1e-6, atol=1e-3 if "commanded" in case else 3e-4)
     np.testing.assert_allclose(hessian, hessian.T, rtol=1e-9, atol=1e-9)
     assert (np.linalg.eigvalsh(-hessian) > 0.99).all()
 

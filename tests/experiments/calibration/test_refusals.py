@@ -3,6 +3,7 @@
 import calibrations
 import pytest
 
+TABLE_LINE = 'file = "data/readings.csv"'
 CONFIG = {
     "unknown channel": ("s = { noise_um = 5.0 }", "q = { noise_um = 5.0 }", "sensor 'q': unknown here"),
     "noise in another unit": ("s = { noise_um = 5.0 }", "s = { noise_deg = 5.0 }", "expected a noise in mm"),
@@ -27,6 +28,22 @@ CONFIG = {
         "[sampler]",
         "[workspace]\nx = [1.0, 0.0]\n[sampler]",
         "expected the smaller number first",
+    ),
+    "commanded and unknown": (TABLE_LINE, f'{TABLE_LINE}\ncommanded = ["q"]', "no column of channel 'q'"),
+    "commanded by an instrument": (
+        TABLE_LINE,
+        f'{TABLE_LINE}\ncommanded = ["s", "height"]',
+        "data.commanded: found 'height', expected some of s[1], s[2], s[3]",
+    ),
+    "commanded by too few": (
+        TABLE_LINE,
+        f'{TABLE_LINE}\ncommanded = ["s[1]", "s[3]"]',
+        "data.commanded: found 2 channels, expected at least 3, one per coordinate",
+    ),
+    "commanded by what a variant leaves out": (
+        'common = ["l"]',
+        'common = ["l"]\nsensors = ["cam_x", "cam_y", "height"]',
+        "data.commanded: found 's[1]', which is not among the sensors",
     ),
     "measured without a source": ('status = "simulated"', 'status = "measured"', "without source or licence"),
 }
@@ -74,6 +91,8 @@ def refuse(call, tmp_path):
 def test_config(case, tmp_path, refuse):
     old, new, message = CONFIG[case]
     path = calibrations.change(calibrations.write_delta(tmp_path), old, new)
+    if "leaves out" in case:
+        calibrations.change(path, TABLE_LINE, f'{TABLE_LINE}\ncommanded = ["s"]')
     refuse(path, message)
 
 
@@ -118,6 +137,21 @@ def test_a_second_reading_of_the_same_pose(tmp_path, refuse):
     path = calibrations.write_delta(tmp_path)
     calibrations.change(path, "[sensors]", '[[data]]\nfile = "data/readings.csv"\n\n[sensors]')
     refuse(path, "found a second reading of s[1] at pose 'C001'")
+
+
+def test_a_commanded_channel_without_a_column_or_a_cell(tmp_path, refuse):
+    path = calibrations.write_delta(tmp_path)
+    calibrations.change(path, TABLE_LINE, f'{TABLE_LINE}\ncommanded = ["s"]')
+    table = path.parent / "data" / "readings.csv"
+    written = table.read_text()
+    table.write_text(written.replace("s_2_mm", "other").replace("s_2_mm", "other"))
+    calibrations.change(path, TABLE_LINE, f'{TABLE_LINE}\nignore = ["other"]')
+    refuse(path, "found no column of channel 's[2]', which is in data.commanded")
+    lines = written.splitlines()
+    cells = lines[4].split(",")
+    lines[4] = ",".join([*cells[:3], "", *cells[4:]])
+    table.write_text("\n".join(lines) + "\n")
+    refuse(path, "line 5: found no s[2], expected it as data.commanded says")
 
 
 def test_a_table_without_the_channels_it_should_have(tmp_path, refuse):

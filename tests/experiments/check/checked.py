@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import studies
 
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import build_leg_posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.experiments.check.inputs import read_check
 from bayescal.experiments.check.kind import configure_check
@@ -61,5 +61,5 @@ def tighten(subject: Subject, symbol: str, factor: float) -> Subject:
         name: NormalPrior(prior.mean, prior.sd / factor) if name.startswith(f"{symbol}[") else prior
         for name, prior in posterior.priors.items()
     }
-    tight = Posterior(posterior.likelihood, priors, posterior.model_error, posterior.fixed)
+    tight = build_leg_posterior(posterior.likelihood, priors, posterior.errors.model_error, posterior.fixed)
     return Subject(replace(subject.measured, posterior=tight, priors=priors))

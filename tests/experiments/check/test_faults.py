@@ -181,7 +181,7 @@ def folded():
     machine, symbols = machines.build_machine("none"), ("a_x", "a_y", "b_x", "b_y", "l", "u_x")
     layout, actuators = machine.layout, machines.table_3_actuators()[:10]
     exact = machines.place_poses(machine, layout.nominal, actuators, np.zeros((10, 6)))
-    slope = machines.build_posterior("none", exact, ModelError(None), symbols).coordinates.legs[:, 0]
+    slope = machines.build_posterior("none", exact, ModelError(None), symbols).sampling.coordinates.legs[:, 0]
     theta = layout.nominal.copy()
     theta[layout.index["u_x"]] = np.sin(np.arctan(slope)) + 0.03 * np.array([1, -1, 1, -1, 1, -1])
     poses = machines.simulate_poses(machine, theta, actuators, np.zeros(6), np.random.default_rng(5))

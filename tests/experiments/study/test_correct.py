@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayescal.density.errors import ModelError
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import build_leg_posterior
 from bayescal.experiments.study.fit import build_costly
 from bayescal.inference.correction import correct_draws, correct_evidence, move_sample, sample_exactly
 from bayescal.inference.exploration import explore
@@ -27,7 +27,7 @@ def draw_small(model, deformation, seed):
     whole, layout = problem.posterior, problem.posterior.likelihood.layout
     free = {name: whole.priors[name] for name in ("l[1]", "l[4]")}
     fixed = {name: problem.theta[k] for k, name in enumerate(layout.names) if name not in free}
-    posterior = Posterior(whole.likelihood, free, ModelError(problems.SCALE, shared=True), fixed)
+    posterior = build_leg_posterior(whole.likelihood, free, ModelError(problems.SCALE, shared=True), fixed)
     return replace(problem, posterior=posterior)
 
 

@@ -87,5 +87,5 @@ def test_shipped_twin_is_recovered(twin, config):
     truth = twin.theta[[twin.machine.layout.names.index(name) for name in posterior.names[: posterior.n_geometry]]]
     assert np.all(np.abs(draws.mean(axis=0) - truth) < 4 * draws.std(axis=0))
     # and it is not won by width: nominal values are refused
-    nominal = posterior.likelihood.machine.layout.nominal[posterior.coordinates.free]
+    nominal = posterior.likelihood.machine.layout.nominal[posterior.sampling.free]
     assert np.any(np.abs(draws.mean(axis=0) - nominal) > 4 * draws.std(axis=0))

@@ -9,7 +9,7 @@ from bayescal.data.instruments.poses import PoseReadings
 from bayescal.data.instruments.read_points import PointNoise, convert_polar, spread_polar
 from bayescal.density.errors import ModelError
 from bayescal.density.instruments import InstrumentLikelihood
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import build_leg_posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit
@@ -36,7 +36,7 @@ def calibrate(knowledge, readings, actuator_noise):
     layout = InstrumentLikelihood(knowledge.machine, readings, actuator_noise)
     centre = dict(zip(knowledge.layout.names, knowledge.centre, strict=True))
     priors = {name: NormalPrior(float(centre[name]), sd) for name, sd in knowledge.priors.items()}
-    posterior = Posterior(layout, priors, ModelError(None), knowledge.fixed)
+    posterior = build_leg_posterior(layout, priors, ModelError(None), knowledge.fixed)
     assert posterior.names == knowledge.names
     y = posterior.polish(posterior.approach())
     gradient, hessian = posterior.gradient(y)

@@ -7,8 +7,8 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.density.errors import ModelError
+from bayescal.density.legs import build_leg_posterior, check_machine
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError
 
@@ -31,7 +31,7 @@ def build_free(model, poses, deformation="matrix", model_error=NO_MODEL_ERROR, m
         name: NormalPrior(value, unit.get(kind, lambda value: value / 8)(value))
         for name, value, kind in zip(layout.names, layout.nominal, layout.units, strict=True)
     }
-    return Posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, model_error)
+    return build_leg_posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, model_error)
 
 
 @pytest.mark.parametrize("model_error", MODEL_ERRORS.values(), ids=MODEL_ERRORS.keys())
@@ -75,12 +75,12 @@ FAR_OUT = {"far": 1e3, "very far": 1e100, "beyond squares": 1e200, "beyond anyth
 
 def propose(posterior, y, changes):
     """Return the coordinates y (n,) with some parameters changed by name."""
-    layout = posterior.coordinates.layout
+    layout = posterior.sampling.layout
     theta = posterior.theta(y[None])[0]
     for name, value in changes.items():
         theta[layout.names.index(name)] = value
     changed = y.copy()
-    changed[: posterior.n_geometry] = posterior.coordinates.y_from_theta(theta)
+    changed[: posterior.n_geometry] = posterior.sampling.y_from_theta(theta)
     np.testing.assert_allclose(posterior.theta(changed[None])[0], theta, rtol=1e-9, atol=1e-12)
     return changed
 
@@ -141,7 +141,7 @@ def test_far_out_in_few_parameters_is_finite_or_none(free, rng):
 
 def test_no_home_pose_has_no_density(free, rng):
     """One leg too short for its joints, or all lower joints in one point; perfect joints need no home pose."""
-    names = free.coordinates.layout.names
+    names = free.sampling.layout.names
     y = 0.1 * rng.standard_normal(free.n_parameters)
     for changes in ({"l[3]": 50.0}, {name: 0.0 for name in names if name.startswith(("a_x", "a_y"))}):
         bad = propose(free, y, changes)
@@ -157,7 +157,9 @@ def test_no_home_pose_has_no_density(free, rng):
 def posterior_of(model, poses, priors, fixed=None):
     """Return the posterior of given priors and fixed values."""
     machine = machines.build_machine("none", model=model)
-    return Posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, NO_MODEL_ERROR, fixed or {})
+    return build_leg_posterior(
+        PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, NO_MODEL_ERROR, fixed or {}
+    )
 
 
 @pytest.mark.parametrize(
@@ -179,9 +181,9 @@ def test_centres_outside_the_bounds_are_named(model, name, value, message, few_p
         posterior_of(model, few_poses, {name: NormalPrior(value, 1.0)}),
     ):
         with pytest.raises(InputError) as caught:
-            posterior.check_machine()
+            check_machine(posterior)
         assert str(caught.value) == message
-    posterior_of(model, few_poses, free).check_machine()
+    check_machine(posterior_of(model, few_poses, free))
 
 
 @pytest.mark.parametrize(
@@ -199,14 +201,14 @@ def test_centres_outside_the_bounds_are_named(model, name, value, message, few_p
 )
 def test_uniform_priors_that_leave_the_bounds_are_named(model, name, bounds, message, few_poses):
     with pytest.raises(InputError) as caught:
-        posterior_of(model, few_poses, {name: UniformPrior(*bounds)}).check_machine()
+        check_machine(posterior_of(model, few_poses, {name: UniformPrior(*bounds)}))
     assert str(caught.value).startswith(message)
 
 
 @pytest.mark.parametrize(("model", "name", "bounds"), [("beam", "beta[3]", (0.0, 0.5)), ("six_pus", "u_x[1]", (-1, 1))])
 def test_uniform_priors_may_reach_the_bounds(model, name, bounds, few_poses):
     posterior = posterior_of(model, few_poses, {name: UniformPrior(*bounds)})
-    posterior.check_machine()
+    check_machine(posterior)
     found = posterior.log_density(np.array([[-60.0], [-2.0], [0.0], [2.0], [60.0]]))
     assert np.isfinite(found[1:4]).all()
     assert found[[0, 4]].tolist() == [-np.inf, -np.inf]  # on a bound: no machine

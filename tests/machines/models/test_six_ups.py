@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from bayescal.density.errors import ModelError
 from bayescal.density.least_squares import identify
+from bayescal.density.legs import build_leg_posterior, check_machine
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError
 from bayescal.inference.mode import find_modes
@@ -224,11 +224,11 @@ def test_gradient_with_everything_free(machine, rng):
     layout = machine.layout
     priors = {name: NormalPrior(value, 1.0) for name, value in zip(layout.names, layout.nominal, strict=True)}
     priors["l[2]"] = UniformPrior(*(priors["l[2]"].mean + np.array([-2.0, 2.0])))
-    posterior = Posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(0.01))
-    posterior.check_machine()
+    posterior = build_leg_posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(0.01))
+    check_machine(posterior)
     y = 1e-3 * rng.standard_normal(posterior.n_parameters)
     theta = posterior.theta(y[None])
-    np.testing.assert_allclose(posterior.coordinates.y_from_theta(theta)[0], y[:42], atol=1e-9)
+    np.testing.assert_allclose(posterior.sampling.y_from_theta(theta)[0], y[:42], atol=1e-9)
     found, _ = posterior.gradient(y)
     expected = machines.stencil_derivative(posterior.log_density, y, np.full(len(y), 1e-4))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-4 * np.abs(expected).max())
@@ -239,10 +239,10 @@ def test_mode_is_where_the_machine_is(machine, rng):
     theta, poses = simulate(machine, 1.0, rng)
     layout = machine.layout
     priors = {name: NormalPrior(value, 1.0) for name, value in zip(layout.names, layout.nominal, strict=True)}
-    posterior = Posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, NO_MODEL_ERROR)
+    posterior = build_leg_posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, NO_MODEL_ERROR)
     (mode,) = find_modes(posterior)
     assert mode.converged
-    off = mode.y - posterior.coordinates.y_from_theta(theta)
+    off = mode.y - posterior.sampling.y_from_theta(theta)
     assert 18 < off @ np.linalg.solve(mode.covariance, off) < 78  # χ² of 42: 0.05 % on either side
     nominal = mode.y  # from the nominal machine, where y is zero
     assert nominal @ np.linalg.solve(mode.covariance, nominal) > 1e4

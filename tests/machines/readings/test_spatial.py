@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 import studies
 
 from bayescal.errors import InputError
 from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
-from bayescal.machines.kinematics import build_machine
+from bayescal.machines.kinematics import build_machine, solve_forward_kinematics
 from bayescal.machines.models import MODELS
-from bayescal.machines.read import load_mechanism
+from bayescal.machines.read import find_machine_classes, list_machine_sources, load_mechanism, read_reading_model
 from bayescal.machines.readings import SpatialMachine
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
@@ -18,14 +20,16 @@ MACHINES = {
     "struts": ("audit/m2_hexapod_mechanism.toml", "six_ups", "none"),
     "base": ("telescope/mechanism.toml", "six_pus", "none"),
     "deformed": ("telescope/mechanism.toml", "six_pus", "linear"),
+    "coupled": ("telescope/mechanism.toml", "six_pus", "matrix"),
 }
+MATRIX = np.array([[0.0, 3.0, -8.0, 12.0, -2.0, -20.0]] * 6) * 1e-3
 POSE_STEP = np.array([1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5])
 
 
 def build(name: str) -> SpatialMachine:
     path, model, deformation = MACHINES[name]
     mechanism = load_mechanism(studies.EXPERIMENTS / path)
-    nominal = NominalDeformation(0.011, lambda: np.zeros((6, 6)))
+    nominal = NominalDeformation(0.011, lambda: MATRIX)
     deformed = DEFORMATIONS[deformation].from_nominal(nominal)
     return SpatialMachine(build_machine(MODELS[model], mechanism, deformed), np.array([10.0, -20.0, 30.0]))
 
@@ -45,8 +49,6 @@ def draw(model: SpatialMachine, n_machines: int = 2, n_poses: int = 4, turn: flo
     rng = np.random.default_rng(3)
     layout = model.layout
     scale = np.array([{"mm": 0.2, "rad": 1e-2}.get(unit, 1e-3) for unit in layout.units])
-    if "kappa" in layout.symbols:  # a deformation's gain is everywhere that of the nominal machine
-        scale[layout.index["kappa"]] = 0.0
     theta = layout.nominal + scale * rng.standard_normal((n_machines, 1, layout.size))
     pose = model.home + rng.uniform(-1.0, 1.0, (1, n_poses, 6)) * np.array([1.0, 1.0, 1.0, turn, turn, turn])
     return theta, pose
@@ -189,3 +191,94 @@ def test_given_frames_leave_no_motion(model, symbol):
         turn = np.cross(np.eye(3), points[leg] / 1000.0)[:, axis]
         rows.append(np.concatenate([np.eye(3)[axis], turn]))
     assert np.linalg.svd(np.array(rows), compute_uv=False)[-1] > 0.005
+
+
+# --- model errors ----------------------------------------------------------------------------------------------------
+
+
+def test_a_leg_that_errs_deflects_no_other(model):
+    """Its foot displaced along its actuator is an error of its closure alone."""
+    theta, pose = draw(model)
+    if "kappa" in model.layout.symbols:
+        theta[..., model.layout.index["kappa"]] = 0.0  # nor its own joint
+        for symbol in ("u_x", "u_y"):
+            theta[..., model.layout.index[symbol]] = 0.0
+    gain = model.error_gain(theta, pose)
+    if model.machine.deformation.name != "matrix":
+        assert gain is None
+        return
+    place = [model.layout.index[f"a_{axis}"] for axis in "xyz"]
+    moved = model.linearise(theta, pose).by_parameters[..., :6, :]
+    along = model.machine.mechanism.directions
+    expected = -sum(along[:, k] * moved[..., place[k]] for k in range(3))
+    shown = gain[..., :6, :6]
+    np.testing.assert_allclose(shown, expected, atol=1e-6)
+    assert np.abs(shown - np.eye(6)).max() > 1e-3
+    some = model.pick(np.array([1, 2, 5, 18]))
+    np.testing.assert_array_equal(some.error_gain(theta, pose), gain[..., [1, 2, 5, 18], :][..., [1, 2, 5, 18]])
+
+
+# --- from a file -----------------------------------------------------------------------------------------------------
+
+FILE = """
+kind = "legs"
+name = "space-telescope"
+mechanism = "mechanism.toml"
+model = "six_pus"
+deformation = "matrix"
+kappa = 0.011
+matrix = "deformation_matrix.csv"
+tool_mm = [0.0, 0.0, 12.0]
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    for name in ("mechanism.toml", "deformation_matrix.csv"):
+        (tmp_path / name).write_text((studies.EXPERIMENTS / "telescope" / name).read_text())
+    path = tmp_path / "legs.toml"
+    path.write_text(FILE)
+    return path
+
+
+def test_legs_are_a_machine_with_readings(file):
+    found = read_reading_model(file)
+    assert found.name == "space-telescope"
+    assert found.commanded == tuple(f"rho[{k}]" for k in range(1, 7))
+    assert found.pick(np.array([0, 18])).commanded == ("rho[1]",)
+    deformation = found.machine.deformation
+    assert deformation.matrix[0, 3] == pytest.approx(0.012)
+    np.testing.assert_array_equal(found.layout.nominal[found.layout.index["kappa"]], np.diag(deformation.matrix))
+    np.testing.assert_array_equal(found.tool_point, [0.0, 0.0, 12.0])
+    assert list_machine_sources(file) == ["mechanism.toml", "deformation_matrix.csv"]
+    assert find_machine_classes(file) == [type(found.machine.model), type(deformation)]
+
+
+def test_the_workspace_is_what_the_actuators_reach(model):
+    """To first order, of all legs at the end of their range the worst combination."""
+    mechanism, reach = model.machine.mechanism, np.array([one.reach for one in model.coordinates])
+    ends = np.array(list(product((-1.0, 1.0), repeat=6)))
+    little = 1e-3 * mechanism.actuator_range
+    found = solve_forward_kinematics(
+        model.machine,
+        model.layout.nominal[: model.machine.layout.size],
+        mechanism.initial_actuator_positions + little * ends,
+    )
+    moved = np.concatenate([found.position, rotation_vector_from_matrix(found.rotation)], axis=1) - model.home
+    np.testing.assert_allclose(np.abs(moved).max(axis=0), 1e-3 * reach, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("six_pus", "seven_pus", "seven_pus"),
+        ("six_pus", "six_ups", "expected"),
+        ('"mechanism.toml"', '"machine.toml"', "machine.toml: no such file"),
+        ('matrix = "deformation_matrix.csv"', "", "found no matrix for deformation 'matrix'"),
+        ("kappa = 0.011", "kapa = 0.011", "kapa"),
+    ],
+)
+def test_bad_files_of_legs_are_refused(file, old, new, message):
+    file.write_text(FILE.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        read_reading_model(file)

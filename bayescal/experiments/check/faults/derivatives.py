@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 from bayescal.experiments.check.faults.finding import Finding
 from bayescal.experiments.check.subject import Subject
 from bayescal.numerics.geometry import Array
@@ -37,10 +37,10 @@ def check_derivatives(subject: Subject, rng: np.random.Generator) -> Finding:
     return Finding(CHECK, FAULT, "bad", f"{text}what the model's class returns for them; modes and ridges rest on it.")
 
 
-def _compare(posterior: Posterior, theta: Array) -> dict[str, float]:
+def _compare(posterior: LegPosterior, theta: Array) -> dict[str, float]:
     """Return how far each free parameter's derivative is off, as a share of the largest difference."""
     likelihood = posterior.likelihood
-    free, scale = posterior.coordinates.free, posterior.coordinates.scale
+    free, scale = posterior.sampling.free, posterior.sampling.coordinates.scale
     _, slope = likelihood.error_jacobian(theta)
     rough, fine = (_differ(posterior, theta, step * scale) for step in (STEP, STEP / 2.0))
     expected = (4.0 * fine - rough) / 3.0
@@ -54,9 +54,9 @@ def _compare(posterior: Posterior, theta: Array) -> dict[str, float]:
     return found
 
 
-def _differ(posterior: Posterior, theta: Array, step: Array) -> Array:
+def _differ(posterior: LegPosterior, theta: Array, step: Array) -> Array:
     """Return central differences of the errors by the free parameters, shape (P, K, m)."""
-    free, n = posterior.coordinates.free, len(step)
+    free, n = posterior.sampling.free, len(step)
     points = np.tile(theta, (2 * n, 1))
     points[np.arange(n), free] += step
     points[n + np.arange(n), free] -= step

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from bayescal.density.posterior import Posterior
+from bayescal.density.legs import LegPosterior
 from bayescal.errors import NumericalError
 from bayescal.experiments.check.faults.finding import Finding
 from bayescal.inference.mode import Mode, find_mode
@@ -20,7 +20,7 @@ STARTS = 4
 PAIRS = 15
 
 
-def check_modes(posterior: Posterior, known: list[Mode], rng: np.random.Generator) -> Finding:
+def check_modes(posterior: LegPosterior, known: list[Mode], rng: np.random.Generator) -> Finding:
     """Return whether climbs from elsewhere find a mode with mass that is not among the known ones, the best first."""
     missed: list[Mode] = []
     starts = list_starts(posterior, known[0].y, rng)
@@ -45,7 +45,7 @@ def check_modes(posterior: Posterior, known: list[Mode], rng: np.random.Generato
     return Finding(CHECK, FAULT, "bad", text)
 
 
-def list_starts(posterior: Posterior, best: Array, rng: np.random.Generator) -> list[Array]:
+def list_starts(posterior: LegPosterior, best: Array, rng: np.random.Generator) -> list[Array]:
     """Return coordinates of mirrored machines and of draws of the priors, shape (n,) each."""
     single = mirror(posterior, best)
     starts = list(single.values())
@@ -56,12 +56,12 @@ def list_starts(posterior: Posterior, best: Array, rng: np.random.Generator) -> 
     return starts + list(rng.standard_normal((STARTS, posterior.n_parameters)))
 
 
-def mirror(posterior: Posterior, y: Array) -> dict[int, Array]:
+def mirror(posterior: LegPosterior, y: Array) -> dict[int, Array]:
     """Return y, shape (n,), with one leg's actuator turned to the other direction of its gain, by leg.
 
     Only legs of which one component of u is free; where both are a ridge joins the two.
     """
-    coordinates, layout = posterior.coordinates, posterior.likelihood.machine.layout
+    coordinates, layout = posterior.sampling.coordinates, posterior.likelihood.machine.layout
     if not layout.direction_symbols or "rho0" not in layout.index:
         return {}
     theta = coordinates.theta_from_y(y[None, : posterior.n_geometry])[0]

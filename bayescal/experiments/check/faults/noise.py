@@ -42,7 +42,7 @@ def check_noise(subject: Subject, mode: Mode) -> Finding:
     found = ChiSquare(misfit.chi_square.value, max(misfit.dof, 1.0))
     errors = (np.linalg.cholesky(known) @ misfit.left[..., None])[..., 0]
     errors *= np.sqrt(errors.size / found.dof)  # what was fitted away is missing in them
-    error = subject.posterior.model_error
+    error = subject.posterior.errors.model_error
     stated, tau = _fit(likelihood, errors, error, 1.0)
     best, factor = max((_fit(likelihood, errors, error, x)[0], x) for x in FACTORS)
     said = f"χ² of the poses is {found.value / found.dof:.2f} per degree of freedom ({found.dof:.0f}, "

@@ -83,6 +83,8 @@ def _weigh(subject: Subject, poses: MeasuredPoses, chosen: np.ndarray | None = N
     """Return the log-density of the poses under the priors to first order, at the best error of the legs."""
     try:
         with np.errstate(all="ignore"):
-            return weigh_likelihood(subject.likelihood(poses, chosen), subject.posterior.coordinates).log_density
+            return weigh_likelihood(
+                subject.likelihood(poses, chosen), subject.posterior.sampling.coordinates
+            ).log_density
     except (BayescalError, np.linalg.LinAlgError):
         return -np.inf

@@ -1,0 +1,193 @@
+"""Densities of all shipped variants as they were before eliminations and posteriors were merged, at 20 points each.
+
+``tests/frozen/densities.json`` has a line for each posterior: its mode and the conditional standard deviations there,
+in sampling coordinates, and what it was at 20 points: the mode, 13 points about it and 6 of the prior. Points are drawn
+from a seed by the posterior's name. `measure` gets at a posterior by the public construction alone, config, inputs,
+posterior, one function per kind of experiment: where these change, the frozen numbers stay.
+
+The file is made anew, by code whose numbers are trusted, with
+
+    PYTHONPATH=tests python -m frozen_densities
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.density.schema import BlundersConfig
+from bayescal.experiments.calibration.inputs import read_inputs as read_calibration
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.self_calibration.inputs import read_inputs as read_self_calibration
+from bayescal.experiments.study.load import load_inputs as load_study
+from bayescal.inference.mode import find_modes
+
+ROOT = Path(__file__).parents[1]
+FILE = Path(__file__).parent / "frozen" / "densities.json"
+N_POINTS, N_NEAR = 20, 13
+NEAR = (0.3, 1.0, 2.0)  # conditional standard deviations about the mode
+PRIOR = 0.5  # prior standard deviations about the machine as expected
+N_EXACT = 4
+DIGITS = 13
+
+KERNELS = {
+    "free length": {"kernel_length_spread": 0.5},
+    "quadratic": {"kernel": "quadratic", "kernel_length": 3.0},
+    "scale per leg": {"kernel": "linear", "kernel_per_leg": True},
+}
+SHIPPED = {
+    "experiments/telescope/study.toml": None,
+    "experiments/telescope/model_error.toml": [
+        f"{d} with {k} errors" for d in ("none", "linear", "matrix") for k in ("linear", "smooth")
+    ],
+    "experiments/telescope/ridges.toml": None,
+    "experiments/m2_hexapod/study.toml": None,
+    "experiments/m2_hexapod/lengths.toml": None,
+    "experiments/hexaglide/study.toml": None,
+    "experiments/camera_hexapod/study.toml": None,
+    "experiments/hangprinter/study.toml": None,
+    "experiments/m2_hexapod_table/study.toml": None,
+    "examples/own_machine/study.toml": None,
+    "experiments/sliding_star/study.toml": None,
+}
+"""Configs, and which of their variants; all where it is None."""
+
+
+def list_posteriors():
+    """Return posteriors by name: shipped variants, and some with what no shipped variant has."""
+    found = {}
+    for path, variants in SHIPPED.items():
+        config = load(ROOT / path)[1]
+        names = [one.name for one in config.variants if variants is None or one.name in variants]
+        found |= {f"{path}: {name}": one for name, one in ACCESS[config.kind](config, ROOT / path, names).items()}
+    path = ROOT / "experiments/telescope/study.toml"
+    config = load(path)[1].model_copy(update={"blunders": BlundersConfig()})
+    names = ["six_pus/none", "six_pus/matrix"]
+    found |= {f"blunders: {name}": one for name, one in access_study(config, path, names).items()}
+    path = ROOT / "experiments/telescope/model_error.toml"
+    for label, update in KERNELS.items():
+        config = load(path)[1]
+        error = config.model_error.model_copy(update=update)
+        config = config.model_copy(update={"model_error": error})
+        names = ["none with smooth errors" if label == "free length" else "six_pus/none"]
+        found |= {f"{label}: {name}": one for name, one in access_study(config, path, names).items()}
+    path = ROOT / "experiments/sliding_star/study.toml"
+    for kernel in ("linear", "smooth"):
+        config = load(path)[1]
+        error = config.model_error.model_copy(update={"kernel": kernel})
+        config = config.model_copy(update={"model_error": error})
+        found |= {f"{kernel}: {name}": one for name, one in access_self_calibration(config, path, ["s8"]).items()}
+    return found
+
+
+def access_study(config, path, names):
+    """Return how to get at the posteriors of a study's variants, with and without τ, and the exact density beside."""
+    inputs = load_study(config, path.parent)
+
+    def build(name, with_tau):
+        variant = inputs.variant(name)
+        posterior = inputs.posterior(variant, with_tau)
+        exact = inputs.exact_density(variant, posterior)
+        if exact is None:
+            return posterior, None
+        return posterior, lambda y: exact(posterior.theta(y), posterior.model_errors(y)) + posterior.log_prior(y)
+
+    both = (True,) if "model_error" in path.name or "ridges" in path.name else (True, False)
+    return {
+        f"{name}{'' if tau else ', no model error'}": (lambda name=name, tau=tau: build(name, tau))
+        for name in names
+        for tau in both
+    }
+
+
+def access_calibration(config, path, names):
+    """Return how to get at the posteriors of a calibration's variants."""
+    inputs = read_calibration(config, path.parent)
+    return {name: (lambda name=name: (inputs.variants[name].posterior().anchored(), None)) for name in names}
+
+
+def access_self_calibration(config, path, names):
+    """Return how to get at the posteriors of a self-calibration's variants."""
+    inputs = read_self_calibration(config, path.parent)
+    return {name: (lambda name=name: (inputs.posterior(inputs.variants[name]), None)) for name in names}
+
+
+ACCESS = {"study": access_study, "calibration": access_calibration, "self_calibration": access_self_calibration}
+
+
+def draw_points(name, mode, scale):
+    """Return the points of a posterior, shape (20, n): the mode, points about it, points of the prior."""
+    rng = np.random.default_rng(zlib.crc32(name.encode()))
+    z = rng.standard_normal((N_POINTS, len(mode)))
+    near = mode + np.resize(NEAR, N_NEAR)[:, None] * scale * z[1 : 1 + N_NEAR]
+    return np.concatenate([mode[None], near, PRIOR * z[1 + N_NEAR :]])
+
+
+def measure(name, posterior, exact, y, scale):
+    """Return what a posterior is at points (B, n): density, the poses' share, their gradient per standard deviation.
+
+    A pose's share is weighted by a number of its own, a gradient's entry by another: no two may trade places.
+    """
+    rng = np.random.default_rng(zlib.crc32(name.encode()) + 1)
+    density = posterior.log_density(y)
+    there = np.isfinite(density)
+    pointwise = np.full((len(y), 2), np.nan)
+    gradient = np.full((len(y), 3), np.nan)
+    if there.any():
+        each = posterior.pointwise(y[there])
+        weights = rng.uniform(0.5, 1.5, each.shape[1])
+        pointwise[there] = np.stack([each.sum(axis=1), each @ weights], axis=1)
+    across = rng.standard_normal((posterior.n_parameters, 2))
+    for k in np.flatnonzero(there):
+        slope = posterior.gradient(y[k])[0] * scale
+        gradient[k] = [np.linalg.norm(slope), *(slope @ across)]
+    found = {"density": density, "pointwise": pointwise, "gradient": gradient}
+    if exact is not None:
+        found["exact"] = exact(y[:N_EXACT])
+    return found
+
+
+def find_mode(posterior):
+    """Return the best mode (n,) and the conditional standard deviations there (n,)."""
+    mode = find_modes(posterior)[0].y
+    return mode, 1.0 / np.sqrt(-np.diag(posterior.gradient(mode)[1]))
+
+
+def round_off(values, digits=DIGITS):
+    """Return numbers as they are written: None where there is none."""
+    values = np.asarray(values)
+    if values.ndim:
+        return [round_off(one, digits) for one in values]
+    return float(f"{values:.{digits - 1}e}") if np.isfinite(values) else None
+
+
+def read_frozen():
+    """Return what is frozen, by the posteriors' names; numbers that there are none of are NaN."""
+    entries = json.loads(FILE.read_text())
+    return {
+        name: {key: np.array(values, dtype=np.float64) for key, values in entry.items()}
+        for name, entry in entries.items()
+    }
+
+
+def write_frozen():
+    """Make the file anew."""
+    lines = []
+    for name, build in list_posteriors().items():
+        posterior, exact = build()
+        mode, scale = (np.array(round_off(one, n)) for one, n in zip(find_mode(posterior), (9, 3), strict=True))
+        found = measure(name, posterior, exact, draw_points(name, mode, scale), scale)
+        digits = {"gradient": 7}
+        entry = {"mode": mode.tolist(), "scale": scale.tolist()}
+        entry |= {key: round_off(values, digits.get(key, DIGITS)) for key, values in found.items()}
+        lines.append(f"{json.dumps(name)}: {json.dumps(entry, separators=(',', ':'))}")
+        print(name, found["density"][0], flush=True)
+    FILE.parent.mkdir(exist_ok=True)
+    FILE.write_text("{\n" + ",\n".join(lines) + "\n}\n")
+
+
+if __name__ == "__main__":
+    write_frozen()
