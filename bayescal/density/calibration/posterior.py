@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
 from bayescal.density.calibration.terms import HALF_LOG_TWO_PI, NO_ERRORS, CommonDraws, Errors
-from bayescal.density.calibration.whitening import Whitening, WhiteResiduals
+from bayescal.density.calibration.whitening import Whitening
 from bayescal.density.elimination import invert, left_of, orthonormalise, project_out
 from bayescal.density.local import Funnel
 from bayescal.density.low_rank_columns import Coefficients, find_coefficients, split
@@ -26,6 +26,7 @@ from bayescal.numerics.geometry import Array
 STEP = 1e-4  # of a coordinate, for the slope of the logarithms of volumes
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
 NEARBY, FAR = 8, 3.0  # machines by which the density is tried about its anchor, and how many deviations they are off
+EDGE = 1e-3  # how near to a bound, by the width of a uniform prior, a machine known otherwise is taken to be
 GAIN = 1e-12  # of the squares, below which the search has arrived
 STILL = 1e-8  # of a coordinate, below which a step that leads nowhere is the last: shorter ones lead nowhere, too
 MAX_ITERATIONS = 200
@@ -121,12 +122,12 @@ class CalibrationPosterior:
     @cached_property
     def prior_sd(self) -> Array:
         """Standard deviations of all priors, shape (n,)."""
-        return np.array([prior.sd for prior in self._ordered])
+        return np.array([prior.sd for prior in self.all_priors().values()])
 
-    @cached_property
-    def _ordered(self) -> tuple[Prior, ...]:
-        """Priors of all coordinates, in order."""
-        return (*(self.priors[name] for name in self.geometry_names), *self.errors.priors)
+    def all_priors(self) -> dict[str, Prior]:
+        """Return the priors of all parameters in their own units, by name and in order."""
+        own = (*(self.priors[name] for name in self.geometry_names), *self.errors.priors)
+        return dict(zip(self.names, own, strict=True))
 
     @cached_property
     def _uniform(self) -> tuple[np.ndarray, Array]:
@@ -165,16 +166,6 @@ class CalibrationPosterior:
         place = np.concatenate([y[..., : self.n_geometry], self.errors.deviation(self.zeta(y))], axis=-1)
         constant = self.n_parameters * HALF_LOG_TWO_PI + len(self.errors.switches) * np.log(2.0)
         return np.asarray(-0.5 * np.einsum("...i,...i->...", place, place) - constant)
-
-    def log_coordinates(self, y: Array) -> Array:
-        """Return the log-prior of each coordinate, (..., n)."""
-        geometry = -0.5 * y[..., : self.n_geometry] ** 2 - HALF_LOG_TWO_PI
-        return np.concatenate([geometry, self.errors.log_coordinates(self.zeta(y))], axis=-1)
-
-    def log_parameters(self, y: Array) -> Array:
-        """Return the log-prior of each parameter in its own unit, (..., n); of no error its probability."""
-        natural = self.natural(y)
-        return np.stack([prior.log_density(natural[..., k]) for k, prior in enumerate(self._ordered)], axis=-1)
 
     def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
         """Return draws of the prior in the coordinates, shape (n_draws, n)."""
@@ -237,16 +228,12 @@ class CalibrationPosterior:
                 result[part][some] = other.offset(beyond, there) + told
         return np.where(np.isfinite(result), result, -np.inf)
 
-    def residuals(self, y: Array) -> WhiteResiduals:
-        """Return the residuals of the best poses and of the mean errors common to all rows at coordinates (B, n)."""
+    def residuals(self, y: Array) -> Array:
+        """Return white residuals of the best poses and of the mean errors common to all rows, (B, n) to (B, P, K)."""
         white, at = self.stand(y)
-        error = at.error
-        if self.errors.has_columns:
-            error = np.concatenate([found.residual for _, found in self._absorb(y, white, at)])
-        outliers = self.errors.outliers
-        return WhiteResiduals(
-            error, at.slope, self.likelihood.data.present, outliers.freedom, white.vector, white.colour
-        )
+        if not self.errors.has_columns:
+            return at.error
+        return np.concatenate([found.residual for _, found in self._absorb(y, white, at)])
 
     def stand(self, y: Array) -> tuple[Whitening, Stand]:
         """Return the whitening and where machines of coordinates (B, n) explain the readings best."""
@@ -568,3 +555,44 @@ class CalibrationPosterior:
         parts = np.einsum("gk,pki,pkj->gij", self.errors.groups(rows.shape[1]), rows, rows, optimize=True)
         tau = self.funnel_errors(y[None])[0]
         return Funnel(parts.sum(axis=0), prior, np.full(len(tau), 1e-12), tau, parts)
+
+    # --- what a fit is judged by -----------------------------------------------------------------------------------
+
+    @cached_property
+    def _alone(self) -> dict[int, CalibrationPosterior]:
+        return {}
+
+    def pointwise_of(self, y: Array, row: int) -> Array:
+        """Return the log-likelihood of one pose's readings given all others, (B, n) to (B,)."""
+        if self.errors.has_columns:
+            return self.pointwise(y)[:, row]
+        if row not in self._alone:
+            self._alone[row] = replace(self, likelihood=self.likelihood.pick(np.array([row])))
+        return self._alone[row].pointwise(y)[:, 0]
+
+    def reduced_rows(self, y: Array) -> tuple[Array, Array]:
+        """Return white residuals that no pose explains (P, K), and their derivatives (P, K, m + N), at y (n,).
+
+        The derivatives are by the geometry, then by coefficients of errors common to all rows, which are standard
+        normal under the prior. Poses that the density trusts less count less.
+        """
+        with np.errstate(all="ignore"):
+            white, at = self.stand(y[None])
+            error, slope, by_parameters = self.rows(y, white, at.pose)
+            square = np.einsum("cpk,cpk->cp", *[self.residuals(y[None])] * 2)
+            trust = np.sqrt(self.errors.outliers.trust(square, self.likelihood.n_spare)[0])
+            left, common = project_out(slope), self._white_columns(y[None], white, self.likelihood)[0]
+        rows = left @ np.concatenate([by_parameters, common], axis=-1)
+        return trust[:, None] * left_of(left, error), trust[:, None, None] * rows
+
+    def row_information(self, y: Array, row: int) -> Array:
+        """Return what one pose's readings tell of the geometry at y, shape (m, m)."""
+        rows = self.reduced_rows(y)[1][row, :, : self.n_geometry]
+        return np.asarray(rows.T @ rows)
+
+    def adopt(self, theta: Array, errors: Array) -> Array:
+        """Return the coordinates of machines θ (M, D), brought within the priors' bounds, with those of errors."""
+        uniform, width = self._uniform
+        away = (theta - self.centre)[:, self._first] / width
+        inside = ndtri(np.clip(away + 0.5, EDGE, 1.0 - EDGE))
+        return np.concatenate([np.where(uniform, inside, away), errors], axis=1)

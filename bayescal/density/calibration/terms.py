@@ -333,12 +333,6 @@ class Errors:
             found[..., k] -= np.where(zeta[..., k] > 0.5 * place, 0.0, place)
         return found
 
-    def log_coordinates(self, zeta: Array) -> Array:
-        """Return the log-prior of each coordinate, (..., n); each of two places with probability one half."""
-        found = -0.5 * self.deviation(zeta) ** 2 - HALF_LOG_TWO_PI
-        found[..., list(self.switches)] -= np.log(2.0)
-        return np.asarray(found)
-
     def draw_prior(self, y: Array, first: int, rng: np.random.Generator) -> Array:
         """Return draws (S, m) of standard normals with half of the switches, from coordinate ``first`` on, off."""
         found = y.copy()

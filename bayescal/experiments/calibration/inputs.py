@@ -20,7 +20,7 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.beside import Beside, read_beside
 from bayescal.experiments.calibration.errors import build_terms
 from bayescal.experiments.calibration.noise import build_noise, stated_noise
-from bayescal.experiments.calibration.priors import choose_priors
+from bayescal.experiments.calibration.priors import choose_priors, widen
 from bayescal.experiments.calibration.reading_tables import PoseReadings, read_tables
 from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
 from bayescal.experiments.calibration.workspace import Workspace, build_workspace, find_starts
@@ -76,10 +76,11 @@ class Variant:
         """Return the density of the readings of some poses, by a mask (P,)."""
         return CalibrationLikelihood(self.model, self.data.pick(which), self.workspace.volume, self.start[which])
 
-    def posterior(self, which: np.ndarray | None = None) -> CalibrationPosterior:
-        """Return the posterior of some poses, those for calibration by default."""
+    def posterior(self, which: np.ndarray | None = None, factor: float = 1.0) -> CalibrationPosterior:
+        """Return the posterior of some poses, those for calibration by default; ``factor`` widens all priors."""
         likelihood = self.likelihood(~self.verification if which is None else which)
-        return CalibrationPosterior(likelihood, self.priors, self.errors, self.fixed, self.common)
+        priors = self.priors if factor == 1.0 else {k: widen(one, factor) for k, one in self.priors.items()}
+        return CalibrationPosterior(likelihood, priors, self.errors, self.fixed, self.common)
 
     def suspicion(self, which: np.ndarray | None = None) -> Suspicion:
         """Return the same for slips to be looked for in."""

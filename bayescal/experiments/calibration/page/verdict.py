@@ -9,6 +9,8 @@ from typing import Any
 import pandas as pd
 
 from bayescal.experiments.calibration.tables import choose_best
+from bayescal.experiments.shared.chi_square import ChiSquare
+from bayescal.experiments.shared.judgement_page import state_misfit, state_pulls
 from bayescal.experiments.shared.slips import state_slip
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 from bayescal.report.blocks import Statement
@@ -71,9 +73,7 @@ def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> 
     """Return which variant to use and how well it knows the machine's tool, over the workspace and at its worst."""
     best = choose_best(summary)
     row = _row(tables["variants"], best)
-    known = [
-        one for one in list_rows(tables["accuracy"]) if one["variant"] == best and math.isfinite(one["after"])
-    ]
+    known = [one for one in list_rows(tables["accuracy"]) if one["variant"] == best and math.isfinite(one["after"])]
     words = f"Use “{row['title']}”" + (", with care (see the warnings)" if "slip" in summary else "")
     if not known:
         return f"{words}."
@@ -102,6 +102,7 @@ def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> l
         _state_ranking(tables, summary, best),
         *_state_convergence(tables),
         *_state_data(tables, best),
+        *_state_soundness(tables, best),
     ]
     found += [*_state_coverage(tables, best), *_state_ignorance(tables, best), *_state_doubt(tables, best)]
     return [*found, *_state_beside(tables, best), *state_next(tables, best)]
@@ -185,6 +186,19 @@ def _state_data(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
         else:
             found.append(Statement(f"Besides its noise, {what} errs by {text} {unit}.", "plain", "Model error"))
     return found
+
+
+def _state_soundness(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
+    """Say where residuals contradict the stated noise, or deviations the stated tolerances."""
+    row = _row(tables["variants"], best)
+    if "misfit_chi2" not in row:
+        return []
+    misfit, pulls = (ChiSquare(row[f"{one}_chi2"], row[f"{one}_dof"]) for one in ("misfit", "pulls"))
+    label, too_small = f"“{row['title']}”", "the noise is stated too small, or every variant lacks something real."
+    return [
+        *([state_misfit(label, misfit, "", too_small)] if misfit.is_off else []),
+        *([state_pulls(label, pulls)] if pulls.is_off else []),
+    ]
 
 
 def _state_coverage(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
