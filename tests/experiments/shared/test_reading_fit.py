@@ -88,7 +88,7 @@ def test_rows_have_the_information_that_the_hessian_has(case):
     rng = np.random.default_rng(9)
     posterior, _ = make_posterior(rng, draw_truth(rng), **case)
     y = 0.3 * rng.standard_normal(3)
-    parts = sum(posterior.pose_information(y, row) for row in range(N_POSES))
+    parts = sum(posterior.row_information(y, row) for row in range(N_POSES))
     np.testing.assert_allclose(parts + np.eye(3), -posterior.gradient(y)[1], rtol=1e-6)
 
 
