@@ -63,7 +63,7 @@ class ReadingSubject(Subject):
         likelihood = self._likelihood.pick(np.tile(np.arange(n), len(values) // n))
         names = tuple(f"{name}{' again' * (k >= n)}" for k, name in enumerate(likelihood.data.poses))
         data = replace(likelihood.data, poses=names, values=values)
-        return replace(self.posterior, likelihood=replace(likelihood, data=data, anchor=None)).anchored()
+        return replace(self.posterior, likelihood=replace(likelihood, data=data, expansion=None)).anchored()
 
     def _draw(self, y: Array, rng: np.random.Generator) -> Array | None:
         """Return readings (P, K) of a machine (n,) at the poses of the measured ones; None where it has none there."""
