@@ -17,7 +17,7 @@ from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors, So
 from bayescal.calibrated.recheck.judge import judge_recheck
 from bayescal.calibrated.recheck.plan import Demand, list_candidates, plan_recheck
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.experiments.check.subject import Subject
+from bayescal.experiments.check.legs import LegSubject
 from bayescal.experiments.frame.load import load
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
@@ -27,7 +27,7 @@ VARIANT = "six_ups/none"
 SHARE = 0.9
 
 
-def calibrate(subject: Subject, poses: MeasuredPoses) -> CalibratedMachine:
+def calibrate(subject: LegSubject, poses: MeasuredPoses) -> CalibratedMachine:
     """Return the machine as a calibration by poses leaves it, by Laplace's approximation; the twins have no τ."""
     posterior = subject.posterior_of(poses)
     y = posterior.polish(posterior.approach())
@@ -41,7 +41,7 @@ def calibrate(subject: Subject, poses: MeasuredPoses) -> CalibratedMachine:
 
 
 def measure(
-    subject: Subject, theta: Array, actuators: Array, covariance: Array, rng: np.random.Generator
+    subject: LegSubject, theta: Array, actuators: Array, covariance: Array, rng: np.random.Generator
 ) -> MeasuredPoses:
     """Return poses of a true machine θ (D,) as an instrument of a covariance (6, 6) sees them."""
     actual = actuators + rng.normal(0.0, subject.measured.actuator_noise, actuators.shape)
@@ -53,7 +53,7 @@ def measure(
     return MeasuredPoses(names, found.position + noise[:, :3], rotation, spread, actuators)
 
 
-def try_twin(subject: Subject, demand: Demand, seed: int) -> dict[str, object]:
+def try_twin(subject: LegSubject, demand: Demand, seed: int) -> dict[str, object]:
     """Return what rechecks say of one twin."""
     rng = np.random.default_rng([2026, seed])
     truth, poses = subject.simulate_from_prior(rng)
@@ -83,7 +83,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     experiment, study = load(STUDY)
-    subject = Subject(experiment.measure(study, STUDY, experiment.list_variants(study)[VARIANT], False))
+    subject = LegSubject(experiment.measure(study, STUDY, experiment.list_variants(study)[VARIANT], False))
     demand = Demand(1e-3 * given.shift_um, sessions=given.sessions)
     table = pd.DataFrame([try_twin(subject, demand, given.first + k) for k in range(given.twins)])
     if given.out is not None:

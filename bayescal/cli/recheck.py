@@ -87,7 +87,7 @@ def _judge(
     from bayescal.calibrated.recheck.judge import judge_recheck
     from bayescal.calibrated.recheck.tables import describe_recheck, has_noise, read_session
     from bayescal.data.instruments.read_poses import PoseNoise
-    from bayescal.experiments.shared.measured_slips import find_recheck_slip
+    from bayescal.experiments.shared.leg_slips import find_recheck_slip
 
     noise = [PoseNoise() if has_noise(path) or stated is None else PoseNoise(*stated) for path in measured]
     read = [read_session(path, actuators, one, calibrated) for path, one in zip(measured, noise, strict=True)]

@@ -121,6 +121,15 @@ class Comparison:
             error[..., three] = _turn(*np.broadcast_arrays(measured[..., three], read[..., three]))
         return np.asarray(error)
 
+    def add(self, read: Array, error: Array) -> Array:
+        """Return readings (..., K) that are off by errors (..., K), as `subtract` has them."""
+        result = read + error
+        for three in self.rotations:
+            turned = Rotation.from_rotvec(error[..., three].reshape(-1, 3))
+            at = Rotation.from_rotvec(np.nan_to_num(read[..., three]).reshape(-1, 3))
+            result[..., three] = (turned * at).as_rotvec().reshape(read[..., three].shape)
+        return result
+
     def pull_back(self, error: Array, read: Array, slope: Array) -> Array:
         """Return the derivative of read minus measured from that of the readings, both (..., K, n)."""
         if not self.rotations:

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 
+from bayescal.errors import InputError
 from bayescal.experiments.calibration.compute import compute_calibration
 from bayescal.experiments.calibration.inputs import CalibrationInputs, list_machines, read_inputs
 from bayescal.experiments.calibration.machine_kind import MachineExperiment
 from bayescal.experiments.calibration.memory import estimate_calibration
 from bayescal.experiments.calibration.page.build import build_page, list_variants
 from bayescal.experiments.calibration.schema import CalibrationConfig
-from bayescal.experiments.calibration.slips import find_calibration_slip
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.measured import MeasuredReadings, MeasuringReadings
+from bayescal.experiments.shared.outlook import join_outlooks
+from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.report.blocks import Page
 
 
-class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs]):
+class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs], MeasuringReadings):
     """Any machine calibrated from any of its readings."""
 
     schema = CalibrationConfig
@@ -36,10 +40,30 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs]):
         """Return what the largest variant's posterior takes, and all that is kept of each."""
         return estimate_calibration(inputs)
 
+    def outlook(self, inputs: CalibrationInputs) -> list[str]:
+        """Return what each variant's readings can determine."""
+        return join_outlooks({name: one.tell_outlook() for name, one in inputs.variants.items()})
+
     def doubt(self, inputs: CalibrationInputs) -> list[str]:
         """Return what may have happened to readings that no machine within its priors comes near."""
-        said = find_calibration_slip(inputs.variants.values())
-        return [] if said is None else [f"the readings are far off: {said}"]
+        said = find_calibration_slip(one.suspicion() for one in inputs.variants.values())
+        return [] if said is None else [said.say()]
+
+    def measure_readings(
+        self, config: CalibrationConfig, folder: Path, names: Sequence[str]
+    ) -> dict[str, MeasuredReadings]:
+        """Return the posteriors of the calibration poses."""
+        known = [one.name for one in config.variants]
+        for name in names:
+            if name not in known:
+                raise InputError(f"variant {name!r}: unknown here, expected one of {', '.join(known)}")
+        chosen = [one for one in config.variants if not names or one.name in names]
+        found = read_inputs(config.model_copy(update={"variants": chosen}), folder).variants
+        origin = f"{config.origin.status.capitalize()}: {config.origin.text}"
+        return {
+            name: MeasuredReadings(name, origin, one.posterior(), one.workspace.low, one.workspace.high, one.internal)
+            for name, one in found.items()
+        }
 
     def compute(self, inputs: CalibrationInputs, run: Run) -> Results:
         """Return the posteriors of all variants and what they predict."""

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.next_pose.inputs import NextInputs, take_poses
 from bayescal.experiments.next_pose.state import State, find_state
-from bayescal.experiments.shared.measured_slips import find_measured_slip
+from bayescal.experiments.shared.leg_slips import find_measured_slip
 from bayescal.identifiability.remaining import Standing
 from bayescal.identifiability.sensitivity import Sensitivity
 from bayescal.limits import PARETO_K_LIMIT

@@ -14,7 +14,7 @@ from bayescal.experiments.next_pose.compute import MOST_ERRORS, compute_next
 from bayescal.experiments.next_pose.inputs import NextInputs, estimate_candidates, read_next
 from bayescal.experiments.next_pose.page import build_page
 from bayescal.experiments.next_pose.schema import NextConfig
-from bayescal.experiments.shared.measured_slips import find_measured_slip
+from bayescal.experiments.shared.leg_slips import find_measured_slip
 from bayescal.experiments.shared.search_memory import list_search
 from bayescal.report.blocks import Page
 

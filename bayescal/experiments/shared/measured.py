@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.legs import LegPosterior
 from bayescal.density.priors import Prior
 from bayescal.machines.kinematics import Machine
@@ -91,3 +94,36 @@ class Measuring(ABC):
     @abstractmethod
     def list_variants(self, config: Any) -> dict[str, VariantChoice]:
         """Return the experiment's variants by their names."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredReadings:
+    """A machine of K channels that has been measured, seen through one variant.
+
+    Attributes
+    ----------
+    name : str
+    origin : str
+        Of the data, in words.
+    posterior : CalibrationPosterior
+        Of the calibration poses.
+    low, high : ndarray, shape (q,)
+        The workspace, mm and rad.
+    internal : ndarray of bool, shape (K,)
+        Which channels the machine keeps after its calibration.
+    """
+
+    name: str
+    origin: str
+    posterior: CalibrationPosterior
+    low: Array
+    high: Array
+    internal: np.ndarray
+
+
+class MeasuringReadings(ABC):
+    """A kind of experiment that calibrates a machine of any channels."""
+
+    @abstractmethod
+    def measure_readings(self, config: Any, folder: Path, names: Sequence[str]) -> dict[str, MeasuredReadings]:
+        """Return variants of the experiment by their names, all where none is named; InputError for an unknown one."""

@@ -119,7 +119,7 @@ def test_the_likely_cause_of_readings_that_no_pose_explains_is_said(call, small,
     columns, mend, said = SLIPS[slip]
     change_columns(Path("data/readings.csv"), columns, mend)
     message = refuse(call, "run", small)
-    assert "if one mends: " + said in message
+    assert "if corrected: " + said in message
 
 
 @pytest.mark.parametrize(("denied", "refused"), [([], True), (["legs"], False), (["rows", "unit"], True)])
@@ -144,7 +144,7 @@ def test_a_denied_slip_is_said_and_not_refused(small, denied, refused):
 
 def test_a_single_blunder_is_no_slip(call, small):
     change_cell(Path("data/readings.csv"), 7, "phi_2_rad", lambda x: float(x) + 0.6)
-    assert "if one mends" not in refuse(call, "run", small)
+    assert "if corrected" not in refuse(call, "run", small)
 
 
 def test_degrees_are_told_by_their_size(call, small):
