@@ -263,11 +263,6 @@ class CalibrationPosterior:
         acted = self.errors.columns(self.zeta(y), likelihood.data)
         return white.rows(np.where(likelihood.data.present[..., None], acted, 0.0))
 
-    def absorb(self, y: Array) -> Coefficients:
-        """Return the coefficients of errors common to all rows given the readings, at coordinates (B, n)."""
-        white, at = self.stand(y)
-        return self._find(self.columns(y, white, at.slope), at.error)
-
     def draw_common(self, y: Array, rng: np.random.Generator) -> CommonDraws:
         """Return draws of the errors common to all rows, one for each of the coordinates (B, n)."""
         if not self.errors.has_columns:
@@ -277,7 +272,7 @@ class CalibrationPosterior:
         return CommonDraws(self.errors, tuple(parts))
 
     def _absorb(self, y: Array, white: Whitening, at: Stand) -> Iterator[tuple[slice, Coefficients]]:
-        """Yield the same of as many machines as are worked on together."""
+        """Yield the coefficients of errors common to all rows given the readings, of machines worked on together."""
         n_columns = self.errors.columns(self.zeta(y[:1]), self.likelihood.data).shape[-1]
         n_machines, n_poses, n_channels = at.error.shape
         for some in split(n_machines, n_poses, n_channels, n_columns):

@@ -350,10 +350,6 @@ class Errors:
             found.append((jump, image))
         return found
 
-    def share_present(self, zeta: Array) -> dict[str, float]:
-        """Return the share of draws (S, n) with each error that has a switch, by the name of its scale."""
-        return {self.names[k]: float((zeta[:, k] > 0.5 * place).mean()) for k, place in self.switches.items()}
-
     # --- what they do ------------------------------------------------------------------------------------------------
 
     def deviations(self, zeta: Array, data: Measurements, sd: Array) -> tuple[Array, Array]:

@@ -12,9 +12,10 @@ from bayescal.experiments.calibration.inputs import Variant
 from bayescal.experiments.calibration.schema import NextConfig
 from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.identifiability.directions import find_directions
-from bayescal.identifiability.information import information_of_rows
+from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.reading_rows import Slopes, View, differentiate_poses, name_tool, rms, see, typical_given
 from bayescal.identifiability.ridges import describe_move, round_below
+from bayescal.identifiability.structured_noise import marginalise
 from bayescal.identifiability.units import Units
 from bayescal.identifiability.verdicts import judge_parameters
 from bayescal.machines.readings import Given
@@ -175,12 +176,23 @@ def weigh(variant: Variant, at: View) -> Array:
     return np.asarray(np.einsum("wti,wtj->ij", lengths, lengths))
 
 
+def _inform(posterior: CalibrationPosterior, y: Array, rows: Array) -> Information:
+    """Return the information of white rows (P, K, m), beside errors common to all rows of their stated scales."""
+    if not posterior.errors.has_columns:
+        return information_of_rows(rows, np.ones(posterior.n_geometry))
+    y = y.copy()
+    y[[posterior.n_geometry + k for k in posterior.errors.switches]] = 0.0
+    white, stand = posterior.stand(y[None])
+    others = posterior.columns(y[None], white, stand.slope)[0]
+    return marginalise(rows.reshape(-1, rows.shape[-1]), others.reshape(-1, others.shape[-1]))
+
+
 def _judge(
     section: UnitsConfig, posterior: CalibrationPosterior, y: Array
 ) -> tuple[tuple[str, ...], list[tuple[str, float, str]]]:
     """Return the verdict on each parameter, and directions that contract too little, in words."""
     rows = see(posterior, y)
-    information = information_of_rows(rows, np.ones(posterior.n_geometry))
+    information = _inform(posterior, y, rows)
     nothing = np.empty((posterior.n_geometry, 0))
     units = Units(section.length, section.angle)
     ridges = []
