@@ -20,7 +20,7 @@ from bayescal.calibrated.recheck.statistics import choose_suspects
 from bayescal.calibrated.recheck.tables import expect_pose, place_poses
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.experiments.check.subject import Subject
+from bayescal.experiments.check.legs import LegSubject
 from bayescal.experiments.frame.load import load
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.readings import LegsModel
@@ -31,7 +31,7 @@ VARIANT = "six_ups/none"
 SHARE = 0.9
 
 
-def calibrate(subject: Subject, poses: MeasuredPoses) -> CalibratedMachine:
+def calibrate(subject: LegSubject, poses: MeasuredPoses) -> CalibratedMachine:
     """Return the machine as a calibration by poses leaves it, by Laplace's approximation; the twins have no τ."""
     posterior = subject.posterior_of(poses)
     y = posterior.polish(posterior.approach())
@@ -46,7 +46,7 @@ def calibrate(subject: Subject, poses: MeasuredPoses) -> CalibratedMachine:
 
 
 def measure(
-    subject: Subject, theta: Array, actuators: Array, covariance: Array, rng: np.random.Generator
+    subject: LegSubject, theta: Array, actuators: Array, covariance: Array, rng: np.random.Generator
 ) -> Measurements:
     """Return poses of a true machine θ (D,) as an instrument of a covariance (6, 6) sees them."""
     actual = actuators + rng.normal(0.0, subject.measured.actuator_noise, actuators.shape)
@@ -59,7 +59,7 @@ def measure(
     return place_poses(names, actuators, values, spread)
 
 
-def try_twin(subject: Subject, demand: Demand, seed: int) -> dict[str, object]:
+def try_twin(subject: LegSubject, demand: Demand, seed: int) -> dict[str, object]:
     """Return what rechecks say of one twin."""
     rng = np.random.default_rng([2026, seed])
     truth, poses = subject.simulate_from_prior(rng)
@@ -90,7 +90,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     experiment, study = load(STUDY)
-    subject = Subject(experiment.measure(study, STUDY, experiment.list_variants(study)[VARIANT], False))
+    subject = LegSubject(experiment.measure(study, STUDY, experiment.list_variants(study)[VARIANT], False))
     demand = Demand(np.full(6, 1e-3 * given.shift_um), sessions=given.sessions)
     table = pd.DataFrame([try_twin(subject, demand, given.first + k) for k in range(given.twins)])
     if given.out is not None:

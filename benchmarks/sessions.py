@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.sessions.model import DAYS_IN_MONTH, Drift, Part, SessionModel, walk_loadings
-from bayescal.experiments.check.subject import Subject
+from bayescal.experiments.check.legs import LegSubject
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.sessions.fit import SessionFit, fit_sessions
+from bayescal.experiments.sessions.measured import LegSession
 from bayescal.numerics.geometry import Array
 
 STUDY = Path(__file__).parents[1] / "experiments" / "m2_hexapod" / "study.toml"
@@ -28,7 +28,7 @@ CLEAR = 3.0
 """Nats from which on a page calls drift clear."""
 
 
-def make_sessions(subject: Subject, moves: bool, rng: np.random.Generator) -> tuple[SessionModel, Array]:
+def make_sessions(subject: LegSubject, moves: bool, rng: np.random.Generator) -> tuple[SessionModel, Array]:
     """Return sessions of a twin, and the true lengths in each, (S, N), less those of the first."""
     posterior, machine = subject.posterior, subject.measured.machine
     truth, free = subject.draw_prior(rng), posterior.sampling.free
@@ -41,15 +41,13 @@ def make_sessions(subject: Subject, moves: bool, rng: np.random.Generator) -> tu
         now = truth.copy()
         now[lengths] += moved[session]
         plan = subject.measured.poses.select(rng.choice(subject.n_poses, POSES, replace=False))
-        poses = Subject(replace(subject.measured, poses=plan)).simulate(now, rng)
+        poses = LegSubject(replace(subject.measured, poses=plan)).simulate(now, rng)
         assert poses is not None
-        parts.append(Part(PoseLikelihood(machine, poses, subject.measured.actuator_noise), session))
-    priors = [posterior.priors[machine.layout.names[k]] for k in free]
-    mean, sd = np.array([one.mean for one in priors]), np.array([one.sd for one in priors])
+        measured = LegSession(replace(subject.measured, poses=poses, actuator_variance=None))
+        parts.append(Part(measured.rows(np.arange(POSES)), session))
     units = tuple(f"l[{k}]" for k in range(1, len(lengths) + 1))
-    drift = Drift(loadings, lengths, np.arange(len(lengths)), units, SCALE)
-    start = posterior.sampling.start
-    return SessionModel(tuple(parts), start, free, mean, sd, drift, (), posterior.errors.model_error), moved
+    drift = Drift(loadings, lengths, np.arange(len(lengths)), units, np.full(len(lengths), SCALE))
+    return SessionModel(tuple(parts), *LegSession(subject.measured).design("study"), drift, ()), moved
 
 
 def compare(model: SessionModel, fit: SessionFit, moved: Array) -> tuple[Array, Array]:
@@ -60,7 +58,7 @@ def compare(model: SessionModel, fit: SessionFit, moved: Array) -> tuple[Array, 
     return np.mean(found < truth, axis=0), (found.mean(axis=0) - truth) / found.std(axis=0)
 
 
-def try_twin(subject: Subject, moves: bool, seed: int, n_draws: int) -> dict[str, object]:
+def try_twin(subject: LegSubject, moves: bool, seed: int, n_draws: int) -> dict[str, object]:
     """Return what sessions of one twin say."""
     rng = np.random.default_rng([2026, seed, int(moves)])
     model, moved = make_sessions(subject, moves, rng)
@@ -81,7 +79,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     experiment, study = load(STUDY)
-    subject = Subject(experiment.measure(study, STUDY, experiment.list_variants(study)[VARIANT], True))
+    subject = LegSubject(experiment.measure(study, STUDY, experiment.list_variants(study)[VARIANT], True))
     seeds = range(given.first, given.first + given.twins)
     table = pd.DataFrame([try_twin(subject, moves, seed, given.draws) for seed in seeds for moves in (True, False)])
     if given.out is not None:

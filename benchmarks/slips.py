@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,12 +24,11 @@ from bayescal.density.likelihood import Likelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import BayescalError
 from bayescal.experiments.calibration.inputs import Variant, read_inputs
-from bayescal.experiments.calibration.slips import find_calibration_slip
 from bayescal.experiments.calibration.workspace import find_starts
-from bayescal.experiments.check.subject import Subject
+from bayescal.experiments.check.legs import LegSubject
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.shared.pose_slips import list_rereads
-from bayescal.experiments.shared.slips import Suspect, find_slip
+from bayescal.experiments.shared.leg_slips import LegData, Suspect, find_leg_slip, state_error
+from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.numerics.geometry import Array
 
 ROOT = Path(__file__).parents[1]
@@ -114,7 +112,9 @@ POSE_PLANTS = {
 # --- twins of poses --------------------------------------------------------------------------------------------------
 
 
-def measure_twin(subject: Subject, n: int, travel: float, error_um: float, rng: np.random.Generator) -> MeasuredPoses:
+def measure_twin(
+    subject: LegSubject, n: int, travel: float, error_um: float, rng: np.random.Generator
+) -> MeasuredPoses:
     """Return poses of a machine of the priors, some of the plan's, their travel shortened, and errors of the legs."""
     start = subject.measured.machine.mechanism.initial_actuator_positions
     chosen = np.sort(rng.choice(subject.n_poses, min(n, subject.n_poses), replace=False))
@@ -122,7 +122,7 @@ def measure_twin(subject: Subject, n: int, travel: float, error_um: float, rng: 
     plan = replace(plan, actuators=start + travel * (plan.actuators - start))
     variance = subject.measured.actuator_variance
     measured = replace(subject.measured, poses=plan, actuator_variance=None if variance is None else variance[chosen])
-    _, poses = Subject(measured).simulate_from_prior(rng, with_model_error=False)
+    _, poses = LegSubject(measured).simulate_from_prior(rng, with_model_error=False)
     return replace(poses, actuators=poses.actuators + draw_error(plan.actuators - start, error_um, rng))
 
 
@@ -132,20 +132,17 @@ def draw_error(displacement: Array, size_um: float, rng: np.random.Generator) ->
     return 1e-3 * size_um * error / np.sqrt(np.mean(error**2))
 
 
-def find_pose_slip(subject: Subject, poses: MeasuredPoses) -> tuple[str, str] | None:
+def find_pose_slip(subject: LegSubject, poses: MeasuredPoses) -> tuple[str, str] | None:
     """Return class and words of the slip that a study of these poses would name."""
     measured = subject.measured
 
-    def of(poses: MeasuredPoses, actuators: Array, chosen: np.ndarray) -> Likelihood:
-        some = replace(poses.select(chosen), actuators=actuators)
-        return PoseLikelihood(measured.machine, some, measured.actuator_noise)
+    def of(data: LegData, _: np.ndarray) -> Likelihood:
+        assert data.poses is not None
+        return PoseLikelihood(measured.machine, replace(data.poses, actuators=data.actuators), measured.actuator_noise)
 
-    rereads = tuple((text, partial(of, other)) for text, other in list_rereads(poses))
-    suspect = Suspect(partial(of, poses), measured.posterior.sampling.coordinates, poses.actuators, rereads)
-    position = float(np.diagonal(poses.covariance, axis1=1, axis2=2)[:, :3].mean())
-    scale = measured.posterior.errors.model_error.scale or 0.0
-    stated = float(np.sqrt(position + scale**2 + measured.actuator_noise**2))
-    found = find_slip([suspect], measured.machine.mechanism.initial_actuator_positions, stated)
+    stated = state_error(replace(measured, poses=poses))
+    suspect = Suspect(of, measured.posterior.sampling.coordinates, LegData(poses.actuators, poses), stated)
+    found = find_leg_slip([suspect], measured.machine.mechanism.initial_actuator_positions)
     return None if found is None else (found.fault, found.text)
 
 
@@ -153,7 +150,7 @@ def try_poses(machine: str, twins: int, first: int, planted: bool) -> Iterator[d
     """Yield what is found of twins of a study."""
     path, name = ROOT / STUDIES[machine][0], STUDIES[machine][1]
     experiment, study = load(path)
-    subject = Subject(experiment.measure(study, path, experiment.list_variants(study)[name], True))
+    subject = LegSubject(experiment.measure(study, path, experiment.list_variants(study)[name], True))
     plants = list_plants(subject.measured.machine.mechanism.initial_actuator_positions)
     for k in range(first, first + twins):
         labels, n, share, error, rng = draw_setting(machine, k)
@@ -227,9 +224,6 @@ def try_readings(twins: int, first: int, planted: bool) -> Iterator[dict[str, ob
             yield labels | judge(slip, fault, _search_moved(clean, values))
 
 
-WORDS = {"unit": ("too ", "inches", "sign"), "legs": ("exchanged", "counted", "numbered"), "rows": ("rows of",)}
-
-
 def _search_moved(clean: Variant, values: Array) -> tuple[str, str] | None:
     try:
         return _search(place(clean, replace(clean.data, values=values)))
@@ -238,11 +232,8 @@ def _search_moved(clean: Variant, values: Array) -> tuple[str, str] | None:
 
 
 def _search(variant: Variant) -> tuple[str, str] | None:
-    said = find_calibration_slip([variant])
-    if said is None:
-        return None
-    faults = [fault for fault, words in WORDS.items() if any(word in said for word in words)]
-    return " ".join(faults), said
+    found = find_calibration_slip([variant.suspicion()])
+    return None if found is None else (found.fault, found.text)
 
 
 # --- shares ----------------------------------------------------------------------------------------------------------

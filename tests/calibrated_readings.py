@@ -12,7 +12,6 @@ from function_machines import point_on_lines, star_function
 from bayescal.calibrated.machine import CalibratedMachine, Errors, Source, build_calibrated
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.noise import NoiseModel
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.priors import NormalPrior
 from bayescal.machines.read import read_reading_model
@@ -84,15 +83,13 @@ def calibrate(planned: Planned, n_poses: int, rng: np.random.Generator, n_draws:
     k = len(model.channels)
     names, every = tuple(f"C{i}" for i in range(n_poses)), np.tile(np.where(np.isfinite(sd), sd, 1.0), (n_poses, 1))
     data = Measurements(names, np.zeros((n_poses, k)), every, given)
-    none = np.full(k, -1)
-    blank = CalibrationPosterior(CalibrationLikelihood(model, data, 1.0, pose), priors, NoiseModel(none, none), {}, {})
+
+    blank = CalibrationPosterior(CalibrationLikelihood(model, data, 1.0, pose), priors)
     theta = blank.theta(rng.standard_normal((1, blank.n_parameters)))[0]
     values = model.read(theta, pose, given) + every * rng.standard_normal((n_poses, k))
     values[:, ~np.isfinite(sd)] = np.nan
     data = Measurements(names, values, every, given)
-    posterior = CalibrationPosterior(
-        CalibrationLikelihood(model, data, 1.0, pose), priors, NoiseModel(none, none), {}, {}
-    )
+    posterior = CalibrationPosterior(CalibrationLikelihood(model, data, 1.0, pose), priors)
     y, _ = posterior.fit(np.zeros(posterior.n_parameters), pose)
     covariance = np.linalg.inv(-posterior.gradient(y)[1])
     draws = posterior.theta(rng.multivariate_normal(y, covariance, n_draws, method="cholesky"))

@@ -469,6 +469,10 @@ def test_report_of_what_is_no_results_directory(refuse, study):
         ('{"kind": "study", "tables": {}, "empty_tables": 3}', "empty_tables: found 3, expected lists of columns"),
         ('{"kind": "study", "tables": {}, "empty_tables": {"x": [3]}}', "empty_tables: found {'x': [3]}, expected"),
         ('{"kind": "simulation", "tables": {}}', "found damaged results (KeyError: 'n_poses')"),
+        (
+            '{"kind": "simulation", "tables": {}, "versions": {"bayescal": "0.0.1"}}',
+            "found results of bayescal 0.0.1 (KeyError: 'n_poses'), expected those of",
+        ),
         ('{"kind": "pose_selection", "tables": {}}', "found a config in its provenance that is none"),
         ('{"kind": "pose_selection", "tables": {}, "config": 1}', "found damaged results (TypeError: "),
     ],

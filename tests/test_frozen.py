@@ -41,9 +41,11 @@ def compare(known, posteriors, name, points):
         if key == "gradient":  # its entries are sums of as much as it is long, and of what cancels at a mode
             size = size.max(axis=1, keepdims=True)
         assert np.array_equal(np.isnan(values), np.isnan(expected)), key
-        if key in ("density", "pointwise") and tolerances is ELIMINATED:
+        if key != "exact" and tolerances is ELIMINATED:
             far = np.abs(entry["density"][points]) > FAR * np.abs(entry["density"][0])
-            relative = np.where(far, OF_FAR, relative).reshape(-1, *[1] * (expected.ndim - 1))
+            relative = np.where(far, OF_FAR if key != "gradient" else 20.0 * OF_FAR, relative).reshape(
+                -1, *[1] * (expected.ndim - 1)
+            )
             size = np.where(
                 far.reshape(relative.shape), size.max(axis=-1, keepdims=True) if size.ndim > 1 else size, size
             )

@@ -23,8 +23,10 @@ def validate(experiment: Experiment, no_plugins: NoPlugins = False) -> None:
     from bayescal.experiments.shared.simulated_data import SimulatedData
     from bayescal.files.plain_text import add_article
 
-    kind, config, files, doubts = check_file(experiment)
+    kind, config, files, outlook, doubts = check_file(experiment)
     typer.echo(f"{experiment}: fit to run, {add_article(config.kind)} {config.name!r} ({config.title})")
+    for line in outlook:
+        typer.echo(line)
     for doubt in doubts:
         typer.echo(f"but {doubt}")
     typer.echo(f"{len(files)} files belong to it: {', '.join(files)}" if files else "no other file belongs to it")

@@ -79,7 +79,7 @@ class Coefficients:
         return np.asarray(self.mean + (spread @ rng.standard_normal((*self.mean.shape, 1)))[..., 0])
 
     def reduce(self, rows: Array) -> Array:
-        """Return S⁻¹ x for x (B, P, m, n), S = W⁻¹ + A Aᵀ being the covariance of the rows by noise and coefficients."""
+        """Return S⁻¹ x for x (B, P, m, n), S = W⁻¹ + A Aᵀ being the rows' covariance by noise and coefficients."""
         weighed = self.trust[..., None, None] * rows
         flat = _flatten(self.columns)
         curvature = _accumulate(self.columns, self.residual, self.trust)[0]
@@ -104,7 +104,9 @@ class Coefficients:
         flat, columns, own = moved.reshape(n, -1, size), self.columns[0], self.reduce(self.columns)[0]
         across = own.reshape(-1, size).T @ flat
         found = np.einsum("nuv,ovu->no", across, across, optimize=True)
-        found += (flat @ (columns.reshape(-1, size).T @ own.reshape(-1, size))).reshape(n, -1) @ reduced.reshape(n, -1).T
+        found += (flat @ (columns.reshape(-1, size).T @ own.reshape(-1, size))).reshape(n, -1) @ reduced.reshape(
+            n, -1
+        ).T
         if not noise.any():
             return np.asarray(found)
         mixed = (noise @ own).reshape(n, -1) @ reduced.reshape(n, -1).T

@@ -41,6 +41,11 @@ def load_mechanism(path: Path) -> Mechanism:
         Where the file is not a mechanism, or its lists do not have one entry per leg.
     """
     content, text = read_toml(path)
+    if isinstance(content.get("kind"), str):
+        raise InputError(
+            f"{path}: kind: found {content['kind']!r}, a machine of channels, expected one on legs whose platform an "
+            "instrument sees; kind = 'calibration' calibrates it, an instrument being channels of its class"
+        )
     config = check_section(MechanismConfig, content, path, text)
     home, base = _home(config, path, text), points_of(config.base)
     legs = _legs(config, base, home, path)

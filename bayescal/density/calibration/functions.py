@@ -25,7 +25,6 @@ from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebpts1, chebvander
-
 from pydantic import Field, model_validator
 
 from bayescal.config.sections import Names, Positive, Section
@@ -73,7 +72,7 @@ class FunctionConfig(Section):
     (`commands`), or the `order` of the rows.
     """
     inputs: Annotated[Names, Field(min_length=1)] | None = None
-    """Channels that say where the machine stands; its own where nothing is said."""
+    """Channels that say where the machine stands; those commanded, or all of its own, where nothing is said."""
     kernel: Literal["linear", "quadratic", "smooth"] = "smooth"
     """What sort of functions: `linear`, `quadratic` (linear and quadratic), or `smooth`."""
     scale: Positive | None = None
@@ -204,8 +203,8 @@ class FunctionErrors(ErrorTerm):
         Raises
         ------
         InputError
-            For an unknown channel, a scale in another kind of unit, functions that change too fast, and a row that lacks
-            what they depend on.
+            For an unknown channel, a scale in another kind of unit, functions that change too fast, and a row that
+            lacks what they depend on.
         """
         places, channels = rows.select(config.channels), rows.model.channels
         scale = [config.scale_in(channels[k].name, channels[k].unit) for k in places]
@@ -361,11 +360,18 @@ class FunctionErrors(ErrorTerm):
         return np.asarray(self._kernel_at(length).slope(self.nodes, self.nodes)[0] * inside)
 
 
+def _choose_inputs(config: FunctionConfig, rows: TermRows) -> np.ndarray:
+    """Return the channels that say where the machine stands: those named, those commanded, or all of its own."""
+    if config.inputs is None and rows.data.commanded is not None:
+        return np.flatnonzero(rows.data.commanded.any(axis=0))
+    return rows.select(config.inputs)
+
+
 def _build_travel(config: FunctionConfig, rows: TermRows, places: np.ndarray) -> Travel:
     """Return what functions of channels depend on; InputError where a row lacks it, or it does not change."""
     if config.of == "order":
         return Travel("order", np.zeros(0, dtype=int), np.zeros(1), np.full(1, max(1.0, float(rows.data.order.max()))))
-    inputs = places if config.of == "reading" else rows.select(config.inputs)
+    inputs = places if config.of == "reading" else _choose_inputs(config, rows)
     names = rows.model.names
     for k in inputs[~(rows.reach[inputs] > 0.0)][:1]:
         raise InputError(f"found {names[k]}, which does not change over the workspace, expected channels that do")

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
-from bayescal.density.calibration.terms import HALF_LOG_TWO_PI, CommonDraws, Errors
+from bayescal.density.calibration.terms import HALF_LOG_TWO_PI, NO_ERRORS, CommonDraws, Errors
 from bayescal.density.calibration.whitening import Whitening, WhiteResiduals
 from bayescal.density.elimination import invert, left_of, orthonormalise, project_out
 from bayescal.density.local import Funnel
@@ -47,7 +47,7 @@ class CalibrationPosterior:
 
     likelihood: CalibrationLikelihood
     priors: Mapping[str, Prior]
-    errors: Errors = Errors()
+    errors: Errors = NO_ERRORS
     fixed: Mapping[str, float] = field(default_factory=dict)
     common: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
@@ -242,7 +242,9 @@ class CalibrationPosterior:
         if self.errors.has_columns:
             error = np.concatenate([found.residual for _, found in self._absorb(y, white, at)])
         outliers = self.errors.outliers
-        return WhiteResiduals(error, at.slope, self.likelihood.data.present, outliers.freedom, white.vector, white.colour)
+        return WhiteResiduals(
+            error, at.slope, self.likelihood.data.present, outliers.freedom, white.vector, white.colour
+        )
 
     def stand(self, y: Array) -> tuple[Whitening, Stand]:
         """Return the whitening and where machines of coordinates (B, n) explain the readings best."""
@@ -259,9 +261,7 @@ class CalibrationPosterior:
 
     # --- errors common to all rows -------------------------------------------------------------------------------
 
-    def columns(
-        self, y: Array, white: Whitening, slope: Array, other: CalibrationLikelihood | None = None
-    ) -> Array:
+    def columns(self, y: Array, white: Whitening, slope: Array, other: CalibrationLikelihood | None = None) -> Array:
         """Return what coefficients do to white readings that are free of the poses, (B, P, K, N), for slopes H."""
         likelihood = other or self.likelihood
         acted = self._white_columns(y, white, likelihood)
@@ -289,7 +289,8 @@ class CalibrationPosterior:
     def _absorb(self, y: Array, white: Whitening, at: Stand) -> Iterator[tuple[slice, Coefficients]]:
         """Yield the same of as many machines as are worked on together."""
         n_columns = self.errors.columns(self.zeta(y[:1]), self.likelihood.data).shape[-1]
-        for some in split(*at.error.shape, n_columns):
+        n_machines, n_poses, n_channels = at.error.shape
+        for some in split(n_machines, n_poses, n_channels, n_columns):
             columns = self.columns(y[some], white.pick(some), at.slope[some])
             yield some, self._find(columns, at.error[some])
 

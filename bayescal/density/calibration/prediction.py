@@ -140,3 +140,31 @@ def _collect(held: CalibrationLikelihood, parts: list[tuple[np.ndarray, int, Arr
     low, high = np.quantile(draws, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0)
     centre = np.concatenate([mean.mean(axis=0) for _, _, mean, _ in parts])
     return ReadingPredictions(pose, channel, held.data.values[pose, channel], centre, draws.std(axis=0), low, high)
+
+
+# --- simulated readings ------------------------------------------------------------------------------------------
+
+
+def draw_readings(posterior: CalibrationPosterior, y: Array, pose: Array, rng: np.random.Generator) -> Array:
+    """Return readings (P, K) of a machine at poses (P, q), with the noise of the density, NaN where none is taken.
+
+    Parameters
+    ----------
+    posterior : CalibrationPosterior
+        Of P poses: which readings are taken, what is known besides, stated deviations and their correlation.
+    y : ndarray, shape (n,)
+        The machine and its noise; NaN are readings that it does not have.
+    pose : ndarray, shape (P, q)
+    rng : Generator
+    """
+    likelihood = posterior.likelihood
+    own, tau = (one[0] for one in posterior.deviations(y[None]))
+    exact = likelihood.model.read(posterior.theta(y[None])[0], pose, likelihood.data.given)
+    factor = np.linalg.cholesky(np.broadcast_to(likelihood.correlation, (len(pose), *own.shape[-1:] * 2)))
+    noise = own * (factor @ rng.standard_normal((*own.shape, 1)))[..., 0]
+    beside, gain = tau * rng.standard_normal(own.shape), likelihood.error_gain
+    noise += beside if gain is None else (gain @ beside[..., None])[..., 0]
+    if posterior.errors.outliers.expected:
+        nu = posterior.errors.outliers.freedom
+        noise /= np.sqrt(rng.gamma(0.5 * nu, 2.0 / nu, (len(noise), 1)))
+    return np.where(likelihood.data.present, likelihood.comparison.add(exact, noise), np.nan)

@@ -9,8 +9,8 @@ with C the stated covariance. A term with coordinates ζ supplies one of three: 
 variance v added to them, or columns Φ. All terms hold together, and with outliers, which are of a row as a whole.
 
 A term of one's own is a class: names, units and priors of its coordinates, and `ErrorTerm.variance` or
-`ErrorTerm.columns`. In a config it stands as ``[errors.NAME]`` with ``kind = "own_term.py:OwnTerm"`` and the keys of its
-``Config``.
+`ErrorTerm.columns`. In a config it stands as ``[errors.NAME]`` with ``kind = "own_term.py:OwnTerm"`` and the keys of
+its ``Config``.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from abc import ABC
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -124,14 +125,17 @@ class ErrorTerm(ABC):
     def factor(self, zeta: Array) -> Array | None:
         """Return the factor f on stated deviations, (B, n) to (B, K); by default there is none."""
         del zeta
+        return None
 
     def variance(self, zeta: Array, data: Measurements) -> Array | None:
         """Return the variance v beside the stated noise, (B, n) to (B, P, K); by default there is none."""
         del zeta, data
+        return None
 
     def columns(self, zeta: Array, data: Measurements) -> Array | None:
         """Return Φ, what coefficients do to readings, (B, n) to (B, P, K, N) or (1, P, K, N); by default nothing."""
         del zeta, data
+        return None
 
     def slopes(self, zeta: Array, data: Measurements) -> Slopes:
         """Return the derivatives at ζ, shape (n,); by central differences where a term states none."""
@@ -286,7 +290,7 @@ class Errors:
     @cached_property
     def _slices(self) -> list[slice]:
         ends = np.cumsum([0, *(len(term.names) for term in self.terms)])
-        return [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     @property
     def n_parameters(self) -> int:
@@ -420,7 +424,9 @@ class Errors:
 
     def column_slopes(self, zeta: Array, data: Measurements) -> Array:
         """Return the derivatives of Φ by all coordinates at ζ, shape (n,), (n, P, K, N)."""
-        widths = [0 if (own := term.columns(part[None], data)) is None else own.shape[-1] for term, part in self.of(zeta)]
+        widths = [
+            0 if (own := term.columns(part[None], data)) is None else own.shape[-1] for term, part in self.of(zeta)
+        ]
         result = np.zeros((len(zeta), *data.sd.shape, sum(widths)))
         start = 0
         for (term, part), where, width in zip(self.of(zeta), self._slices, widths, strict=True):
@@ -456,6 +462,9 @@ class Errors:
         return result
 
 
+NO_ERRORS = Errors()
+
+
 def check_term(term: ErrorTerm, data: Measurements) -> None:
     """Raise InputError where what a term of somebody else's class supplies does not fit together."""
     n, (n_poses, n_channels) = len(term.names), data.sd.shape
@@ -469,17 +478,20 @@ def check_term(term: ErrorTerm, data: Measurements) -> None:
         raise
     except Exception as error:
         text = " ".join(str(error).split())
-        raise InputError(f"found a term that fails with {type(error).__name__}: {text}, expected one that works") from error
-    shapes = {
-        "factor": (factor, [(2, n_channels)]),
-        "variance": (variance, [(2, n_poses, n_channels), (2, 1, n_channels)]),
-        "columns": (columns, [(b, n_poses, n_channels) for b in (1, 2)]),
+        raise InputError(
+            f"found a term that fails with {type(error).__name__}: {text}, expected one that works"
+        ) from error
+    leading: dict[str, list[tuple[int, ...]]] = {
+        "factor": [(2, n_channels)],
+        "variance": [(2, n_poses, n_channels), (2, 1, n_channels)],
+        "columns": [(2, n_poses, n_channels), (1, n_poses, n_channels)],
     }
-    if sum(one is not None for one, _ in shapes.values()) != 1:
+    supplied = [pair for pair in zip(leading, (factor, variance, columns), strict=True) if pair[1] is not None]
+    if len(supplied) != 1:
         raise InputError("found a term with none or several of factor, variance and columns, expected one of them")
-    for what, (one, expected) in shapes.items():
-        if one is None:
-            continue
+    for what, one in supplied:
+        assert one is not None
+        expected = leading[what]
         if one.shape[: len(expected[0])] not in expected or one.ndim != len(expected[0]) + (what == "columns"):
             raise InputError(f"found {what} of shape {one.shape} for two machines, expected {expected[0]}")
         if not np.isfinite(one).all() or (what != "columns" and (one < 0.0).any()):
@@ -504,7 +516,7 @@ class CommonDraws:
     def by_term(self, data: Measurements) -> list[Array | None]:
         """Return what each term does to readings at rows like these, (T, P, K); None of one without columns."""
         found = [self.errors.act(zeta, data, coefficients) for zeta, coefficients in self.parts]
-        return [None if one[0] is None else np.concatenate(one) for one in zip(*found, strict=True)]  # type: ignore[arg-type]
+        return [None if one[0] is None else np.concatenate(one) for one in zip(*found, strict=True)]
 
     def at(self, data: Measurements) -> Array:
         """Return the same of all terms together."""

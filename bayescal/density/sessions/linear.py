@@ -9,12 +9,14 @@ may move stands in it more than once.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from bayescal.density.sessions.model import Part, SessionModel
+from bayescal.density.sessions.rows import LinearRows
 from bayescal.errors import NumericalError
 from bayescal.numerics.geometry import Array
 
@@ -52,33 +54,32 @@ class LinearSessions:
     Attributes
     ----------
     model : SessionModel
-    rows : ndarray, shape (P, N, m + A + 1)
+    rows : ndarray, shape (P, R, m + A + 1)
         J by the deviations of the session's parameters and by the coefficients less their means, and c.
-    known, weight, constant : ndarray, shapes (P, N, N), (P, N), (P,)
-        Of the covariances of the rows; see `PoseLikelihood`.
+    covariance : callable
+        Takes what is unknown of the errors to the covariances of the rows, (P, R, R).
+    constant : ndarray, shape (P,)
     first : ndarray of int, shape (S,)
         First pose of each session.
     """
 
     model: SessionModel
     rows: Array
-    known: Array
-    weight: Array
+    covariance: Callable[[Array], Array]
     constant: Array
     first: np.ndarray
 
-    def gather(self, tau: Array) -> tuple[Array, float]:
+    def gather(self, errors: Array) -> tuple[Array, float]:
         """Return XᵀC⁻¹X of the rows X of each session, shape (S, M, M), and what else the log-density has."""
-        covariance = self.known + np.eye(len(tau)) * (self.weight * tau**2)[:, None, :]
-        factor = np.linalg.cholesky(covariance)
+        factor = np.linalg.cholesky(self.covariance(errors))
         white = np.linalg.inv(factor) @ self.rows
         log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum()
         of_sessions = [one.reshape(-1, one.shape[-1]) for one in np.split(white, self.first[1:])]
         return np.stack([one.T @ one for one in of_sessions]), float(self.constant.sum() - log_det)
 
-    def condition(self, tau: Array, scales: Array) -> Conditional:
-        """Return the state's density given τ (N,) and σ (U,), mm."""
-        gram, rest = self.gather(tau)
+    def condition(self, errors: Array, scales: Array) -> Conditional:
+        """Return the state's density given what is unknown of the errors, and σ (U,)."""
+        gram, rest = self.gather(errors)
         precision, slope, square = self._assemble(gram, scales)
         precision[np.diag_indices_from(precision)] += 1.0
         try:
@@ -91,7 +92,7 @@ class LinearSessions:
 
     def _assemble(self, gram: Array, scales: Array) -> tuple[Array, Array, float]:
         """Return JᵀC⁻¹J and JᵀC⁻¹c by the state, and cᵀC⁻¹c."""
-        model, n = self.model, len(self.model.free) + len(self.model.expansions)
+        model, n = self.model, len(self.model.mean) + len(self.model.expansions)
         size = np.concatenate([model.sd, [one.sd for one in model.expansions]])
         moves, scale, loadings = model.drift.index, scales[model.drift.unit], model.drift.loadings
         total = gram.sum(axis=0)
@@ -108,30 +109,32 @@ class LinearSessions:
         precision[n:, n:] = steps.transpose(0, 2, 1, 3).reshape(model.size - n, model.size - n)
         return precision, slope, float(total[n, n])
 
-    def log_likelihood(self, z: Array, tau: Array, scales: Array) -> float:
+    def log_likelihood(self, z: Array, errors: Array, scales: Array) -> float:
         """Return the linearised log-likelihood of one state (n,)."""
         x, alpha = self.model.split(z, scales)
         means = np.array([one.mean for one in self.model.expansions])
         u = np.concatenate([x, np.broadcast_to(alpha - means, (len(x), len(means))), np.ones((len(x), 1))], axis=1)
-        gram, rest = self.gather(tau)
+        gram, rest = self.gather(errors)
         return rest - 0.5 * float(np.einsum("si,sij,sj->", u, gram, u))
 
 
 def linearise_sessions(model: SessionModel, z: Array, scales: Array) -> LinearSessions:
     """Return sessions linearised at a state (n,) and drift scales (U,)."""
     x, alpha = model.split(z, scales)
-    rows = np.concatenate([_linearise(model, one, x, alpha) for one in model.parts])
-    likelihoods = [one.likelihood for one in model.parts]
-    counts = np.bincount([one.session for one in model.parts], [one.likelihood.n_poses for one in model.parts])
+    found = [one.rows.linearise(model.theta(one, x, alpha)) for one in model.parts]
+    rows = np.concatenate([_combine(model, *both, x, alpha) for both in zip(model.parts, found, strict=True)])
+    counts = np.bincount([one.session for one in model.parts], [one.rows.n_poses for one in model.parts])
     first = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
-    known = np.concatenate([one.legs_known for one in likelihoods])
-    weight = np.concatenate([one.actuator_weight for one in likelihoods])
-    return LinearSessions(model, rows, known, weight, np.concatenate([one.log_constant for one in likelihoods]), first)
+
+    def covariance(errors: Array) -> Array:
+        return np.concatenate([one.covariance(errors) for one in found])
+
+    return LinearSessions(model, rows, covariance, np.concatenate([one.constant for one in found]), first)
 
 
-def _linearise(model: SessionModel, part: Part, x: Array, alpha: Array) -> Array:
-    """Return the rows of a part, shape (P, N, m + A + 1)."""
-    errors, slope = part.likelihood.leg_error_jacobian(model.theta(part, x, alpha))
+def _combine(model: SessionModel, part: Part, found: LinearRows, x: Array, alpha: Array) -> Array:
+    """Return the rows of a part, shape (P, R, m + A + 1)."""
+    errors, slope = found.errors, found.slope
     by_x, by_alpha = model.slopes(part, x, alpha)
     jacobian = slope @ np.concatenate([by_x, by_alpha], axis=1)
     means = np.array([one.mean for one in model.expansions])
@@ -141,8 +144,8 @@ def _linearise(model: SessionModel, part: Part, x: Array, alpha: Array) -> Array
     return np.concatenate([jacobian, constant[..., None]], axis=2)
 
 
-def find_state(model: SessionModel, tau: Array, scales: Array, z: Array) -> tuple[LinearSessions, Array]:
-    """Return sessions linearised at the most probable state given τ and σ, and that state; from z, shape (n,).
+def find_state(model: SessionModel, errors: Array, scales: Array, z: Array) -> tuple[LinearSessions, Array]:
+    """Return sessions linearised at the most probable state given errors and σ, and that state; from z, shape (n,).
 
     Raises
     ------
@@ -151,7 +154,7 @@ def find_state(model: SessionModel, tau: Array, scales: Array, z: Array) -> tupl
     """
     for _ in range(STEPS):
         linear = linearise_sessions(model, z, scales)
-        found = linear.condition(tau, scales).mean
+        found = linear.condition(errors, scales).mean
         if np.abs(found - z).max() < SMALL:
             return linear, found
         z = found

@@ -10,29 +10,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from bayescal.density.errors import ModelError
-from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.sessions.rows import SessionRows
 from bayescal.numerics.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Poses of one session at one temperature.
+    """Rows of one session at one temperature.
 
     Attributes
     ----------
-    likelihood : PoseLikelihood
+    rows : SessionRows
     session : int
         Counted from zero.
     warmth : float
         T - T_0, K.
     """
 
-    likelihood: PoseLikelihood
+    rows: SessionRows
     session: int
     warmth: float = 0.0
 
@@ -71,15 +70,15 @@ class Drift:
         Which of the U scales each has.
     units : tuple of str, length U
         Their names.
-    scale : float
-        Of the half-normal prior of every scale σ, mm, of a random walk per √month.
+    scale : ndarray, shape (U,)
+        Of the half-normal prior of each scale σ, mm or rad, of a random walk per √month.
     """
 
     loadings: Array
     index: np.ndarray
     unit: np.ndarray
     units: tuple[str, ...]
-    scale: float
+    scale: Array
 
     def keep(self, units: Sequence[str]) -> Drift:
         """Return the same where some units alone may move."""
@@ -87,7 +86,13 @@ class Drift:
         place = {old: new for new, old in enumerate(chosen)}
         there = np.isin(self.unit, chosen)
         unit = np.array([place[int(k)] for k in self.unit[there]], dtype=int)
-        return replace(self, index=self.index[there], unit=unit, units=tuple(self.units[k] for k in chosen))
+        return replace(
+            self,
+            index=self.index[there],
+            unit=unit,
+            units=tuple(self.units[k] for k in chosen),
+            scale=self.scale[chosen],
+        )
 
 
 def walk_loadings(days: Array) -> Array:
@@ -108,30 +113,26 @@ class SessionModel:
     parts : tuple of Part
         Of all sessions, in their order.
     start : ndarray, shape (D,)
-        θ where nothing is free.
-    free : ndarray of int, shape (m,)
-        Free parameters in θ.
+        θ with all free parameters at their priors' means.
+    moves : ndarray, shape (m, D)
+        Which parameters go with each free one, ones and zeros.
+    names, units : tuple of str, length m
+        Of the free parameters.
     mean, sd : ndarray, shape (m,)
         Of their normal priors.
     drift : Drift
     expansions : tuple of Expansion, length A
-    model_error : ModelError
-        Of the legs, the same in all sessions.
     """
 
     parts: tuple[Part, ...]
     start: Array
-    free: np.ndarray
+    moves: Array
+    names: tuple[str, ...]
+    units: tuple[str, ...]
     mean: Array
     sd: Array
     drift: Drift
     expansions: tuple[Expansion, ...]
-    model_error: ModelError
-
-    @property
-    def n_legs(self) -> int:
-        """Number of legs N."""
-        return self.parts[0].likelihood.n_legs
 
     @property
     def n_sessions(self) -> int:
@@ -146,42 +147,33 @@ class SessionModel:
     @property
     def size(self) -> int:
         """Length of the state z: m parameters, A coefficients, d times K steps."""
-        return len(self.free) + len(self.expansions) + self.n_steps * len(self.drift.index)
+        return len(self.mean) + len(self.expansions) + self.n_steps * len(self.drift.index)
 
     @property
-    def n_model_errors(self) -> int:
-        """Number of free model errors."""
-        return self.model_error.n_parameters(self.n_legs)
+    def n_errors(self) -> int:
+        """How many numbers are unknown of the errors, the same in all sessions."""
+        return self.parts[0].rows.n_errors
 
     @property
     def n_scales(self) -> int:
-        """Number of model errors and drift scales together."""
-        return self.n_model_errors + len(self.drift.units)
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of the free parameters."""
-        layout = self.parts[0].likelihood.layout
-        return tuple(layout.names[k] for k in self.free)
+        """Number of what is unknown of the errors and of drift scales together."""
+        return self.n_errors + len(self.drift.units)
 
     def keep(self, units: Sequence[str]) -> SessionModel:
         """Return the same sessions where some units alone may move."""
         return replace(self, drift=self.drift.keep(units))
 
     def read_scales(self, zeta: Array) -> tuple[Array, Array]:
-        """Return model errors τ (..., N) and drift scales σ (..., U), mm, of standard normal coordinates (..., n)."""
-        n = self.n_model_errors
-        tau = np.zeros((*zeta.shape[:-1], self.n_legs))
-        if n:
-            tau = np.broadcast_to(self.model_error.value(zeta[..., :n]), tau.shape)
-        return tau, ModelError(self.drift.scale).value(zeta[..., n:])
+        """Return what is unknown of the errors and drift scales σ (..., U), of standard normal coordinates (..., n)."""
+        n = self.n_errors
+        return self.parts[0].rows.read_errors(zeta[..., :n]), ModelError(1.0).value(zeta[..., n:]) * self.drift.scale
 
     def split(self, z: Array, scales: Array) -> tuple[Array, Array]:
         """Return deviations of x_s from the priors' means (..., S, m), mm, and α (..., A), of states (..., n).
 
         Drift scales σ have shape (..., U).
         """
-        m, a = len(self.free), len(self.expansions)
+        m, a = len(self.mean), len(self.expansions)
         common = self.sd * z[..., :m]
         steps = z[..., m + a :].reshape(*z.shape[:-1], self.n_steps, len(self.drift.index))
         moved = np.einsum("sk,...kd->...sd", self.drift.loadings, steps) * scales[..., None, self.drift.unit]
@@ -193,26 +185,23 @@ class SessionModel:
 
     def theta(self, part: Part, x: Array, alpha: Array) -> Array:
         """Return θ (..., D) of a part's machine at its temperature; x (..., S, m), α (..., A) as `split` returns."""
-        theta = np.broadcast_to(self.start, (*x.shape[:-2], len(self.start))).copy()
-        theta[..., self.free] = self.mean + x[..., part.session, :]
+        theta = self.start + x[..., part.session, :] @ self.moves
         for k, one in enumerate(self.expansions):
             theta[..., one.index] *= 1.0 + alpha[..., k, None] * part.warmth
         return theta
 
     def slopes(self, part: Part, x: Array, alpha: Array) -> tuple[Array, Array]:
         """Return dθ/dx (D, m) and dθ/dα (D, A) of a part's machine at one x (S, m) and α (A,)."""
-        cold = self.theta(Part(part.likelihood, part.session), x, alpha)
+        cold = self.theta(Part(part.rows, part.session), x, alpha)
         factor = np.ones(len(cold))
         by_alpha = np.zeros((len(cold), len(self.expansions)))
         for k, one in enumerate(self.expansions):
             factor[one.index] = 1.0 + alpha[k] * part.warmth
             by_alpha[one.index, k] = cold[one.index] * part.warmth
-        by_x = np.zeros((len(cold), len(self.free)))
-        by_x[self.free, np.arange(len(self.free))] = factor[self.free]
-        return by_x, by_alpha
+        return (self.moves * factor).T, by_alpha
 
     def log_likelihood(self, z: Array, zeta: Array) -> Array:
         """Return the log-likelihood as it is, shape (B,), of states (B, n) at scales ζ (B, n_scales)."""
-        tau, scales = self.read_scales(zeta)
+        errors, scales = self.read_scales(zeta)
         x, alpha = self.split(z, scales)
-        return np.sum([one.likelihood(self.theta(one, x, alpha), tau) for one in self.parts], axis=0)
+        return np.sum([one.rows.evaluate(self.theta(one, x, alpha), errors) for one in self.parts], axis=0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 
 import numpy as np
@@ -12,11 +12,11 @@ from bayescal.experiments.calibration.calibrated import ERRORS, keep_machine, ta
 from bayescal.experiments.calibration.fit import Fit, fit_variant
 from bayescal.experiments.calibration.inputs import CalibrationInputs
 from bayescal.experiments.calibration.knowledge import Knowledge, assess
-from bayescal.experiments.calibration.slips import find_calibration_slip
 from bayescal.experiments.calibration.tables import Findings, Residuals, summarise, tabulate
 from bayescal.experiments.calibration.validation import Held, hold_back, list_folds
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
+from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.experiments.shared.reading_trees import build_reading_tree
 from bayescal.experiments.shared.trees import name_file, write_tree
 from bayescal.numerics.geometry import Array
@@ -57,8 +57,9 @@ def compute_calibration(inputs: CalibrationInputs, run: Run) -> Results:
     }
     tables = tabulate(inputs, found)
     tables[ERRORS] = pd.concat([one.errors for one in fitted.values()], ignore_index=True)
-    summary, slip = summarise(inputs, tables), find_calibration_slip(inputs.variants.values())
-    summary |= {} if slip is None else {"slip": slip}
+    summary = summarise(inputs, tables)
+    slip = find_calibration_slip(one.suspicion() for one in inputs.variants.values())
+    summary |= {} if slip is None else {"slip": asdict(slip)}
     return Results(summary, tables, {**_list_files(inputs, found), **keep_machine(inputs)})
 
 

@@ -52,7 +52,7 @@ def build_terms(
             continue
         rows = TermRows(name, model, data, tuple(groups[k] for k in chosen), reach, home)
         with name_faults(f"errors.{name}"):
-            choice = choose("ERRORS", one.kind, ErrorTerm, f"errors.{name}.kind", folder, one.options)  # type: ignore[type-abstract]
+            choice = choose("ERRORS", one.kind, ErrorTerm, f"errors.{name}.kind", folder, one.options)
             with name_failures(choice.found, f"errors.{name}", folder):
                 term = choice.found.build(choice.options, rows)
             check_term(term, data)
@@ -69,7 +69,7 @@ def _is_elsewhere(names: list[str], everywhere: list[set[str]], chosen: np.ndarr
 
 
 def measure_ranges(model: ReadingModel, data: Measurements, workspace: Workspace) -> tuple[Array, Array]:
-    """Return what the nominal machine reads in the middle of the workspace, and how far readings go from there, (K,)."""
+    """Return what the nominal machine reads in the middle of the workspace, and how far readings go from it, (K,)."""
     q = len(workspace.low)
     steps = np.array([*product((-1.0, 0.0, 1.0), repeat=q)]) if 3**q <= LARGEST_GRID else _draw_ends(q)
     pose = np.concatenate([workspace.middle[None], workspace.middle + workspace.half * steps.reshape(-1, q)])
@@ -81,4 +81,4 @@ def measure_ranges(model: ReadingModel, data: Measurements, workspace: Workspace
 
 
 def _draw_ends(q: int) -> Array:
-    return np.random.default_rng(0).choice([-1.0, 0.0, 1.0], (LARGEST_GRID, q))
+    return np.random.default_rng(0).integers(-1, 2, (LARGEST_GRID, q)).astype(np.float64)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.calibration.terms import Errors
+from bayescal.density.elimination import project_out
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.beside import Beside, read_beside
@@ -23,6 +24,8 @@ from bayescal.experiments.calibration.priors import choose_priors
 from bayescal.experiments.calibration.reading_tables import PoseReadings, read_tables
 from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
 from bayescal.experiments.calibration.workspace import Workspace, build_workspace, find_starts
+from bayescal.experiments.shared.outlook import tell_outlook
+from bayescal.experiments.shared.reading_slips import Suspicion, check_reach
 from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import ReadingModel
@@ -77,6 +80,22 @@ class Variant:
         """Return the posterior of some poses, those for calibration by default."""
         likelihood = self.likelihood(~self.verification if which is None else which)
         return CalibrationPosterior(likelihood, self.priors, self.errors, self.fixed, self.common)
+
+    def suspicion(self, which: np.ndarray | None = None) -> Suspicion:
+        """Return the same for slips to be looked for in."""
+        return Suspicion(self.posterior(which), self.workspace.low, self.workspace.high)
+
+    def tell_outlook(self) -> str:
+        """Return in a line what its readings can determine, to first order about the nominal machine."""
+        posterior = self.posterior()
+        data, q, m = posterior.likelihood.data, len(self.model.coordinates), posterior.n_geometry
+        y = np.zeros(posterior.n_parameters)
+        with np.errstate(all="ignore"):
+            white, at = posterior.stand(y[None])
+            _, slope, by_parameters = posterior.rows(y, white, at.pose)
+        rows = np.nan_to_num(project_out(np.nan_to_num(slope)) @ by_parameters)
+        counted = f"{int(data.present.sum())} readings in {data.n_poses} rows for {m} + {q * data.n_poses} unknowns"
+        return tell_outlook(f"{counted} of machine and poses", rows, posterior.geometry_names)
 
     @property
     def internal(self) -> np.ndarray:
@@ -182,7 +201,9 @@ def _build(
     )
     check_readings(data.n_poses, len(chosen), len(priors), len(model.coordinates))
     start = find_starts(unplaced.posterior(np.ones(data.n_poses, dtype=bool)), workspace, config.seed)
-    return Variant(**{**vars(unplaced), "start": start})
+    placed = replace(unplaced, start=start)
+    check_reach(placed.suspicion(np.ones(data.n_poses, dtype=bool)))
+    return placed
 
 
 def _choose_poses(section: CalibrationVariantConfig, model: ReadingModel, readings: PoseReadings) -> np.ndarray:

@@ -16,12 +16,13 @@ from bayescal.experiments.calibration.machine_kind import MachineExperiment
 from bayescal.experiments.calibration.memory import estimate_calibration
 from bayescal.experiments.calibration.page.build import build_page, list_variants
 from bayescal.experiments.calibration.schema import CalibrationConfig
-from bayescal.experiments.calibration.slips import find_calibration_slip
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.calibrating import Calibrating, load_same
 from bayescal.experiments.shared.measured import MeasuredReadings, MeasuringReadings
+from bayescal.experiments.shared.outlook import join_outlooks
+from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.report.blocks import Page
 
 
@@ -43,10 +44,14 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs], Calib
         """Return what the largest variant's posterior takes, and all that is kept of each."""
         return estimate_calibration(inputs)
 
+    def outlook(self, inputs: CalibrationInputs) -> list[str]:
+        """Return what each variant's readings can determine."""
+        return join_outlooks({name: one.tell_outlook() for name, one in inputs.variants.items()})
+
     def doubt(self, inputs: CalibrationInputs) -> list[str]:
         """Return what may have happened to readings that no machine within its priors comes near."""
-        said = find_calibration_slip(inputs.variants.values())
-        return [] if said is None else [f"the readings are far off: {said}"]
+        said = find_calibration_slip(one.suspicion() for one in inputs.variants.values())
+        return [] if said is None else [said.say()]
 
     def measure_readings(
         self, config: CalibrationConfig, folder: Path, names: Sequence[str]
@@ -56,20 +61,12 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs], Calib
         for name in names:
             if name not in known:
                 raise InputError(f"variant {name!r}: unknown here, expected one of {', '.join(known)}")
-        found = read_inputs(config, folder).variants
-        origin, slip = config.origin, find_calibration_slip(found.values())
+        chosen = [one for one in config.variants if not names or one.name in names]
+        found = read_inputs(config.model_copy(update={"variants": chosen}), folder).variants
+        origin = f"{config.origin.status.capitalize()}: {config.origin.text}"
         return {
-            name: MeasuredReadings(
-                name,
-                f"{origin.status.capitalize()}: {origin.text}",
-                one.posterior(),
-                one.workspace.low,
-                one.workspace.high,
-                one.internal,
-                slip,
-            )
+            name: MeasuredReadings(name, origin, one.posterior(), one.workspace.low, one.workspace.high, one.internal)
             for name, one in found.items()
-            if not names or name in names
         }
 
     def compute(self, inputs: CalibrationInputs, run: Run) -> Results:

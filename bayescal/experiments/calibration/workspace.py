@@ -145,12 +145,9 @@ def check_told(posterior: CalibrationPosterior, pose: Array, workspace: Workspac
         return
     white = likelihood.whiten(*posterior.deviations(np.zeros((1, posterior.n_parameters))))
     error, slope, _ = likelihood.linearise(posterior.centre[None], pose[None], white)
-    for k in np.flatnonzero(~np.isfinite(error[0]).all(axis=1))[:1]:
-        raise InputError(
-            f"pose {likelihood.data.poses[k]!r}: found no place in the workspace where the machine as expected stands"
-        )
-    values = np.linalg.svd(slope[0] * workspace.half, compute_uv=False)
-    for k in np.flatnonzero(values[:, -1] <= SINGULAR * values[:, 0])[:1]:
+    somewhere = np.flatnonzero(np.isfinite(error[0]).all(axis=1) & np.isfinite(slope[0]).all(axis=(1, 2)))
+    values = np.linalg.svd(slope[0, somewhere] * workspace.half, compute_uv=False)
+    for k in somewhere[values[:, -1] <= SINGULAR * values[:, 0]][:1]:
         raise InputError(
             f"pose {likelihood.data.poses[k]!r}: found readings that do not tell all {q} coordinates, expected some "
             "that do; leave out what tells nothing"

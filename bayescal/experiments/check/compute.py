@@ -83,11 +83,11 @@ def _weigh(inputs: CheckInputs, name: str) -> Arrays:
 def _check_variant(inputs: CheckInputs, name: str, run: Run) -> tuple[list[Finding], dict[str, pd.DataFrame]]:
     config, subject = inputs.config, inputs.subjects[name]
     task = (subject, config.draws, config.seed)
-    findings, draws = run.once(f"data of {name}", look_at_data, task, (Finding,))
+    findings, draws, coordinates = run.once(f"data of {name}", look_at_data, task, (Finding,))
     if not len(draws):
         return findings, {}
     tasks = {f"{whence} {k}": f"{whence} {k}" for k in range(config.data_sets) for whence in (PRIOR, POSTERIOR)}
-    shared = (subject, np.asarray(draws), config.draws, config.seed)
+    shared = (subject, np.asarray(draws), np.asarray(coordinates), config.draws, config.seed)
     found = run.map(f"simulated {name}", rank_truth, shared, tasks)
     own = [_judge(subject, whence, found, config.data_sets) for whence in (PRIOR, POSTERIOR)]
     tables = {key: pd.concat([one[key] for _, one in own], ignore_index=True) for key in own[0][1]}

@@ -14,7 +14,6 @@ from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.shared.search_memory import list_search
 from bayescal.report.blocks import Page
 
 DRAWS, RANKS = 6, 4
@@ -45,11 +44,11 @@ class Check(Experiment[CheckConfig, CheckInputs]):
 
     def estimate_memory(self, inputs: CheckInputs) -> Need:
         """Return what one data set's posterior takes, two data sets in one where the truth is of the posterior."""
-        posterior = max((one.posterior for one in inputs.subjects.values()), key=lambda one: one.n_parameters)
-        n, config, n_poses = posterior.n_parameters, inputs.config, posterior.likelihood.n_poses
+        subject = max(inputs.subjects.values(), key=lambda one: one.posterior.n_parameters)
+        n, config = subject.posterior.n_parameters, inputs.config
         return estimate_arrays(
-            {"poses": n_poses, "parameters": n, "draws": config.draws, "data sets": 2 * config.data_sets},
-            [(DRAWS, config.draws, n), *((2, *one) for one in list_search(posterior))],
+            {"parameters": n, "draws": config.draws, "data sets": 2 * config.data_sets},
+            [(DRAWS, config.draws, n), *((2, *one) for one in subject.list_arrays())],
             "fewer poses or draws",
             kept=[(RANKS, 2 * config.data_sets, n)],
         )

@@ -1,27 +1,24 @@
-"""What the measured data say of a study's config: each kind of fault by itself, the gravest first."""
+"""What the measured data say of a config: each kind of fault by itself, the gravest first."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from bayescal.errors import NumericalError
-from bayescal.experiments.check.faults.derivatives import check_derivatives
 from bayescal.experiments.check.faults.finding import Finding
 from bayescal.experiments.check.faults.modes import check_modes
-from bayescal.experiments.check.faults.noise import check_noise
 from bayescal.experiments.check.faults.priors import check_priors
-from bayescal.experiments.check.faults.slips import check_slips
 from bayescal.experiments.check.ranks import draw_posterior
 from bayescal.experiments.check.subject import Subject
-from bayescal.inference.mode import find_modes
 from bayescal.numerics.geometry import Array
 
 SEARCH = "search"
-GRAVEST = ("derivative", "unit", "legs")
+GRAVEST = ("derivative", "unit", "legs", "channel")
 """Faults that leave nothing else to be said."""
 
-type Look = tuple[list[Finding], Array]
-"""Findings, and draws of the posterior of the measured data, natural units, (S, n); none after the gravest faults."""
+type Look = tuple[list[Finding], Array, Array]
+"""Findings, and draws of the posterior of the measured data, (S, n) in natural units and in coordinates; none after the
+gravest faults."""
 
 
 def look_at_data(task: tuple[Subject, int, int]) -> Look:
@@ -29,14 +26,15 @@ def look_at_data(task: tuple[Subject, int, int]) -> Look:
     subject, n_draws, seed = task
     draw_seed, mode_seed, derivative_seed = np.random.SeedSequence([seed, 1]).spawn(3)
     posterior = subject.posterior
-    findings = [check_derivatives(subject, np.random.default_rng(derivative_seed)), check_slips(subject)]
+    findings = [subject.check_derivatives(np.random.default_rng(derivative_seed)), subject.check_slips()]
     nothing = np.empty((0, posterior.n_parameters))
     if any(one.fault in GRAVEST for one in findings):
-        return findings, nothing
+        return findings, nothing, nothing
     try:
-        draws, found, _ = draw_posterior(posterior, n_draws, draw_seed)
-        alone = find_modes(subject.posterior_of(subject.measured.poses, with_model_error=False))[0]
+        draws, y, found, _ = draw_posterior(posterior, n_draws, draw_seed)
+        noise = subject.check_noise(found.modes[0])
     except NumericalError as error:
-        return [*findings, Finding("Search", SEARCH, "bad", f"the posterior is not found: {error}.")], nothing
-    modes = check_modes(posterior, found.modes, np.random.default_rng(mode_seed))
-    return [*findings, modes, check_noise(subject, alone), check_priors(subject, draws)], draws
+        return [*findings, Finding("Search", SEARCH, "bad", f"the posterior is not found: {error}.")], nothing, nothing
+    starts = subject.list_starts(found.modes[0].y, np.random.default_rng(mode_seed))
+    modes = check_modes(posterior, found.modes, starts)
+    return [*findings, modes, noise, check_priors(posterior, draws)], draws, y

@@ -12,9 +12,8 @@ import zlib
 
 import numpy as np
 
-from bayescal.density.legs import LegPosterior
 from bayescal.errors import NumericalError
-from bayescal.experiments.check.subject import Subject, join_poses
+from bayescal.experiments.check.subject import Checked, Subject
 from bayescal.inference.exploration import Exploration, explore
 from bayescal.inference.importance import resample
 from bayescal.inference.sampling import sample_posterior
@@ -26,14 +25,14 @@ KEPT = 1000
 ENSEMBLES, WALKERS, BURN_IN, STEPS = 4, 64, 30, 30  # where importance resampling will not do
 
 type Arrays = dict[str, Array]
-type Shared = tuple[Subject, Array, int, int]
-"""Subject, draws of its posterior (S, n), draws to be made of each data set's, seed."""
+type Shared = tuple[Subject, Array, Array, int, int]
+"""Subject, draws of its posterior (S, n), natural and in coordinates, draws to be made of each data set's, seed."""
 
 
 def draw_posterior(
-    posterior: LegPosterior, n_draws: int, seed: np.random.SeedSequence
-) -> tuple[Array, Exploration, Array]:
-    """Return draws in natural units (S, n), the exploration, and efficiency and Pareto k of their weights, (2,).
+    posterior: Checked, n_draws: int, seed: np.random.SeedSequence
+) -> tuple[Array, Array, Exploration, Array]:
+    """Return draws (S, n), natural and in coordinates, the exploration, and their weights' efficiency and Pareto k.
 
     Draws of the proposal resampled by their weights; of an ensemble where their tail forbids it.
     """
@@ -44,8 +43,10 @@ def draw_posterior(
     quality = np.array([made.efficiency, made.pareto_k])
     if made.pareto_k > PARETO_K_LIMIT:
         sample = sample_posterior(found, ensemble_seed, ENSEMBLES, WALKERS, BURN_IN, STEPS)
-        return sample.natural.reshape(-1, posterior.n_parameters), found, quality
-    return posterior.natural(straight.y_from_x(made.draws)), found, quality
+        n = posterior.n_parameters
+        return sample.natural.reshape(-1, n), sample.y.reshape(-1, n), found, quality
+    y = straight.y_from_x(made.draws)
+    return posterior.natural(y), y, found, quality
 
 
 def rank_truth(shared: Shared, name: str) -> Arrays:
@@ -62,19 +63,16 @@ def rank_truth(shared: Shared, name: str) -> Arrays:
 
 
 def _rank(shared: Shared, name: str) -> Arrays:
-    subject, draws, n_draws, seed = shared
+    subject, draws, coordinates, n_draws, seed = shared
     whence, _, number = name.partition(" ")
     simulate_seed, draw_seed, tie_seed = np.random.SeedSequence([seed, zlib.crc32(name.encode())]).spawn(3)
     rng = np.random.default_rng(simulate_seed)
     if whence == PRIOR:
-        truth, poses = subject.simulate_from_prior(rng)
+        truth, posterior = subject.draw_case(rng)
     else:
-        truth = draws[int(number) % len(draws)]
-        simulated = subject.simulate(truth, rng)
-        if simulated is None:
-            raise NumericalError("a draw of the posterior cannot take the poses")
-        poses = join_poses(subject.measured.poses, simulated)
-    found, _, quality = draw_posterior(subject.posterior_of(poses), n_draws, draw_seed)
+        k = int(number) % len(draws)
+        truth, posterior = draws[k], subject.repeat(draws[k], coordinates[k], rng)
+    found, _, _, quality = draw_posterior(posterior, n_draws, draw_seed)
     ties = np.random.default_rng(tie_seed).random(len(truth))
     below = np.sum(found < truth, axis=0)
     return {

@@ -1,151 +1,109 @@
-"""What is checked: a variant of a study, with other data of the same plan where these are simulated."""
+"""What is checked: a variant of a machine that was measured, with other data of the same plan where simulated."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
-from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.errors import ModelError
-from bayescal.density.legs import LegPosterior
-from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import UniformPrior
-from bayescal.errors import NumericalError
-from bayescal.experiments.shared.measured import MeasuredVariant
-from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
+from bayescal.density.priors import Prior
+from bayescal.experiments.check.faults.finding import Finding
+from bayescal.experiments.shared.slips import FoundSlip
+from bayescal.inference.mode import Mode
+from bayescal.inference.target import Target
+from bayescal.numerics.geometry import Array
 
+SLIPS = "Units and order"
 TRIES = 100
+NAMED = 3
 
 
-@dataclass(frozen=True, eq=False)
-class Subject:
-    """A variant of a study as a check sees it.
-
-    Attributes
-    ----------
-    measured : MeasuredVariant
-        With its model error.
-    """
-
-    measured: MeasuredVariant
+class Checked(Target, Protocol):
+    """A posterior whose parameters have names and priors."""
 
     @property
-    def posterior(self) -> LegPosterior:
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters, those of the geometry first."""
+
+    @property
+    def priors(self) -> Mapping[str, Prior]:
+        """Priors of the geometry's parameters by name."""
+
+
+class Subject(ABC):
+    """A variant as a check sees it, whatever its machine and its density."""
+
+    @property
+    @abstractmethod
+    def posterior(self) -> Checked:
         """The posterior of the measured data."""
-        return self.measured.posterior
 
-    @property
-    def n_poses(self) -> int:
-        """How many poses were measured."""
-        return self.measured.poses.n_poses
+    @abstractmethod
+    def list_arrays(self) -> list[Sequence[float]]:
+        """Return the arrays of one data set's search; see `bayescal.experiments.frame.memory.estimate_arrays`."""
 
-    def likelihood(self, poses: MeasuredPoses, chosen: np.ndarray | None = None) -> PoseLikelihood:
-        """Return the density of other poses of the plan, once or twice over; the first may have other noise.
+    # --- simulated data --------------------------------------------------------------------------------------------
 
-        With ``chosen``, shape (Q,), they are those of the plan's poses alone.
-        """
-        variance = self.measured.actuator_variance
-        if variance is not None and chosen is not None:
-            variance = variance[chosen]
-        elif variance is not None:
-            variance = np.tile(variance, (poses.n_poses // self.n_poses, 1))
-        return PoseLikelihood(self.measured.machine, poses, self.measured.actuator_noise, variance)
-
-    def posterior_of(self, poses: MeasuredPoses, with_model_error: bool = True) -> LegPosterior:
-        """Return the posterior of other poses of the plan."""
-        error = self.posterior.errors.model_error if with_model_error else ModelError(None)
-        errors = replace(self.posterior.errors, terms=(error, *self.posterior.errors.terms[1:]))
-        return replace(self.posterior, likelihood=self.likelihood(poses), errors=errors)
-
-    def theta_of(self, natural: Array) -> tuple[Array, Array]:
-        """Return θ (D,) and τ (N,) of parameters and model errors in natural units, shape (n,)."""
-        posterior = self.posterior
-        theta, n = posterior.sampling.start.copy(), posterior.n_geometry
-        theta[posterior.sampling.free] = natural[:n]
-        tau = natural[n:] if len(natural) > n else np.zeros(1)
-        return theta, np.broadcast_to(tau, (posterior.likelihood.n_legs,)).copy()
-
-    def with_poses(self, poses: MeasuredPoses) -> Subject:
-        """Return the same variant as if other poses had been measured."""
-        return Subject(replace(self.measured, poses=poses, posterior=self.posterior_of(poses)))
-
-    def draw_prior(self, rng: np.random.Generator) -> Array:
-        """Return parameters and model errors drawn from their priors, natural units, shape (n,)."""
-        posterior = self.posterior
-        values = []
-        for name in posterior.names[: posterior.n_geometry]:
-            prior = posterior.priors[name]
-            if isinstance(prior, UniformPrior):
-                values.append(rng.uniform(prior.lower, prior.upper))
-            else:
-                values.append(rng.normal(prior.mean, prior.sd))
-        scale = posterior.errors.model_error.scale
-        errors = 0.0 if scale is None else scale
-        return np.concatenate([values, np.abs(rng.normal(0.0, errors, posterior.n_parameters - len(values)))])
-
-    def simulate_from_prior(
-        self, rng: np.random.Generator, with_model_error: bool = True
-    ) -> tuple[Array, MeasuredPoses]:
-        """Return a truth drawn from the priors, or one without model error, and what would be measured of it.
+    @abstractmethod
+    def draw_case(self, rng: np.random.Generator) -> tuple[Array, Checked]:
+        """Return a truth drawn from the priors, natural units, (n,), and the posterior of what is measured of it.
 
         Raises
         ------
         NumericalError
             Where hardly any draw of the priors is a machine that can take the poses.
         """
-        for _ in range(TRIES):
-            truth = self.draw_prior(rng)
-            truth[self.posterior.n_geometry :] *= with_model_error
-            poses = self.simulate(truth, rng)
-            if poses is not None:
-                return truth, poses
-        raise NumericalError(f"simulation: found no machine that takes the poses in {TRIES} draws of the priors")
 
-    def simulate(self, truth: Array, rng: np.random.Generator) -> MeasuredPoses | None:
-        """Return what is measured of a true machine, all noise as stated; None where it cannot take the poses.
+    @abstractmethod
+    def repeat(self, natural: Array, y: Array, rng: np.random.Generator) -> Checked:
+        """Return the posterior of the measured data and those simulated of a true machine together.
 
-        The platform goes where the machine takes it. Encoders err by σ_ρ, and by what the model errors τ and the
-        deformation leave of each leg's closure, at the true machine; the measured pose errs by Σ.
+        The machine, with its errors, is given in natural units and in the posterior's coordinates, (n,) each.
+
+        Raises
+        ------
+        NumericalError
+            Where it cannot take the poses.
         """
-        machine, plan = self.measured.machine, self.measured.poses
-        theta, tau = self.theta_of(truth)
-        if not machine.layout.inside(theta[None])[0]:
-            return None
-        found = solve_forward_kinematics(machine, theta, plan.actuators, check=False)
-        if not found.converged.all():
-            return None
-        actuators = plan.actuators
-        if actuators.shape[1] > DEGREES_OF_FREEDOM:  # redundant legs stand where they close
-            held = solve_inverse_kinematics(machine, theta, found.position, found.rotation, check=False)
-            if not held.converged.all():
-                return None
-            actuators = held.actuators
-        by_actuators = machine.linearise(theta, found.position, found.rotation, actuators).actuators
-        error = self._draw_errors(by_actuators, tau, rng)
-        normal = rng.standard_normal((self.n_poses, DEGREES_OF_FREEDOM))
-        noise = np.einsum("pij,pj->pi", np.linalg.cholesky(plan.covariance), normal)
-        rotation = matrix_from_rotation_vector(noise[:, 3:]) @ found.rotation
-        return MeasuredPoses(plan.names, found.position + noise[:, :3], rotation, plan.covariance, actuators - error)
 
-    def _draw_errors(self, by_actuators: Array, tau: Array, rng: np.random.Generator) -> Array:
-        """Return what encoders and legs err by in terms of actuators, shape (P, N), mm."""
-        variance = self.measured.actuator_variance
-        spread = np.sqrt(tau**2 + (0.0 if variance is None else variance))
-        own = np.diagonal(by_actuators, axis1=-2, axis2=-1)
-        legs = own * spread * rng.standard_normal(own.shape)
-        moved = np.linalg.solve(by_actuators, legs[..., None])[..., 0]
-        return self.measured.actuator_noise * rng.standard_normal(own.shape) + moved
+    # --- measured data ---------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def check_derivatives(self, rng: np.random.Generator) -> Finding:
+        """Return whether the model's derivatives are those of differences."""
+
+    @abstractmethod
+    def check_slips(self) -> Finding:
+        """Return whether some slip explains the data better than they fit as they are."""
+
+    @abstractmethod
+    def check_noise(self, mode: Mode) -> Finding:
+        """Return whether the noise is as stated; mode is the posterior's best."""
+
+    @abstractmethod
+    def list_starts(self, best: Array, rng: np.random.Generator) -> list[Array]:
+        """Return coordinates (n,) from which a search may find other modes than the best, (n,)."""
 
 
-def join_poses(one: MeasuredPoses, other: MeasuredPoses) -> MeasuredPoses:
-    """Return two measurements of the same plan as one."""
-    both = (one, other)
-    return MeasuredPoses(
-        one.names + tuple(f"{name} again" for name in other.names),
-        np.concatenate([poses.position for poses in both]),
-        np.concatenate([poses.rotation for poses in both]),
-        np.concatenate([poses.covariance for poses in both]),
-        np.concatenate([poses.actuators for poses in both]),
+def state_slips(found: FoundSlip | None, planted: tuple[int, list[str]]) -> Finding:
+    """Return what the search for slips found, or which of those planted would pass unnoticed."""
+    if found is not None:
+        gain = f"better by {found.gain:.0f} nats" if np.isfinite(found.gain) else "they fit then"
+        text = f"{found.text} ({gain}). Correct the table; all other findings rest on it."
+        return Finding(SLIPS, found.fault, "bad", text)
+    count, unnoticed = planted
+    text = f"no other unit, sign or order of channels or rows explains the data better; of {count} planted slips "
+    if not unnoticed:
+        return Finding(SLIPS, "", "good", f"{text}none would pass unnoticed.")
+    named = "; ".join(one.replace(" seem to be", "").replace(" seems to be", "") for one in unnoticed[:NAMED])
+    more = f"; {len(unnoticed) - NAMED} more" if len(unnoticed) > NAMED else ""
+    return Finding(
+        SLIPS, "", "good", f"{text}{len(unnoticed)} would pass unnoticed within the tolerances: {named}{more}."
     )
+
+
+def list_names(names: Iterable[str]) -> str:
+    """Return symbols of parameters, each once."""
+    return ", ".join(dict.fromkeys(name.partition("[")[0] for name in names))

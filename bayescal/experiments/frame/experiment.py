@@ -91,6 +91,11 @@ class Experiment[C: ExperimentConfig, I](ABC):
         del inputs
         return Need()
 
+    def outlook(self, inputs: I) -> list[str]:
+        """Return what the inputs can determine, in lines; it takes a second or two. By default nothing is said."""
+        del inputs
+        return []
+
     def doubt(self, inputs: I) -> list[str]:
         """Return what is probably wrong with inputs that nothing forbids to compute with, in words; it takes little."""
         del inputs

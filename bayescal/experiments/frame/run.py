@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -152,7 +153,7 @@ def _compute(experiment: AnyExperiment, inputs: Any, run: Run) -> Results:
         raise NumericalError(f"{error}; perhaps since {'; '.join(doubts)}") from error
 
 
-def check_file(path: Path) -> tuple[AnyExperiment, ExperimentConfig, list[str], list[str]]:
+def check_file(path: Path) -> tuple[AnyExperiment, ExperimentConfig, list[str], list[str], list[str]]:
     """Read all that the experiment of a file computes with; return its kind and config, and as `check_experiment`.
 
     Raises
@@ -179,8 +180,8 @@ def _list_file_faults(path: Path) -> list[str]:
         return []
 
 
-def check_experiment(config: ExperimentConfig, folder: Path) -> tuple[list[str], list[str]]:
-    """Read all that an experiment computes with; return its files, and what is probably wrong with it.
+def check_experiment(config: ExperimentConfig, folder: Path) -> tuple[list[str], list[str], list[str]]:
+    """Read all that an experiment computes with; return its files, what it can determine, and what may be wrong.
 
     Raises
     ------
@@ -189,10 +190,11 @@ def check_experiment(config: ExperimentConfig, folder: Path) -> tuple[list[str],
     """
     experiment = find_kind(config.kind, folder, folder)
     with threadpool_limits(1):
-        doubts = experiment.doubt(read_inputs(experiment, config, folder))
+        inputs = read_inputs(experiment, config, folder)
+        outlook, doubts = experiment.outlook(inputs), experiment.doubt(inputs)
     files = sorted(set(_list_files(experiment, config, folder)))
     identify(config, folder, files)
-    return files, doubts
+    return files, outlook, doubts
 
 
 def _list_files(experiment: AnyExperiment, config: ExperimentConfig, folder: Path) -> Iterable[str]:
@@ -272,8 +274,19 @@ def write_report(folder: Path, kind: str | None = None, workers: int = 1) -> Pat
         _write_page(experiment, folder, workers)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, AssertionError) as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        written, here = _find_version(folder), version("bayescal")
+        if written not in (None, here):
+            raise InputError(
+                f"{folder}: found results of bayescal {written} ({what}), expected those of {here}: run it again"
+            ) from error
         raise InputError(f"{folder}: found damaged results ({what}), expected those of a finished run") from error
     return folder / PAGE
+
+
+def _find_version(folder: Path) -> str | None:
+    """Return the version of bayescal that wrote results, as their provenance has it; None where it does not say."""
+    found = read_results(folder).provenance.get("versions")
+    return found.get("bayescal") if isinstance(found, dict) else None
 
 
 def find_results_kind(folder: Path, kind: str | None = None) -> AnyExperiment:

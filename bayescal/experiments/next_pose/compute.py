@@ -15,7 +15,6 @@ from threadpoolctl import threadpool_limits
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.next_pose.inputs import NextInputs
 from bayescal.experiments.next_pose.state import State, Subject, find_state
-from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.identifiability.remaining import Standing
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
@@ -64,12 +63,7 @@ def compute_next(inputs: NextInputs) -> Results:
             ),
         }
         summary = _summarise(inputs, state, best, float(probabilities.max()), ahead)
-        slip = inputs.slip
-        return Results(summary if slip is None else summary | {"slip": _describe_slip(slip)}, tables)
-
-
-def _describe_slip(slip: FoundSlip | str) -> Any:
-    return slip if isinstance(slip, str) else asdict(slip)
+        return Results(summary if inputs.slip is None else summary | {"slip": asdict(inputs.slip)}, tables)
 
 
 # --- what is known -----------------------------------------------------------------------------------------------

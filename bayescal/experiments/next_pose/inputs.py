@@ -18,8 +18,9 @@ from bayescal.experiments.next_pose.readings import ReadingsSubject
 from bayescal.experiments.next_pose.schema import CandidatesConfig, NextConfig
 from bayescal.experiments.next_pose.state import Subject
 from bayescal.experiments.shared.design import REQUIRED, find_actuators, read_workspace
+from bayescal.experiments.shared.leg_slips import find_measured_slip
 from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant, Measuring, MeasuringReadings
-from bayescal.experiments.shared.measured_slips import find_measured_slip
+from bayescal.experiments.shared.reading_slips import Suspicion, find_calibration_slip
 from bayescal.experiments.shared.schema import WorkspaceConfig
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.identifiability.design import Knowledge
@@ -58,7 +59,7 @@ class NextInputs:
     n_candidates : int
     units : dict of str to str
         Of each requirement, as the config states it.
-    slip : FoundSlip, str or None
+    slip : FoundSlip or None
         What would explain the data many times better than they are.
     """
 
@@ -67,7 +68,7 @@ class NextInputs:
     subjects: dict[str, Subject]
     n_candidates: int
     units: dict[str, str]
-    slip: FoundSlip | str | None
+    slip: FoundSlip | None
 
     @property
     def requirements(self) -> list[Requirement]:
@@ -219,7 +220,8 @@ def _read_readings(config: NextConfig, folder: Path, found: dict[str, MeasuredRe
     subjects: dict[str, Subject] = {
         name: ReadingsSubject(one, requirements, workspace, candidates, given) for name, one in measured.items()
     }
-    return NextInputs(config, first.origin, subjects, len(candidates), units, first.slip)
+    slip = find_calibration_slip(Suspicion(one.posterior, one.low, one.high) for one in found.values())
+    return NextInputs(config, first.origin, subjects, len(candidates), units, slip)
 
 
 def _check_same_readings(found: Mapping[str, MeasuredReadings]) -> None:

@@ -55,8 +55,7 @@ class NextPose(Experiment[NextConfig, NextInputs]):
 
     def doubt(self, inputs: NextInputs) -> list[str]:
         """Return what would explain the poses measured so far many times better than they are."""
-        slip = inputs.slip
-        return [] if slip is None else [slip if isinstance(slip, str) else slip.say()]
+        return [] if inputs.slip is None else [inputs.slip.say()]
 
     def compute(self, inputs: NextInputs, run: Run) -> Results:
         """Return what to do; it is over in seconds, and nothing is kept on the way."""

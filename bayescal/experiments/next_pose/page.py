@@ -11,7 +11,7 @@ from matplotlib import figure as mpl
 from matplotlib.axes import Axes
 
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.shared.slip_statement import state_slip
+from bayescal.experiments.shared.slips import state_slip
 from bayescal.report.blocks import (
     Cell,
     Column,

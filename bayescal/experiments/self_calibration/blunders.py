@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from bayescal.experiments.shared.sensor_sets import null_basis
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant, find_cause, list_starts
-from bayescal.experiments.shared.denied_slips import tell_denial
+from bayescal.experiments.shared.sensor_sets import null_basis
+from bayescal.experiments.shared.slips import tell_denial
 from bayescal.numerics.geometry import Array
 
 DOUBT = 5.0  # standard deviations of χ² beyond which readings are not explained

@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 
-from bayescal.experiments.shared.calibrability import compute_calibrability
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.self_calibration.blunders import list_denied
@@ -16,6 +15,7 @@ from bayescal.experiments.self_calibration.identifiability import audit_variant
 from bayescal.experiments.self_calibration.inputs import ReadingInputs
 from bayescal.experiments.self_calibration.tables import VariantFindings, summarise, tabulate
 from bayescal.experiments.self_calibration.tool import assess_tool, predict_tool
+from bayescal.experiments.shared.calibrability import compute_calibrability
 from bayescal.experiments.shared.reading_trees import build_reading_tree
 from bayescal.experiments.shared.trees import name_file, write_tree
 

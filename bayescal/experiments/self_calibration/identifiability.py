@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.experiments.shared.sensor_sets import SensorSet, find_poses
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.reading_machine import tolerance_of
+from bayescal.experiments.shared.sensor_sets import SensorSet, find_poses
 from bayescal.identifiability.directions import Direction, find_directions
 from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.ridges import ARCSECONDS, MICROMETRES, describe_move, round_below, round_up

@@ -18,8 +18,6 @@ from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.model_error import INDEPENDENT
 from bayescal.density.priors import NormalPrior, Prior
-from bayescal.experiments.shared.sensor_sets import FreeParameters
-from bayescal.experiments.shared.sensor_sets import PoseFit, SensorSet, find_poses, null_basis
 from bayescal.errors import InputError
 from bayescal.experiments.self_calibration.functions import build_functions
 from bayescal.experiments.self_calibration.reading_table import ReadingTable, Truth, read_readings, read_truth
@@ -32,8 +30,17 @@ from bayescal.experiments.shared.reading_machine import (
     tolerance_of,
     workspace_volume,
 )
-from bayescal.experiments.shared.reading_slips import find_reading_slip
 from bayescal.experiments.shared.search_memory import check_readings
+from bayescal.experiments.shared.sensor_sets import FreeParameters, PoseFit, SensorSet, find_poses, null_basis
+from bayescal.experiments.shared.slips import (
+    BETTER,
+    Columns,
+    Weight,
+    find_slip,
+    fit_rows,
+    list_reading_slips,
+    weigh_rows,
+)
 from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
 from bayescal.machines.readings.schema import PlanarPosesConfig
@@ -307,10 +314,8 @@ def _fit_together(sensors: SensorSet, free: FreeParameters, fit: PoseFit) -> Arr
     basis = null_basis(here.by_pose)
     rest = np.einsum("pzk,pk->pz", basis, fit.error[found])
     slope = basis @ here.by_parameters[..., free.places] * free.scale
-    told = np.einsum("pzn,pz->n", slope, rest)
-    moved = np.linalg.solve(np.eye(slope.shape[-1]) + np.einsum("pzn,pzm->nm", slope, slope), told)
     result = np.full(len(fit.pose), np.inf)
-    result[found] = np.sqrt(np.mean((rest - slope @ moved) ** 2, axis=1))
+    result[found] = fit_rows(rest, slope, np.full(len(rest), sensors.redundancy))
     return result
 
 
@@ -325,12 +330,18 @@ def find_cause(
     if sensors.redundancy < 1:
         return ""
 
-    def judge(values: Array, _: slice) -> Array:
-        return _fit_together(sensors, free, _try_starts(sensors, free, values, starts[:1]))
+    def judge(values: Array) -> tuple[Array, int]:
+        off = _fit_together(sensors, free, _try_starts(sensors, free, values, starts[:1]))
+        return off, len(off) * sensors.redundancy
+
+    def weigh(data: Columns, chosen: np.ndarray | None) -> Weight:
+        whole = chosen is None or len(chosen) == len(data.values)
+        return weigh_rows(lambda: judge(data.values if whole else data.values[chosen]))
 
     units = [sensors.model.channels[k].unit for k in sensors.chosen]
-    said = find_reading_slip(judge, sensors.names, units, measured, denied=denied)
-    return "" if said is None else f"; {said}"
+    slips = (one for one in list_reading_slips(sensors.names, units, measured) if not one.data.circular)
+    found = find_slip(weigh, Columns(measured), slips, BETTER, denied)
+    return "" if found is None else f"; {found.say()}"
 
 
 def measure_misfit(sensors: SensorSet, free: FreeParameters, fit: PoseFit) -> Array:

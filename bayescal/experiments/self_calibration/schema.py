@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from bayescal.config.sections import ExperimentConfig, InputFile, Name, Names, Positive, Section
 from bayescal.density.schema import KernelChoiceConfig, KernelConfig
-from bayescal.experiments.shared.denied_slips import DeniedSlips
+from bayescal.experiments.shared.slips import DeniedSlips
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.machines.readings.schema import Count, PlanarPosesConfig, ReadingSensorConfig, ReadingTolerancesConfig
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.experiments.shared.sensor_sets import ToolSensitivity, compute_tool_sensitivity, locate_tool
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import CommonDraws, Errors
 from bayescal.errors import NumericalError
 from bayescal.experiments.self_calibration.fit import Fit
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.reading_machine import free_parameters
+from bayescal.experiments.shared.sensor_sets import ToolSensitivity, compute_tool_sensitivity, locate_tool
 from bayescal.numerics.geometry import Array
 
 INTERVAL = 0.9

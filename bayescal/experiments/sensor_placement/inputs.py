@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import qmc
 
-from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.errors import InputError
 from bayescal.experiments.sensor_placement.schema import PlacementConfig, PlacementMachineConfig, PlacementSensorConfig
 from bayescal.experiments.shared.reading_machine import build_sensors, poses_about_home, tolerance_of
+from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.machines.deformations import NominalDeformation
 from bayescal.machines.kinematics import check_home_pose
 from bayescal.machines.read import build_named_machine, load_mechanism, read_sliding_platform

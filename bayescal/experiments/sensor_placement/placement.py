@@ -22,9 +22,9 @@ from typing import Literal
 
 import numpy as np
 
-from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.experiments.sensor_placement.alignment import alignment_basis, take_away
 from bayescal.experiments.sensor_placement.inputs import PlacementInputs
+from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.numerics.geometry import Array
 
 SINGULAR = 1e-12

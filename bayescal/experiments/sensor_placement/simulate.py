@@ -54,7 +54,9 @@ def simulate_set(inputs: PlacementInputs, placement: Placement, chosen: np.ndarr
     measured = sensors.read(truth[:, None], inputs.pose)
     measured = measured + sensors.noise * rng.standard_normal(measured.shape)
     found = np.array([_calibrate(sensors, free, one, inputs.pose) for one in measured])
-    error, located = _locate(inputs, placement, sensors.select(np.flatnonzero(~is_external(sensors))), truth, found, rng)
+    error, located = _locate(
+        inputs, placement, sensors.select(np.flatnonzero(~is_external(sensors))), truth, found, rng
+    )
     good = np.isfinite(found).all(axis=1) & located
     square = np.sum(error[good] ** 2, axis=-1).mean(axis=-1)
     rms = float(np.sqrt(square.mean())) if good.any() else float("nan")

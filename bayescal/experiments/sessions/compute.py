@@ -13,7 +13,7 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.sessions.fit import SessionFit, fit_sessions
 from bayescal.experiments.sessions.inputs import SessionsInputs
-from bayescal.experiments.sessions.tables import Found, tabulate
+from bayescal.experiments.sessions.tables import SHIFT_ARCSEC, Found, tabulate
 
 ALL, NONE = "drift", "no drift"
 STILL = "still: "
@@ -42,10 +42,11 @@ def compute_sessions(inputs: SessionsInputs, run: Run) -> Results:
         "symbols": config.drift.symbols,
         "per_leg": config.drift.per_leg,
         "shift_um": config.shift_um,
+        **({} if inputs.first.by_leg else {"shift_arcsec": config.shift_arcsec or SHIFT_ARCSEC}),
         "has_temperature": config.thermal is not None,
         "n_sessions": model.n_sessions,
         "n_poses": int(inputs.n_poses.sum()),
-        "n_parameters": len(model.free),
+        "n_parameters": len(model.mean),
         "log_evidence_drift": drift,
         "log_evidence_drift_se": float(np.hypot(fits[ALL].standard_error, fits[NONE].standard_error)),
         "sound": {name: fit.is_sound for name, fit in fits.items()},

@@ -95,7 +95,7 @@ def _draw_states(linear: LinearSessions, scales: Scales, rng: np.random.Generato
     model, draws = linear.model, []
     values = np.empty(len(scales.draws))
     for k, zeta in enumerate(scales.draws):
-        tau, sigma = model.read_scales(zeta)
-        draws.append(linear.condition(tau, sigma).draw(rng.standard_normal(model.size)))
-        values[k] = linear.log_likelihood(draws[-1], tau, sigma)
+        errors, sigma = model.read_scales(zeta)
+        draws.append(linear.condition(errors, sigma).draw(rng.standard_normal(model.size)))
+        values[k] = linear.log_likelihood(draws[-1], errors, sigma)
     return np.array(draws), values

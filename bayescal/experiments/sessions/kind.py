@@ -57,8 +57,8 @@ class Sessions(Experiment[SessionsConfig, SessionsInputs]):
     def estimate_memory(self, inputs: SessionsInputs) -> Need:
         """Return what the joint model of all sessions takes."""
         model, draws = inputs.model, inputs.config.draws
-        n_parameters, n_poses = len(model.free), int(inputs.n_poses.sum())
-        n_legs = model.parts[0].likelihood.n_legs
+        n_parameters, n_poses = len(model.mean), int(inputs.n_poses.sum())
+        n_legs = model.parts[0].rows.width
         at_once = int(np.minimum(inputs.n_poses, POSES).sum())
         return estimate_arrays(
             {"sessions": model.n_sessions, "poses": n_poses, "parameters": n_parameters, "draws": draws},

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib import figure as mpl
 
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.shared.denied_slips import state_denied
+from bayescal.experiments.shared.slips import state_denied
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.report.blocks import Block, Cell, Column, Definitions, Figure, Page, Section, Statement, Table, make_table
 from bayescal.report.numbers import (
@@ -51,8 +52,9 @@ def build_page(results: Results) -> Page:
     """Return what the page of sessions says."""
     summary = results.summary
     walk = summary["hierarchy"] == "walk"
+    what, _, _ = _find_motions(results)
     sections = [
-        Section("Motion of the legs", (_plot_legs(results, walk), _tabulate_legs(results, walk)), "legs"),
+        Section(f"Motion of the {what}s", (_plot_motions(results, walk), _tabulate_motions(results, walk)), f"{what}s"),
         Section("Scales", (_tabulate_scales(results, walk),), "scales"),
     ]
     if len(results.table("expansion")):
@@ -76,6 +78,13 @@ def build_page(results: Results) -> Page:
             ("Poses", str(summary["n_poses"])),
         ),
     )
+
+
+def _find_motions(results: Results) -> tuple[str, pd.DataFrame, list[str]]:
+    """Return whether legs move or channels, by how much, and the unit of each row."""
+    what = "leg" if len(results.table("legs")) else "channel"
+    table = results.table(f"{what}s")
+    return what, table, [str(one) for one in table["unit"]] if "unit" in table else ["µm"] * len(table)
 
 
 def state_headline(results: Results) -> str:
@@ -108,14 +117,17 @@ def _list_statements(results: Results, walk: bool) -> list[Statement]:
     nats, error = summary["log_evidence_drift"], summary["log_evidence_drift_se"]
     text = f"Log-evidence of motion against none: {format_estimate(nats, max(error, 0.01), sign=True)} nats."
     found.append(Statement(text, "warning" if nats > CLEAR else "plain", "Evidence"))
-    legs = results.table("legs")
-    last = legs[legs["session"] == legs["session"].iloc[-1]]
-    last = last[last["since"] == last["since"].iloc[-1]] if walk else legs
+    what, moved, units = _find_motions(results)
+    moved = moved.assign(unit=units)
+    last = moved[moved["session"] == moved["session"].iloc[-1]]
+    last = last[last["since"] == last["since"].iloc[-1]] if walk else moved
     largest = last.iloc[int(np.argmax(np.abs(last["mean"])))]
     where = f"between {largest['since']} and {largest['session']}" if walk else f"in {largest['session']}"
     text = (
-        f"Leg {largest['leg']} is off most {where}: {format_estimate(largest['mean'], largest['sd'], sign=True)} µm; "
-        f"beyond {format_plain(summary['shift_um'])} µm with a probability of {format_percent(largest['beyond'], 1)}."
+        f"{what.capitalize()} {largest[what]} is off most {where}: "
+        f"{format_estimate(largest['mean'], largest['sd'], sign=True)} {largest['unit']}; "
+        f"beyond {_name_shift(summary, str(largest['unit']))} with a probability of "
+        f"{format_percent(largest['beyond'], 1)}."
     )
     found.append(Statement(text, "plain", "Largest motion"))
     for _, one in results.table("expansion").iterrows():
@@ -141,7 +153,15 @@ def _list_statements(results: Results, walk: bool) -> list[Statement]:
 # --- tables ------------------------------------------------------------------------------------------------------
 
 
-def _tabulate_legs(results: Results, walk: bool) -> Table:
+def _name_shift(summary: dict[str, Any], unit: str) -> str:
+    """Return the motion from which on one counts, in a unit."""
+    return f"{format_plain(summary['shift_um'] if unit == 'µm' else summary.get('shift_arcsec', 0.0))} {unit}"
+
+
+def _tabulate_motions(results: Results, walk: bool) -> Table:
+    what, table, units = _find_motions(results)
+    if what == "channel":
+        return _tabulate_channels(results, table, units, walk)
     columns = [
         Column("Since" if walk else "From", kind="name"),
         Column("Session" if walk else "Machine", kind="name"),
@@ -159,15 +179,37 @@ def _tabulate_legs(results: Results, walk: bool) -> Table:
     return make_table("Motion of every leg, as a change of its length, with its standard deviation.", columns, rows)
 
 
+def _tabulate_channels(results: Results, table: pd.DataFrame, units: list[str], walk: bool) -> Table:
+    columns = [
+        Column("Since" if walk else "From", kind="name"),
+        Column("Session" if walk else "Machine", kind="name"),
+        Column("Channel", kind="name"),
+        Column("moved by"),
+        Column("90 % interval"),
+        Column("Unit", kind="text"),
+        Column("beyond", "the limit"),
+    ]
+    rows: list[list[str | Cell]] = []
+    for one, unit in zip(table.to_dict("records"), units, strict=True):
+        interval = f"{format_fixed(one['q05'], 1)} to {format_fixed(one['q95'], 1)}"
+        sure = Cell(format_percent(one["beyond"], 1), "warning" if one["beyond"] > 0.5 else "plain")
+        moved = format_estimate(one["mean"], one["sd"], sign=True)
+        rows.append([str(one["since"]), str(one["session"]), str(one["channel"]), moved, interval, unit, sure])
+    limits = " and ".join(_name_shift(results.summary, unit) for unit in dict.fromkeys(units))
+    caption = f"What every channel of the machine reads more at home, with its standard deviation; limit {limits}."
+    return make_table(caption, columns, rows)
+
+
 def _tabulate_scales(results: Results, walk: bool) -> Table:
-    unit = "µm per √month" if walk else "µm"
+    unit = "" if "in" in results.table("scales") else "µm per √month" if walk else "µm"
     columns = [Column("Moves", kind="name"), Column("scale", unit), Column("90 % interval", unit), Column("odds, log")]
     rows: list[list[str | Cell]] = []
     for one in results.table("scales").to_dict("records"):
         interval = f"{format_fixed(one['q05'], 1)} to {format_fixed(one['q95'], 1)}"
         nats = one["log_odds_moved"]
         odds = Cell(format_fixed(nats, 1, sign=True), "warning" if nats > CLEAR else "plain")
-        rows.append([str(one["unit"]), format_estimate(one["mean"], one["sd"]), interval, odds])
+        own = f" {one['in']}{' per √month' * walk}" if "in" in one else ""
+        rows.append([str(one["unit"]), f"{format_estimate(one['mean'], one['sd'])}{own}", interval, odds])
     caption = (
         "Scales of what may move, and log-odds that it does against that it alone stands still, at even prior odds."
     )
@@ -220,7 +262,16 @@ def _tabulate_models(results: Results) -> Table:
     return make_table("Evidence of every model, and how good the draws behind it are.", columns, rows)
 
 
-def _plot_legs(results: Results, walk: bool) -> Block:
+def _plot_motions(results: Results, walk: bool) -> Block:
+    what, table, units = _find_motions(results)
+    if what == "channel":
+        order = {name: str(k + 1) for k, name in enumerate(dict.fromkeys(table["channel"]))}
+        legs = table.assign(leg=[int(order[name]) for name in table["channel"]])
+        names = {int(k): f"{name}, {unit}" for (name, k), unit in zip(order.items(), units, strict=False)}
+        caption = (
+            "What every channel reads more at home from one session to the next: mean and 90 % interval of each step."
+        )
+        return Figure("channels", caption, partial(draw_legs, legs, walk, names))
     caption = (
         "Motion of every leg from one session to the next: mean and 90 % interval of each step."
         if walk
@@ -229,21 +280,23 @@ def _plot_legs(results: Results, walk: bool) -> Block:
     return Figure("legs", caption, partial(draw_legs, results.table("legs"), walk))
 
 
-def draw_legs(legs: pd.DataFrame, walk: bool) -> mpl.Figure:
-    """Return the legs' motion over the sessions, a panel for each leg."""
+def draw_legs(legs: pd.DataFrame, walk: bool, names: dict[int, str] | None = None) -> mpl.Figure:
+    """Return the motion of legs, or of channels of these names, over the sessions, a panel for each."""
     numbers = list(dict.fromkeys(legs["leg"]))
     ends = legs[legs["leg"] == numbers[0]][["since", "session"]]
     steps = len(ends) - 1 if walk and len(ends) > 1 else len(ends)  # the last row sets the first against the last
     figure = mpl.Figure(figsize=(9.4, 1.6 + 1.6 * ((len(numbers) - 1) // 3 + 1)))
-    panels = figure.subplots(-(-len(numbers) // 3), min(3, len(numbers)), sharex=True, sharey=True, squeeze=False)
+    panels = figure.subplots(
+        -(-len(numbers) // 3), min(3, len(numbers)), sharex=True, sharey=names is None, squeeze=False
+    )
     for axes, leg in zip(panels.ravel(), numbers, strict=False):
         mine = legs[legs["leg"] == leg].iloc[:steps]
         at, mean = np.arange(len(mine)), mine["mean"].to_numpy(dtype=float)
         bars = np.abs(mine[["q05", "q95"]].to_numpy(dtype=float).T - mean)
         axes.errorbar(at, mean, yerr=bars, fmt="o", markersize=3.5, color=LEG_COLOURS[(int(leg) - 1) % 6])
         axes.axhline(0.0, color=GREY, linewidth=0.8)
-        axes.set_title(f"Leg {leg}")
+        axes.set_title(f"Leg {leg}" if names is None else names[int(leg)])
         axes.set_xticks(at, [str(one) for one in mine["session"]], rotation=45, ha="right")
     for axes in panels[:, 0]:
-        axes.set_ylabel("Step, µm" if walk else "Off the mean, µm")
+        axes.set_ylabel(("Step" if walk else "Off the mean") + (", µm" if names is None else ""))
     return figure

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayescal.density.legs import LegPosterior
 from bayescal.density.sessions.model import SessionModel
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
@@ -17,21 +16,20 @@ WARM = 0.1
 """Millimetres that a leg may be off besides, by temperature, noise and model error."""
 
 
-def check_same_machine(model: SessionModel, posterior: LegPosterior, labels: Sequence[str]) -> None:
+def check_same_machine(model: SessionModel, theta: Array, labels: Sequence[str]) -> None:
     """Raise InputError where the legs of a session are off those of the first by far more than they can have moved.
 
     Parameters
     ----------
     model : SessionModel
         Of a walk.
-    posterior : LegPosterior
-        Of the first session by itself.
+    theta : ndarray, shape (D,)
+        The machine that explains the first session best by itself.
     labels : sequence of str
     """
-    theta = posterior.theta(posterior.approach()[None])
     off = _find_offsets(model, theta)
     elapsed = np.sqrt(np.sum(model.drift.loadings**2, axis=1))  # √month since the first
-    limit = FAR * model.drift.scale * np.maximum(elapsed, 1.0) + WARM
+    limit = FAR * float(model.drift.scale.max()) * np.maximum(elapsed, 1.0) + WARM
     beyond = np.flatnonzero(np.abs(off - off[0]).max(axis=1) > limit)
     if len(beyond):
         k = int(beyond[0])
@@ -44,10 +42,10 @@ def check_same_machine(model: SessionModel, posterior: LegPosterior, labels: Seq
 
 
 def _find_offsets(model: SessionModel, theta: Array) -> Array:
-    """Return the mean error of each leg in each session for one machine θ (1, D), shape (S, N), mm."""
-    total, count = np.zeros((model.n_sessions, model.n_legs)), np.zeros(model.n_sessions)
+    """Return the mean error of each leg in each session for one machine θ (D,), shape (S, N), mm."""
+    total, count = np.zeros((model.n_sessions, model.parts[0].rows.width)), np.zeros(model.n_sessions)
     for part in model.parts:
-        errors = part.likelihood.leg_errors(theta)[0]
+        errors = part.rows.linearise(theta).errors
         total[part.session] += errors.sum(axis=0)
         count[part.session] += len(errors)
     return total / count[:, None]

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
 from bayescal.config.sections import ExperimentConfig, InputFile, Number, Positive, Section, check_once
-from bayescal.experiments.shared.denied_slips import DeniedSlips
+from bayescal.experiments.shared.slips import DeniedSlips
 
 type Temperature = Annotated[FiniteFloat, Field(ge=-273.15, le=2000.0)]
 type Expansion = Annotated[FiniteFloat, Field(ge=-1000.0, le=1000.0)]
@@ -24,6 +24,8 @@ class SessionConfig(Section):
         Of a walk.
     targets, poses, actuators, reference : str or None
         Files in place of the study's.
+    readings : list of str
+        Files in place of the calibration's.
     temperature_celsius : float or None
     temperatures : str or None
         File of a temperature for each pose.
@@ -42,6 +44,8 @@ class SessionConfig(Section):
     """CSV file of actuator positions; the study's where nothing is said."""
     reference: InputFile | None = None
     """CSV file of the targets on their bodies; the study's where nothing is said."""
+    readings: list[InputFile] = Field(default=[], exclude_if=lambda value: not value)
+    """CSV files of readings, for a calibration: one for each of its `[[data]]`, in their order."""
     temperature_celsius: Temperature | None = None
     """Temperature of the machine in the whole session [deg C]."""
     temperatures: InputFile | None = None
@@ -63,7 +67,7 @@ class DriftConfig(Section):
     ----------
     hierarchy : str
     symbols : list of str
-    scale_um : float
+    scale_um, scale_arcsec : float or None
     per_leg : bool
     """
 
@@ -71,8 +75,12 @@ class DriftConfig(Section):
     """`"walk"`: one machine, whose parameters walk at random; `"machines"`: several of a design, each off its mean."""
     symbols: Annotated[list[str], AfterValidator(check_once), Field(min_length=1)] = Field(default=["l"])
     """Symbols of free lengths that may move."""
-    scale_um: Positive
-    """Half-normal prior of each scale: of a walk over the root of a month, of machines the spread between them."""
+    scale_um: Positive | None = None
+    """Half-normal prior of each scale of a length: of a walk over the root of a month, of machines the spread between
+    them.
+    """
+    scale_arcsec: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """The same of an angle."""
     per_leg: bool = True
     """Whether every leg has a scale of its own for every symbol, or all legs share one."""
 
@@ -86,6 +94,13 @@ class BodyConfig(Section):
     """Standard deviation of the coefficient about it [1e-6 / K]."""
 
 
+class OwnBodyConfig(BodyConfig):
+    """Expansion of the lengths of a machine of any channels."""
+
+    symbols: Annotated[list[str], AfterValidator(check_once), Field(min_length=1)]
+    """Symbols of its lengths."""
+
+
 class ThermalConfig(Section):
     """Lengths by temperature: L (1 + α (T - reference)).
 
@@ -93,16 +108,19 @@ class ThermalConfig(Section):
     ----------
     reference_celsius : float
     struts, base, platform : BodyConfig or None
+    bodies : dict of str to OwnBodyConfig
     """
 
     reference_celsius: Temperature
     """Temperature at which the parameters are what they are called [deg C]."""
-    struts: BodyConfig
+    struts: BodyConfig | None = None
     """The legs' lengths l."""
     base: BodyConfig | None = None
     """The base points a; they stay where they are without it."""
     platform: BodyConfig | None = None
     """The platform points b; they stay where they are without it."""
+    bodies: dict[str, OwnBodyConfig] = Field(default={}, exclude_if=lambda value: not value)
+    """Bodies of any machine by their names, each with the symbols of its lengths."""
 
 
 class SessionsConfig(ExperimentConfig):
@@ -135,6 +153,8 @@ class SessionsConfig(ExperimentConfig):
     """What may move between them."""
     thermal: ThermalConfig | None = None
     """What the temperature does; nothing without it."""
+    shift_arcsec: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """The same of a channel that reads an angle; 20 where nothing is said."""
     shift_um: Positive = 20.0
     """A motion of a leg from which on it counts: the probability that it moved further is told."""
     draws: Annotated[int, Field(ge=500, le=200_000)] = 3000

@@ -10,12 +10,13 @@ import numpy as np
 import pandas as pd
 
 from bayescal.experiments.sessions.fit import SessionFit
-from bayescal.experiments.sessions.inputs import PPM, SessionsInputs
-from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.experiments.sessions.inputs import PPM, UNITS, SessionsInputs
+from bayescal.experiments.sessions.measured import Motions
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
 LOW, HIGH = 0.05, 0.95
+SHIFT_ARCSEC = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,17 +65,10 @@ class Found:
         return np.asarray(x[:, pair[1]] - before)
 
     @cached_property
-    def by_leg(self) -> Array:
-        """What a free parameter does to each leg at home, in terms of its length l, shape (N, m)."""
-        model = self.inputs.model
-        machine = model.parts[0].likelihood.machine
-        theta = model.start.copy()
-        theta[model.free] = self.parameters.mean(axis=(0, 1))
-        actuators = machine.mechanism.initial_actuator_positions
-        home = solve_forward_kinematics(machine, theta, actuators)
-        slope = machine.linearise(theta, home.position, home.rotation, actuators).parameters
-        length = np.diagonal(slope[:, machine.layout.index["l"]])
-        return np.asarray(slope[:, model.free] / length[:, None])
+    def motions(self) -> Motions:
+        """What a free parameter does to each leg, or to each channel, at home."""
+        model, x = self.inputs.model, self.parameters.mean(axis=(0, 1))
+        return self.inputs.first.move(model.start + (x - model.mean) @ model.moves, model.moves)
 
 
 def tabulate(found: Found) -> dict[str, pd.DataFrame]:
@@ -82,11 +76,12 @@ def tabulate(found: Found) -> dict[str, pd.DataFrame]:
     return {
         "sessions": _tabulate_sessions(found),
         "scales": _tabulate_scales(found),
-        "legs": _tabulate_legs(found),
+        "legs": _tabulate_legs(found) if found.inputs.first.by_leg else pd.DataFrame(),
+        "channels": pd.DataFrame() if found.inputs.first.by_leg else _tabulate_channels(found),
         "shifts": _tabulate_shifts(found),
         "parameters": _tabulate_parameters(found),
         "expansion": _tabulate_expansion(found),
-        "model_error": _tabulate_model_error(found),
+        "model_error": _tabulate_model_error(found) if found.inputs.first.by_leg else pd.DataFrame(),
     }
 
 
@@ -107,20 +102,47 @@ def _tabulate_sessions(found: Found) -> pd.DataFrame:
 def _tabulate_scales(found: Found) -> pd.DataFrame:
     sigma = found.inputs.model.read_scales(found.fit.zeta)[1]
     units = found.inputs.model.drift.units
-    return pd.DataFrame([{"unit": unit, **_describe(sigma[:, k], MICROMETRE)} for k, unit in enumerate(units)])
+    kinds = [found.inputs.model.units[found.inputs.model.drift.index[unit]] for unit in _first_of(found)]
+    rows = [(unit, *_tell_in(kind)) for unit, kind in zip(units, kinds, strict=True)]
+    told = [{"unit": unit, **_describe(sigma[:, k], size)} for k, (unit, _, size) in enumerate(rows)]
+    if not found.inputs.first.by_leg:
+        told = [{**one, "in": word} for one, (_, word, _) in zip(told, rows, strict=True)]
+    return pd.DataFrame(told)
 
 
-def _compare(found: Found, pair: tuple[int, int], what: dict[str, Any], draws: Array) -> dict[str, Any]:
-    beyond = float(np.mean(np.abs(draws) > found.inputs.config.shift_um * MICROMETRE))
+def _first_of(found: Found) -> list[int]:
+    """Return the first of what moves with each scale, by its place in the drift."""
+    unit = found.inputs.model.drift.unit
+    return [int(np.argmax(unit == k)) for k in range(len(found.inputs.model.drift.units))]
+
+
+def _tell_in(unit: str) -> tuple[str, float]:
+    """Return the unit that a motion is told in, and its size in the inner one."""
+    return UNITS.get(unit, (unit, 1.0))
+
+
+def _compare(found: Found, pair: tuple[int, int], what: dict[str, Any], draws: Array, unit: str) -> dict[str, Any]:
+    config, (_, size) = found.inputs.config, _tell_in(unit)
+    limit = {"mm": config.shift_um, "rad": config.shift_arcsec or SHIFT_ARCSEC}.get(unit, np.inf)
     ends = {"since": found.name(pair[0]), "session": found.name(pair[1])}
-    return {**ends, **what, **_describe(draws, MICROMETRE), "beyond": beyond}
+    return {**ends, **what, **_describe(draws, size), "beyond": float(np.mean(np.abs(draws) > limit * size))}
 
 
 def _tabulate_legs(found: Found) -> pd.DataFrame:
     rows = []
     for pair in found.pairs:
-        legs = found.move(pair) @ found.by_leg.T
-        rows += [_compare(found, pair, {"leg": k + 1}, legs[:, k]) for k in range(legs.shape[1])]
+        legs = found.move(pair) @ found.motions.slope.T
+        rows += [_compare(found, pair, {"leg": k + 1}, legs[:, k], "mm") for k in range(legs.shape[1])]
+    return pd.DataFrame(rows)
+
+
+def _tabulate_channels(found: Found) -> pd.DataFrame:
+    rows, motions = [], found.motions
+    for pair in found.pairs:
+        moved = found.move(pair) @ motions.slope.T
+        for k, (name, unit) in enumerate(zip(motions.names, motions.units, strict=True)):
+            what = {"channel": name, "unit": _tell_in(unit)[0]}
+            rows.append(_compare(found, pair, what, moved[:, k], unit))
     return pd.DataFrame(rows)
 
 
@@ -128,7 +150,11 @@ def _tabulate_shifts(found: Found) -> pd.DataFrame:
     model, rows = found.inputs.model, []
     for pair in found.pairs:
         moved = found.move(pair)
-        rows += [_compare(found, pair, {"parameter": model.names[k]}, moved[:, k]) for k in model.drift.index]
+        for k in model.drift.index:
+            what = {"parameter": model.names[k]}
+            if not found.inputs.first.by_leg:
+                what["unit"] = _tell_in(model.units[k])[0]
+            rows.append(_compare(found, pair, what, moved[:, k], model.units[k]))
     return pd.DataFrame(rows)
 
 

@@ -13,9 +13,9 @@ from bayescal.density.calibration.functions import FunctionErrors
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.calibration.terms import CommonDraws
+from bayescal.density.low_rank_columns import BUDGET
 from bayescal.density.model_error import BORDER
 from bayescal.experiments.frame.memory import Need, check_memory
-from bayescal.density.low_rank_columns import BUDGET
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 

@@ -23,8 +23,8 @@ INPUTS = {"reading": "what they read", "commands": "where the machine stands", "
 TEXT = (
     "A scale that is off, an encoder that sits askew or a drift is the same function every time: of the sensor's own "
     "reading, of where the machine stands, or of the order of the rows. Whether there is such an error is for the "
-    "readings to say, its prior probability being one half. A geometry that is off imitates much of it, and the part of "
-    "an error that the readings do not determine is as wide as its scale: the intervals hold it."
+    "readings to say, its prior probability being one half. A geometry that is off imitates much of it, and the part "
+    "of an error that the readings do not determine is as wide as its scale: the intervals hold it."
 )
 NOTE = (
     "Scale: what a sensor errs by at the end of its range, one standard deviation, where there is an error; left of "
@@ -66,9 +66,7 @@ def _judge(title: str, rows: list[Row]) -> Statement:
         if present > SHARE:
             level = "warning"
             size = f"{format_significant(largest['rms'], 2)} {_unit(largest['unit'])} rms"
-            parts.append(
-                f"sensors {kind} err by functions of {of} ({chance}), {largest['sensor']} most, {size}"
-            )
+            parts.append(f"sensors {kind} err by functions of {of} ({chance}), {largest['sensor']} most, {size}")
         else:
             parts.append(f"sensors {kind} need none of {of} ({chance})")
     return Statement(f"“{title}”: {join_words(parts)}.", level, "Sensors' errors")

@@ -111,8 +111,6 @@ class MeasuredReadings:
         The workspace, mm and rad.
     internal : ndarray of bool, shape (K,)
         Which channels the machine keeps after its calibration.
-    slip : str or None
-        What would explain the readings several times better than they are, in words.
     """
 
     name: str
@@ -121,7 +119,6 @@ class MeasuredReadings:
     low: Array
     high: Array
     internal: np.ndarray
-    slip: str | None
 
     @property
     def half(self) -> Array:

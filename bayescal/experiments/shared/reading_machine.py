@@ -6,9 +6,8 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from bayescal.experiments.shared.sensor_sets import FreeParameters
-from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.errors import InputError
+from bayescal.experiments.shared.sensor_sets import FreeParameters, SensorSet
 from bayescal.machines.readings import ReadingModel, SlidingPlatform
 from bayescal.machines.readings.schema import (
     PlanarPosesConfig,

@@ -1,143 +1,345 @@
-"""Slips of sensors' readings, each tried as if it were so: units, signs, exchanged columns, rows that are shifted.
+"""Readings that no machine within its priors comes near, or that the nominal one cannot have: what may have happened.
 
-A pose that no reading states is found from all of them, so that readings are held against each other: what no pose
-explains of a machine within the tolerances. The median over the poses does not hang on one that is a blunder besides.
+Both are looked for to first order about the nominal machine, poses found from the readings anew for each case: where
+readings have slipped, their poses have, too, and a machine may have no reading there at all.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from bayescal.errors import BayescalError
-from bayescal.experiments.shared.slips import BETTER, LEGS, ROWS, SCALES, UNIT
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, search_poses
+from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.elimination import find_step, project_out
+from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.shared.slips import (
+    BETTER,
+    CHANNEL,
+    CLEARLY,
+    OUTLYING,
+    TURN,
+    Columns,
+    FoundSlip,
+    Slip,
+    Weight,
+    find_slip,
+    fit_rows,
+    list_reading_slips,
+    weigh_rows,
+)
+from bayescal.machines.readings import Channel
+from bayescal.machines.readings.base import PickedModel
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_significant, join_words
 
-ANGLES = {"in degrees": np.pi / 180.0, "in radians where degrees are stated": 180.0 / np.pi, "of the other sign": -1.0}
-
-ALIKE, MANY = 1.2, 3
-"""Factor within which slips explain readings alike, as in a mirrored machine, and how many of them are named."""
-EVERY = slice(None)
-
-type Judge = Callable[[Array, slice], Array]
-"""Returns how far readings (Q, K) of some of the poses lie from what a machine reads, in units of their noise, (Q,)."""
+MOST_ROWS = 30  # of which slips are tried
+STARTS, SPREAD = 9, 0.6  # poses of the workspace from which others are looked for, in its half widths
+FOLLOWED = 60  # steps
+ALIKE = 10.0  # a shift of readings in units of its scatter, from which on it is one for all
+NAMED = 4  # channels in a message
+COMMON = 5.0  # misfit of a row without one of its channels, in units of the others' median, up to which it is explained
+LOOK = "look at units, signs, zeros, order of channels and of rows"
 
 
 @dataclass(frozen=True, eq=False)
-class MovedReadings:
-    """Readings as they would be without a slip.
+class _OnCircles(PickedModel):
+    """A machine some of whose readings are compared on a circle."""
+
+    circular: tuple[int, ...] = ()
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The same channels, some with a period."""
+        return tuple(
+            replace(one, period=TURN) if k in self.circular else one for k, one in enumerate(self.whole.channels)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Suspicion:
+    """Readings of one variant, whose slips are looked for.
 
     Attributes
     ----------
-    fault : str
-    text : str
-        What the slip would be.
-    values : ndarray, shape (Q, K)
-        mm and rad.
-    chosen : slice
-        Which of the P poses they belong to.
+    posterior : CalibrationPosterior
+        With the poses at which the nominal machine explains the readings best.
+    low, high : ndarray, shape (q,)
+        The workspace, mm and rad.
     """
 
-    fault: str
-    text: str
-    values: Array
-    chosen: slice = EVERY
+    posterior: CalibrationPosterior
+    low: Array
+    high: Array
+
+    @property
+    def likelihood(self) -> CalibrationLikelihood:
+        """The density of the readings as they are."""
+        return self.posterior.likelihood
+
+    @cached_property
+    def _rows(self) -> np.ndarray:
+        """The rows that slips are tried of."""
+        n = self.likelihood.data.n_poses
+        return np.unique(np.linspace(0, n - 1, min(MOST_ROWS, n)).astype(int))
+
+    def find(self, denied: Collection[str] = ()) -> FoundSlip | None:
+        """Return the slip that explains the readings several times better; None where none does that is not denied."""
+        found = find_slip(self.weigh, Columns(self.likelihood.data.values), self.list_slips(), BETTER, denied)
+        return self._leave_out() if found is None and not denied else found
+
+    def list_slips(self) -> Iterator[Slip[Columns]]:
+        """Yield what may have happened to the readings."""
+        model = self.likelihood.model
+        units = [one.unit for one in model.channels]
+        return list_reading_slips(model.names, units, self.likelihood.data.values, model.given)
+
+    def weigh(self, data: Columns, chosen: np.ndarray | None) -> Weight:
+        """Return how well readings fit, those of some rows where these are given."""
+        of = np.arange(self.likelihood.data.n_poses) if chosen is None else chosen
+        values = data.values if len(data.values) == len(of) else data.values[of]
+        some = np.isin(of, self._rows)
+        return weigh_rows(lambda: self.judge(Columns(values[some], data.circular), of[some]))
+
+    def judge(self, data: Columns, rows: np.ndarray) -> tuple[Array, int]:
+        """Return how far readings (Q, K) of some rows lie from any machine, in their noise, (Q,), and how many count.
+
+        The rms of what no pose explains beside the best machine to first order; infinite for poses that are not found,
+        and for those that leave nothing over.
+        """
+        moved = self._with(data, rows)
+        posterior = replace(self.posterior, likelihood=moved)
+        y = np.zeros(posterior.n_parameters)
+        white = moved.whiten(*posterior.deviations(y[None]))
+        pose = self._locate(posterior, rows)
+        error, slope, by_coordinates = posterior.rows(y, white, pose[None])
+        found = np.isfinite(error).all(axis=1) & (moved.n_spare > 0)
+        beside, n_spare = project_out(slope[found]), moved.n_spare[found]
+        rest, moves = np.einsum("pij,pj->pi", beside, error[found]), beside @ by_coordinates[found]
+        result = np.full(len(error), np.inf)
+        result[found] = fit_rows(rest, moves, n_spare)
+        return result, int(moved.n_spare.sum())
+
+    def _with(self, data: Columns, rows: np.ndarray) -> CalibrationLikelihood:
+        likelihood = self.likelihood
+        some = likelihood.data.pick(rows)
+        model = likelihood.model
+        if data.circular:
+            model = _OnCircles(model, tuple(range(len(model.channels))), data.circular)
+        return replace(
+            likelihood, model=model, data=replace(some, values=data.values), start=likelihood.start[rows], anchor=None
+        )
+
+    def _locate(self, posterior: CalibrationPosterior, rows: np.ndarray) -> Array:
+        """Return where the nominal machine explains readings best, (Q, q), poses of the workspace tried besides."""
+        likelihood = posterior.likelihood
+        y = np.zeros((1, posterior.n_parameters))
+        with np.errstate(all="ignore"):
+            _, at = posterior.stand(y)
+        pose, lost = at.pose[0], ~np.isfinite(at.error[0]).all(axis=1) | (at.square[0] > self._usual[rows])
+        if not lost.any() or not pose.shape[1]:
+            return np.asarray(pose)
+        which = np.flatnonzero(lost)
+        some, rng = likelihood.pick(which), np.random.default_rng(0)
+        middle, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
+        elsewhere = middle + SPREAD * half * np.vstack([0.0 * half, rng.uniform(-1.0, 1.0, (STARTS - 1, len(half)))])
+        starts = np.concatenate([some.start[None], np.repeat(elsewhere[:, None], len(which), axis=1)])
+        white = some.whiten(*posterior.deviations(np.repeat(y, len(starts), axis=0), some))
+        with np.errstate(all="ignore"):
+            found, square = search_poses(some, np.tile(posterior.centre, (len(starts), 1)), white, starts)
+        square = np.where(np.isfinite(square), square, np.inf)
+        best = square.argmin(axis=0)
+        before = np.where(np.isfinite(at.square[0]), at.square[0], np.inf)[which]
+        better = square.min(axis=0) < before
+        pose = pose.copy()
+        pose[which[better]] = found[best, np.arange(len(which))][better]
+        return np.asarray(pose)
+
+    @cached_property
+    def _usual(self) -> Array:
+        """Four times the r² that tolerances let expect, (P,); for rows beyond it poses are looked for elsewhere."""
+        posterior = self.posterior
+        y = np.zeros(posterior.n_parameters)
+        with np.errstate(all="ignore"):
+            white, at = posterior.stand(y[None])
+            _, slope, by_coordinates = posterior.rows(y, white, at.pose)
+            moved = project_out(slope) @ by_coordinates
+        size = np.einsum("pkm,pkm->p", moved, moved) + posterior.likelihood.n_spare
+        return np.where(np.isfinite(size), 4.0 * size, np.nanmedian(4.0 * size) if np.isfinite(size).any() else 0.0)
+
+    # --- one channel that does not fit the others --------------------------------------------------------------------
+
+    def _leave_out(self) -> FoundSlip | None:
+        """Return the channel without which all others fit, in words that say what it reads."""
+        likelihood, rows = self.likelihood, self._rows
+        before = self.weigh(Columns(likelihood.data.values), None).misfit
+        if before <= BETTER or likelihood.data.n_poses < 3:
+            return None
+        found: list[tuple[float, int]] = []
+        for k in range(len(likelihood.model.channels)):
+            values = likelihood.data.values.copy()
+            values[:, k] = np.nan
+            off, spare = self.judge(Columns(values[rows]), rows)
+            after = float(np.median(off))
+            if spare >= len(rows) and before > BETTER * after and spare * np.log(before / max(after, 1.0)) > CLEARLY:
+                found.append((after, k))
+        if not found:
+            return None
+        after, k = min(found)
+        factor = before / max(after, 1.0)
+        return FoundSlip(CHANNEL, self._describe(k), float("inf"), factor if np.isfinite(factor) else None)
+
+    def _describe(self, k: int) -> str:
+        """Return what a channel reads that the others contradict: always the same, all shifted alike, or anything."""
+        likelihood, channel = self.likelihood, self.likelihood.model.channels[k]
+        measured, predicted = likelihood.data.values[:, k], self._predict(k)
+        good = np.isfinite(measured) & np.isfinite(predicted)
+        unit, off = channel.unit, (measured - predicted)[good]
+        if np.ptp(measured[good]) <= 2.0 * float(np.median(likelihood.sd[good, k])) < np.ptp(predicted[good]):
+            return (
+                f"{channel.name} does not move: it reads {measured[good][0]:.6g} {unit} in all rows, where the other "
+                f"channels say {predicted[good].min():.4g} to {predicted[good].max():.4g} {unit}"
+            )
+        middle = float(np.median(off))
+        if abs(middle) > ALIKE * float(np.median(np.abs(off - middle))):
+            return (
+                f"readings of {channel.name} seem to have another zero, {middle:+.4g} {unit} off in all rows by what "
+                "the other channels say"
+            )
+        slope = np.polyfit(predicted[good], measured[good], 1)
+        left = measured[good] - np.polyval(slope, predicted[good])
+        if np.ptp(off) > ALIKE * np.median(np.abs(left)) and abs(slope[0]) > 0.01:
+            return f"readings of {channel.name} seem to be {slope[0]:.4g} times what the other channels say"
+        return f"readings of {channel.name} do not fit those of the other channels, which fit each other"
+
+    def _predict(self, k: int) -> Array:
+        """Return what the nominal machine reads of a channel where the other ones say that it stands, (P,)."""
+        likelihood = self.likelihood
+        values = likelihood.data.values.copy()
+        values[:, k] = np.nan
+        rows = np.arange(len(values))
+        pose = self._locate(replace(self.posterior, likelihood=self._with(Columns(values), rows)), rows)
+        return np.asarray(likelihood.model.read(self.posterior.centre, pose, likelihood.data.given)[:, k])
 
 
-def list_reading_slips(
-    names: Sequence[str], units: Sequence[str], values: Array, given: Sequence[str] = ()
-) -> Iterator[MovedReadings]:
-    """Yield what may have happened to readings (P, K), mm and rad, of sensors named ``kind[leg]``.
+def find_calibration_slip(variants: Iterable[Suspicion]) -> FoundSlip | None:
+    """Return the slip that explains readings several times better than they are; None where none does.
 
-    What is ``given`` of each pose besides are columns that all readings may be shifted against.
+    Of variants of the same readings the one that comes nearest is asked: where one of them fits, nothing has slipped.
     """
-    kinds = {name.partition("[")[0] for name in names}
-    for kind in sorted(kinds):
-        own = np.array([k for k, name in enumerate(names) if name.partition("[")[0] == kind])
-        scales = SCALES if units[own[0]] == "mm" else ANGLES
-        for words, factor in scales.items():
-            moved = values.copy()
-            moved[:, own] *= factor
-            yield MovedReadings(UNIT, f"readings of {kind} seem to be {words}", moved)
-        for one, other in combinations(own, 2):
-            moved = values.copy()
-            moved[:, [one, other]] = values[:, [other, one]]
-            yield MovedReadings(LEGS, f"readings of {names[one]} and {names[other]} seem to be exchanged", moved)
-        if len(own) > 2:
-            moved = values.copy()
-            moved[:, own] = values[:, own[::-1]]
-            yield MovedReadings(LEGS, f"legs of {kind} seem to be numbered the other way round", moved)
-        for step in range(1, len(own) if len(own) > 2 else 1):
-            moved = values.copy()
-            moved[:, own] = values[:, np.roll(own, -step)]
-            yield MovedReadings(LEGS, f"legs of {kind} seem to be counted from leg {step + 1}", moved)
-        yield from _shift(kind, own, values)
-    for k, name in enumerate(names):
-        yield from _shift(name, np.array([k]), values)
-    if given:
-        yield from _shift(f"all readings against {join_words(list(given))}", np.arange(values.shape[1]), values, True)
+    groups: dict[tuple[tuple[str, ...], ...], list[Suspicion]] = {}
+    for one in variants:
+        alike = (tuple(one.likelihood.model.names), tuple(one.likelihood.data.poses))
+        groups.setdefault(alike, []).append(one)
+    for group in groups.values():
+        nearest = min(group, key=lambda one: one.weigh(Columns(one.likelihood.data.values), None).misfit)
+        found = nearest.find()
+        if found is not None:
+            return found
+    return None
 
 
-def _shift(name: str, columns: np.ndarray, values: Array, together: bool = False) -> Iterator[MovedReadings]:
-    """Yield some columns as if they stood a row too early or too late; all of them only ``together``."""
-    if len(values) < 3 or (len(columns) == values.shape[1] and not together):
+# --- rows that the nominal machine cannot reach ------------------------------------------------------------------
+
+
+def check_reach(suspicion: Suspicion) -> None:
+    """Raise InputError for a row whose readings the machine has nowhere, neither as expected nor within its tolerances.
+
+    The message names the row, the channels that have no reading where the others lead, and the slip that mends it.
+    """
+    posterior, data = suspicion.posterior, suspicion.likelihood.data
+    lost = _find_lost(posterior)
+    off = suspicion.judge(Columns(data.values), np.arange(data.n_poses))[0]
+    if not lost.any() and not np.max(np.where(posterior.likelihood.n_spare > 0, off, 0.0), initial=0.0) > OUTLYING:
         return
-    for step, words in ((1, "earlier"), (-1, "later")):
-        moved = values.copy()
-        moved[:, columns] = np.roll(values[:, columns], step, axis=0)
-        there = slice(1, None) if step > 0 else slice(None, -1)
-        text = f"rows of {name} seem to be shifted by one: they belong to the readings of the row {words}"
-        yield MovedReadings(ROWS, text, moved[there], there)
+    if _is_fitted(posterior):
+        return
+    k = int(np.argmax(lost)) if lost.any() else int(np.argmax(np.where(np.isfinite(off), off, np.inf)))
+    row, what = f"row {k + 1} (pose {data.poses[k]!r})", _name_channels(posterior, k)
+    said = f"{row} cannot be reached by the nominal machine: {what}"
+    if not lost.any():
+        said = f"{row} cannot be reached by any machine within the tolerances: {what}"
+    n_lost = int(lost.sum() if lost.any() else np.sum(off > OUTLYING * max(float(np.median(off)), 1.0)))
+    said += f"; {n_lost} of {data.n_poses} rows are like it" if n_lost > 1 else ""
+    slip = suspicion.find()
+    if slip is not None:
+        raise InputError(f"{said}; {slip.say()}")
+    alone = _blame(suspicion, k) if n_lost <= data.n_poses / 2 else ""
+    raise InputError(f"{said}; without {alone} the row fits: look at that reading" if alone else f"{said}; {LOOK}")
 
 
-def measure_misfit(judge: Judge, values: Array, chosen: slice = EVERY) -> float:
-    """Return how far the median of poses lies from what a machine within its tolerances reads, in their noise."""
+def _find_lost(posterior: CalibrationPosterior) -> np.ndarray:
+    """Return which rows the nominal machine has no pose of, (P,)."""
+    with np.errstate(all="ignore"):
+        _, at = posterior.stand(np.zeros((1, posterior.n_parameters)))
+    return np.asarray(~np.isfinite(at.error[0]).all(axis=1))
+
+
+def _is_fitted(posterior: CalibrationPosterior) -> bool:
+    """Whether least squares lead to a machine that has all rows, from which a search of the mode can start."""
     try:
         with np.errstate(all="ignore"):
-            off = judge(values, chosen)
-    except (BayescalError, np.linalg.LinAlgError):
-        return np.inf
-    return float(np.median(np.where(np.isfinite(off), off, np.inf)))
+            near = posterior.anchored()
+            return bool(np.isfinite(near.log_density(near.approach()[None]))[0])
+    except (NumericalError, np.linalg.LinAlgError):
+        return False
 
 
-def find_reading_slip(
-    judge: Judge,
-    names: Sequence[str],
-    units: Sequence[str],
-    values: Array,
-    given: Sequence[str] = (),
-    denied: Collection[str] = (),
-) -> str | None:
-    """Return in words the slip that explains readings best; None where most poses are explained, or no slip helps.
-
-    Parameters
-    ----------
-    judge : Judge
-    names, units : sequences of str
-        Of the K sensors; units ``mm`` or ``rad``.
-    values : ndarray, shape (P, K)
-    given : sequence of str, optional
-        What is known of each pose besides.
-    denied : collection of str, optional
-        Faults that are none, as somebody says who looked.
-    """
-    base = measure_misfit(judge, values)
-    if base <= BETTER:
-        return None
-    slips = list_reading_slips(names, units, values, given)
-    tried = [moved for moved in slips if moved.fault not in denied]
-    found = [(measure_misfit(judge, moved.values, moved.chosen), moved.text) for moved in tried]
-    mended, _ = min(found, default=(np.inf, ""))
-    if not base > BETTER * mended:
-        return None
-    alike = [text for off, text in sorted(found) if off <= ALIKE * max(mended, 1.0)][:MANY]
-    times = (
-        f"{format_significant(base / max(mended, 1.0), 2)} times better"
-        if np.isfinite(base)
-        else "then, and not as they stand,"
+def _name_channels(posterior: CalibrationPosterior, row: int) -> str:
+    """Return which channels have no reading where a row's readings lead, and where that is."""
+    likelihood = posterior.likelihood.pick(np.array([row]))
+    white = likelihood.whiten(*posterior.deviations(np.zeros((1, posterior.n_parameters)), likelihood))
+    model, pose, theta = likelihood.model, likelihood.start[None].copy(), posterior.centre[None]
+    given = {name: value[None] for name, value in likelihood.data.given.items()}
+    best = pose
+    with np.errstate(all="ignore"):
+        for _ in range(FOLLOWED):
+            error, slope, _ = likelihood.linearise(theta, pose, white)
+            read = model.read(theta[:, None], pose, given)[0, 0]
+            missing = np.flatnonzero(~np.isfinite(read) & likelihood.data.present[0])
+            if len(missing):
+                return _say_missing(posterior, missing, pose[0, 0])
+            best = pose
+            step, _ = find_step(slope, error)
+            if not np.isfinite(step).all():
+                break
+            pose = pose + step
+        error, _, _ = likelihood.linearise(theta, best, white)
+        raw = likelihood.comparison.subtract(likelihood.data.values, model.read(theta[:, None], best, given))[0, 0]
+    worst = int(np.nanargmax(np.where(likelihood.data.present[0], np.abs(error[0, 0]), np.nan)))
+    channel = model.channels[worst]
+    return (
+        f"channel {channel.name} reads {likelihood.data.values[0, worst]:.6g} {channel.unit}, "
+        f"{format_significant(abs(raw[worst]), 3)} {channel.unit} from what it reads at the nearest pose"
     )
-    return f"they fit {times} if one mends: {' (or: '.join(alike)}{')' * (len(alike) - 1)}"
+
+
+def _say_missing(posterior: CalibrationPosterior, missing: np.ndarray, pose: Array) -> str:
+    model = posterior.likelihood.model
+    names = [model.channels[k].name for k in missing]
+    said = names if len(names) <= NAMED else [*names[: NAMED - 1], f"{len(names) - NAMED + 1} more"]
+    place = ", ".join(f"{one.name} = {x:.4g} {one.unit}" for one, x in zip(model.coordinates, pose, strict=True))
+    return (
+        f"channel{'s' if len(names) > 1 else ''} {join_words(said)} {'have' if len(names) > 1 else 'has'} no reading "
+        f"at {place}, where the row's readings lead"
+    )
+
+
+def _blame(suspicion: Suspicion, row: int) -> str:
+    """Return the channel without which a row fits as the others do; empty where there is none."""
+    data = suspicion.likelihood.data
+    off = []
+    for k in np.flatnonzero(data.present[row]):
+        values = data.values.copy()
+        values[row, k] = np.nan
+        try:
+            found, _ = suspicion.judge(Columns(values), np.arange(data.n_poses))
+        except np.linalg.LinAlgError:
+            continue
+        others = np.delete(found, row)
+        if found[row] <= COMMON * max(float(np.median(others)), 1.0):
+            off.append((float(found[row]), suspicion.likelihood.model.channels[k].name))
+    return min(off)[1] if off else ""

@@ -1,38 +1,38 @@
-"""Slips of the data, each tried as if it were so: units, signs, exchanged legs, rows that are shifted.
+"""Slips of the data, each tried as if it were so: units, signs, exchanged columns, rows that are shifted.
 
-A slip is looked for before anything is fitted closely: the density of all poses under the priors, to first order about
-the nominal machine, with an error of the legs as large as suits each case best. Right data close to within the
-tolerances and what the first order leaves; slipped ones are off by as much as the machine moves.
+A slip is looked for before anything is fitted closely: the data are weighed under the priors, to first order about the
+nominal machine. Right data close to within the tolerances and what the first order leaves; slipped ones are off by as
+much as the machine moves. What data are, and how they are weighed, is the machine's own; the search is one, and so is
+the list of what may have happened to columns of numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
-from typing import Protocol
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import AfterValidator
 
-from bayescal.density.likelihood import Likelihood
+from bayescal.config.sections import check_once
 from bayescal.errors import BayescalError
 from bayescal.numerics.geometry import Array
-from bayescal.report.numbers import format_significant
+from bayescal.report.blocks import Statement
+from bayescal.report.numbers import format_significant, join_words
 
-type LikelihoodOf = Callable[[Array, np.ndarray], Likelihood]
-"""Returns the density of some of the poses (Q,) at other actuator positions (Q, N)."""
-
-UNIT, LEGS, ROWS, POSES = "unit", "legs", "rows", "poses"
+UNIT, LEGS, ROWS, POSES, CHANNEL = "unit", "legs", "rows", "poses", "channel"
 CLEARLY = 20.0  # nats by which a slip has to explain the data better
-ERRORS = np.geomspace(1e-4, 1e2, 25)  # mm, of every leg
 BETTER = 3.0
-"""Factor by which the legs' errors have to fall for a slip to be named."""
-REREAD = 1.5
-"""The same factor where what was measured is read in another way: at tilts of some degrees the legs are then off by two
-to five times what was stated. Clean twins that err by 50 µm besides gain less than a nat by it."""
-SUSPECT = 10.0
-"""Legs' errors in units of what was stated, below which no slip of the actuators is tried."""
-SCALES = {
+"""Factor by which the misfit has to fall for a slip to be named."""
+LARGEST = 1e5
+"""Misfit in units of what was stated, beyond which it is the same how far data are off."""
+OUTLYING = 10.0
+"""Rms of a row in units of the median, beyond which the others are fitted without it."""
+ALIKE, MANY = 1.2, 3
+"""Factor within which slips explain readings alike, as in a mirrored machine, and how many of them are named."""
+LENGTHS = {
     "1000 times too large (µm for mm)": 1e-3,
     "in metres, 1000 times too small": 1e3,
     "100 times too large": 1e-2,
@@ -43,203 +43,290 @@ SCALES = {
     "in mm where inches are stated": 1.0 / 25.4,
     "of the other sign": -1.0,
 }
+ANGLES = {"in degrees": np.pi / 180.0, "in radians where degrees are stated": 180.0 / np.pi, "of the other sign": -1.0}
+GEARS = {"twice too large": 0.5, "half as large as they should be": 2.0}
+"""What happens to a single sensor: another gear ratio, edges counted once or twice."""
+TURN = 2.0 * float(np.pi)
+
+type DeniedSlips = Annotated[list[Literal["unit", "legs", "rows"]], AfterValidator(check_once)]
 
 
-class Tolerances(Protocol):
-    """What is free about which machine, and how far: as of `bayescal.machines.coordinates.Coordinates`.
+@dataclass(frozen=True)
+class Weight:
+    """How well data fit: their log-density, and how far they are off in units of what was stated."""
 
-    Attributes
-    ----------
-    start : ndarray, shape (D,)
-    free : ndarray of int, shape (n,)
-    scale : ndarray, shape (n,)
-    """
+    log_density: float
+    misfit: float
 
-    @property
-    def start(self) -> Array: ...  # noqa: D102
 
-    @property
-    def free(self) -> np.ndarray: ...  # noqa: D102
-
-    @property
-    def scale(self) -> Array: ...  # noqa: D102
+NOTHING = Weight(-np.inf, np.inf)
 
 
 @dataclass(frozen=True, eq=False)
-class Suspect:
-    """Measured poses under one machine, for whose actuator positions slips are tried.
-
-    Attributes
-    ----------
-    likelihood_of : LikelihoodOf
-    tolerances : Tolerances
-    actuators : ndarray, shape (P, N)
-        As they stand, mm.
-    rereads : tuple of (str, LikelihoodOf)
-        What may have happened to what was measured, in words, and the density without it. They are tried from a misfit
-        on that one of them could mend: angles taken for rotation vectors are off by little where tilts are small.
-    """
-
-    likelihood_of: LikelihoodOf
-    tolerances: Tolerances
-    actuators: Array
-    rereads: tuple[tuple[str, LikelihoodOf], ...] = ()
-
-    def weigh(self, actuators: Array, chosen: np.ndarray) -> Weight:
-        """Return how well some poses (Q,) at actuator positions (Q, N) fit under the priors to first order."""
-        try:
-            with np.errstate(all="ignore"):
-                return weigh_likelihood(self.likelihood_of(actuators, chosen), self.tolerances)
-        except (BayescalError, np.linalg.LinAlgError):
-            return NOTHING
-
-    def weigh_all(self) -> Weight:
-        """Return how well the poses fit as they stand."""
-        return self.weigh(self.actuators, np.arange(len(self.actuators)))
-
-
-@dataclass(frozen=True, eq=False)
-class Moved:
-    """Actuator positions as they would be without a slip.
+class Slip[D]:
+    """Data as they would be without a slip.
 
     Attributes
     ----------
     fault : str
     text : str
         What the slip would be.
-    actuators : ndarray, shape (Q, N)
-        mm, of the poses chosen.
-    chosen : ndarray of int, shape (Q,)
-        Which of the measured poses they belong to.
+    data : D
+    chosen : ndarray of int, shape (Q,), or None
+        Which of the rows they are; all of them without it.
+    log_volume : float
+        Of the data's change, for densities of changed data to be compared.
+    least : float
+        Factor by which the misfit has to fall.
+    tried_from : float
+        Smallest misfit of the data as they are from which it is tried.
     """
 
     fault: str
     text: str
-    actuators: Array
-    chosen: np.ndarray
-
-
-@dataclass(frozen=True)
-class Weight:
-    """How well data fit: their log-density at the best error of the legs, and that error, mm."""
-
-    log_density: float
-    error: float
+    data: D
+    chosen: np.ndarray | None = None
+    log_volume: float = 0.0
+    least: float = BETTER
+    tried_from: float = 0.0
 
 
 @dataclass(frozen=True)
 class FoundSlip:
-    """A slip that explains the data better than the data as they stand: by how many nats, and how much smaller errors.
+    """A slip that explains the data better than they are: by how many nats, and how much smaller the misfit.
 
     Attributes
     ----------
     fault, text : str
     gain : float
-    factor : float
+    factor : float or None
+        None where no machine within the tolerances has the data as they are.
     """
 
     fault: str
     text: str
     gain: float
-    factor: float
+    factor: float | None
 
     def say(self) -> str:
         """Return it in words."""
-        return f"the data fit {format_significant(self.factor, 2)} times better if one mends: {self.text}"
+        return f"the data {_say_factor(self.factor)} if corrected: {self.text}"
 
 
-def list_moves(actuators: Array, start: Array) -> Iterator[Moved]:
-    """Yield what may have happened to actuator positions (P, N), mm, of a machine whose initial ones are ``start``."""
-    n_poses, n_legs = actuators.shape
-    every = np.arange(n_poses)
-    for words, factor in SCALES.items():
-        yield Moved(UNIT, f"actuator displacements seem to be {words}", start + factor * (actuators - start), every)
-        if factor > 0.0:
-            yield Moved(UNIT, f"actuator positions seem to be {words}", factor * actuators, every)
-    if start.any():
-        yield Moved(UNIT, "displacements seem to stand in place of actuator positions", actuators + start, every)
-    for one, other in combinations(range(n_legs), 2):
-        order = np.arange(n_legs)
-        order[[one, other]] = other, one
-        yield Moved(LEGS, f"legs {one + 1} and {other + 1} seem to be exchanged", actuators[:, order], every)
-    yield Moved(LEGS, "legs seem to be numbered the other way round", actuators[:, ::-1], every)
-    for step in range(1, n_legs):
-        order = np.roll(np.arange(n_legs), -step)
-        yield Moved(LEGS, f"legs seem to be counted from leg {step + 1}", actuators[:, order], every)
-    for step, words in ((1, "earlier"), (-1, "later")):
-        if n_poses > 2:
-            there = every[step:] if step > 0 else every[:step]
-            text = f"rows seem to be shifted by one: readings belong to the actuator positions of the row {words}"
-            yield Moved(ROWS, text, actuators[there - step], there)
+def _say_factor(factor: float | None) -> str:
+    return "fit only" if factor is None else f"fit {format_significant(factor, 2)} times better"
 
 
-def find_slip(
-    suspects: Iterable[Suspect], start: Array, stated: float, denied: Collection[str] = ()
+def find_slip[D](
+    weigh: Callable[[D, np.ndarray | None], Weight],
+    data: D,
+    slips: Iterable[Slip[D]],
+    fits: float,
+    denied: Collection[str] = (),
 ) -> FoundSlip | None:
-    """Return the slip that explains the data best; None where some machine fits, or none helps.
+    """Return the slip that explains the data best; None where they fit as they are, or none helps.
 
     Parameters
     ----------
-    suspects : iterable of Suspect
-        The same poses under machines one of which may be right.
-    start : ndarray, shape (N,)
-        Initial positions, mm.
-    stated : float
-        Error of a leg that noise and model error let expect, mm.
+    weigh : callable
+        Returns how well data fit, some of their rows alone where these are given.
+    data : D
+        As they are.
+    slips : iterable of Slip
+    fits : float
+        Misfit up to which nothing has slipped.
     denied : collection of str, optional
         Faults that are none, as somebody says who looked.
     """
-    weighed: list[tuple[Weight, Suspect]] = []
-    for one in suspects:
-        weighed.append((one.weigh_all(), one))
-        if weighed[-1][0].error < REREAD * stated:
-            return None
-    base, best = max(weighed, key=lambda pair: pair[0].log_density)
-    found: list[FoundSlip] = []
+    base = weigh(data, None)
+    if base.misfit <= fits:
+        return None
+    found: list[tuple[float, float, FoundSlip]] = []
+    for slip in slips:
+        if slip.fault in denied or base.misfit < slip.tried_from:
+            continue
+        beside = base if slip.chosen is None else weigh(data, slip.chosen)
+        mended = weigh(slip.data, slip.chosen)
+        if not (np.isfinite(mended.misfit) and mended.misfit < LARGEST):
+            continue
+        gain = mended.log_density + slip.log_volume - beside.log_density
+        factor = beside.misfit / max(mended.misfit, 1.0)
+        if gain > CLEARLY and factor > slip.least:
+            said = FoundSlip(slip.fault, slip.text, gain, factor if np.isfinite(factor) else None)
+            found.append((mended.misfit, mended.log_density + slip.log_volume, said))
+    if not found:
+        return None
+    misfit, _, best = max(found, key=lambda one: (one[2].gain, one[1]))
+    others = [
+        one.text
+        for off, _, one in sorted(found, key=lambda one: one[0])
+        if one is not best and off <= ALIKE * max(misfit, 1.0) and not best.gain - one.gain > CLEARLY
+    ]
+    text = f"{best.text}{''.join(f' (or: {one})' for one in others[: MANY - 1])}"
+    return FoundSlip(best.fault, text, best.gain, best.factor)
 
-    def judge(fault: str, text: str, beside: Weight, mended: Weight, least: float) -> None:
-        gain, factor = mended.log_density - beside.log_density, beside.error / max(mended.error, stated)
-        if fault not in denied and gain > CLEARLY and factor > least:
-            found.append(FoundSlip(fault, text, gain, factor))
 
-    for moved in list_moves(best.actuators, start) if base.error >= SUSPECT * stated else ():
-        whole = len(moved.chosen) == len(best.actuators)
-        beside = base if whole else best.weigh(best.actuators[moved.chosen], moved.chosen)
-        judge(moved.fault, moved.text, beside, best.weigh(moved.actuators, moved.chosen), BETTER)
-    for text, other in best.rereads:
-        judge(POSES, text, base, replace(best, likelihood_of=other).weigh_all(), REREAD)
-    return max(found, key=lambda one: one.gain, default=None)
+# --- what may happen to columns of readings ----------------------------------------------------------------------
 
 
-NOTHING = Weight(-np.inf, float(ERRORS[-1]))
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Readings (P, K), NaN where nothing was read, and those compared on a circle by their places."""
+
+    values: Array
+    circular: tuple[int, ...] = ()
 
 
-def weigh_likelihood(likelihood: Likelihood, tolerances: Tolerances) -> Weight:
-    """Return the log-density of the poses under the priors to first order, at the best error of the legs, and it.
+def list_reading_slips(
+    names: Sequence[str], units: Sequence[str], values: Array, given: Sequence[str] = ()
+) -> Iterator[Slip[Columns]]:
+    """Yield what may have happened to readings (P, K), mm and rad, of sensors named ``kind[leg]``.
 
-    The covariance C + S Sᵀ, S the slope by the parameters in tolerances, by the determinant lemma.
+    What is ``given`` of each row besides are columns that all readings may be shifted against.
     """
-    errors, slope = likelihood.error_jacobian(tolerances.start)
-    slope = slope[..., tolerances.free] * tolerances.scale
-    if not (np.isfinite(errors).all() and np.isfinite(slope).all()):
+    kinds: dict[str, list[int]] = {}
+    for k, name in enumerate(names):
+        kinds.setdefault(name.partition("[")[0], []).append(k)
+    yield from _scale_instruments(kinds, units, values)
+    for kind in sorted(kinds):
+        own = np.array(kinds[kind])
+        yield from _scale(kind, own, units[own[0]], values)
+        if len(own) > 2:
+            yield Slip(LEGS, f"legs of {kind} seem to be numbered the other way round", _move(values, own, own[::-1]))
+        for step in range(1, len(own) if len(own) > 2 else 1):
+            text = f"legs of {kind} seem to be counted from leg {step + 1}"
+            yield Slip(LEGS, text, _move(values, own, np.roll(own, -step)))
+        yield from _shift(kind, own, values)
+        if units[own[0]] == "rad":
+            text = f"readings of {kind} seem to start anew after a full turn"
+            yield Slip(UNIT, text, Columns(values, tuple(own)))
+    for one, other in combinations(range(len(names)), 2):
+        if units[one] == units[other]:
+            text = f"readings of {names[one]} and {names[other]} seem to be exchanged"
+            yield Slip(LEGS, text, _move(values, np.array([one, other]), np.array([other, one])))
+    for k, name in enumerate(names):
+        if "[" in name:
+            yield from _scale(name, np.array([k]), units[k], values)
+            yield from _shift(name, np.array([k]), values)
+        yield from _scale(name, np.array([k]), "", values)
+    if given:
+        yield from _shift(f"all readings against {join_words(list(given))}", np.arange(values.shape[1]), values, True)
+
+
+def _scale_instruments(kinds: Mapping[str, list[int]], units: Sequence[str], values: Array) -> Iterator[Slip[Columns]]:
+    """Yield kinds of one unit that belong together, as ``cam_x`` and ``cam_y`` do, or all of them, in another unit."""
+    groups: dict[tuple[int, ...], list[str]] = {}
+    for unit in dict.fromkeys(units):
+        alike = [kind for kind, places in kinds.items() if units[places[0]] == unit]
+        stems = dict.fromkeys(kind.rpartition("_")[0] for kind in alike if "_" in kind)
+        for some in [[kind for kind in alike if kind.rpartition("_")[0] == stem] for stem in stems] + [alike]:
+            if len(some) > 1:
+                groups[tuple(k for kind in some for k in kinds[kind])] = some
+    for places, some in groups.items():
+        yield from _scale(join_words(some), np.array(places), units[places[0]], values)
+
+
+def _move(values: Array, places: np.ndarray, source: np.ndarray) -> Columns:
+    moved = values.copy()
+    moved[:, places] = values[:, source]
+    return Columns(moved)
+
+
+def _scale(name: str, columns: np.ndarray, unit: str, values: Array) -> Iterator[Slip[Columns]]:
+    """Yield columns as if they had another unit; of no unit as if they were of another gear."""
+    count = int(np.isfinite(values[:, columns]).sum())
+    for words, factor in {"mm": LENGTHS, "rad": ANGLES, "": GEARS}.get(unit, {"of the other sign": -1.0}).items():
+        moved = values.copy()
+        moved[:, columns] *= factor
+        volume = count * float(np.log(abs(factor)))
+        yield Slip(UNIT, f"readings of {name} seem to be {words}", Columns(moved), None, volume)
+
+
+def _shift(name: str, columns: np.ndarray, values: Array, together: bool = False) -> Iterator[Slip[Columns]]:
+    """Yield some columns as if they stood a row too early or too late; all of them only ``together``."""
+    if len(values) < 3 or (len(columns) == values.shape[1] and not together):
+        return
+    for step, words in ((1, "earlier"), (-1, "later")):
+        moved = values.copy()
+        moved[:, columns] = np.roll(values[:, columns], step, axis=0)
+        there = np.arange(len(values))[slice(1, None) if step > 0 else slice(None, -1)]
+        text = f"rows of {name} seem to be shifted by one: they belong to the readings of the row {words}"
+        yield Slip(ROWS, text, Columns(moved[there]), there)
+
+
+def weigh_rows(judge: Callable[[], tuple[Array, int]]) -> Weight:
+    """Return how well rows of readings fit, by the median of them: it does not hang on one that is an outlier.
+
+    A pose that no reading states is found from all of them, so that readings are compared with each other: what no pose
+    explains of a machine within the tolerances.
+
+    Parameters
+    ----------
+    judge : callable
+        Returns how far rows lie from what a machine within its tolerances reads, in units of their noise, (Q,), and how
+        many readings more than unknowns of poses they have in all. What fails fits nothing.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            off, spare = judge()
+    except (BayescalError, np.linalg.LinAlgError):
         return NOTHING
-    sizes = {
-        float(size): _log_density(
-            errors, slope, likelihood.error_covariance(np.full(likelihood.n_model_errors, float(size)))
-        )
-        for size in ERRORS
-    }
-    best = max(sizes, key=sizes.__getitem__)
-    return Weight(sizes[best], best)
+    misfit = float(np.median(np.where(np.isfinite(off), off, np.inf)))
+    return Weight(-spare * float(np.log(np.clip(misfit, 1.0, LARGEST))), misfit)
 
 
-def _log_density(errors: Array, slope: Array, covariance: Array) -> float:
-    factor = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(factor, errors[..., None])[..., 0]
-    rows = np.linalg.solve(factor, slope)
-    log_det = 2.0 * float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
-    told = np.einsum("pik,pi->k", rows, white)
-    inner = np.eye(slope.shape[-1]) + np.einsum("pik,pil->kl", rows, rows)
-    _, more = np.linalg.slogdet(inner)
-    square = float(np.sum(white**2) - told @ np.linalg.solve(inner, told))
-    return -0.5 * (square + log_det + float(more))
+def fit_rows(rest: Array, moves: Array, n_spare: np.ndarray) -> Array:
+    """Return the rms of white rows beside the machine that fits them best to first order, without outlying rows, (Q,).
+
+    Parameters
+    ----------
+    rest : ndarray, shape (Q, K)
+        What no pose explains of them.
+    moves : ndarray, shape (Q, K, m)
+        What the parameters explain, in their tolerances.
+    n_spare : ndarray of int, shape (Q,)
+        Readings more than unknowns of each pose.
+    """
+    off = np.sqrt(np.sum(rest**2, axis=1) / n_spare)
+    for _ in range(2 if len(off) else 0):
+        used = off <= OUTLYING * np.median(off)
+        along = np.einsum("pin,pi->n", moves[used], rest[used])
+        inner = np.eye(moves.shape[-1]) + np.einsum("pin,pim->nm", moves[used], moves[used])
+        off = np.sqrt(np.sum((rest - moves @ np.linalg.solve(inner, along)) ** 2, axis=1) / n_spare)
+    return np.asarray(off)
+
+
+def list_unnoticed[D](
+    weigh: Callable[[D, np.ndarray | None], Weight], slips: Iterable[Slip[D]], fits: float
+) -> tuple[int, list[str]]:
+    """Return how many slips are planted in data that fit, one by one, and those after which they fit all the same."""
+    texts = [(slip.text, weigh(slip.data, slip.chosen).misfit <= fits) for slip in slips]
+    return len(texts), [text for text, fit in texts if fit]
+
+
+# --- words -------------------------------------------------------------------------------------------------------
+
+
+def tell_denial(field: str) -> str:
+    """Return the end of a refusal: how to say that nothing has slipped."""
+    return f"; if the data are right, name the kind of slip that it is not, unit, legs or rows, in {field}"
+
+
+def state_denied(summary: Mapping[str, Any]) -> list[Statement]:
+    """Say which slips would explain the data and were denied, from a summary's ``denied_slips``."""
+    return [
+        Statement(f"{text}. The config denies that; if it is so all the same, all else is wrong.", "warning", "Data")
+        for text in summary.get("denied_slips", [])
+    ]
+
+
+def state_slip(summary: Mapping[str, Any]) -> list[Statement]:
+    """Say what may have happened to data that no machine within the tolerances explains, from a summary's ``slip``."""
+    slip = summary.get("slip")
+    if not isinstance(slip, dict):
+        return []
+    text = (
+        f"No machine within the tolerances comes near the data; they {_say_factor(slip['factor'])} if one thing is "
+        f"corrected: {slip['text']}. All other results rest on data that seem to be wrong."
+    )
+    return [Statement(text, "bad", "Data")]

@@ -18,13 +18,13 @@ from bayescal.experiments.shared.packing import pack_tree
 from bayescal.experiments.shared.trees import write_packed
 from bayescal.experiments.study.calibrated import describe_nominal
 from bayescal.experiments.study.claims import Claims
+from bayescal.experiments.study.doubts import find_study_slip
 from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task
 from bayescal.experiments.study.held_out import compare_variants, describe_stacking, tabulate_left_out
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.kernels import has_kernels
 from bayescal.experiments.study.prior_widths import list_width_tasks, tabulate_sensitivity, weigh_widths
 from bayescal.experiments.study.schema import StudyConfig
-from bayescal.experiments.study.slips import find_study_slip
 from bayescal.experiments.study.structured_table import tabulate_structured
 from bayescal.experiments.study.summary import rank_variants, summarise_fit
 from bayescal.experiments.study.tables import (

@@ -78,10 +78,15 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
         """Return what the posteriors of all poses take."""
         return estimate_study(inputs.inputs)
 
+    def outlook(self, inputs: StudyTask) -> list[str]:
+        """Return what each variant's poses can determine."""
+        from bayescal.experiments.study.doubts import list_outlooks
+
+        return list_outlooks(inputs.inputs)
+
     def doubt(self, inputs: StudyTask) -> list[str]:
         """Return what may have happened to data that no machine explains, or only one within wide tolerances."""
-        from bayescal.experiments.study.common_offset import doubt_zero
-        from bayescal.experiments.study.slips import find_study_slip
+        from bayescal.experiments.study.doubts import doubt_zero, find_study_slip
 
         slip = find_study_slip(inputs.inputs)
         return doubt_zero(inputs.inputs) if slip is None else [slip.say()]

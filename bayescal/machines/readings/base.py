@@ -336,11 +336,11 @@ class ReadingModel(ABC):
 
     def pick(self, channels: np.ndarray) -> ReadingModel:
         """Return the same machine with some of its sensors, by their places."""
-        return _Picked(self, tuple(int(k) for k in channels))
+        return PickedModel(self, tuple(int(k) for k in channels))
 
 
 @dataclass(frozen=True, eq=False)
-class _Picked(ReadingModel):
+class PickedModel(ReadingModel):
     """A machine with some of its sensors."""
 
     whole: ReadingModel

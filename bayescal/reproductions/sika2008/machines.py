@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.shared.calibrability import compute_calibrability
-from bayescal.experiments.shared.sensor_sets import FreeParameters
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.shared.calibrability import compute_calibrability
 from bayescal.experiments.shared.reading_machine import ZEROS, draw_poses
+from bayescal.experiments.shared.sensor_sets import FreeParameters
 from bayescal.machines.read import build_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
 from bayescal.machines.readings.schema import PlanarPosesConfig, SlidingPlatformConfig

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.experiments.shared.sensor_sets import FreeParameters
-from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.errors import InputError
 from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters, poses_about_home
+from bayescal.experiments.shared.sensor_sets import FreeParameters, SensorSet
 from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
 from bayescal.machines.readings.schema import ReadingSensorConfig

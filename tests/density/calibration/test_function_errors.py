@@ -164,7 +164,9 @@ def test_the_expected_curvature_of_scales_and_noise_is_that_of_drawn_rows(rng):
     for _ in range(400):
         drawn = columns @ rng.standard_normal(columns.shape[-1]) + rng.standard_normal(data.values.shape)
         exact = posterior.likelihood.model.read(posterior.theta(y[None])[0], at.pose[0])
-        likelihood = replace(posterior.likelihood, data=replace(data, values=exact + drawn * white.colour(drawn * 0 + 1)[0]))
+        likelihood = replace(
+            posterior.likelihood, data=replace(data, values=exact + drawn * white.colour(drawn * 0 + 1)[0])
+        )
         scores.append(replace(posterior, likelihood=likelihood).gradient(y)[0][m:])
     information = -posterior.gradient(y)[1][m:, m:] - np.eye(posterior.n_parameters - m)
     found = np.cov(np.array(scores).T)
@@ -206,7 +208,9 @@ def test_coefficients_tell_the_functions(rng):
     columns = term.columns(np.zeros((1, 3)), likelihood.data)[0]
     drawn = rng.standard_normal(columns.shape[-1])
     start = find_poses_of(likelihood, posterior.centre[None])[0]
-    spoilt = replace(likelihood, data=replace(likelihood.data, values=likelihood.data.values + columns @ drawn), start=start)
+    spoilt = replace(
+        likelihood, data=replace(likelihood.data, values=likelihood.data.values + columns @ drawn), start=start
+    )
     without = replace(posterior, errors=Errors((term,)))
     other = replace(without, likelihood=spoilt)
     assert 0.5 < measure_deviation(other, drawn, rng) < 1.6

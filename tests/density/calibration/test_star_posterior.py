@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.polynomial.hermite_e import hermegauss
 from reading_machines import (
-    SETS,
-    WORKSPACE,
     SENSORS,
+    SETS,
     TOLERANCES,
+    WORKSPACE,
     JointTarget,
     find_poses_of,
     gaussian_log_evidence,
@@ -173,7 +173,9 @@ def test_parameters_that_deviate_alike_are_one_coordinate(rng):
     spread = every.natural(np.zeros((1, every.n_parameters)))
     assert spread.shape == (1, 22)
     same = posterior.log_density(y) - posterior.log_prior(y)
-    np.testing.assert_allclose(same, every.likelihood.pointwise(posterior.theta(y), *every.deviations(y)).sum(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(
+        same, every.likelihood.pointwise(posterior.theta(y), *every.deviations(y)).sum(axis=1), rtol=1e-12
+    )
 
 
 def test_prior_is_normal_about_the_machine_as_expected():
@@ -211,7 +213,7 @@ def test_a_fixed_value_stays():
     ]
 
 
-# --- the density of one pose's readings ---------------------------------------------------------------------------------
+# --- the density of one pose's readings -----------------------------------------------------------------------------
 
 
 def make(names, seed=2, model=None):

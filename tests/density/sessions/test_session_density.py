@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from bayescal.density.errors import ModelError
 from bayescal.density.sessions.linear import LinearSessions
 from bayescal.density.sessions.model import DAYS_IN_MONTH, Drift, Expansion, Part, SessionModel, walk_loadings
 
@@ -17,11 +16,13 @@ N_LEGS, FREE, POSES = 3, 4, (2, 3, 2)
 
 def build_model(loadings: np.ndarray, parts: tuple = ()) -> SessionModel:
     """Return three sessions of a made-up machine of five parameters, four of them free, two of which move."""
-    drift = Drift(loadings, np.array([0, 2]), np.array([0, 1]), ("p", "q"), 0.5)
+    drift = Drift(loadings, np.array([0, 2]), np.array([0, 1]), ("p", "q"), np.full(2, 0.5))
     expansion = Expansion("struts", np.array([1, 3]), 0.2, 0.1)
     start, free = np.array([1.0, 2.0, 3.0, 4.0, 5.0]), np.array([0, 1, 3, 4])
     mean, sd = np.array([1.1, 2.2, 3.9, 5.2]), np.array([0.5, 0.2, 0.3, 1.0])
-    return SessionModel(parts, start, free, mean, sd, drift, (expansion,), ModelError(1.0))
+    moves = np.eye(len(start))[free]
+    start = start * (moves.sum(axis=0) == 0.0) + mean @ moves
+    return SessionModel(parts, start, moves, ("a", "b", "c", "d"), ("mm",) * 4, mean, sd, drift, (expansion,))
 
 
 LOADINGS = {"walk": walk_loadings(DAYS_IN_MONTH * np.array([0.0, 1.0, 5.0])), "machines": np.eye(3)}
@@ -34,7 +35,12 @@ def make_linear(model: SessionModel, rng: np.random.Generator) -> LinearSessions
     first = np.concatenate([[0], np.cumsum(POSES)[:-1]])
     constant = np.full(shape[0], -0.5 * N_LEGS * np.log(2.0 * np.pi))
     rows = rng.normal(size=(*shape, FREE + 2))
-    return LinearSessions(model, rows, known, rng.uniform(0.5, 2.0, shape), constant, first)
+    weight = rng.uniform(0.5, 2.0, shape)
+
+    def covariance(tau: np.ndarray) -> np.ndarray:
+        return known + np.eye(N_LEGS) * (weight * tau**2)[:, None, :]
+
+    return LinearSessions(model, rows, covariance, constant, first)
 
 
 def spread_rows(
@@ -51,7 +57,7 @@ def spread_rows(
 
     c = see(np.zeros(n))
     jacobian = np.stack([see(row) - c for row in np.eye(n)], axis=1)
-    blocks = linear.known + np.eye(N_LEGS) * (linear.weight * tau**2)[:, None, :]
+    blocks = linear.covariance(tau)
     covariance = np.zeros((len(c), len(c)))
     for k, block in enumerate(blocks):
         covariance[k * N_LEGS : (k + 1) * N_LEGS, k * N_LEGS : (k + 1) * N_LEGS] = block

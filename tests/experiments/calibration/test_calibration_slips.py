@@ -1,4 +1,4 @@
-"""Slips planted in the readings of a calibration: validate names each, clean readings are not suspected."""
+"""Slips planted in the readings of a calibration are named before any sampling, clean readings are not suspected."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import read_results
+from bayescal.experiments.shared.slips import FoundSlip
 
 CARRIAGES, CAMERA = ["s_1_mm", "s_2_mm", "s_3_mm"], ["cam_x_mm", "cam_y_mm"]
 SLIPS = {
@@ -43,39 +45,49 @@ def plant(path, slip):
     return said, lambda: data.write_text(original)
 
 
+def say(path):
+    """Return what is said of the readings, as a doubt or in a refusal."""
+    kind, config = load(path)
+    try:
+        return kind.doubt(kind.read(config, path.parent))
+    except InputError as error:
+        return [str(error)]
+
+
 @pytest.mark.parametrize("slip", SLIPS)
 def test_the_likely_cause_of_readings_far_off_is_said(drawn, slip):
     said, restore = plant(drawn, slip)
     try:
-        kind, config = load(drawn)
-        doubts = kind.doubt(kind.read(config, drawn.parent))
+        doubts = say(drawn)
     finally:
         restore()
     assert len(doubts) == (said is not None)
-    assert said is None or f"times better if one mends: {said}" in doubts[0]
+    assert said is None or f"times better if corrected: {said}" in doubts[0]
 
 
 @pytest.mark.runs
-def test_a_run_that_finds_no_machine_says_the_likely_cause(tmp_path, call):
+def test_a_run_that_would_find_no_machine_is_refused_with_the_likely_cause(tmp_path, call):
     path = calibrations.write_delta(tmp_path)
     said, _ = plant(path, "exchanged")
     code, out, complaint = call("run", path, "--out", tmp_path / "out", "--quiet", "--workers", 1)
-    assert (code, out) == (3, "")
-    assert f"perhaps since the readings are far off: they fit 696 times better if one mends: {said}" in complaint
+    assert (code, out) == (2, "")
+    assert f"times better if corrected: {said}" in complaint
+    assert complaint.count("\n") == 1
+    assert not list(tmp_path.glob("out*"))
 
 
 @pytest.mark.runs
 def test_page_summary_and_terminal_begin_with_it(tmp_path, call, no_pictures, monkeypatch):
-    said = "they fit 41 times better if one mends: rows of s seem to be shifted"
+    said = FoundSlip("rows", "rows of s seem to be shifted", 100.0, 41.0)
     path = calibrations.write_delta(tmp_path)
     monkeypatch.setattr("bayescal.experiments.calibration.compute.find_calibration_slip", lambda variants: said)
     calibrations.change(path, '[[variants]]\nname = "one_rod"\ntitle = "Rods of one length"\ncommon = ["l"]\n', "")
     code, out, _ = call("run", path, "--out", tmp_path / "out", "--workers", 1)
     assert code == 0
-    assert f"Data: The readings are far off; {said}." in " ".join(out.split())
+    assert "they fit 41 times better if one thing is corrected: rows of s seem" in " ".join(out.split())
     results = read_results(tmp_path / "out")
-    assert results.summary["slip"] == said
+    assert results.summary["slip"] == vars(said)
     page = load(path)[0].page(results)
     assert (page.verdict[0].level, page.verdict[0].lead) == ("bad", "Data")
-    assert said in page.verdict[0].text
+    assert said.text in page.verdict[0].text
     assert "with care" in page.headline

@@ -143,13 +143,21 @@ def test_variants_choose_their_errors_by_name(tmp_path):
         ('channels = ["s"]\nkernel', 'channels = ["sx"]\nkernel', "found channel 'sx', expected some of"),
         ("scale_um = 20.0", "scale_arcsec = 20.0", "found scale_arcsec for s.1., which reads in mm, expected scale_um"),
         ("scale_um = 20.0", "scale_um = 20.0\nscale_mm = 1.0", "found scale_um and scale_mm, expected one of scale"),
-        ('kernel = "quadratic"', 'kernel = "smooth"\nlength = 0.01', "found smooth errors of a length down to 0.01 ranges"),
+        (
+            'kernel = "quadratic"',
+            'kernel = "smooth"\nlength = 0.01',
+            "found smooth errors of a length down to 0.01 ranges",
+        ),
         ("own_errors.py:Wander", "own_errors.py:Wanderer", "Wanderer"),
         ("scale_mm = 0.01", "scale_m = 0.01", "scale_m"),
         ("own_errors.py:Edge", "own_errors.py:Short", "errors.edge: found 0 units for 1 names, expected one each"),
         ("own_errors.py:Edge", "own_errors.py:Both", "none or several of factor, variance and columns"),
         ("own_errors.py:Edge", "own_errors.py:Failing", "fails with AttributeError"),
-        ('name = "all"', 'name = "all"\nerrors = ["drfit"]', "errors: found 'drfit', expected some of wander, edge, motors"),
+        (
+            'name = "all"',
+            'name = "all"\nerrors = ["drfit"]',
+            "errors: found 'drfit', expected some of wander, edge, motors",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused_in_one_line(tmp_path, old, new, message):
@@ -163,8 +171,9 @@ def test_what_does_not_fit_is_refused_in_one_line(tmp_path, old, new, message):
 @pytest.mark.runs
 def test_an_own_term_and_functions_run_to_a_page(tmp_path, monkeypatch):
     monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
-    terms = TERMS.partition("[errors.drift]")[0]
-    path = write(tmp_path, terms)
+    path = write(tmp_path, TERMS.partition("[errors.drift]")[0].replace("quadratic", "linear"))
+    text = path.read_text()
+    path.write_text(text.replace(text[text.index('[[variants]]\nname = "one_rod"') : text.index("[sampler]")], ""))
     run_experiment(load(path)[1], path.parent, tmp_path / "out")
     found = pd.read_csv(tmp_path / "out" / "functions.csv")
     assert set(found["sensor"]) == {f"s[{k}]" for k in (1, 2, 3)}

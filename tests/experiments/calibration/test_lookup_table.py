@@ -243,7 +243,7 @@ def test_the_likely_cause_of_readings_far_off_is_said(slip, tmp_path):
     kind, config = load(path)
     doubts = kind.doubt(kind.read(config, tmp_path))
     assert len(doubts) == (said is not None)
-    assert said is None or f"times better if one mends: {said}" in doubts[0]
+    assert said is None or f"times better if corrected: {said}" in doubts[0]
 
 
 def test_rows_without_elevation_are_refused(folder):

@@ -19,6 +19,16 @@ CONFIG = {
     "free without a prior": ('common = ["l"]', 'free = ["q"]', "free: found 'q'"),
     "one in common": ('common = ["l"]', 'common = ["t_x"]', "one parameter, expected at least two"),
     "unknown group": ("[sampler]", "[unknown_noise]\ncam = 1.0\n[sampler]", "unknown_noise: found 'cam'"),
+    "error on a channel that is not there": (
+        "[sampler]",
+        "[model_error]\nprobe = { scale = 0.1 }\n[sampler]",
+        "model_error: found 'probe', expected a group of channels: s, camera, height",
+    ),
+    "noise of a channel that is not there": (
+        "[sampler]",
+        "[unknown_noise]\nprobe = 0.5\n[sampler]",
+        "unknown_noise: found 'probe', expected a group of channels: s, camera, height",
+    ),
     "group of several units": (
         "[sampler]",
         "[workspace]\nw = [0.0, 1.0]\n[sampler]",
@@ -131,6 +141,44 @@ def test_a_pose_that_its_readings_do_not_tell(tmp_path, refuse):
     lines[3] = ",".join([*cells[:4], "", "", "", ""])
     table.write_text("\n".join(lines) + "\n")
     refuse(path, "pose 'C001': found 2 readings, expected at least 3")
+
+
+STUDY_OF_POSES = """kind = "study"
+name = "legs"
+title = "Legs"
+seed = 1
+mechanism = "machine.toml"
+
+[data]
+origin = "Simulated"
+measurement = "poses"
+poses = "data/readings.csv"
+actuators = "data/readings.csv"
+actuator_noise_um = 1.0
+position_um = 10.0
+orientation_arcsec = 10.0
+
+[deformation]
+kappa = 0.0
+matrix = "targets"
+
+[model_error]
+scale_um = 5.0
+
+[parameters]
+l = { prior = "normal", sd = 0.1 }
+
+[[variants]]
+model = "six_pus"
+deformation = "none"
+free = ["l"]
+"""
+
+
+def test_an_instrument_for_poses_on_a_machine_without_a_platform(tmp_path, refuse):
+    path = calibrations.write_delta(tmp_path).parent / "legs.toml"
+    path.write_text(STUDY_OF_POSES)
+    refuse(path, "machine.toml: kind: found 'linear_delta.py:LinearDelta', a machine of channels, expected one on legs")
 
 
 def test_a_second_reading_of_the_same_pose(tmp_path, refuse):

@@ -41,7 +41,7 @@ def test_a_tiny_study_passes(study, tmp_path, capsys):
 def test_faults_open_the_page_and_end_the_command(study, tmp_path, monkeypatch, capsys):
     fault = Finding("Noise", "noise", "bad", "the noise is twice as large.")
     nothing = compute.np.empty((0, 13))
-    monkeypatch.setattr(compute, "look_at_data", lambda task: ([fault], nothing))
+    monkeypatch.setattr(compute, "look_at_data", lambda task: ([fault], nothing, nothing))
     with pytest.raises(NumericalError, match=r"six_pus/matrix does not pass the check \(noise\)"):
         run("check", study, "--variant", "six_pus/matrix", "--out", tmp_path / "out", "--workers", "1")
     out = capsys.readouterr().out
@@ -58,7 +58,10 @@ def test_the_best_variant_is_checked_where_none_is_named(study, tmp_path, monkey
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
-        (lambda folder: reading_studies.write_small(folder), "kind: found 'self_calibration', expected 'study'"),
+        (
+            lambda folder: reading_studies.write_small(folder),
+            "found 'self_calibration', expected 'study' or 'calibration'",
+        ),
         (
             lambda folder: studies.write_tiny_study(folder),
             "variant 'six_pus/q': unknown here, expected one of six_pus/none",

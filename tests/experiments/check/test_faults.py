@@ -17,7 +17,6 @@ from bayescal.experiments.check.faults.derivatives import check_derivatives
 from bayescal.experiments.check.faults.modes import check_modes, list_starts
 from bayescal.experiments.check.faults.noise import check_noise
 from bayescal.experiments.check.faults.priors import check_priors
-from bayescal.experiments.check.faults.slips import check_slips
 from bayescal.experiments.check.look import look_at_data
 from bayescal.experiments.check.ranks import draw_posterior
 from bayescal.experiments.shared.misfit import find_misfit
@@ -27,7 +26,7 @@ from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vec
 
 def look(subject, seed=1):
     """Return the faults that are named, the gravest first."""
-    findings, _ = look_at_data((subject, 1000, seed))
+    findings, _, _ = look_at_data((subject, 1000, seed))
     return [one.fault for one in findings if one.fault], {one.check: one for one in findings}
 
 
@@ -39,7 +38,7 @@ def judge_noise(subject):
 def test_clean_studies_pass(seed):
     faults, said = look(checked.make_clean(seed))
     assert faults == [], said
-    assert list(said) == ["Derivatives", "Units and legs", "Modes", "Noise", "Tolerances"]
+    assert list(said) == ["Derivatives", "Units and order", "Modes", "Noise", "Tolerances"]
 
 
 def test_the_tiny_study_passes_with_the_noise_of_its_targets():
@@ -58,7 +57,7 @@ def test_noise_stated_at_half_is_named(seed):
 def test_how_far_targets_may_scatter_hangs_on_how_many_they_are(per_dof, dof, fault):
     described = {"pose_extraction": {"chi2_per_dof": per_dof, "dof": dof}}
     subject = checked.make_clean(3)
-    assert judge_noise(checked.Subject(replace(subject.measured, described=described))).fault == fault
+    assert judge_noise(checked.LegSubject(replace(subject.measured, described=described))).fault == fault
 
 
 @pytest.mark.parametrize(
@@ -79,7 +78,7 @@ def test_noise_stated_too_large_is_said_by_chance(seed, factor, fault, said):
     subject = checked.make_clean(seed)
     measured = replace(subject.measured, actuator_noise=factor * subject.measured.actuator_noise)
     poses = replace(subject.measured.poses, covariance=factor**2 * subject.measured.poses.covariance)
-    found = judge_noise(checked.Subject(measured).with_poses(poses))
+    found = judge_noise(checked.LegSubject(measured).with_poses(poses))
     assert found.fault == fault
     assert said in found.text
 
@@ -105,7 +104,7 @@ def test_model_errors_are_no_fault_but_are_said():
 def test_noise_of_targets_stated_at_half_is_named():
     subject = checked.make_clean(3)
     described = {"pose_extraction": {"chi2_per_dof": 4.0, "dof": 30}}
-    found = judge_noise(checked.Subject(replace(subject.measured, described=described)))
+    found = judge_noise(checked.LegSubject(replace(subject.measured, described=described)))
     assert (found.fault, found.level) == ("noise", "bad")
     assert "State target_noise_um 2 times as large" in found.text
 
@@ -116,11 +115,11 @@ def test_a_unit_slip_of_the_actuators_is_named(factor):
     slipped = checked.change_actuators(checked.make_clean(4), lambda rho: start + factor * (rho - start))
     faults, said = look(slipped)
     assert faults == ["unit"]
-    assert "actuator displacements seem to be" in said["Units and legs"].text
+    assert "actuator displacements seem to be" in said["Units and order"].text
 
 
 def test_shifted_rows_are_named():
-    found = check_slips(checked.change_actuators(checked.make_clean(4), lambda rho: np.roll(rho, 1, axis=0)))
+    found = checked.change_actuators(checked.make_clean(4), lambda rho: np.roll(rho, 1, axis=0)).check_slips()
     assert (found.fault, found.level) == ("rows", "bad")
     assert "rows seem to be shifted by one" in found.text
 
@@ -129,7 +128,7 @@ def test_rotations_in_degrees_are_named():
     subject = checked.make_clean(4)
     poses = subject.measured.poses
     turned = matrix_from_rotation_vector(np.degrees(rotation_vector_from_matrix(poses.rotation)))
-    found = check_slips(subject.with_poses(replace(poses, rotation=turned)))
+    found = subject.with_poses(replace(poses, rotation=turned)).check_slips()
     assert (found.fault, "in degrees" in found.text) == ("unit", True)
 
 
@@ -142,7 +141,7 @@ def test_two_exchanged_legs_are_named(legs):
 
     faults, said = look(checked.change_actuators(checked.make_clean(5), exchange))
     assert faults == ["legs"]
-    assert f"legs {legs[0] + 1} and {legs[1] + 1} seem to be exchanged" in said["Units and legs"].text
+    assert f"legs {legs[0] + 1} and {legs[1] + 1} seem to be exchanged" in said["Units and order"].text
 
 
 def test_a_wrong_derivative_is_named(monkeypatch):
@@ -165,8 +164,8 @@ def test_a_tolerance_three_times_too_tight_is_named(seed):
     subject = checked.make_clean(seed)
     for factor, fault in ((1.0, ""), (3.0, "prior")):
         tight = checked.tighten(subject, "l", factor)
-        draws, _, _ = draw_posterior(tight.posterior, 1000, np.random.SeedSequence(seed))
-        found = check_priors(tight, draws)
+        draws, _, _, _ = draw_posterior(tight.posterior, 1000, np.random.SeedSequence(seed))
+        found = check_priors(tight.posterior, draws)
         assert found.fault == fault
     assert " l " in found.text
     assert "kappa" not in found.text
@@ -190,11 +189,13 @@ def test_a_missed_mode_is_named(folded, monkeypatch):
     monkeypatch.setattr(modes, "PAIRS", 2)
     monkeypatch.setattr(modes, "STARTS", 1)
     every = find_modes(folded)
-    assert check_modes(folded, every, np.random.default_rng(0)).fault == ""
+    starts = list_starts(folded, every[0].y, np.random.default_rng(0))
+    assert check_modes(folded, every, starts).fault == ""
     monkeypatch.setattr(Posterior, "jumps", lambda self, y: [])
     alone = find_modes(folded)
     assert len(alone) < len(every)
-    assert check_modes(folded, alone, np.random.default_rng(0)).fault == "mode"
+    starts = list_starts(folded, alone[0].y, np.random.default_rng(0))
+    assert check_modes(folded, alone, starts).fault == "mode"
 
 
 def test_mirrored_starts_are_tried_alone_and_in_pairs(folded):

@@ -11,9 +11,7 @@ import test_kind_contract as contract
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.shared.denied_slips import state_denied
-from bayescal.experiments.shared.slip_statement import state_slip
-from bayescal.experiments.shared.slips import ROWS, FoundSlip
+from bayescal.experiments.shared.slips import ROWS, FoundSlip, state_denied, state_slip
 
 
 def change_actuators(path: Path, mend) -> None:
@@ -33,14 +31,14 @@ def test_the_next_pose_of_exchanged_legs_is_doubted(tmp_path):
     assert experiment.doubt(experiment.read(config, tmp_path)) == []
     change_actuators(tmp_path / "data" / "actuators.csv", lambda rho: rho[:, [0, 2, 1, 3, 4, 5]])
     (doubt,) = experiment.doubt(experiment.read(config, tmp_path))
-    assert "times better if one mends: legs 2 and 3 seem to be exchanged" in doubt
+    assert "times better if corrected: legs 2 and 3 seem to be exchanged" in doubt
 
 
 def test_what_is_found_is_said_first():
     summary = {"slip": vars(FoundSlip(ROWS, "rows seem to be shifted by one", 100.0, 41.0))}
     (said,) = state_slip(summary)
     assert (said.level, said.lead) == ("bad", "Data")
-    assert "they fit 41 times better if one thing is put right: rows seem to be shifted by one." in said.text
+    assert "they fit 41 times better if one thing is corrected: rows seem to be shifted by one." in said.text
     assert state_slip({}) == []
 
 

@@ -32,7 +32,7 @@ def state() -> ReadingsState:
     rng = np.random.default_rng(1)
     posterior, _, _ = problems.lines_posterior(rng, n_poses=6)
     half = np.full(2, 150.0)
-    measured = MeasuredReadings("lines", "Simulated", posterior, -half, half, np.ones(4, dtype=bool), None)
+    measured = MeasuredReadings("lines", "Simulated", posterior, -half, half, np.ones(4, dtype=bool))
     poses = rng.uniform(-150.0, 150.0, (65, 2))
     return find_state(ReadingsSubject(measured, REQUIRED, poses[:40], poses[40:], {}), None, 400, SEED)
 

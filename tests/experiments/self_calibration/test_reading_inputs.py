@@ -119,7 +119,7 @@ def test_the_likely_cause_of_readings_that_no_pose_explains_is_said(call, small,
     columns, mend, said = SLIPS[slip]
     change_columns(Path("data/readings.csv"), columns, mend)
     message = refuse(call, "run", small)
-    assert "if one mends: " + said in message
+    assert "if corrected: " + said in message
 
 
 @pytest.mark.parametrize(("denied", "refused"), [([], True), (["legs"], False), (["rows", "unit"], True)])
@@ -144,7 +144,7 @@ def test_a_denied_slip_is_said_and_not_refused(small, denied, refused):
 
 def test_a_single_blunder_is_no_slip(call, small):
     change_cell(Path("data/readings.csv"), 7, "phi_2_rad", lambda x: float(x) + 0.6)
-    assert "if one mends" not in refuse(call, "run", small)
+    assert "if corrected" not in refuse(call, "run", small)
 
 
 def test_degrees_are_told_by_their_size(call, small):
@@ -253,9 +253,7 @@ def test_functions_that_take_too_much_memory(small, monkeypatch):
     studies.edit(small, "[sampler]", "[model_error]\nkernel = 'smooth'\n[sampler]")
     load_small(small)
     monkeypatch.setattr(memory, "measure_available", lambda: 0.5 * memory.PROCESS)  # enough for the poses
-    with pytest.raises(
-        InputError, match=r"memory: found 23 poses with \d+ coefficients of sensors' errors, which take"
-    ):
+    with pytest.raises(InputError, match=r"memory: found 23 poses with \d+ coefficients of functions, which take"):
         load_small(small)
     studies.edit(small, "kernel = 'smooth'", "kernel = 'independent'")
     load_small(small)
@@ -268,7 +266,7 @@ def test_functions_are_of_the_sensors_that_may_err(small):
     assert functions.names == ("sigma_g(phi)",)
     assert list(functions.places) == [3, 4, 5]
     np.testing.assert_allclose(functions.scale, np.radians(7.0 / 3600.0))
-    np.testing.assert_allclose(functions.home, 0.0, atol=1e-12)
+    np.testing.assert_allclose(functions.travel.home, 0.0, atol=1e-12)
     studies.edit(small, "kernel_sensors = ['phi']", "kernel_per_leg = true")
     studies.edit(small, "sensors = ['s', 'phi']", "sensors = ['s', 'phi', 'x_V', 'y_V']\nmodel_error = 'smooth'")
     functions = load_small(small).variants["s6"].functions

@@ -17,8 +17,6 @@ from reading_studies import copy_shipped, describe_variant, load_small, write_sm
 from rich.console import Console
 from saved_trees import check_tree, read_tree
 
-from bayescal.experiments.shared.calibrability import compute_calibrability
-from bayescal.experiments.shared.sensor_sets import locate_tool
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import find_kind, load, load_experiment
 from bayescal.experiments.frame.parallel import Run
@@ -31,7 +29,9 @@ from bayescal.experiments.self_calibration.kind import SelfCalibration
 from bayescal.experiments.self_calibration.page.verdict import explains, list_rows, write_names
 from bayescal.experiments.self_calibration.tables import rank_models, tabulate
 from bayescal.experiments.self_calibration.tool import assess_tool, predict_tool
+from bayescal.experiments.shared.calibrability import compute_calibrability
 from bayescal.experiments.shared.reading_trees import build_reading_tree
+from bayescal.experiments.shared.sensor_sets import locate_tool
 from bayescal.experiments.shared.trees import write_tree
 
 pytestmark = pytest.mark.runs
@@ -323,7 +323,8 @@ def test_calibrability_is_the_condition_of_the_free_parameters(shipped):
         pose = variant.pose[~shipped.table.verification]
         found = compute_calibrability(variant.sensors, variant.free, pose, variant.together)
         rows = compute_rows(variant.sensors, variant.free.centre, pose)
-        moves = shipped.posterior(variant).moves
+        posterior = shipped.posterior(variant)
+        moves = posterior.moves(np.zeros(posterior.n_parameters))
         values = np.linalg.svd((rows @ moves.T).reshape(-1, len(moves)), compute_uv=False)
         assert found.scaled == pytest.approx((values[0] / values[-1]) ** 2, rel=1e-6)
 

@@ -88,7 +88,7 @@ def test_evidence_and_intervals_know_the_errors(folder):
 
 def test_page_and_posterior_have_them(folder):
     page = re.sub(r"base64,[^\"]*", "", (folder / "out" / "report.html").read_text())
-    assert "Errors that are functions of the readings" in page
+    assert "Errors that are functions" in page
     assert "sensors phi err by functions of what they read" in page
     assert not re.search(r"\bnan\b|None", page)
     assert (folder / "out" / "figures" / "functions_errors.png").exists()

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from placement_problems import FOLDER, read, shrink
 
-from bayescal.experiments.shared.sensor_sets import eliminate_poses
-from bayescal.experiments.shared.sensor_sets import compute_tool_sensitivity
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.sensor_placement.alignment import alignment_basis, take_away
 from bayescal.experiments.sensor_placement.inputs import displace, read_placement
@@ -22,6 +20,7 @@ from bayescal.experiments.sensor_placement.placement import (
     is_external,
 )
 from bayescal.experiments.sensor_placement.simulate import simulate_set
+from bayescal.experiments.shared.sensor_sets import compute_tool_sensitivity, eliminate_poses
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
 MACHINES = ("sensors", "m2_hexapod_sensors")

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from reading_machines import SENSORS, SETS, WORKSPACE, LinearModel, sliding_star, star_of
 
+from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses
 from bayescal.experiments.shared.sensor_sets import (
     SensorSet,
     eliminate_poses,
@@ -13,8 +15,6 @@ from bayescal.experiments.shared.sensor_sets import (
     null_basis,
     solve_least_squares,
 )
-from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses
 
 
 def setting(names=("s", "phi"), model=None):

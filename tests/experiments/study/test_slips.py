@@ -15,8 +15,8 @@ from bayescal.data.simulation import build_twin, format_survey, simulate_survey
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.study.doubts import find_study_slip
 from bayescal.experiments.study.load import load_inputs
-from bayescal.experiments.study.slips import find_study_slip
 
 type Rows = list[list[str]]
 
@@ -84,7 +84,7 @@ def test_likely_cause_is_found_by_trying_it(drawn, what, call):
     finally:
         restore()
     assert code == 0
-    assert "times better if one mends: " in out
+    assert "times better if corrected: " in out
     assert said in out
 
 

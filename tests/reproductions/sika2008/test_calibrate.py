@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import least_squares
 from sliding_platforms import make_problem
 
-from bayescal.density.readings.calibrate import BATCH, calibrate, unweighted
-from bayescal.experiments.shared.sensor_sets import find_poses
 from bayescal.errors import InputError
+from bayescal.experiments.shared.sensor_sets import find_poses
+from bayescal.reproductions.sika2008.calibrate import BATCH, calibrate, unweighted
 
 
 def measure(sensors, free, pose, n, seed=2, noise=1.0):

@@ -10,7 +10,8 @@ import pandas as pd
 from matplotlib import figure as mpl
 
 from bayescal.experiments.calibration.page.build import name_origin
-from bayescal.experiments.calibration.page.verdict import list_rows, state_slip
+from bayescal.experiments.calibration.page.verdict import list_rows
+from bayescal.experiments.shared.slips import state_slip
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 from bayescal.report.blocks import (
     Cell,

@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from bayescal.experiments.calibration.tables import choose_best
+from bayescal.experiments.shared.slips import state_slip
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import (
@@ -104,14 +105,6 @@ def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> l
     ]
     found += [*_state_coverage(tables, best), *_state_ignorance(tables, best), *_state_doubt(tables, best)]
     return [*found, *_state_beside(tables, best), *state_next(tables, best)]
-
-
-def state_slip(summary: dict[str, Any]) -> list[Statement]:
-    """Return what may have happened to readings that no machine within its priors comes near."""
-    if "slip" not in summary:
-        return []
-    text = f"The readings are far off; {summary['slip']}. What else is said here rests on data that seem wrong."
-    return [Statement(text, "bad", "Data")]
 
 
 def _row(table: pd.DataFrame, variant: str) -> Row:

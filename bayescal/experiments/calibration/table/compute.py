@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 
 from bayescal.errors import NumericalError
-from bayescal.experiments.calibration.slips import find_calibration_slip
 from bayescal.experiments.calibration.table.inputs import TableInputs
 from bayescal.experiments.calibration.table.plan import plan_measurements
 from bayescal.experiments.calibration.table.polynomial import build_terms, fit_polynomial, format_polynomial
@@ -14,6 +15,7 @@ from bayescal.experiments.calibration.table.tables import Found, summarise, tabu
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import Estimate, estimate_posterior
+from bayescal.experiments.shared.reading_slips import find_calibration_slip
 
 POLYNOMIAL_FILE = "polynomial.json"
 ELSEWHERE = 64  # poses of the workspace
@@ -35,8 +37,8 @@ def compute_table(inputs: TableInputs, run: Run) -> Results:
     table = find_table(inputs, estimate.kept, estimate.mode)
     actuators = inputs.actuators.channels
     text = format_polynomial(table.polynomial, inputs.actuators.names, [one.unit for one in actuators])
-    summary, slip = summarise(inputs, table, problems), find_calibration_slip([inputs.variant])
-    summary |= {} if slip is None else {"slip": slip}
+    summary, slip = summarise(inputs, table, problems), find_calibration_slip([inputs.variant.suspicion()])
+    summary |= {} if slip is None else {"slip": asdict(slip)}
     return Results(summary, tabulate(inputs, table), {POLYNOMIAL_FILE: text})
 
 

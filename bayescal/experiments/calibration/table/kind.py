@@ -7,7 +7,6 @@ from pathlib import Path
 
 from bayescal.experiments.calibration.memory import list_variant
 from bayescal.experiments.calibration.page.table import build_page
-from bayescal.experiments.calibration.slips import find_calibration_slip
 from bayescal.experiments.calibration.table.compute import compute_table
 from bayescal.experiments.calibration.table.inputs import TableInputs, read_table
 from bayescal.experiments.calibration.table.schema import LookupTableConfig
@@ -17,6 +16,7 @@ from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import KEPT_DRAWS
+from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.experiments.shared.search_memory import list_sampling
 from bayescal.report.blocks import Page
 
@@ -64,8 +64,8 @@ class LookupTable(Experiment[LookupTableConfig, TableInputs]):
 
     def doubt(self, inputs: TableInputs) -> list[str]:
         """Return what may have happened to readings that no machine within its priors comes near."""
-        said = find_calibration_slip([inputs.variant])
-        return [] if said is None else [f"the readings are far off: {said}"]
+        said = find_calibration_slip([inputs.variant.suspicion()])
+        return [] if said is None else [said.say()]
 
     def compute(self, inputs: TableInputs, run: Run) -> Results:
         """Return the table."""

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from bayescal.density.legs import LegPosterior
 from bayescal.experiments.check.faults.finding import Finding
-from bayescal.experiments.check.subject import Subject
 from bayescal.numerics.geometry import Array
+
+if TYPE_CHECKING:
+    from bayescal.experiments.check.legs import LegSubject
 
 CHECK, FAULT = "Derivatives", "derivative"
 STEP = 1e-3  # prior sd; halved, and both extrapolated
@@ -16,7 +20,7 @@ SEEN = 1e-4  # of the noise: a prior sd of a parameter that moves less is not lo
 MACHINES = 3
 
 
-def check_derivatives(subject: Subject, rng: np.random.Generator) -> Finding:
+def check_derivatives(subject: LegSubject, rng: np.random.Generator) -> Finding:
     """Return whether each parameter's derivative is that of the differences.
 
     At machines of the priors, each with data of its own: far from the data neither errors nor derivatives need be

@@ -1,4 +1,4 @@
-"""Missed modes: climbs from mirrored actuators, of one leg and of two, and from machines of the priors."""
+"""Missed modes: searches from mirrored actuators, of one leg and of two, and from machines of the priors."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from bayescal.density.legs import LegPosterior
 from bayescal.errors import NumericalError
 from bayescal.experiments.check.faults.finding import Finding
 from bayescal.inference.mode import Mode, find_mode
+from bayescal.inference.target import Target
 from bayescal.machines.coordinates import mirror_direction
 from bayescal.numerics.geometry import Array
 
@@ -20,10 +21,9 @@ STARTS = 4
 PAIRS = 15
 
 
-def check_modes(posterior: LegPosterior, known: list[Mode], rng: np.random.Generator) -> Finding:
-    """Return whether climbs from elsewhere find a mode with mass that is not among the known ones, the best first."""
+def check_modes(posterior: Target, known: list[Mode], starts: list[Array]) -> Finding:
+    """Return whether searches from starts, (n,) each, find a mode with mass besides the known ones, the best first."""
     missed: list[Mode] = []
-    starts = list_starts(posterior, known[0].y, rng)
     for start in starts:
         try:
             found = find_mode(posterior, start)
@@ -34,13 +34,13 @@ def check_modes(posterior: LegPosterior, known: list[Mode], rng: np.random.Gener
             missed.append(found)
     if not missed:
         return Finding(
-            CHECK, "", "good", f"{len(starts)} climbs from elsewhere found no mode but the {len(known)} known."
+            CHECK, "", "good", f"{len(starts)} searches from elsewhere found no mode but the {len(known)} known."
         )
     gain = max(one.log_evidence for one in missed) - known[0].log_evidence
     text = (
         f"{len(missed)} mode{'s' if len(missed) > 1 else ''} with mass that the search does not find, the best "
-        f"{gain:+.1f} nats against the one it starts from. Intervals and evidence leave it out: narrow the priors of "
-        "directions, or free both components of u."
+        f"{gain:+.1f} nats against the one it starts from. Intervals and evidence leave it out: narrow the priors, of "
+        "directions above all, or free both components of a direction."
     )
     return Finding(CHECK, FAULT, "bad", text)
 

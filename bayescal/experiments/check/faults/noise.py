@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import chi2
@@ -10,11 +12,13 @@ from bayescal.density.errors import ModelError
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.experiments.check.faults.finding import Finding
-from bayescal.experiments.check.subject import Subject
 from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
 from bayescal.experiments.shared.misfit import find_misfit
 from bayescal.inference.mode import Mode
 from bayescal.numerics.geometry import Array
+
+if TYPE_CHECKING:
+    from bayescal.experiments.check.legs import LegSubject
 
 CHECK, FAULT, ANOTHER = "Noise", "noise", "model error"
 IMPROBABLE = 1e-4
@@ -25,7 +29,7 @@ LARGEST = 100.0
 CLEARLY = 3.0  # nats by which model errors have to explain more than noise does
 
 
-def check_noise(subject: Subject, mode: Mode) -> Finding:
+def check_noise(subject: LegSubject, mode: Mode) -> Finding:
     """Return whether the noise is as stated; mode is that of the posterior without model error.
 
     What the best machine leaves of the poses is explained once by the stated noise and model errors of their prior, and
@@ -52,7 +56,7 @@ def check_noise(subject: Subject, mode: Mode) -> Finding:
         text += " Perhaps the poses are averages of several measurements." if factor < 1.0 else ""
         return Finding(CHECK, FAULT, "bad", text)
     if not found.is_off:
-        return Finding(CHECK, "", "good", f"{said}, {_describe_chance(found)}.")
+        return Finding(CHECK, "", "good", f"{said}, {describe_chance(found)}.")
     if found.factor < 1.0:
         text = f"{said}: less than noise of the stated size gives. It is stated too large, or poses are averages."
         return Finding(CHECK, FAULT, "warning", f"{text} Intervals are wider than they need be.")
@@ -65,7 +69,7 @@ def check_noise(subject: Subject, mode: Mode) -> Finding:
     return Finding(CHECK, ANOTHER, "warning", text)
 
 
-def _describe_chance(found: ChiSquare) -> str:
+def describe_chance(found: ChiSquare) -> str:
     """Return what is said of a sum of squares that is no fault."""
     if found.chance >= UNUSUAL:
         return "as noise of the stated size gives"
@@ -73,7 +77,7 @@ def _describe_chance(found: ChiSquare) -> str:
     return f"{few} than noise of the stated size mostly gives, but not beyond chance"
 
 
-def _check_extraction(subject: Subject) -> Finding | None:
+def _check_extraction(subject: LegSubject) -> Finding | None:
     """Return whether the targets scatter about rigid bodies by another noise than stated; None where they do not."""
     described = subject.measured.described.get("pose_extraction")
     if not isinstance(described, dict):

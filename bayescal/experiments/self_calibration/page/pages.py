@@ -17,8 +17,8 @@ from bayescal.experiments.self_calibration.page.verdict import (
     write_names,
 )
 from bayescal.experiments.shared.diagnostics_table import tabulate_diagnostics
-from bayescal.experiments.shared.guide_symbols import tabulate_symbols
 from bayescal.experiments.shared.function_page import judge_functions, show_functions
+from bayescal.experiments.shared.guide_symbols import tabulate_symbols
 from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Section, make_section, make_table
 from bayescal.report.numbers import (
     NOTHING,

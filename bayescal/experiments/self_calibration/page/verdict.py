@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.experiments.shared.denied_slips import state_denied
+from bayescal.experiments.shared.slips import state_denied
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import (
     format_count,

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
-from bayescal.experiments.shared.slip_statement import state_slip
+from bayescal.experiments.shared.slips import state_slip
 from bayescal.experiments.study.page.results import SETTINGS, StudyResults, get_number
 from bayescal.experiments.study.page.variants import label_variant
 from bayescal.report.blocks import Level, Statement

@@ -44,7 +44,7 @@ def test_a_slip_of_the_data_is_the_first_thing_said(make_results):
     slip = {"fault": "legs", "text": "legs 2 and 3 seem to be exchanged", "gain": 900.0, "factor": 41.3}
     first = state_verdict(read_study(make_results(change=lambda summary: summary.update(slip=slip))))[0]
     assert (first.lead, first.level) == ("Data", "bad")
-    assert "they fit 41 times better if one thing is put right: legs 2 and 3 seem to be exchanged" in first.text
+    assert "they fit 41 times better if one thing is corrected: legs 2 and 3 seem to be exchanged" in first.text
 
 
 def test_of_sound_results_nothing_is_said(make_results):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.experiments.study.common_offset import doubt_zero, find_shift, measure_size
+from bayescal.experiments.study.doubts import doubt_zero, find_shift, measure_size
 
 SHIFT = np.array([0.0, -3.0, 110.0])
 

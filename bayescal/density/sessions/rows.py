@@ -1,0 +1,184 @@
+"""What one session measured, as sessions need it: rows free of the pose, linear in θ, and the exact density.
+
+Legs' rows are their closures; readings' are what no pose explains of them: with H = ∂h/∂v white and Z an orthonormal
+complement of its columns, Zᵀ(s - h) has no pose to first order, whatever the covariance of the readings.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.errors import ModelError
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.numerics.geometry import Array
+
+
+class LinearRows(NamedTuple):
+    """Rows at one machine.
+
+    ``errors`` (P, R) and ``slope`` (P, R, D) by θ; ``constant`` (P,) of the log-density; ``covariance`` takes what is
+    unknown of the errors, as `SessionRows.read_errors` returns it, to (P, R, R).
+    """
+
+    errors: Array
+    slope: Array
+    constant: Array
+    covariance: Callable[[Array], Array]
+
+
+class SessionRows(ABC):
+    """P rows of one session."""
+
+    @property
+    @abstractmethod
+    def n_poses(self) -> int:
+        """Number P of rows."""
+
+    @property
+    @abstractmethod
+    def width(self) -> int:
+        """Number R of what is left of each when its pose is eliminated."""
+
+    @property
+    @abstractmethod
+    def n_errors(self) -> int:
+        """How many numbers are unknown of the errors, the same in all sessions."""
+
+    @abstractmethod
+    def read_errors(self, zeta: Array) -> Array:
+        """Return what is unknown of the errors from standard normal coordinates (..., n)."""
+
+    @abstractmethod
+    def linearise(self, theta: Array) -> LinearRows:
+        """Return rows at a machine (D,)."""
+
+    @abstractmethod
+    def evaluate(self, theta: Array, errors: Array) -> Array:
+        """Return the exact log-likelihood, (B,), of machines (B, D) with errors as of `read_errors`."""
+
+
+@dataclass(frozen=True, eq=False)
+class LegRows(SessionRows):
+    """Poses of a machine on legs.
+
+    Attributes
+    ----------
+    likelihood : PoseLikelihood
+    model_error : ModelError
+        Of the legs.
+    """
+
+    likelihood: PoseLikelihood
+    model_error: ModelError
+
+    @property
+    def n_poses(self) -> int:
+        """Number of poses."""
+        return self.likelihood.n_poses
+
+    @property
+    def width(self) -> int:
+        """Number of legs."""
+        return self.likelihood.n_legs
+
+    @property
+    def n_errors(self) -> int:
+        """Number of free model errors."""
+        return self.model_error.n_parameters(self.width)
+
+    def read_errors(self, zeta: Array) -> Array:
+        """Return τ of every leg, (..., N), mm."""
+        tau = np.zeros((*zeta.shape[:-1], self.width))
+        return np.broadcast_to(self.model_error.value(zeta), tau.shape) if self.n_errors else tau
+
+    def linearise(self, theta: Array) -> LinearRows:
+        """Return the legs' closures."""
+        likelihood = self.likelihood
+        errors, slope = likelihood.leg_error_jacobian(theta)
+
+        def covariance(tau: Array) -> Array:
+            return likelihood.legs_known + np.eye(len(tau)) * (likelihood.actuator_weight * tau**2)[:, None, :]
+
+        return LinearRows(errors, slope, likelihood.log_constant, covariance)
+
+    def evaluate(self, theta: Array, errors: Array) -> Array:
+        """Return the density of the poses."""
+        return self.likelihood(theta, errors)
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingRows(SessionRows):
+    """Readings of any machine.
+
+    Attributes
+    ----------
+    posterior : CalibrationPosterior
+        Of the session by itself: its priors do not count.
+    """
+
+    posterior: CalibrationPosterior
+
+    @property
+    def n_poses(self) -> int:
+        """Number of rows."""
+        return self.posterior.likelihood.data.n_poses
+
+    @property
+    def width(self) -> int:
+        """Channels less coordinates."""
+        model = self.posterior.likelihood.model
+        return len(model.channels) - len(model.coordinates)
+
+    @property
+    def n_errors(self) -> int:
+        """What is unknown of the noise."""
+        return self.posterior.n_parameters - self.posterior.n_geometry
+
+    def read_errors(self, zeta: Array) -> Array:
+        """Return the coordinates as they are: the posterior has them."""
+        return zeta
+
+    def _deviate(self, zeta: Array) -> tuple[Array, Array]:
+        """Return deviations of readings and model errors for coordinates (B, n)."""
+        still = np.zeros((len(zeta), self.posterior.n_geometry))
+        return self.posterior.deviations(np.concatenate([still, zeta], axis=1))
+
+    def linearise(self, theta: Array) -> LinearRows:
+        """Return what no pose explains of the readings, white by the stated noise."""
+        likelihood = self.posterior.likelihood
+        own, tau = self._deviate(np.zeros((1, self.n_errors)))
+        white = likelihood.whiten(np.broadcast_to(likelihood.sd, own.shape), np.zeros_like(tau))
+        with np.errstate(all="ignore"):
+            at = likelihood.stand(theta[None], white)
+            error, slope, by_parameters = likelihood.linearise(theta[None], at.pose, white, with_parameters=True)
+            volume = likelihood.log_volume(slope, white)[0]
+        q = slope.shape[-1]
+        basis = np.linalg.qr(np.nan_to_num(slope[0]), mode="complete")[0][:, :, q:]
+        across = np.swapaxes(basis, 1, 2)
+        spare = likelihood.n_spare
+        constant = white.log_det[0] + volume - 0.5 * spare * np.log(2.0 * np.pi)
+        there, gain = likelihood.data.present, likelihood.error_gain
+
+        def covariance(zeta: Array) -> Array:
+            own, tau = (one[0] for one in self._deviate(zeta[None]))
+            full = own[:, :, None] * likelihood.correlation * own[:, None, :]
+            spread = np.broadcast_to(tau, own.shape)[:, None, :] * (np.eye(own.shape[-1]) if gain is None else gain)
+            full = full + spread @ np.swapaxes(spread, 1, 2)
+            full = np.where(there[:, :, None] & there[:, None, :], full, 0.0)
+            seen = white.rows(np.swapaxes(white.rows(full[None]), -1, -2))[0]
+            return np.asarray(across @ (seen + np.eye(own.shape[-1]) * ~there[:, None, :]) @ basis)
+
+        errors = (across @ error[0][..., None])[..., 0]
+        return LinearRows(errors, -(across @ by_parameters[0]), constant, covariance)
+
+    def evaluate(self, theta: Array, errors: Array) -> Array:
+        """Return the density of the readings, poses eliminated."""
+        own, tau = self._deviate(errors)
+        with np.errstate(all="ignore"):
+            return np.asarray(self.posterior.likelihood.pointwise(theta, own, tau).sum(axis=1))

@@ -1,0 +1,94 @@
+"""Rows that a machine cannot reach, and the usual mistakes that lead there: one line each, before any sampling."""
+
+from __future__ import annotations
+
+import numpy as np
+import planar_rrr
+import pytest
+
+
+def change(columns, function):
+    """Return what changes some columns of readings by a function of theirs."""
+
+    def apply(values):
+        values = values.copy()
+        values[:, columns] = function(values[:, columns])
+        return values
+
+    return apply
+
+
+MISTAKES = {
+    "camera in metres": (change([3, 4], lambda x: 1e-3 * x), "readings of cam_x and cam_y seem to be in metres"),
+    "camera in micrometres": (change([3, 4], lambda x: 1e3 * x), "cam_x and cam_y seem to be 1000 times too large"),
+    "degrees for radians": (change([0, 1, 2], np.degrees), "readings of theta seem to be in degrees"),
+    "radians for degrees": (change([0, 1, 2], np.radians), "theta seem to be in radians where degrees are stated"),
+    "the other sign": (change([0, 1, 2], lambda x: -x), "readings of theta seem to be of the other sign"),
+    "exchanged motors": (lambda x: x[:, [1, 0, 2, 3, 4, 5]], "readings of theta[1] and theta[2] seem to be exchanged"),
+    "exchanged axes": (lambda x: x[:, [0, 1, 2, 4, 3, 5]], "readings of cam_x and cam_y seem to be exchanged"),
+    "shifted rows": (change([0, 1, 2], lambda x: np.roll(x, 1, axis=0)), "rows of theta seem to be shifted by one"),
+    "a frozen motor": (change([1], lambda x: 0.0 * x + x[0]), "theta[2] does not move: it reads"),
+    "a negated motor": (change([1], lambda x: -x), "readings of theta[2] seem to be of the other sign"),
+    "a scaled motor": (change([2], lambda x: 2.0 * x), "readings of theta[3] seem to be twice too large"),
+    "wrapped angles": (change([0, 1, 2], lambda x: x % (2.0 * np.pi)), "theta seem to start anew after a full turn"),
+}
+
+
+@pytest.fixture(scope="module")
+def readings():
+    return planar_rrr.simulate(14)
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_usual_mistake_is_one_line_that_says_what_is_wrong(mistake, readings, tmp_path, call):
+    change_readings, said = MISTAKES[mistake]
+    path = planar_rrr.write_project(tmp_path / "project", change_readings(readings))
+    code, out, complaint = call("validate", path)
+    assert (code, out) == (2, "")
+    assert complaint.count("\n") == 1
+    assert "cannot be reached by" in complaint
+    assert "if corrected: " in complaint
+    assert said in complaint.partition("if corrected: ")[2]
+
+
+def test_another_zero_is_doubted_where_the_machine_can_have_it(readings, tmp_path, call):
+    path = planar_rrr.write_project(tmp_path / "project", change([0], lambda x: x + 0.5 * np.pi)(readings))
+    code, out, complaint = call("validate", path)
+    assert "theta[1] seem to have another zero, +1.57" in out + complaint
+    assert code in (0, 2)
+
+
+@pytest.mark.parametrize("seed", range(1, 7))
+def test_clean_readings_accuse_nothing(seed, tmp_path, call):
+    path = planar_rrr.write_project(tmp_path / "project", planar_rrr.simulate(14, seed))
+    code, out, _ = call("validate", path)
+    assert code == 0
+    assert "if corrected" not in out
+
+
+def test_a_single_row_out_of_reach_is_named_with_its_channel(readings, tmp_path, call):
+    readings = readings.copy()
+    readings[6, 3] = -391.0
+    path = planar_rrr.write_project(tmp_path / "project", readings)
+    code, out, complaint = call("run", path, "--out", tmp_path / "out", "--quiet")
+    assert (code, out) == (2, "")
+    assert "row 7 (pose 'R07') cannot be reached by" in complaint
+    assert "channel cam_x reads -391 mm" in complaint
+    assert "without cam_x the row fits: look at that reading" in complaint
+    assert complaint.count("\n") == 1
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_channels_without_a_reading_are_named_with_the_place(readings, tmp_path, call):
+    """Motors alone: three readings for three coordinates, which leave nothing to compare slips by."""
+    study = planar_rrr.STUDY.replace("[[variants]]", '[[variants]]\nsensors = ["theta"]')
+    broken = change([0, 1, 2], lambda x: -x)(readings)
+    path = planar_rrr.write_project(tmp_path / "project", broken, study=study)
+    code, out, complaint = call("run", path, "--out", tmp_path / "out", "--quiet")
+    assert (code, out) == (2, "")
+    assert "cannot be reached by the nominal machine: channel" in complaint
+    assert "no reading at x = " in complaint
+    assert "rad, where the row's readings lead" in complaint
+    assert "look at units, signs, zeros, order of channels and of rows" in complaint
+    assert complaint.count("\n") == 1
+    assert not list(tmp_path.glob("out*"))
