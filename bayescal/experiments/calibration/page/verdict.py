@@ -71,9 +71,7 @@ def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> 
     """Return which variant to use and how well it knows the machine's tool, over the workspace and at its worst."""
     best = choose_best(summary)
     row = _row(tables["variants"], best)
-    known = [
-        one for one in list_rows(tables["accuracy"]) if one["variant"] == best and math.isfinite(one["after"])
-    ]
+    known = [one for one in list_rows(tables["accuracy"]) if one["variant"] == best and math.isfinite(one["after"])]
     words = f"Use “{row['title']}”" + (", with care (see the warnings)" if "slip" in summary else "")
     if not known:
         return f"{words}."
