@@ -12,13 +12,12 @@ import os
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
+from bayescal.config.classes import CLASS
 from bayescal.config.load import read_toml
 from bayescal.config.registry import list_references
 from bayescal.errors import InputError
-from bayescal.machines.read import list_machine_sources, read_reading_model
+from bayescal.machines.read import READERS, list_machine_sources, read_reading_model
 from bayescal.machines.readings import ReadingModel
-
-BUILT_IN = "sliding_platform"
 
 
 def keep_machines(paths: Iterable[Path]) -> tuple[dict[str, bytes], dict[Path, str]]:
@@ -49,12 +48,21 @@ def read_kept(path: Path, trust: bool, known: Collection[str] | None = None) -> 
     InputError
         For code that nobody has allowed to run, or that is another than the results'.
     """
-    kind = read_toml(path)[0].get("kind")
-    if isinstance(kind, str) and kind != BUILT_IN and kind not in list_references("MACHINES"):
-        check_trust(path, f"machine of its own class {kind!r}", trust)
-        check_same(path.parent, list_machine_sources(path), known)
+    for name in _list_own_classes(path):
+        check_trust(path, f"machine of its own class {name!r}", trust)
     check_same(path.parent, [path.name], known)
+    check_same(path.parent, list_machine_sources(path), known)
     return read_reading_model(path)
+
+
+def _list_own_classes(path: Path) -> list[str]:
+    """Return the names of classes in a machine's file that are neither built in nor an installed package's."""
+    content = read_toml(path)[0]
+    named = [("MACHINES", content.get("kind"))]
+    if content.get("kind") in READERS:
+        named = [("MODELS", content.get("model")), ("DEFORMATIONS", content.get("deformation"))]
+    found = [(what, one.get(CLASS) if isinstance(one, dict) else one) for what, one in named]
+    return [one for what, one in found if isinstance(one, str) and one not in list_references(what)]
 
 
 def check_trust(path: Path, what: str, trust: bool) -> None:

@@ -11,7 +11,14 @@ import numpy as np
 import pandas as pd
 
 from bayescal.calibrated.kept import read_kept
-from bayescal.calibrated.machine import CalibratedMachine, Errors, Source, build_calibrated
+from bayescal.calibrated.machine import (
+    CalibratedMachine,
+    Errors,
+    LegErrors,
+    Source,
+    build_calibrated,
+    build_calibrated_legs,
+)
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
 from bayescal.experiments.calibration.noise import group_channels, noise_of_channels
@@ -24,7 +31,7 @@ from bayescal.experiments.shared.calibrating import KEPT, read_draws_of, read_ha
 from bayescal.experiments.shared.trees import name_file
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.read import list_machine_sources
-from bayescal.machines.readings import ReadingModel
+from bayescal.machines.readings import ReadingModel, SpatialMachine
 from bayescal.numerics.geometry import Array
 
 ERRORS = "errors"
@@ -133,20 +140,28 @@ def calibrate_machine(
     theta, draws = _read_posterior(results, config, chosen, model)
     commands, given = _read_commands(results.folder / _name_commands(chosen.name), model)
     workspace = build_workspace(model, config.workspace, config.units)
+    errors, noise = _build_errors(results, chosen.name, model), _find_noise(results, config, chosen.name, model)
+    source = Source(config.name, chosen.name, f"{config.origin.status}: {config.origin.text}", _list_problems(fit))
+    if isinstance(model, SpatialMachine):  # a mechanism on legs is one whatever calibrated it
+        machine, size = model.machine, model.machine.layout.size
+        by_legs = LegErrors(errors.noise, errors.model_variance, machine, theta[:size])
+        some = None if draws is None else draws[:, :size]
+        legs = build_calibrated_legs(machine, theta[:size], some, by_legs, source, commands)
+        return replace(legs, noise=noise[model.select(legs.model.names)])
     own = [path.name, *list_machine_sources(path)]
     found = build_calibrated(
         model,
         theta,
         draws,
-        _build_errors(results, chosen.name, model),
-        Source(config.name, chosen.name, f"{config.origin.status}: {config.origin.text}", _list_problems(fit)),
+        errors,
+        source,
         commands,
         given,
         np.stack([workspace.low, workspace.high]),
         path.name,
         {one: (path.parent / one).read_bytes() for one in own},
     )
-    return replace(found, noise=_find_noise(results, config, chosen.name, model))
+    return replace(found, noise=noise)
 
 
 def _find_noise(results: Results, config: CalibrationConfig, variant: str, model: ReadingModel) -> Array:

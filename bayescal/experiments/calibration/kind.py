@@ -15,6 +15,7 @@ from bayescal.experiments.calibration.inputs import CalibrationInputs, list_mach
 from bayescal.experiments.calibration.machine_kind import MachineExperiment
 from bayescal.experiments.calibration.memory import estimate_calibration
 from bayescal.experiments.calibration.page.build import build_page, list_variants
+from bayescal.experiments.calibration.page.verdict import NO_TOOL
 from bayescal.experiments.calibration.schema import CalibrationConfig
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
@@ -45,8 +46,10 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs], Calib
         return estimate_calibration(inputs)
 
     def outlook(self, inputs: CalibrationInputs) -> list[str]:
-        """Return what each variant's readings can determine."""
-        return join_outlooks({name: one.tell_outlook() for name, one in inputs.variants.items()})
+        """Return what each variant's readings can determine, and that the machine states no tool where it does not."""
+        stated = all(one.model.states_tool for one in inputs.variants.values())
+        said = join_outlooks({name: one.tell_outlook() for name, one in inputs.variants.items()})
+        return said if stated else [*said, NO_TOOL]
 
     def doubt(self, inputs: CalibrationInputs) -> list[str]:
         """Return what may have happened to readings that no machine within its priors comes near."""

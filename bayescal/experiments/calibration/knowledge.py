@@ -170,7 +170,7 @@ def _rank(
 
 
 def weigh(variant: Variant, at: View) -> Array:
-    """Return W (m, m) such that tr(W C) sums the tool's squared errors over poses, of lengths where it has any."""
+    """Return W (m, m) such that tr(W C) is the sum over poses of the tool's squared error, of lengths if it has any."""
     units = [one.unit for one in variant.model.tool_channels]
     lengths = at.tool[:, [unit == ("mm" if "mm" in units else units[0]) for unit in units]]
     return np.asarray(np.einsum("wti,wtj->ij", lengths, lengths))

@@ -1,4 +1,4 @@
-"""The documented script of all uses of a calibrated machine of one's own class, as a user runs it."""
+"""The documented script of all uses of a calibrated machine of one's own class; then the same from elsewhere."""
 
 from __future__ import annotations
 
