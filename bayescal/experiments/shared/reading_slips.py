@@ -130,7 +130,11 @@ class Suspicion:
         if data.circular:
             model = _OnCircles(model, tuple(range(len(model.channels))), data.circular)
         return replace(
-            likelihood, model=model, data=replace(some, values=data.values), start=likelihood.start[rows], expansion=None
+            likelihood,
+            model=model,
+            data=replace(some, values=data.values),
+            start=likelihood.start[rows],
+            expansion=None,
         )
 
     def _locate(self, posterior: CalibrationPosterior, rows: np.ndarray) -> Array:
