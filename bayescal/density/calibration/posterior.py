@@ -26,6 +26,7 @@ from bayescal.numerics.geometry import Array
 STEP = 1e-4  # of a coordinate, for the slope of the logarithms of volumes
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
 GAIN = 1e-12  # of the squares, below which the search has arrived
+LEAST_SHARE = 1e-3  # of a variance, that an unknown noise is taken to have
 MAX_ITERATIONS = 200
 
 
@@ -531,6 +532,24 @@ class CalibrationPosterior:
             rows, prior = reduced / trust[:, None, None], prior + acted.T @ acted
         rows = np.sqrt(trust)[:, None, None] * rows
         # information is a sum over white readings, homogeneous in their precisions: each group's share is its readings'
-        parts = np.einsum("gk,pki,pkj->gij", self.errors.groups(rows.shape[1]), rows, rows, optimize=True)
-        tau = self.funnel_errors(y[None])[0]
-        return Funnel(parts.sum(axis=0), prior, np.full(len(tau), 1e-12), tau, parts)
+        groups = self.errors.groups(rows.shape[1])
+        parts = np.einsum("gk,pki,pkj->gij", groups, rows, rows, optimize=True)
+        information, tau = parts.sum(axis=0), self.funnel_errors(y[None])[0]
+        share = self._share_of_unknown(left, groups)
+        parts /= share[:, None, None]
+        known = (groups * self.errors.is_known(rows.shape[1])).any(axis=1)
+        parts[known] = information - parts[~known].sum(axis=0)
+        return Funnel(information, prior, np.maximum(tau**2 * (1.0 / share - 1.0), 1e-12), tau, parts)
+
+    def _share_of_unknown(self, left: Array, groups: Array) -> Array:
+        """Return how much of what groups of channels (N, K) are compared with has noise that is not known, shape (N,).
+
+        What poses leave of reading k, Σ_l Π_kl r_l by a projection (P, K, K), has Π_kl² of its variance from reading l.
+        Where readings are compared with some whose noise is known, their information does not grow beyond all bounds
+        as their own noise vanishes.
+        """
+        there = self.likelihood.data.present
+        known = there * self.errors.is_known(there.shape[1])
+        from_known = np.einsum("gk,pkl,pl->g", groups * ~self.errors.is_known(there.shape[1]), left**2, known)
+        every = np.einsum("gk,pkk,pk->g", groups, left, there.astype(np.float64))
+        return np.maximum(1.0 - from_known / np.where(every > 0.0, every, 1.0), LEAST_SHARE)

@@ -393,6 +393,11 @@ class Errors:
         keys = [tuple(j for j, mine in enumerate(both) if mine[k]) for k in range(n_channels)]
         return np.array([[key == kind for key in keys] for kind in sorted(set(keys))], dtype=np.float64)
 
+    def is_known(self, n_channels: int) -> np.ndarray:
+        """Return of which of K channels nothing of the noise is unknown, shape (K,)."""
+        concerned = [np.ones(n_channels, bool) if one.concerns is None else one.concerns for one in self._noisy]
+        return ~np.any(concerned, axis=0)
+
     def columns(self, zeta: Array, data: Measurements) -> Array:
         """Return Φ of all terms side by side, (B, P, K, N)."""
         found = [term.columns(part, data) for term, part in self.of(zeta)]
