@@ -189,7 +189,10 @@ def test_fit_says_where_there_is_no_machine(rng):
 
 @pytest.mark.parametrize("correlation", [None, MIXED], ids=["independent", "correlated"])
 def test_each_noise_governs_its_share_of_the_information(correlation, rng):
-    """The information of the first group's readings grows with their precision, that of the others stays."""
+    """The information of the first group's readings grows with their precision, that of the others stays.
+
+    It does by q = (m + τ̂²) / (m + τ²), m being the noise of readings that they are compared with where that is known.
+    """
     posterior, y, _ = lines_posterior(rng, terms=unknown_noise(4), correlation=correlation)
     m, step = posterior.n_geometry, 1e-3
     funnel = posterior.funnel(y)
@@ -199,9 +202,11 @@ def test_each_noise_governs_its_share_of_the_information(correlation, rng):
     if correlation is None:  # with correlated noise what is white belongs to no group alone
         first = int(np.flatnonzero(posterior.errors.groups(4)[:, 0])[0])
         ahead, behind = (posterior.gradient(y + sign * step * np.eye(len(y))[m])[1][:m, :m] for sign in (1.0, -1.0))
+        speed = 2.0 * 0.4 * funnel.tau[first] ** 2 / (funnel.rest[first] + funnel.tau[first] ** 2)
         np.testing.assert_allclose(
-            (ahead - behind) / (2.0 * step), 2.0 * 0.4 * funnel.parts[first], rtol=0, atol=0.01 * information.max()
+            (ahead - behind) / (2.0 * step), speed * funnel.parts[first], rtol=0, atol=0.01 * information.max()
         )
+        assert 0.01 < funnel.rest[first] < 100.0
 
 
 def test_the_noise_of_each_group_is_counted_by_itself(rng):
