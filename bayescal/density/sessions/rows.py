@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bayescal.density.calibration.likelihood import Stand
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.errors import ModelError
 from bayescal.density.pose_likelihood import PoseLikelihood
@@ -157,7 +158,7 @@ class ReadingRows(SessionRows):
         with np.errstate(all="ignore"):
             at = likelihood.stand(theta[None], white)
             error, slope, by_parameters = likelihood.linearise(theta[None], at.pose, white, with_parameters=True)
-            volume = likelihood.log_volume(slope, white)[0]
+            volume = likelihood.log_volume(Stand(at.pose, error, slope), white)[0]
         q = slope.shape[-1]
         basis = np.linalg.qr(np.nan_to_num(slope[0]), mode="complete")[0][:, :, q:]
         across = np.swapaxes(basis, 1, 2)
