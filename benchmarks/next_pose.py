@@ -27,10 +27,10 @@ import numpy as np
 
 from bayescal.data.actuators import read_moves
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.next_pose.inputs import NextInputs, read_next
+from bayescal.experiments.next_pose.inputs import read_next
+from bayescal.experiments.next_pose.legs import LegsSubject
 from bayescal.experiments.next_pose.state import State, find_state
 from bayescal.experiments.shared.measured import MeasuredVariant
 from bayescal.identifiability.requirements import Requirement
@@ -49,8 +49,7 @@ class Problem:
 
     Attributes
     ----------
-    inputs : NextInputs
-    measured : MeasuredVariant
+    subject : LegsSubject
         The shipped survey seen through the rigid variant.
     plan : ndarray, shape (40, 6)
         Actuator positions of the plan, mm.
@@ -58,15 +57,19 @@ class Problem:
         Covariance of a measured pose, mm and rad.
     """
 
-    inputs: NextInputs
-    measured: MeasuredVariant
+    subject: LegsSubject
     plan: Array
     noise: Array
 
     @property
     def requirements(self) -> list[Requirement]:
         """What is required."""
-        return self.inputs.requirements
+        return self.subject.requirements
+
+    @property
+    def measured(self) -> MeasuredVariant:
+        """The variant's poses."""
+        return self.subject.measured
 
 
 def build_problem(model_error: bool, reach: float | None) -> Problem:
@@ -76,10 +79,10 @@ def build_problem(model_error: bool, reach: float | None) -> Problem:
         config = config.model_copy(
             update={"candidates": type(config.candidates)(range_mm=reach, count=config.candidates.count)}
         )
-    inputs = read_next(config, FOLDER)
-    measured = next(iter(inputs.variants.values()))
-    plan = inputs.home + read_moves(FOLDER / "calibration_configurations.csv", 1.0, len(inputs.home))
-    return Problem(inputs, measured, plan, measured.poses.covariance.mean(axis=0))
+    subject = next(iter(read_next(config, FOLDER).subjects.values()))
+    assert isinstance(subject, LegsSubject)
+    plan = subject.home + read_moves(FOLDER / "calibration_configurations.csv", 1.0, len(subject.home))
+    return Problem(subject, plan, subject.measured.poses.covariance.mean(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,19 +108,19 @@ class Twin:
 
     def find_errors(self, calibrated: Array) -> Array:
         """Return the true error of a calibrated machine, by geometry alone, over the workspace, shape (W, 6)."""
-        true, there = self.true_poses, self.problem.inputs.workspace
+        true, there = self.true_poses, self.problem.subject.workspace
         found = solve_forward_kinematics(self.problem.measured.machine, calibrated, there, follow=False)
         return compute_pose_error(true.position, true.rotation, found.position, found.rotation)
 
     @cached_property
     def true_poses(self) -> ForwardKinematics:
         """Where the true machine stands."""
-        machine, there = self.problem.measured.machine, self.problem.inputs.workspace
+        machine, there = self.problem.measured.machine, self.problem.subject.workspace
         return solve_forward_kinematics(machine, self.theta, there)
 
     def draw_rest(self) -> Array:
         """Return what actuators and model err by at the workspace, shape (W, 6)."""
-        machine, there = self.problem.measured.machine, self.problem.inputs.workspace
+        machine, there = self.problem.measured.machine, self.problem.subject.workspace
         here = machine.linearise(self.theta, self.true_poses.position, self.true_poses.rotation, there)
         error = self.problem.measured.actuator_noise * self.rng.standard_normal(there.shape)
         error += self.tau * self.rng.standard_normal(there.shape)
@@ -137,12 +140,11 @@ def join(one: MeasuredPoses | None, other: MeasuredPoses) -> MeasuredPoses:
 
 def find(problem: Problem, poses: MeasuredPoses, start: Array | None) -> State:
     """Return what is known after poses, updated from a mode."""
-    measured, old = problem.measured, problem.measured.posterior
-    posterior = build_leg_posterior(
-        PoseLikelihood(measured.machine, poses, measured.actuator_noise), old.priors, old.errors.model_error, old.fixed
-    )
+    measured = problem.measured
+    likelihood = PoseLikelihood(measured.machine, poses, measured.actuator_noise)
+    posterior = replace(measured.posterior, likelihood=likelihood)
     own = replace(measured, poses=poses, posterior=posterior)
-    return find_state(own, start, problem.requirements, problem.inputs.workspace, DRAWS, SEED)
+    return find_state(replace(problem.subject, measured=own), start, DRAWS, SEED)
 
 
 def tighten(problem: Problem) -> Problem:
@@ -154,7 +156,7 @@ def tighten(problem: Problem) -> Problem:
     state = find(problem, Twin(problem, centre, tau, np.random.default_rng(1)).measure(problem.plan), None)
     factor = float(np.quantile(state.standing.largest.max(axis=1), STATED))
     limits = [Requirement(one.name, one.limit * factor) for one in problem.requirements]
-    return replace(problem, inputs=replace(problem.inputs, requirements=limits))
+    return replace(problem, subject=replace(problem.subject, requirements=limits))
 
 
 def draw_twin(problem: Problem, number: int) -> Twin:
@@ -190,10 +192,10 @@ def calibrate(problem: Problem, first: State, rows: Array, number: int, most: in
     for _ in range(most):
         began = time.perf_counter()
         measured = np.empty((0, 6)) if poses is None else poses.actuators
-        allowed = find_unmeasured(problem.inputs.candidates, measured, 0.28)
-        step = next(look_ahead(first.criterion, covariance, rows, allowed))
+        allowed = find_unmeasured(problem.subject.candidates, measured, 0.28)
+        step = next(look_ahead(first.weight, covariance, rows, allowed))
         seconds.append(time.perf_counter() - began)
-        poses = join(poses, twin.measure(problem.inputs.candidates[[step.candidate]]))
+        poses = join(poses, twin.measure(problem.subject.candidates[[step.candidate]]))
         began = time.perf_counter()
         state = find(problem, poses, None if state is None else state.belief.y)
         covariance = state.covariance
@@ -208,8 +210,8 @@ def run(args: argparse.Namespace) -> None:
     problem = tighten(build_problem(args.model_error, args.range))
     print("limits:", ", ".join(f"{one.name} {one.limit:.4g}" for one in problem.requirements))
     nominal = draw_twin(problem, 10**6)
-    first = find(problem, replace(nominal, tau=np.zeros(6)).measure(problem.inputs.candidates[:1]), None)
-    rows = first.rows(first.see(problem.inputs.candidates))
+    first = find(problem, replace(nominal, tau=np.zeros(6)).measure(problem.subject.candidates[:1]), None)
+    rows = first.rows
     plans, courses, times = [], [], []
     with np.errstate(all="ignore"):
         for number in range(args.first, args.first + args.twins):

@@ -29,7 +29,7 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.self_calibration.fit import Fit
+from bayescal.experiments.self_calibration.fit import VariantFit
 from bayescal.experiments.self_calibration.functions import find_functions
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, read_inputs
 from bayescal.experiments.self_calibration.schema import (
@@ -122,7 +122,7 @@ def judge(inputs: ReadingInputs, name: str, seed: int) -> dict[str, float]:
     draws, expected = posterior.natural(y)[:, :m], truth.theta[posterior.free]
     rank, sd = np.mean(draws < expected, axis=0), draws.std(axis=0)
     functions = find_functions(inputs, variant, posterior, y)
-    fit = cast(Fit, SimpleNamespace(theta=posterior.theta(y), functions=functions))
+    fit = cast(VariantFit, SimpleNamespace(theta=posterior.theta(y), functions=functions))
     tool = predict_tool(inputs, variant, fit, np.random.default_rng([seed, 1]))
     present = {} if functions is None else {row["sensor"]: row["present"] for row in functions.rows}
     return {

@@ -13,14 +13,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors, Source
+from bayescal.calibrated.machine import CalibratedMachine, Source, build_leg_errors
 from bayescal.calibrated.recheck.judge import judge_recheck
 from bayescal.calibrated.recheck.plan import Demand, list_candidates, plan_recheck
+from bayescal.calibrated.recheck.statistics import choose_suspects
+from bayescal.calibrated.recheck.tables import expect_pose, place_poses
 from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.calibration.measurements import Measurements
 from bayescal.experiments.check.legs import LegSubject
 from bayescal.experiments.frame.load import load
 from bayescal.machines.kinematics import solve_forward_kinematics
-from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
+from bayescal.machines.readings import LegsModel
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
 
 STUDY = Path(__file__).parents[1] / "experiments" / "m2_hexapod" / "study.toml"
 VARIANT = "six_ups/none"
@@ -35,14 +39,15 @@ def calibrate(subject: LegSubject, poses: MeasuredPoses) -> CalibratedMachine:
     data, prior = posterior.information(y)
     covariance = change @ np.linalg.inv(data + prior) @ change.T
     machine = subject.measured.machine
-    errors = IndependentErrors(subject.measured.actuator_noise, np.zeros(machine.mechanism.n_legs))
     theta, free = posterior.theta(y[None])[0], posterior.sampling.free
-    return CalibratedMachine(machine, theta, free, covariance, None, errors, Source("twin", VARIANT, "simulated"))
+    errors = build_leg_errors(machine, theta, subject.measured.actuator_noise, np.zeros(machine.mechanism.n_legs))
+    source = Source("twin", VARIANT, "simulated")
+    return CalibratedMachine(LegsModel(machine), theta, free, covariance, None, errors, source)
 
 
 def measure(
     subject: LegSubject, theta: Array, actuators: Array, covariance: Array, rng: np.random.Generator
-) -> MeasuredPoses:
+) -> Measurements:
     """Return poses of a true machine θ (D,) as an instrument of a covariance (6, 6) sees them."""
     actual = actuators + rng.normal(0.0, subject.measured.actuator_noise, actuators.shape)
     found = solve_forward_kinematics(subject.measured.machine, theta, actual)
@@ -50,7 +55,8 @@ def measure(
     rotation = matrix_from_rotation_vector(noise[:, 3:]) @ found.rotation
     names = tuple(f"R{k + 1}" for k in range(len(actuators)))
     spread = np.broadcast_to(covariance, (len(actuators), 6, 6))
-    return MeasuredPoses(names, found.position + noise[:, :3], rotation, spread, actuators)
+    values = np.concatenate([found.position + noise[:, :3], rotation_vector_from_matrix(rotation)], axis=1)
+    return place_poses(names, actuators, values, spread)
 
 
 def try_twin(subject: LegSubject, demand: Demand, seed: int) -> dict[str, object]:
@@ -58,16 +64,17 @@ def try_twin(subject: LegSubject, demand: Demand, seed: int) -> dict[str, object
     rng = np.random.default_rng([2026, seed])
     truth, poses = subject.simulate_from_prior(rng)
     calibrated, covariance = calibrate(subject, poses), subject.measured.poses.covariance.mean(axis=0)
-    plan = plan_recheck(calibrated, list_candidates(calibrated, SHARE), covariance, demand)
+    suspects, planned = choose_suspects(calibrated, ()), expect_pose(calibrated, covariance)
+    plan = plan_recheck(calibrated, suspects, *list_candidates(calibrated, SHARE), planned, demand)
     theta, leg = subject.theta_of(truth)[0], int(rng.integers(6))
     length = subject.measured.machine.layout.index["l"][leg]
     row: dict[str, object] = {"twin": seed, "poses": len(plan.chosen), "leg": leg + 1, "promised": plan.power[leg]}
-    for name, shift in (("holds", 0.0), ("moved", demand.shift * (1.0 if rng.random() < 0.5 else -1.0))):
+    for name, shift in (("holds", 0.0), ("moved", demand.shift[leg] * (1.0 if rng.random() < 0.5 else -1.0))):
         theta_now = theta.copy()
         theta_now[length] += shift
-        sessions = [measure(subject, theta_now, plan.actuators, covariance, rng) for _ in range(demand.sessions)]
-        found = judge_recheck(calibrated, sessions, demand.false_alarm, demand.sessions)
-        row |= {f"{name}_found": not found.holds, f"{name}_leg": found.leg + 1, f"{name}_odd": found.is_odd}
+        sessions = [measure(subject, theta_now, plan.commands, covariance, rng) for _ in range(demand.sessions)]
+        found = judge_recheck(calibrated, suspects, sessions, demand.false_alarm, demand.sessions)
+        row |= {f"{name}_found": not found.holds, f"{name}_leg": found.worst + 1, f"{name}_odd": found.is_odd}
         row[f"{name}_first"] = bool(np.abs(found.statistic[0]).max() > found.threshold)
         row[f"{name}_z"] = (found.shift[leg] - shift) / found.sd[leg]
     return row
@@ -84,7 +91,7 @@ def main() -> None:
     given = parser.parse_args()
     experiment, study = load(STUDY)
     subject = LegSubject(experiment.measure(study, STUDY, experiment.list_variants(study)[VARIANT], False))
-    demand = Demand(1e-3 * given.shift_um, sessions=given.sessions)
+    demand = Demand(np.full(6, 1e-3 * given.shift_um), sessions=given.sessions)
     table = pd.DataFrame([try_twin(subject, demand, given.first + k) for k in range(given.twins)])
     if given.out is not None:
         table.to_csv(given.out, index=False)

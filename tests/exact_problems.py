@@ -16,7 +16,8 @@ from bayescal.density.exact import CommonErrors, ExactDensity
 from bayescal.density.legs import LegPosterior, build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior
-from bayescal.experiments.study.correct import correct_evidence
+from bayescal.experiments.study.fit import build_costly
+from bayescal.inference.correction import correct_evidence
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import resample
 from bayescal.machines.deformations.matrix import MatrixDeformation
@@ -96,7 +97,7 @@ def solve(problem, seed):
     found = explore(problem.posterior, explore_seed)
     rng = np.random.default_rng(draw_seed)
     draws = resample(found.straight.log_density, found.proposal, rng, N_DRAWS, N_KEPT).draws
-    correction = correct_evidence(problem.exact, found, correct_seed)
+    correction = correct_evidence(build_costly(problem.exact, found), found, correct_seed)
     to_y = found.straight.y_from_x
     return to_y(draws), to_y(correction.move(draws)), correction
 

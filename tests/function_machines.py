@@ -19,6 +19,7 @@ class StarMachine(ReadingMachine):
         self.parameters = whole.layout.blocks
         self.coordinates, self.channels = whole.coordinates, whole.channels
         self.frame_parameters = whole.frame_parameters()
+        self.commanded, self.tool_channels = ["s"], whole.tool_channels
         self.sign = np.where(whole.forward, 1.0, -1.0)
 
     def read(self, parameters: Parameters, v: Any, given: Any) -> Any:

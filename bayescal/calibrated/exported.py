@@ -1,28 +1,30 @@
-"""Exported machines as directories: ``calibrated.toml`` names the mechanism, the deformation and how sure they are."""
+"""Exported machines as directories: ``calibrated.toml`` names the machine's file and how well it is known."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from bayescal.calibrated.covariances import check_covariance
-from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors, Source
+from bayescal.calibrated.kept import hash_file, read_kept
+from bayescal.calibrated.machine import CalibratedMachine, Errors, LegErrors, Source
 from bayescal.calibrated.mechanism_file import format_mechanism, format_value
 from bayescal.calibrated.settle import find_hindrance
+from bayescal.calibrated.tables import read_given, read_quantities
 from bayescal.config.load import check_section, read_toml
-from bayescal.config.sections import InputFile, NotNegative, Section
-from bayescal.data.actuators import name_actuators
+from bayescal.config.sections import InputFile, NotNegative, Number, Section
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_matrix, read_table
 from bayescal.files.netcdf import read_netcdf
 from bayescal.machines.deformations import MatrixDeformation, NominalDeformation
 from bayescal.machines.kinematics import check_home_pose
-from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.read import build_named_machine, load_mechanism
+from bayescal.machines.read import build_named_machine, list_machine_sources, load_mechanism
+from bayescal.machines.readings import LegsModel, ReadingModel
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.units import MICROMETRE
 
 CALIBRATED, MECHANISM, MATRIX = "calibrated.toml", "mechanism.toml", "deformation_matrix.csv"
 PARAMETERS, COVARIANCE, DRAWS, MEASURED = "parameters.csv", "covariance.csv", "draws.nc", "measured.csv"
@@ -40,21 +42,26 @@ class SourceConfig(Section):
 
 
 class ErrorsConfig(Section):
-    """What moves its legs besides the geometry; of the model error the root of the posterior mean square."""
+    """By what its commands err besides the geometry, in their units; of the model error the root mean square."""
 
-    actuator_um: NotNegative
-    model_error_um: list[NotNegative]
+    noise: list[NotNegative]
+    model_error: list[NotNegative]
+    correlation: list[list[Number]] | None = None
     matrix_covariance: InputFile | None = None
 
 
 class ExportedConfig(Section):
-    """An exported machine."""
+    """An exported machine: a mechanism on legs as calibrated, or a machine's file with parameters of its own."""
 
     kind: Literal["calibrated_machine"]
-    mechanism: InputFile
-    model: str
-    deformation: Literal["none", "matrix"]
+    mechanism: InputFile | None = None
+    model: str = ""
+    deformation: Literal["none", "matrix"] = "none"
     matrix: InputFile | None = None
+    machine: InputFile | None = None
+    sha256: list[str] = Field(default=[])
+    parameters: InputFile | None = None
+    workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
     covariance: InputFile | None = None
     draws: InputFile | None = None
     measured: InputFile | None = None
@@ -62,39 +69,96 @@ class ExportedConfig(Section):
     errors: ErrorsConfig
 
 
-def list_machine_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
-    """Return the files of a machine that every command takes, by name.
+# --- writing -------------------------------------------------------------------------------------------------------
+
+
+def list_mechanism_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
+    """Return the files of a machine on legs that every command takes, by name.
 
     Raises
     ------
     InputError
         Where no drawings hold the machine's kinematics, or it has no level home pose any more.
     """
-    machine = calibrated.machine
+    machine = calibrated.legs
     hindrance = find_hindrance(machine)
     if hindrance:
         raise InputError(f"variant {calibrated.source.variant!r}: found {hindrance}")
     check_home_pose(machine)
+    bends = isinstance(machine.deformation, MatrixDeformation)
+    lines = [f'mechanism = "{MECHANISM}"', f'model = "{machine.model.name}"']
+    lines += [f'deformation = "{"matrix" if bends else "none"}"', *([f'matrix = "{MATRIX}"'] if bends else [])]
     texts = {
-        CALIBRATED: _format_calibrated(calibrated),
+        CALIBRATED: _format_calibrated(calibrated, lines),
         MECHANISM: format_mechanism(machine.mechanism, calibrated.source.describe()),
         **format_matrices(machine.deformation, calibrated.errors),
+        **_format_measured_file(calibrated),
     }
-    if calibrated.measured is not None:
-        texts[MEASURED] = format_measured(calibrated.measured)
     return {name: text.encode() for name, text in texts.items()}
 
 
-def format_measured(actuators: Array) -> str:
-    """Return the actuator positions (P, N) in mm of the poses that calibrated a machine."""
-    comments = ["Actuator positions of the poses that calibrated the machine: where it is known, not extrapolated"]
-    return format_table(comments, name_actuators(actuators.shape[1]), [[f"{x:.6f}" for x in row] for row in actuators])
+def list_function_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
+    """Return the files of a machine of functions that `read_exported` takes, its class's own among them, by name."""
+    if not calibrated.machine_file:
+        raise InputError(f"machine {calibrated.name!r}: found no file that it was read from, expected one")
+    hashes = [hash_file(content) for content in calibrated.files.values()]
+    lines = [f"machine = {format_value(calibrated.machine_file)}", f"sha256 = {format_value(hashes)}"]
+    lines += [f'parameters = "{PARAMETERS}"']
+    if calibrated.workspace is not None:
+        bounds = zip(calibrated.model.coordinates, calibrated.workspace.T, strict=True)
+        lines += [f"workspace = {{ {', '.join(f'{one.name} = {format_value(ends)}' for one, ends in bounds)} }}"]
+    texts = {CALIBRATED: _format_calibrated(calibrated, lines), **_format_measured_file(calibrated)}
+    return {name: text.encode() for name, text in texts.items()} | dict(calibrated.files)
 
 
-def read_measured(path: Path, n_legs: int) -> Array:
-    """Return what `format_measured` wrote, shape (P, N)."""
-    columns = name_actuators(n_legs)
-    return read_table(path, columns).numbers(columns)
+def _format_calibrated(calibrated: CalibratedMachine, machine: list[str]) -> str:
+    source, errors = calibrated.source, calibrated.errors
+    if type(errors) not in (Errors, LegErrors):
+        raise InputError(f"variant {source.variant!r}: found a structured model error, expected independent ones")
+    lines = [f"# {comment}" for comment in source.describe()]
+    lines += ['kind = "calibrated_machine"', *machine]
+    if calibrated.covariance is not None:
+        lines += [f'covariance = "{COVARIANCE}"']
+    if calibrated.draws is not None:
+        lines += [f'draws = "{DRAWS}"']
+    if calibrated.measured is not None:
+        lines += [f'measured = "{MEASURED}"']
+    lines += ["", "[source]", *(f"{key} = {format_value(value)}" for key, value in vars(source).items())]
+    return "\n".join([*lines, "", "[errors]", *_format_errors(errors)]) + "\n"
+
+
+def _format_errors(errors: Errors) -> list[str]:
+    sd = np.sqrt(np.diagonal(errors.noise))
+    lines = [f"noise = {format_value(sd)}", f"model_error = {format_value(np.sqrt(errors.model_variance))}"]
+    if np.any(errors.noise != np.diag(np.diagonal(errors.noise))):
+        scale = np.where(sd > 0.0, sd, 1.0)
+        lines += [f"correlation = {format_value(errors.noise / np.outer(scale, scale))}"]
+    if isinstance(errors, LegErrors) and errors.matrix_covariance is not None:
+        lines += [f'matrix_covariance = "{MATRIX_COVARIANCE}"']
+    return lines
+
+
+def _format_measured_file(calibrated: CalibratedMachine) -> dict[str, str]:
+    if calibrated.measured is None:
+        return {}
+    return {MEASURED: format_measured(calibrated.model, calibrated.measured, calibrated.given)}
+
+
+def format_measured(model: ReadingModel, commands: Array, given: Mapping[str, Array]) -> str:
+    """Return the commands (P, C) of the poses that calibrated a machine, and what was known of these besides."""
+    comments = ["Commands of the poses that calibrated the machine: where it is known, not extrapolated"]
+    channels = [model.channels[k] for k in model.select(model.commanded)]
+    values = np.column_stack([commands, *given.values()])
+    digits = [6 if one.unit == "mm" else 9 for one in channels] + [9] * len(given)
+    rows = [[f"{x:.{n}f}" for x, n in zip(row, digits, strict=True)] for row in values]
+    return format_table(comments, [*(f"{one.stem}_{one.unit}" for one in channels), *given], rows)
+
+
+def read_measured(path: Path, model: ReadingModel) -> tuple[Array, dict[str, Array]]:
+    """Return what `format_measured` wrote."""
+    channels = [model.channels[k] for k in model.select(model.commanded)]
+    table = read_table(path, (*(f"{one.stem}_{one.unit}" for one in channels), *model.given))
+    return read_quantities(table, channels), read_given(table, model.given)
 
 
 def format_matrices(deformation: object, errors: object) -> dict[str, str]:
@@ -102,7 +166,7 @@ def format_matrices(deformation: object, errors: object) -> dict[str, str]:
     texts = {}
     if isinstance(deformation, MatrixDeformation):
         texts[MATRIX] = format_matrix(deformation.matrix)
-    if isinstance(errors, IndependentErrors) and errors.matrix_covariance is not None:
+    if isinstance(errors, LegErrors) and errors.matrix_covariance is not None:
         texts[MATRIX_COVARIANCE] = format_matrix_covariance(errors.matrix_covariance)
     return texts
 
@@ -134,28 +198,6 @@ def read_matrix_covariance(path: Path, n_legs: int) -> Array:
     return covariance
 
 
-def _format_calibrated(calibrated: CalibratedMachine) -> str:
-    machine, source, errors = calibrated.machine, calibrated.source, calibrated.errors
-    if not isinstance(errors, IndependentErrors):
-        raise InputError(f"variant {source.variant!r}: found a structured model error, expected independent ones")
-    bends = isinstance(machine.deformation, MatrixDeformation)
-    lines = [f"# {comment}" for comment in source.describe()]
-    lines += ['kind = "calibrated_machine"', f'mechanism = "{MECHANISM}"', f'model = "{machine.model.name}"']
-    lines += [f'deformation = "{"matrix" if bends else "none"}"', *([f'matrix = "{MATRIX}"'] if bends else [])]
-    if calibrated.covariance is not None:
-        lines += [f'covariance = "{COVARIANCE}"']
-    if calibrated.draws is not None:
-        lines += [f'draws = "{DRAWS}"']
-    if calibrated.measured is not None:
-        lines += [f'measured = "{MEASURED}"']
-    lines += ["", "[source]", *(f"{key} = {format_value(value)}" for key, value in vars(source).items())]
-    model_error = np.sqrt(errors.model_variance) / MICROMETRE
-    lines += ["", "[errors]", f"actuator_um = {format_value(errors.actuator_noise / MICROMETRE)}"]
-    lines += [f"model_error_um = {format_value(model_error)}"]
-    lines += [f'matrix_covariance = "{MATRIX_COVARIANCE}"'] if errors.matrix_covariance is not None else []
-    return "\n".join(lines) + "\n"
-
-
 def list_posterior_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     """Return the files beside a machine's: its parameters, and covariance and draws where they are known."""
     texts = {PARAMETERS: _format_parameters(calibrated)}
@@ -168,7 +210,7 @@ def list_posterior_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
 
 
 def _format_parameters(calibrated: CalibratedMachine) -> str:
-    layout, known = calibrated.machine.layout, calibrated.covariance is not None
+    layout, known = calibrated.model.layout, calibrated.covariance is not None
     sd = np.zeros(layout.size)
     if calibrated.covariance is not None:
         sd[calibrated.free] = np.sqrt(np.diagonal(calibrated.covariance))
@@ -190,7 +232,7 @@ def _format_covariance(calibrated: CalibratedMachine) -> str:
 def _encode_draws(calibrated: CalibratedMachine) -> bytes:
     import xarray as xr  # takes a second, for those who need it
 
-    layout = calibrated.machine.layout
+    layout = calibrated.model.layout
     content = xr.Dataset(
         {"draws": (("draw", "parameter"), calibrated.draws)},
         {"parameter": list(calibrated.names), "unit": ("parameter", [layout.units[k] for k in calibrated.free])},
@@ -199,8 +241,17 @@ def _encode_draws(calibrated: CalibratedMachine) -> bytes:
     return bytes(content.to_netcdf(engine="h5netcdf"))
 
 
-def read_exported(folder: Path) -> CalibratedMachine:
+# --- reading -------------------------------------------------------------------------------------------------------
+
+
+def read_exported(folder: Path, trust: bool = False) -> CalibratedMachine:
     """Return the machine of an exported directory.
+
+    Parameters
+    ----------
+    folder : Path
+    trust : bool
+        Whether the code of a machine's own class may be run.
 
     Raises
     ------
@@ -209,29 +260,80 @@ def read_exported(folder: Path) -> CalibratedMachine:
     """
     path = folder / CALIBRATED
     config = check_section(ExportedConfig, *_with_path(path))
+    if (config.mechanism is None) == (config.machine is None):
+        raise InputError(f"{path}: found both or none of mechanism and machine, expected one of them")
+    model = (
+        _read_legs(config, folder)
+        if config.machine is None
+        else read_kept(folder / config.machine, trust, config.sha256)
+    )
+    theta = model.layout.nominal if config.parameters is None else _read_parameters(folder / config.parameters, model)
+    names, covariance = _read_covariance(folder, config.covariance)
+    free = _find_names(model.layout.names, names, folder / (config.covariance or CALIBRATED))
+    draws = None if config.draws is None else _read_draws(folder / config.draws, names)
+    source = config.source
+    measured, given = None, dict[str, Array]()
+    if config.measured is not None:
+        measured, given = read_measured(folder / config.measured, model)
+    kept = [] if config.machine is None else [config.machine, *list_machine_sources(folder / config.machine)]
+    return CalibratedMachine(
+        model,
+        theta,
+        free,
+        covariance,
+        draws,
+        _read_errors(config.errors, folder, model, theta),
+        Source(source.experiment, source.variant, source.data, tuple(source.problems)),
+        measured,
+        given,
+        _read_workspace(config, path, model),
+        config.machine or "",
+        {name: (folder / name).read_bytes() for name in kept},
+    )
+
+
+def _read_legs(config: ExportedConfig, folder: Path) -> LegsModel:
+    path = folder / CALIBRATED
+    assert config.mechanism is not None
     mechanism = load_mechanism(folder / config.mechanism)
     n_legs = mechanism.n_legs
     matrix = None if config.matrix is None else PER_MILLE * read_matrix(folder / config.matrix, n_legs)
     if (matrix is None) == (config.deformation == "matrix"):
         raise InputError(f"{path}: matrix: found deformation {config.deformation!r}, expected a matrix with it alone")
     nominal = NominalDeformation(0.0, lambda: np.zeros((n_legs, n_legs)) if matrix is None else matrix)
-    machine = build_named_machine(
-        mechanism, folder / config.mechanism, config.model, config.deformation, nominal, "model", folder
+    return LegsModel(
+        build_named_machine(
+            mechanism, folder / config.mechanism, config.model, config.deformation, nominal, "model", folder
+        )
     )
-    names, covariance = _read_covariance(folder, config.covariance)
-    free = _find_names(machine.layout.names, names, folder / (config.covariance or CALIBRATED))
-    draws = None if config.draws is None else _read_draws(folder / config.draws, names)
-    source = config.source
-    return CalibratedMachine(
-        machine,
-        machine.layout.nominal,
-        free,
-        covariance,
-        draws,
-        _read_errors(config.errors, folder, mechanism),
-        Source(source.experiment, source.variant, source.data, tuple(source.problems)),
-        None if config.measured is None else read_measured(folder / config.measured, n_legs),
-    )
+
+
+def _read_workspace(config: ExportedConfig, path: Path, model: ReadingModel) -> Array | None:
+    if not config.workspace:
+        return None
+    names = [one.name for one in model.coordinates]
+    if sorted(config.workspace) != sorted(names):
+        raise InputError(f"{path}: workspace: found {', '.join(config.workspace)}, expected {', '.join(names)}")
+    return np.array([config.workspace[name] for name in names]).T
+
+
+def _read_parameters(path: Path, model: ReadingModel) -> Array:
+    table = read_table(path, ("parameter", "unit", "mean", "sd"))
+    names = table.text("parameter")
+    if tuple(names) != model.layout.names:
+        raise InputError(f"{path}: found other parameters than those of the machine, expected the same in its order")
+    return _read_large(path, [row[table.columns.index("mean")] for row in table.rows])
+
+
+def _read_large(path: Path, cells: list[str]) -> Array:
+    """Return numbers that may be larger than a table's: stiffnesses, variances of these."""
+    try:
+        found = np.array(cells, dtype=np.float64)
+    except ValueError as error:
+        raise InputError(f"{path}: cannot be read as numbers ({error})") from error
+    if not np.isfinite(found).all():
+        raise InputError(f"{path}: found a number that is not finite, expected finite ones")
+    return found
 
 
 def _with_path(path: Path) -> tuple[dict[str, object], Path, str]:
@@ -239,15 +341,25 @@ def _with_path(path: Path) -> tuple[dict[str, object], Path, str]:
     return content, path, text
 
 
-def _read_errors(config: ErrorsConfig, folder: Path, mechanism: Mechanism) -> IndependentErrors:
-    n_legs, covariance = mechanism.n_legs, None
-    if len(config.model_error_um) != n_legs:
-        found = len(config.model_error_um)
-        raise InputError(f"{folder / CALIBRATED}: errors.model_error_um: found {found} values, expected {n_legs}")
+def _read_errors(config: ErrorsConfig, folder: Path, model: ReadingModel, theta: Array) -> Errors:
+    n = len(model.commanded)
+    for key, values in (("noise", config.noise), ("model_error", config.model_error)):
+        if len(values) != n:
+            raise InputError(f"{folder / CALIBRATED}: errors.{key}: found {len(values)} values, expected {n}")
+    sd, variance = np.array(config.noise), np.array(config.model_error) ** 2
+    noise = np.diag(sd**2)
+    if config.correlation is not None:
+        correlation = np.array([row for row in config.correlation if len(row) == n])
+        if correlation.shape != (n, n):
+            raise InputError(f"{folder / CALIBRATED}: errors.correlation: found another shape, expected {n} by {n}")
+        noise = correlation * np.outer(sd, sd)
+        check_covariance(folder / CALIBRATED, model.commanded, noise)
+    if not isinstance(model, LegsModel):
+        return Errors(noise, variance)
+    covariance = None
     if config.matrix_covariance is not None:
-        covariance = read_matrix_covariance(folder / config.matrix_covariance, n_legs)
-    variance = (MICROMETRE * np.array(config.model_error_um)) ** 2
-    return IndependentErrors(MICROMETRE * config.actuator_um, variance, covariance)
+        covariance = read_matrix_covariance(folder / config.matrix_covariance, model.n_legs)
+    return LegErrors(noise, variance, model.machine, theta, covariance)
 
 
 def _read_covariance(folder: Path, name: str | None) -> tuple[tuple[str, ...], Array | None]:
@@ -257,10 +369,8 @@ def _read_covariance(folder: Path, name: str | None) -> tuple[tuple[str, ...], A
     names = table.columns[1:]
     if table.columns[0] != "parameter" or tuple(table.text("parameter")) != names:
         raise InputError(f"{folder / name}: found other rows than columns, expected the same parameters in both")
-    try:  # variances of stiffnesses are larger than what a table's numbers may be
-        covariance = np.array([row[1:] for row in table.rows], dtype=np.float64)
-    except ValueError as error:
-        raise InputError(f"{folder / name}: cannot be read as numbers ({error})") from error
+    covariance = _read_large(folder / name, [cell for row in table.rows for cell in row[1:]])
+    covariance = covariance.reshape(len(names), len(names))
     check_covariance(folder / name, names, covariance)
     return names, covariance
 

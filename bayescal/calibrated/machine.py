@@ -1,21 +1,28 @@
-"""A calibrated machine: where its parameters stand, how sure they are, and what moves its legs besides.
+"""A calibrated machine: where its parameters are, how well they are known, and by what its commands err besides.
 
-Its geometry is the nominal one of a mechanism of its own (see `settle`), so that whatever takes a mechanism takes it.
+Any machine is one of readings (`machines.readings`), legs too. Those on legs have their geometry as the nominal one of
+a mechanism of their own where drawings hold it (see `settle`), so that whatever takes a mechanism takes them.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from bayescal.calibrated.settle import express_parameters, find_hindrance, settle_machine
+from bayescal.density.calibration.measurements import Comparison
+from bayescal.errors import InputError
 from bayescal.machines.kinematics import Machine
-from bayescal.numerics.geometry import Array
+from bayescal.machines.readings import LegsModel, ReadingModel
+from bayescal.machines.readings.base import NOTHING, Given
+from bayescal.machines.readings.legs import invert_closure
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 
 LEAST_SPREAD = 1e-13  # of a parameter's size, below which draws of it differ by rounding alone
+NOISE, MODEL, MATRIX = "actuator noise", "model error", "deformation matrix"
 
 
 @dataclass(frozen=True)
@@ -50,56 +57,101 @@ class Source:
         return lines
 
 
-class LegErrors(ABC):
-    """What moves the legs besides the geometry: errors of the closure, mm, as functions of the actuators' displacement.
-
-    A structured model error is another class of these two methods: it has a mean that is not zero, and its covariance
-    changes over the workspace.
-    """
-
-    @abstractmethod
-    def mean(self, displacement: Array) -> Array:
-        """Return the mean error by displacements Δρ of the actuators, shapes (P, N), mm."""
-
-    @abstractmethod
-    def covariance(self, displacement: Array, actuators: Array) -> Array:
-        """Return the covariance (P, N, N) in mm² by displacements (P, N) and the closure's slopes dF/dρ (P, N, N)."""
-
-
 @dataclass(frozen=True, eq=False)
-class IndependentErrors(LegErrors):
-    """Errors of mean zero, independent from pose to pose: those of a pose's density (see `density.pose_likelihood`).
+class Errors:
+    """By what the C commanded channels err besides the geometry, in their units: h(θ, v) = s + δ at commands s.
+
+    A model error with a mean, or one that changes over the workspace, is another class of these methods.
 
     Attributes
     ----------
-    actuator_noise : float
-        σ_ρ, mm.
-    model_variance : ndarray, shape (N,)
-        Posterior mean of τ_i², mm².
+    noise : ndarray, shape (C, C)
+        Covariance of the channels' readings, independent from one visit of a pose to the next.
+    model_variance : ndarray, shape (C,)
+        Posterior mean of τ², the same at each visit.
+    """
+
+    noise: Array
+    model_variance: Array
+
+    def mean(self, pose: Array, commands: Array, given: Given = NOTHING) -> Array:
+        """Return the mean of δ at poses (P, q) and commands (P, C), shape (P, C)."""
+        del pose, given
+        return np.zeros_like(commands)
+
+    def covariance(self, pose: Array, commands: Array, given: Given = NOTHING) -> Array:
+        """Return the covariance of δ at poses (P, q) and commands (P, C), shape (P, C, C)."""
+        del pose, given
+        return np.broadcast_to(self.noise + np.diag(self.model_variance), (*commands.shape, commands.shape[-1]))
+
+    def split(self) -> dict[str, Errors]:
+        """Return the same by source, those that there are; noise always."""
+        parts = {NOISE: replace(self, model_variance=np.zeros_like(self.model_variance))}
+        if self.model_variance.any():
+            parts[MODEL] = self.without_noise()
+        return parts
+
+    def without_noise(self) -> Errors:
+        """Return what stays the same when a pose is visited again."""
+        return replace(self, noise=np.zeros_like(self.noise))
+
+
+@dataclass(frozen=True, eq=False)
+class LegErrors(Errors):
+    """Errors of the closures of legs, mm, as a pose's density has them (see `density.pose_likelihood`).
+
+    τ_i and what K's rest leaves of Δb_z are errors of a leg's own closure, e_i = A_ii ε_i with A = ∂F/∂ρ; the
+    deflection does not pass them on: δ = A⁻¹ diag(A_ii) ε.
+
+    Attributes
+    ----------
+    machine : Machine
+    theta : ndarray, shape (D,)
     matrix_covariance : ndarray, shape (N, N, N), or None
         Covariance of each row of a measured deformation matrix K, whose diagonal is a parameter and counts as known.
     """
 
-    actuator_noise: float
-    model_variance: Array
+    machine: Machine
+    theta: Array
     matrix_covariance: Array | None = None
 
-    def mean(self, displacement: Array) -> Array:
-        """Return zeros."""
-        return np.zeros_like(displacement)
-
-    def covariance(self, displacement: Array, actuators: Array) -> Array:
-        """Return σ_ρ² A Aᵀ + diag(A_ii² (τ_i² + v_i)), where v_i is the variance of Δb_z that K's rest leaves."""
+    def covariance(self, pose: Array, commands: Array, given: Given = NOTHING) -> Array:
+        """Return σ_ρ² 1 + A⁻¹ diag(A_ii² (τ_i² + v_i)) A⁻ᵀ, where v_i is the variance of Δb_z that K's rest leaves."""
+        del given
+        with np.errstate(all="ignore"):  # poses that were not found
+            rotation = matrix_from_rotation_vector(np.nan_to_num(pose[..., 3:]))
+            closure = self.machine.model.prepare(self.machine.layout, self.theta)
+            slopes = closure(pose[..., :3], rotation, self.machine.basis(commands), False).actuators
+        own = np.diagonal(slopes, axis1=-2, axis2=-1)
+        passed = invert_closure(slopes) * own[..., None, :]
+        displacement = commands - self.machine.mechanism.initial_actuator_positions
         variance = self.model_variance + self._deflection_variance(displacement)
-        weight = np.diagonal(actuators, axis1=-2, axis2=-1) ** 2
-        noise = self.actuator_noise**2 * actuators @ np.swapaxes(actuators, -1, -2)
-        return np.asarray(noise + np.eye(displacement.shape[-1]) * (weight * variance)[..., None, :])
+        return np.asarray(self.noise + (passed * variance[..., None, :]) @ np.swapaxes(passed, -1, -2))
 
     def _deflection_variance(self, displacement: Array) -> Array:
         if self.matrix_covariance is None:
             return np.zeros_like(displacement)
         others = displacement[..., None, :] * (1.0 - np.eye(displacement.shape[-1]))
         return np.einsum("...ij,ijk,...ik->...i", others, self.matrix_covariance, others)
+
+    def split(self) -> dict[str, Errors]:
+        """Return the same by source, the measured matrix among them."""
+        parts: dict[str, Errors] = {
+            name: replace(one, matrix_covariance=None)  # type: ignore[call-arg]  # a class of the same fields
+            for name, one in super().split().items()
+        }
+        if self.matrix_covariance is not None:
+            nothing = {"noise": np.zeros_like(self.noise), "model_variance": np.zeros_like(self.model_variance)}
+            parts[MATRIX] = replace(self, **nothing)  # type: ignore[arg-type]  # arrays
+        return parts
+
+
+def build_leg_errors(
+    machine: Machine, theta: Array, actuator_noise: float, model_variance: Array, matrix_covariance: Array | None = None
+) -> LegErrors:
+    """Return the errors of a machine on legs by σ_ρ in mm and the posterior means of τ_i² in mm², shape (N,)."""
+    noise = actuator_noise**2 * np.eye(machine.mechanism.n_legs)
+    return LegErrors(noise, model_variance, machine, theta, matrix_covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,45 +160,102 @@ class CalibratedMachine:
 
     Attributes
     ----------
-    machine : Machine
-        Mechanism, model and deformation.
+    model : ReadingModel
+        What it reads; a machine on legs as a `LegsModel`.
     theta : ndarray, shape (D,)
-        Posterior mean in the machine's layout; its nominal vector where drawings hold the kinematics.
+        Posterior mean in the model's layout; its nominal vector where drawings hold the kinematics.
     free : ndarray of int, shape (n,)
         Which of its entries are uncertain.
     covariance : ndarray, shape (n, n), or None
         Of those; None where the results hold no draws.
     draws : ndarray, shape (S, n), or None
         Of the posterior.
-    errors : LegErrors
+    errors : Errors
+        Of the commanded channels.
     source : Source
-    measured : ndarray, shape (P, N), or None
-        Actuator positions of the poses that calibrated it, mm; None where they are not known.
+    measured : ndarray, shape (P, C), or None
+        Commands of the poses that calibrated it, in the channels' units; None where they are not known.
+    given : mapping of str to ndarray, shape (P,)
+        What was known of the same poses besides.
+    workspace : ndarray, shape (2, q), or None
+        Smallest and largest value of each coordinate where accuracy counts; None where commands have a range.
+    machine_file : str
+        Name of the file that the machine is read from among ``files``; none of a machine on legs.
+    files : mapping of str to bytes
+        That file and the code of a class of its own, by their names.
+    noise : ndarray, shape (K,), or None
+        Of each channel as the calibration found it; NaN where that is not known. None where nothing is.
     """
 
-    machine: Machine
+    model: ReadingModel
     theta: Array
     free: np.ndarray
     covariance: Array | None
     draws: Array | None
-    errors: LegErrors
+    errors: Errors
     source: Source
     measured: Array | None = None
+    given: Mapping[str, Array] = field(default_factory=dict)
+    workspace: Array | None = None
+    machine_file: str = ""
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    noise: Array | None = None
 
     @property
-    def n_legs(self) -> int:
-        """Number of legs N."""
-        return self.machine.mechanism.n_legs
+    def name(self) -> str:
+        """Name of the machine."""
+        return str(getattr(self.model, "name", self.source.experiment))
+
+    @property
+    def legs(self) -> Machine:
+        """The machine on legs; InputError where it is none."""
+        if not isinstance(self.model, LegsModel):
+            raise InputError(f"machine {self.name!r}: found a machine of functions, expected a mechanism on legs")
+        return self.model.machine
+
+    @cached_property
+    def commanded(self) -> np.ndarray:
+        """Where the commanded channels stand among all, shape (C,)."""
+        return self.model.select(self.model.commanded)
+
+    @cached_property
+    def weights(self) -> Array:
+        """One over the standard deviation of each command's errors, shape (C,); alike where there are none."""
+        variance = np.diagonal(self.errors.noise) + self.errors.model_variance
+        return 1.0 / np.sqrt(variance) if (variance > 0.0).all() else np.ones(len(variance))
+
+    @cached_property
+    def comparison(self) -> Comparison:
+        """How two tools differ."""
+        return Comparison(self.model.tool_channels)
+
+    @cached_property
+    def lengths(self) -> np.ndarray:
+        """Which of the tool's numbers are lengths, their places."""
+        return np.flatnonzero([one.unit == "mm" for one in self.model.tool_channels])
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the uncertain parameters."""
-        return tuple(self.machine.layout.names[k] for k in self.free)
+        return tuple(self.model.layout.names[k] for k in self.free)
 
     @property
     def is_settled(self) -> bool:
         """Whether its geometry is the nominal one of its mechanism."""
-        return bool(np.array_equal(self.theta, self.machine.layout.nominal))
+        return bool(np.array_equal(self.theta, self.model.layout.nominal))
+
+    def typical(self, n: int) -> dict[str, Array]:
+        """Return what a pose has to know besides, n times the median of the poses that calibrated it.
+
+        Raises
+        ------
+        InputError
+            Where that is not known.
+        """
+        for name in self.model.given:
+            if name not in self.given:
+                raise InputError(f"machine {self.name!r}: found no {name}, expected its value at each pose")
+        return {name: np.full(n, np.median(self.given[name])) for name in self.model.given}
 
     def thin(self, n: int) -> Array:
         """Return full parameter vectors of at most n draws, shape (n, D), evenly from all."""
@@ -158,6 +267,28 @@ class CalibratedMachine:
 
 
 def build_calibrated(
+    model: ReadingModel,
+    theta: Array,
+    draws: Array | None,
+    errors: Errors,
+    source: Source,
+    measured: Array | None = None,
+    given: Given = NOTHING,
+    workspace: Array | None = None,
+    machine_file: str = "",
+    files: Mapping[str, bytes] | None = None,
+) -> CalibratedMachine:
+    """Return a calibrated machine by its posterior's mean θ (D,) and draws (S, D), or None; see `CalibratedMachine`."""
+    free, covariance, kept = np.empty(0, dtype=int), None, None
+    if draws is not None:
+        free = np.flatnonzero(np.ptp(draws, axis=0) > LEAST_SPREAD * (1.0 + np.abs(theta)))
+        covariance = np.cov(draws[:, free], rowvar=False).reshape(len(free), len(free))
+        kept = draws[:, free]
+    place = (measured, dict(given), workspace, machine_file, files or {})
+    return CalibratedMachine(model, theta, free, covariance, kept, errors, source, *place)
+
+
+def build_calibrated_legs(
     machine: Machine,
     theta: Array,
     draws: Array | None,
@@ -165,7 +296,7 @@ def build_calibrated(
     source: Source,
     measured: Array | None = None,
 ) -> CalibratedMachine:
-    """Return a calibrated machine from its posterior, settled where drawings hold its kinematics.
+    """Return a calibrated machine on legs, settled where drawings hold its kinematics.
 
     Parameters
     ----------
@@ -175,6 +306,7 @@ def build_calibrated(
         Posterior mean.
     draws : ndarray, shape (S, D), or None
     errors : LegErrors
+        Of the nominal machine: the calibrated one takes its place.
     source : Source
     measured : ndarray, shape (P, N), or None
         Actuator positions of the poses that calibrated it, mm.
@@ -183,8 +315,5 @@ def build_calibrated(
         settled = settle_machine(machine, theta)
         draws = None if draws is None else express_parameters(machine, settled, draws)
         machine, theta = settled, settled.layout.nominal
-    if draws is None:
-        return CalibratedMachine(machine, theta, np.empty(0, dtype=int), None, None, errors, source, measured)
-    free = np.flatnonzero(np.ptp(draws, axis=0) > LEAST_SPREAD * (1.0 + np.abs(theta)))
-    covariance = np.atleast_2d(np.cov(draws[:, free], rowvar=False))
-    return CalibratedMachine(machine, theta, free, covariance, draws[:, free], errors, source, measured)
+    errors = replace(errors, machine=machine, theta=theta)
+    return build_calibrated(LegsModel(machine), theta, draws, errors, source, measured)

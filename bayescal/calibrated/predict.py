@@ -1,79 +1,106 @@
-"""What a calibrated machine does: poses of actuator positions, actuator positions of poses, and how sure both are.
+"""What a calibrated machine does: poses of commands, commands of poses, and how well both are known.
 
-By the closure F(pose, ρ; θ) = e of the legs, e their errors, a machine θ near the posterior mean θ̄ has its pose moved
-by -F_x⁻¹ (F(θ) - e), and the actuators that hold a pose by -F_ρ⁻¹ (F(θ) - e), with F at what θ̄ has there. Where
-draws of the posterior keep to the tangent, F_θ (θ - θ̄) stands for it: the mean is that of the machine θ̄, and the
-covariance follows from that of θ. Along a bent ridge they do not: some draws are put into F as they are.
+A machine θ that is told to read s stands where h_c(θ, v) = s + δ, δ its errors. Near the posterior mean θ̄ and the pose
+v̄ that it has there, v = v̄ + H⁺ (δ - r(θ)), with H = ∂h_c/∂v, its inverse weighed by the commands' noise where there are
+more of them than coordinates, and r(θ) = h_c(θ, v̄) - s; the tool t(θ, v) moves with both. Commands that hold a pose
+are s = h_c(θ, v) - δ. Where draws of the posterior keep to the tangent, A (θ - θ̄) stands for r, A = ∂h_c/∂θ: the mean
+is that of the machine θ̄, and the covariance follows from that of θ. Along a curved ridge they do not: some draws are
+put into h and t as they are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from bayescal.calibrated.machine import CalibratedMachine
+from bayescal.density.calibration.measurements import Comparison
 from bayescal.errors import InputError
-from bayescal.machines.kinematics import ForwardKinematics, solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.machines.models.base import Linearisation
+from bayescal.machines.readings import Channel
+from bayescal.machines.readings.base import NOTHING, Given
+from bayescal.machines.readings.locate import Function, solve
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 
 SPREAD_DRAWS = 300
 """Draws that tell a covariance, its standard deviations to 4 %."""
 SPREAD_POSES = 16  # at a time: scratch memory of these draws stays in the cache
-LOOKS = 16  # poses of the workspace at which the closure is held against its tangent
-BENT = 0.1  # of a standard deviation that draws may be off the tangent, root mean square
-SLACK = 1e-6  # mm beyond an actuator's range, which digits of a table leave
+COMPARED = 16  # poses of the workspace at which draws are compared with their tangent
+CURVED = 0.1  # of a standard deviation that draws may be off the tangent, root mean square
 CHUNK = 1024
 """Poses at a time: what they take of the memory stays small."""
 
 
 @dataclass(frozen=True, eq=False)
 class PosePrediction:
-    """Poses of P actuator positions.
+    """Where a machine stands at P commands, and where its tool is.
 
     Attributes
     ----------
-    position, rotation : ndarray, shapes (P, 3) and (P, 3, 3)
-        Platform frame in the base frame, mm: posterior mean. Without draws that of the mean machine.
-    covariance : ndarray, shape (P, 6, 6), or None
-        Of position (mm) and rotation vector (rad) about the base axes: geometry, errors of the legs and noise of the
-        actuators. None where the posterior's covariance is not known.
-    of_geometry : ndarray, shape (P, 6, 6), or None
-        The part of the geometry alone.
+    channels : tuple of Channel
+        The tool's m numbers.
+    tool : ndarray, shape (P, m)
+        Posterior mean; without draws that of the mean machine. NaN where there is no pose.
+    pose : ndarray, shape (P, q)
+        The coordinates, likewise.
+    covariance, pose_covariance : ndarray, shapes (P, m, m) and (P, q, q), or None
+        Of tool and coordinates: geometry, errors of the commanded channels. A rotation vector errs about the base axes.
+        None where the posterior's covariance is not known.
+    of_geometry : ndarray, shape (P, m, m), or None
+        The part of the tool's covariance by the geometry alone.
     found : ndarray of bool, shape (P,)
         Whether the machine has a pose there.
     """
 
-    position: Array
-    rotation: Array
+    channels: tuple[Channel, ...]
+    tool: Array
+    pose: Array
     covariance: Array | None
+    pose_covariance: Array | None
     of_geometry: Array | None
     found: np.ndarray
+
+    @property
+    def sd(self) -> Array | None:
+        """Standard deviations of the tool's numbers, shape (P, m)."""
+        return None if self.covariance is None else np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+
+    @property
+    def position(self) -> Array:
+        """The tool's lengths, shape (P, d), mm."""
+        return self.tool[:, [one.unit == "mm" for one in self.channels]]
+
+    @property
+    def rotation(self) -> Array:
+        """The rotation matrix of the tool's rotation vector, shape (P, 3, 3); NaN where there is no pose."""
+        vector = self.tool[:, [bool(one.rotation) for one in self.channels]]
+        turned = matrix_from_rotation_vector(np.nan_to_num(vector))
+        return np.where(self.found[:, None, None], turned, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """Actuator positions of P poses.
+    """Commands of P poses.
 
     Attributes
     ----------
-    actuators : ndarray, shape (P, N)
-        Posterior mean, mm; NaN where a leg does not reach. Without draws that of the mean machine.
-    covariance : ndarray, shape (P, N, N), or None
-        Of the positions that hold the pose, mm²: geometry, errors of the legs and noise of the actuators.
+    commands : ndarray, shape (P, C)
+        Posterior mean in the channels' units; NaN where there are none. Without draws that of the mean machine.
+    covariance : ndarray, shape (P, C, C), or None
+        Of the commands that hold the pose: geometry, and errors of the commanded channels.
     faults : tuple of str, length P
         Why a pose is out of reach, in words; empty where it is not.
     """
 
-    actuators: Array
+    commands: Array
     covariance: Array | None
     faults: tuple[str, ...]
 
     @property
     def sd(self) -> Array | None:
-        """Standard deviations of the actuator positions, shape (P, N), mm."""
+        """Standard deviations of the commands, shape (P, C)."""
         return None if self.covariance is None else np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
 
     @property
@@ -82,93 +109,291 @@ class Command:
         return np.array([not fault for fault in self.faults], dtype=bool)
 
 
-def predict_poses(calibrated: CalibratedMachine, actuators: Array) -> PosePrediction:
-    """Return the poses of actuator positions ρ, shape (P, N), mm, with their covariance.
+@dataclass(frozen=True, eq=False)
+class Place:
+    """The mean machine at P commands, to first order.
+
+    Attributes
+    ----------
+    commands : ndarray, shape (P, C)
+    given : mapping of str to ndarray, shape (P,)
+    pose, found : ndarray, shapes (P, q) and (P,)
+    by_pose, by_parameters : ndarray, shapes (P, C, q) and (P, C, D)
+        H and A.
+    outputs : ndarray, shape (P, M)
+        The tool's m numbers, then the coordinates where these are others.
+    outputs_by_pose, outputs_by_parameters : ndarray, shapes (P, M, q) and (P, M, D)
+        Of what the outputs err by, rotations about the base axes.
+    gain : ndarray, shape (P, M, C)
+        What moves the outputs by errors of the commands; NaN where there is no pose.
+    """
+
+    commands: Array
+    given: Given
+    pose: Array
+    found: np.ndarray
+    by_pose: Array
+    by_parameters: Array
+    outputs: Array
+    outputs_by_pose: Array
+    outputs_by_parameters: Array
+    gain: Array
+
+    @property
+    def by_geometry(self) -> Array:
+        """What moves the outputs by the parameters, shape (P, M, D)."""
+        return self.outputs_by_parameters - self.gain @ self.by_parameters
+
+
+def compare_outputs(calibrated: CalibratedMachine) -> Comparison:
+    """Return how the tool and, where these are others, the coordinates are compared, M channels in a row."""
+    tool, pose = calibrated.model.tool_channels, calibrated.model.pose_channels
+    return Comparison(tool if is_pose(calibrated) else (*tool, *pose))
+
+
+def is_pose(calibrated: CalibratedMachine) -> bool:
+    """Whether the tool is the coordinates themselves."""
+    return calibrated.model.tool_channels is calibrated.model.pose_channels
+
+
+def check_determined(calibrated: CalibratedMachine) -> None:
+    """Raise InputError where commands do not determine a pose: fewer of them than coordinates, or no coordinate."""
+    model, n = calibrated.model, len(calibrated.commanded)
+    q = len(model.coordinates)
+    if not q:
+        raise InputError(f"machine {calibrated.name!r}: not meaningful: it has no coordinates, and so no pose")
+    if n < q:
+        stated = ", ".join(model.commanded) or "none"
+        raise InputError(
+            f"machine {calibrated.name!r}: not meaningful: {n} commanded channels ({stated}) do not determine its {q} "
+            f"coordinates ({', '.join(one.name for one in model.coordinates)})"
+        )
+
+
+def place_machine(calibrated: CalibratedMachine, commands: Array, given: Given = NOTHING) -> Place:
+    """Return the mean machine at commands (P, C), to first order."""
+    model, theta = calibrated.model, calibrated.theta
+    pose, found = model.locate(theta, commands, given, weights=calibrated.weights)
+    return linearise_place(calibrated, pose, found, commands, given)
+
+
+def linearise_place(
+    calibrated: CalibratedMachine, pose: Array, found: np.ndarray, commands: Array, given: Given
+) -> Place:
+    """Return the mean machine at poses (P, q) that are found, to first order."""
+    model, theta, weights = calibrated.model, calibrated.theta, calibrated.weights
+    here = model.linearise(theta, pose, True, given)
+    by_pose, by_parameters = here.by_pose[:, calibrated.commanded], here.by_parameters[:, calibrated.commanded]
+    with np.errstate(all="ignore"):
+        outputs, direct, indirect = model.tool(theta, pose)
+    if not is_pose(calibrated):
+        n, q = pose.shape
+        outputs = np.concatenate([outputs, pose], axis=1)
+        direct = np.concatenate([direct, np.broadcast_to(np.eye(q), (n, q, q))], axis=1)
+        indirect = np.concatenate([indirect, np.zeros((n, q, len(theta)))], axis=1)
+    compared, nothing = compare_outputs(calibrated), np.zeros_like(outputs)
+    direct, indirect = (compared.pull_back(nothing, outputs, one) for one in (direct, indirect))
+    back = invert(weights[:, None] * by_pose, found, model.pose_scale) * weights
+    return Place(commands, given, pose, found, by_pose, by_parameters, outputs, direct, indirect, direct @ back)
+
+
+# --- poses of commands ---------------------------------------------------------------------------------------------
+
+
+def predict_poses(calibrated: CalibratedMachine, commands: Array, given: Given = NOTHING) -> PosePrediction:
+    """Return where a machine stands at commands s, shape (P, C), and its tool, with their covariance.
+
+    Parameters
+    ----------
+    calibrated : CalibratedMachine
+    commands : ndarray, shape (P, C)
+        Of the commanded channels, in their units: actuator positions in mm for a machine on legs.
+    given : mapping of str to ndarray, shape (P,)
+        What the machine has to know of each pose besides.
 
     Raises
     ------
     InputError
-        For another shape.
+        For another shape, something missing of what is given, and a machine whose commands do not tell its pose.
     """
-    _check_shape(actuators, calibrated.n_legs, "actuator positions")
-    bent = _find_bent(calibrated)
-    parts = [_predict_some(calibrated, actuators[part], bent) for part in _split(len(actuators))]
+    check_determined(calibrated)
+    check_shape(commands, [one.name for one in _list_commanded(calibrated)], "commands")
+    _check_given(calibrated, given, len(commands))
+    curved = find_curved(calibrated)
+    parts = [_predict_some(calibrated, commands[part], _pick(given, part), curved) for part in split(len(commands))]
+    channels, m = calibrated.model.tool_channels, len(calibrated.model.tool_channels)
+    outputs, pose, covariance, of_geometry, found = (_join(list(one)) for one in zip(*parts, strict=True))
+    assert outputs is not None
+    assert pose is not None
+    assert found is not None
+    part = slice(0, None) if is_pose(calibrated) else slice(m, None)
     return PosePrediction(
-        np.concatenate([one.position for one in parts]),
-        np.concatenate([one.rotation for one in parts]),
-        _join([one.covariance for one in parts]),
-        _join([one.of_geometry for one in parts]),
-        np.concatenate([one.found for one in parts]),
+        channels,
+        outputs[:, :m],
+        outputs[:, part],
+        None if covariance is None else covariance[:, :m, :m],
+        None if covariance is None else covariance[:, part, part],
+        None if of_geometry is None else of_geometry[:, :m, :m],
+        found.astype(bool),
     )
 
 
-def _predict_some(calibrated: CalibratedMachine, actuators: Array, bent: Array | None) -> PosePrediction:
-    machine, theta = calibrated.machine, calibrated.theta
-    displacement = actuators - machine.mechanism.initial_actuator_positions
-    found = solve_forward_kinematics(machine, theta, actuators, check=False)
-    here = machine.linearise(theta, found.position, found.rotation, actuators)
-    gain = _invert(here.pose, found.converged)
-    moved = np.einsum("pij,pj->pi", gain, calibrated.errors.mean(displacement))
+def _predict_some(
+    calibrated: CalibratedMachine, commands: Array, given: Given, curved: Array | None
+) -> tuple[Array, Array, Array | None, Array | None, np.ndarray]:
+    at, errors = place_machine(calibrated, commands, given), calibrated.errors
+    moved = np.einsum("pij,pj->pi", at.gain, errors.mean(at.pose, commands, given))
+    add = compare_outputs(calibrated).add
     if calibrated.covariance is None:
-        return PosePrediction(*_move(found, moved), None, None, found.converged)
-    shift, of_geometry = _spread(calibrated, gain, here, (found.position, found.rotation), actuators, bent)
-    position, rotation = _move(found, moved + shift)
-    others = gain @ calibrated.errors.covariance(displacement, here.actuators) @ np.swapaxes(gain, 1, 2)
-    return PosePrediction(position, rotation, of_geometry + others, of_geometry, found.converged)
+        return add(at.outputs, moved), at.pose, None, None, at.found
+    shift, of_geometry = spread_outputs(calibrated, at, curved)
+    others = at.gain @ errors.covariance(at.pose, commands, given) @ np.swapaxes(at.gain, 1, 2)
+    return add(at.outputs, moved + shift), at.pose, of_geometry + others, of_geometry, at.found
 
 
-def command_poses(calibrated: CalibratedMachine, position: Array, rotation: Array) -> Command:
-    """Return the actuator positions that hold poses (P, 3), (P, 3, 3), base frame, mm, and which are out of reach.
+def spread_outputs(calibrated: CalibratedMachine, at: Place, curved: Array | None) -> tuple[Array, Array]:
+    """Return how the posterior moves the outputs, in the mean (P, M) and as a covariance (P, M, M)."""
+
+    def respond(part: slice, theta: Array) -> Array:
+        return _respond(calibrated, at, part, theta)
+
+    return _spread(calibrated, at.by_geometry, respond, curved)
+
+
+def _respond(calibrated: CalibratedMachine, at: Place, part: slice, theta: Array) -> Array:
+    """Return how machines θ, shape (S, D), as they are, move the outputs of some poses, shape (P, M, S)."""
+    model, given = calibrated.model, _pick(at.given, part)
+    read = model.respond(theta, calibrated.theta, at.pose[part], at.commands[part], given)
+    moved = -(at.gain[part] @ read)
+    m = len(model.tool_channels)
+    if at.outputs_by_parameters[part].any():
+        with np.errstate(all="ignore"):
+            tool = model.tool_values(theta[:, None], at.pose[part])
+        moved[:, :m] += np.moveaxis(calibrated.comparison.subtract(tool, at.outputs[part, :m]), 0, -1)
+    return np.asarray(moved)
+
+
+# --- commands of poses ---------------------------------------------------------------------------------------------
+
+
+def command_poses(
+    calibrated: CalibratedMachine, poses: Array, given: Given = NOTHING, coordinates: bool = False
+) -> Command:
+    """Return the commands that hold poses, how well they are known, and which poses are out of reach.
+
+    Parameters
+    ----------
+    calibrated : CalibratedMachine
+    poses : ndarray, shape (P, m) or (P, q)
+        The tool's numbers in the units of the model's `tool_channels` (of a machine on legs position in mm and rotation
+        vector in rad, base frame), or the machine's coordinates.
+    given : mapping of str to ndarray, shape (P,)
+    coordinates : bool
+        Whether they are the machine's coordinates.
 
     Raises
     ------
     InputError
-        For another shape.
+        For another shape, and a tool that does not tell the machine's coordinates.
     """
-    _check_shape(position, 3, "positions")
-    bent = _find_bent(calibrated)
-    parts = [_command_some(calibrated, position[part], rotation[part], bent) for part in _split(len(position))]
-    covariance = _join([one.covariance for one in parts])
-    faults = tuple(fault for one in parts for fault in one.faults)
-    return Command(np.concatenate([one.actuators for one in parts]), covariance, faults)
+    model = calibrated.model
+    coordinates = coordinates or is_pose(calibrated)
+    wanted = model.pose_channels if coordinates else model.tool_channels
+    check_shape(poses, [one.name for one in wanted], "poses")
+    _check_given(calibrated, given, len(poses))
+    if not coordinates and len(wanted) < len(model.coordinates):
+        raise InputError(
+            f"machine {calibrated.name!r}: not meaningful: the tool's {len(wanted)} numbers do not determine its "
+            f"{len(model.coordinates)} coordinates, expected these: {', '.join(one.name for one in model.coordinates)}"
+        )
+    curved = find_curved(calibrated)
+    parts = [
+        _command_some(calibrated, poses[part], _pick(given, part), coordinates, curved) for part in split(len(poses))
+    ]
+    commands = np.concatenate([one for one, _, _ in parts])
+    return Command(commands, _join([one for _, one, _ in parts]), tuple(fault for *_, some in parts for fault in some))
 
 
-def _command_some(calibrated: CalibratedMachine, position: Array, rotation: Array, bent: Array | None) -> Command:
-    machine, theta = calibrated.machine, calibrated.theta
-    found = solve_inverse_kinematics(machine, theta, position, rotation, check=False)
-    actuators = found.actuators
-    faults = _name_faults(calibrated, position, rotation, actuators, found.converged)
-    here = machine.linearise(theta, position, rotation, actuators)
-    gain = _invert(here.actuators, found.converged)
-    displacement = actuators - machine.mechanism.initial_actuator_positions
-    moved = actuators + np.einsum("pij,pj->pi", gain, calibrated.errors.mean(displacement))
-    moved = np.where(found.converged[:, None], moved, np.nan)
+def _command_some(
+    calibrated: CalibratedMachine, wanted: Array, given: Given, coordinates: bool, curved: Array | None
+) -> tuple[Array, Array | None, tuple[str, ...]]:
+    model, theta, errors = calibrated.model, calibrated.theta, calibrated.errors
+    pose, there = (wanted, np.ones(len(wanted), dtype=bool)) if coordinates else place_tool(calibrated, wanted)
+    commands = model.read(theta, pose, given)[:, calibrated.commanded]
+    faults = [
+        fault if one else "the tool does not come there"
+        for fault, one in zip(model.find_faults(theta, pose, commands, given), there, strict=True)
+    ]
+    at = linearise_place(calibrated, pose, np.isfinite(commands).all(axis=1), commands, given)
+    moved = commands - errors.mean(pose, commands, given)
     if calibrated.covariance is None:
-        return Command(moved, None, faults)
-    shift, of_geometry = _spread(calibrated, gain, here, (position, rotation), actuators, bent)
-    others = gain @ calibrated.errors.covariance(displacement, here.actuators) @ np.swapaxes(gain, 1, 2)
-    return Command(moved + shift, of_geometry + others, faults)
+        return moved, None, tuple(faults)
+    slope, to_tool = at.by_parameters, None
+    if not coordinates:
+        m = wanted.shape[1]
+        to_tool = at.by_pose @ invert(at.outputs_by_pose[:, :m], at.found, model.pose_scale)
+        slope = slope - to_tool @ at.outputs_by_parameters[:, :m]
+
+    def respond(part: slice, draws: Array) -> Array:
+        read = model.respond(draws, theta, pose[part], commands[part], _pick(given, part))
+        if to_tool is None:
+            return read
+        with np.errstate(all="ignore"):
+            apart = calibrated.comparison.subtract(model.tool_values(draws[:, None], pose[part]), wanted[part])
+        return np.asarray(read - to_tool[part] @ np.moveaxis(apart, 0, -1))
+
+    shift, covariance = _spread(calibrated, slope, respond, curved)
+    return moved + shift, covariance + errors.covariance(pose, commands, given), tuple(faults)
+
+
+def place_tool(calibrated: CalibratedMachine, wanted: Array) -> tuple[Array, np.ndarray]:
+    """Return the mean machine's coordinates (P, q) at which its tool's numbers are as wanted (P, m), and where it is.
+
+    Where they cannot be met all, as of a tool with more numbers than the machine has coordinates, it is not there.
+    """
+    model, theta, comparison = calibrated.model, calibrated.theta, calibrated.comparison
+    start = np.tile(model.home_pose, (len(wanted), 1))
+    first = comparison.subtract(wanted, model.tool_values(theta, start))
+
+    def wanted_after(share: float) -> Function:
+        def function(pose: Array, rows: np.ndarray) -> tuple[Array, Array]:
+            with np.errstate(all="ignore"):
+                values, slope, _ = model.tool(theta, pose)
+                error = comparison.subtract(wanted[rows], values)
+                return error - (1.0 - share) * first[rows], comparison.pull_back(error, values, slope)
+
+        return function
+
+    pose, found = solve(wanted_after, start, model.pose_scale, True)
+    with np.errstate(all="ignore"):
+        left = comparison.subtract(wanted, model.tool_values(theta, pose))
+    return pose, found & (np.abs(left) <= MET * (1.0 + np.abs(wanted))).all(axis=1)
+
+
+MET = 1e-7  # of a tool's number, or of its unit, within which it is as wanted
+
+# --- draws ---------------------------------------------------------------------------------------------------------
 
 
 def draw_poses(
-    calibrated: CalibratedMachine, actuators: Array, n_draws: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Return what draws of the posterior predict, each with errors of the legs of its own.
+    calibrated: CalibratedMachine, commands: Array, n_draws: int, rng: np.random.Generator, given: Given = NOTHING
+) -> Array:
+    """Return where draws of the posterior have their tools, each with errors of its own.
 
     Parameters
     ----------
     calibrated : CalibratedMachine
         With draws.
-    actuators : ndarray, shape (P, N)
-        mm.
+    commands : ndarray, shape (P, C)
     n_draws : int
         At most so many S.
     rng : Generator
-        For the errors of the legs.
+        For the errors of the commands.
+    given : mapping of str to ndarray, shape (P,)
 
     Returns
     -------
-    position, rotation : ndarray, shapes (S, P, 3) and (S, P, 3, 3)
+    ndarray, shape (S, P, m)
         NaN where a draw's machine has no pose.
 
     Raises
@@ -178,143 +403,143 @@ def draw_poses(
     """
     if calibrated.draws is None:
         raise InputError(f"experiment {calibrated.source.experiment}: found no draws of its posterior, expected some")
-    mean, theta = predict_poses(calibrated, actuators), calibrated.thin(n_draws)
-    errors = _draw_errors(calibrated, mean, actuators, len(theta), rng)
-    positions, rotations = [], []
-    for part in _split(len(theta), max(1, CHUNK // len(actuators))):
-        found = solve_forward_kinematics(calibrated.machine, theta[part, None], actuators, check=False)
-        position, rotation = _move(found, errors[part])
-        positions.append(position)
-        rotations.append(rotation)
-    return np.concatenate(positions), np.concatenate(rotations)
+    model, m = calibrated.model, len(calibrated.model.tool_channels)
+    check_determined(calibrated)
+    _check_given(calibrated, given, len(commands))
+    at, theta = place_machine(calibrated, commands, given), calibrated.thin(n_draws)
+    errors = _draw_errors(calibrated, at, len(theta), rng)[..., :m]
+    tools = []
+    for part in split(len(theta), max(1, CHUNK // len(commands))):
+        rows = {name: value[None] for name, value in given.items()}
+        pose, _ = model.locate(theta[part, None], commands, rows, np.where(at.found[:, None], at.pose, 0.0)[None])
+        with np.errstate(all="ignore"):
+            tools.append(calibrated.comparison.add(model.tool_values(theta[part, None], pose), errors[part]))
+    return np.concatenate(tools)
 
 
-def _draw_errors(
-    calibrated: CalibratedMachine, mean: PosePrediction, actuators: Array, n_draws: int, rng: np.random.Generator
-) -> Array:
-    """Return pose errors (S, P, 6) in mm and rad by the errors of the legs."""
-    machine = calibrated.machine
-    displacement = actuators - machine.mechanism.initial_actuator_positions
-    here = machine.linearise(calibrated.theta, mean.position, mean.rotation, actuators)
-    gain = _invert(here.pose, mean.found)
-    values, vectors = np.linalg.eigh(calibrated.errors.covariance(displacement, here.actuators))
-    root = gain @ vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    shift = np.einsum("pij,pj->pi", gain, calibrated.errors.mean(displacement))
-    normal = rng.standard_normal((n_draws, *displacement.shape))
+def _draw_errors(calibrated: CalibratedMachine, at: Place, n_draws: int, rng: np.random.Generator) -> Array:
+    """Return what errors of the commands move the outputs by, shape (S, P, M)."""
+    errors = calibrated.errors
+    values, vectors = np.linalg.eigh(np.nan_to_num(errors.covariance(at.pose, at.commands, at.given)))
+    root = at.gain @ vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    shift = np.einsum("pij,pj->pi", at.gain, errors.mean(at.pose, at.commands, at.given))
+    normal = rng.standard_normal((n_draws, *at.commands.shape))
     return shift + np.einsum("pij,spj->spi", root, normal)
 
 
-def _move(found: ForwardKinematics, moved: Array) -> tuple[Array, Array]:
-    """Return poses moved by errors (..., 6) in mm and rad; NaN where none was found."""
-    good = found.converged[..., None]
-    position = np.where(good, found.position + moved[..., :3], np.nan)
-    turned = matrix_from_rotation_vector(np.where(good, moved[..., 3:], 0.0)) @ found.rotation
-    return position, np.where(good[..., None], turned, np.nan)
+# --- how the posterior spreads -------------------------------------------------------------------------------------
 
 
-def _name_faults(
-    calibrated: CalibratedMachine, position: Array, rotation: Array, actuators: Array, closed: np.ndarray
-) -> tuple[str, ...]:
-    """Return why poses are out of reach: a leg that does not, an actuator beyond its range, another branch."""
-    machine = calibrated.machine
-    mechanism = machine.mechanism
-    moved = actuators - mechanism.initial_actuator_positions
-    furthest = np.argmax(np.nan_to_num(np.abs(moved)), axis=1)
-    on_branch = machine.holds_branch(calibrated.theta, position, rotation, actuators)
-    faults = []
-    for k, leg in enumerate(furthest):
-        travel = moved[k, leg]
-        if not closed[k]:
-            faults.append("no actuator positions hold it")
-        elif abs(travel) > mechanism.actuator_range + SLACK:
-            faults.append(f"leg {leg + 1} would move by {travel:.4g} mm, its range is {mechanism.actuator_range:g} mm")
-        else:
-            faults.append("" if on_branch[k] else "only on another assembly branch")
-    return tuple(faults)
-
-
-def _find_bent(calibrated: CalibratedMachine) -> Array | None:
+@lru_cache(maxsize=4)
+def find_curved(calibrated: CalibratedMachine) -> Array | None:
     """Return draws (S, D) where these leave the tangent at the mean somewhere in the workspace; None where they do not.
 
-    It is seen at poses of actuators anywhere within their range, the same ones at every call.
+    They are compared at commands anywhere within their range, or in the workspace, the same ones at every call.
     """
     if calibrated.draws is None:
         return None
-    machine, theta = calibrated.machine, calibrated.thin(SPREAD_DRAWS)
-    share = np.random.default_rng(0).uniform(-1.0, 1.0, (LOOKS, calibrated.n_legs))
-    actuators = machine.mechanism.initial_actuator_positions + machine.mechanism.actuator_range * share
-    found = solve_forward_kinematics(machine, calibrated.theta, actuators, check=False)
-    position, rotation, actuators = (one[found.converged] for one in (found.position, found.rotation, actuators))
-    here = machine.linearise(calibrated.theta, position, rotation, actuators)
-    gain = np.linalg.pinv(here.pose)
-    moved = _respond(calibrated, gain, position, rotation, actuators, theta)
-    tangent = gain @ here.parameters @ (calibrated.theta - theta).T
+    theta, commands, given = calibrated.thin(SPREAD_DRAWS), *spread_commands(calibrated)
+    if not len(commands) or len(calibrated.commanded) < len(calibrated.model.coordinates):
+        return None
+    at = place_machine(calibrated, commands, given)
+    rows = np.flatnonzero(at.found)
+    at = linearise_place(calibrated, at.pose[rows], at.found[rows], commands[rows], _pick(given, rows))
+    moved = _respond(calibrated, at, slice(None), theta)
+    tangent = at.by_geometry @ (theta - calibrated.theta).T
     off = np.sqrt(np.mean((moved - tangent) ** 2, axis=-1))
-    return theta if np.any(off > BENT * moved.std(axis=-1)) else None
+    with np.errstate(invalid="ignore"):
+        return theta if np.any(off > CURVED * moved.std(axis=-1)) else None
+
+
+def spread_commands(calibrated: CalibratedMachine) -> tuple[Array, Given]:
+    """Return some commands (P, C) all over their range, or the workspace, and what a pose has to know besides."""
+    model, rng = calibrated.model, np.random.default_rng(0)
+    low, high = model.command_range.T
+    given = calibrated.typical(COMPARED) if calibrated.given or not model.given else None
+    if given is None:
+        return np.empty((0, len(low))), NOTHING
+    if np.isfinite([low, high]).all():
+        return 0.5 * (low + high) + 0.5 * (high - low) * rng.uniform(-1.0, 1.0, (COMPARED, len(low))), given
+    least, most = bound_workspace(calibrated)
+    pose = rng.uniform(least, most, (COMPARED, len(model.coordinates)))
+    commands = model.read(calibrated.theta, pose, given)[:, calibrated.commanded]
+    there = np.isfinite(commands).all(axis=1)
+    return commands[there], _pick(given, there)
+
+
+def bound_workspace(calibrated: CalibratedMachine) -> Array:
+    """Return the smallest and the largest value of each coordinate, shape (2, q): as stated, else the machine's own."""
+    if calibrated.workspace is not None:
+        return calibrated.workspace
+    home, scale = calibrated.model.home_pose, calibrated.model.pose_scale
+    return np.stack([home - scale, home + scale])
 
 
 def _spread(
-    calibrated: CalibratedMachine,
-    gain: Array,
-    here: Linearisation,
-    pose: tuple[Array, Array],
-    actuators: Array,
-    bent: Array | None,
+    calibrated: CalibratedMachine, slope: Array, respond: Callable[[slice, Array], Array], curved: Array | None
 ) -> tuple[Array, Array]:
-    """Return how a posterior moves what the mean machine does, in the mean (P, m) and as a covariance (P, m, m).
+    """Return how a posterior moves what the mean machine does, in the mean (P, M) and as a covariance (P, M, M).
 
     Parameters
     ----------
     calibrated : CalibratedMachine
-    gain : ndarray, shape (P, m, N)
-        What moves by a unit of the closure; NaN where there is nothing.
-    here : Linearisation
-        Of the mean machine there.
-    pose : pair of ndarray, shapes (P, 3) and (P, 3, 3)
-    actuators : ndarray, shape (P, N)
-    bent : ndarray, shape (S, D), or None
+    slope : ndarray, shape (P, M, D)
+        What moves by the parameters.
+    respond : callable
+        From some of the poses and machines (S, D) to what moves by these as they are, (P, M, S).
+    curved : ndarray, shape (S, D), or None
         Draws, where the tangent does not do.
     """
     assert calibrated.covariance is not None
-    slope = gain @ here.parameters[..., calibrated.free]
-    if bent is None:
-        return np.zeros(gain.shape[:2]), slope @ calibrated.covariance @ np.swapaxes(slope, 1, 2)
-    mean, covariance = np.empty(gain.shape[:2]), np.empty((*gain.shape[:2], gain.shape[1]))
-    for part in _split(len(gain), SPREAD_POSES):
-        moved = _respond(calibrated, gain[part], pose[0][part], pose[1][part], actuators[part], bent)
+    slope = slope[..., calibrated.free]
+    if curved is None:
+        return np.zeros(slope.shape[:2]), slope @ calibrated.covariance @ np.swapaxes(slope, 1, 2)
+    mean, covariance = np.empty(slope.shape[:2]), np.empty((*slope.shape[:2], slope.shape[1]))
+    for part in split(len(slope), SPREAD_POSES):
+        moved = respond(part, curved)
         mean[part] = moved.mean(axis=-1)
         apart = moved - mean[part, :, None]
-        covariance[part] = apart @ np.swapaxes(apart, 1, 2) / (len(bent) - 1)
-    chance = (bent.mean(axis=0) - calibrated.theta)[calibrated.free]  # that these draws have another mean than all
-    return mean + np.einsum("pik,k->pi", slope, chance), covariance
+        covariance[part] = apart @ np.swapaxes(apart, 1, 2) / (len(curved) - 1)
+    chance = (curved.mean(axis=0) - calibrated.theta)[calibrated.free]  # that these draws have another mean than all
+    return mean - np.einsum("pik,k->pi", slope, chance), covariance
 
 
-def _respond(
-    calibrated: CalibratedMachine, gain: Array, position: Array, rotation: Array, actuators: Array, theta: Array
-) -> Array:
-    """Return what moves by machines θ, shape (S, D), by their closures as they are, shape (P, m, S)."""
-    machine = calibrated.machine
-    closure = machine.model.bind(machine.layout, position, rotation, machine.basis(actuators))
-    with np.errstate(all="ignore"):  # poses that were not found
-        return np.asarray(-(gain @ closure.evaluate(np.asfortranarray(theta)).transpose(1, 0, 2)))
+def invert(slopes: Array, good: np.ndarray, scale: Array) -> Array:
+    """Return pseudo-inverses of (P, N, m), shape (P, m, N), for a scale or none; NaN where there is nothing to invert.
 
-
-def _invert(slopes: Array, good: np.ndarray) -> Array:
-    """Return pseudo-inverses of (P, N, m), shape (P, m, N); NaN where there is nothing to invert."""
+    The scale (q,) of the coordinates is that of the columns or, of as many rows as there are, of these.
+    """
     usable = good & np.isfinite(slopes).all(axis=(1, 2))
-    inverse = np.linalg.pinv(np.where(usable[:, None, None], slopes, np.eye(*slopes.shape[1:])))
-    return np.where(usable[:, None, None], inverse, np.nan)
+    with_scale = slopes * scale
+    inverse = np.linalg.pinv(np.where(usable[:, None, None], with_scale, np.eye(*slopes.shape[1:])))
+    return np.where(usable[:, None, None], scale[:, None] * inverse, np.nan)
 
 
-def _check_shape(values: Array, n: int, what: str) -> None:
-    if values.ndim != 2 or values.shape[1] != n:
-        raise InputError(f"{what}: found shape {values.shape}, expected (poses, {n})")
+def _list_commanded(calibrated: CalibratedMachine) -> list[Channel]:
+    return [calibrated.model.channels[k] for k in calibrated.commanded]
+
+
+def check_shape(values: Array, names: list[str], what: str) -> None:
+    """Raise InputError for values that are not (P, n), P at least one."""
+    if values.ndim != 2 or values.shape[1] != len(names):
+        raise InputError(f"{what}: found shape {values.shape}, expected (poses, {len(names)}): {', '.join(names)}")
     if not len(values):
         raise InputError(f"{what}: found none, expected at least one")
 
 
-def _split(n: int, size: int = CHUNK) -> Iterator[slice]:
+def _check_given(calibrated: CalibratedMachine, given: Given, n: int) -> None:
+    for name in calibrated.model.given:
+        if name not in given or np.shape(given[name]) != (n,):
+            raise InputError(f"machine {calibrated.name!r}: found no {name} of each of {n} poses, expected it in given")
+
+
+def split(n: int, size: int = CHUNK) -> Iterator[slice]:
+    """Return slices of at most so many."""
     return (slice(k, k + size) for k in range(0, n, size))
+
+
+def _pick(given: Given, part: slice | np.ndarray) -> Given:
+    return {name: value[part] for name, value in given.items()}
 
 
 def _join(parts: list[Array | None]) -> Array | None:

@@ -11,9 +11,10 @@ import numpy as np
 from scipy.stats import qmc
 
 from bayescal.calibrated.machine import CalibratedMachine
+from bayescal.calibrated.predict import bound_workspace, is_pose
+from bayescal.density.calibration.measurements import Comparison
 from bayescal.errors import InputError
-from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
+from bayescal.numerics.geometry import Array
 
 FEWEST = 16
 """Poses that figures over a region need."""
@@ -21,16 +22,17 @@ TRIES = 64
 """Poses of a box that are tried for each one wanted: legs reach few of its corners."""
 
 BARELY = 0.05
-"""Of the box's extent, by which a position may lie outside of it and still count as within."""
+"""Of the box's extent, by which a pose may lie outside of it and still count as within."""
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A box of poses: position (mm) and rotation vector (rad) from home, base axes.
+    """A box of poses: coordinates from home, a rotation vector about the base axes.
 
     Attributes
     ----------
-    low, high : ndarray, shape (6,)
+    low, high : ndarray, shape (q,)
+        mm, rad, or what else a coordinate is in.
     words : str
         What it is.
     """
@@ -39,61 +41,76 @@ class Region:
     high: Array
     words: str
 
-    @property
-    def cube(self) -> float:
-        """Edge of the largest cube about home within it, mm; zero where home is not inside."""
-        return max(0.0, 2.0 * float(np.minimum(-self.low[:3], self.high[:3]).min()))
-
 
 def enclose_measured(calibrated: CalibratedMachine) -> Region | None:
     """Return the box of the poses that calibrated a machine; None where they are not known."""
     if calibrated.measured is None:
         return None
-    home = check_home_pose(calibrated.machine)
-    found = solve_forward_kinematics(calibrated.machine, calibrated.theta, calibrated.measured, check=False)
-    turned = rotation_vector_from_matrix(found.rotation[found.converged] @ home.rotation.T)
-    apart = np.concatenate([found.position[found.converged] - home.position, turned], axis=1)
-    if not len(apart):
+    model = calibrated.model
+    pose, found = model.locate(calibrated.theta, calibrated.measured, calibrated.given, weights=calibrated.weights)
+    if not found.any():
         return None
+    apart = Comparison(model.pose_channels).subtract(pose[found], model.home_pose)
     words = f"the box of the {len(apart)} poses that calibrated the machine"
     return Region(apart.min(axis=0), apart.max(axis=0), words)
 
 
-def measure_beyond(calibrated: CalibratedMachine, position: Array) -> float:
-    """Return the share of positions (P, 3) outside of the box of the poses that calibrated a machine; 0 if unknown."""
-    known = enclose_measured(calibrated)
+def find_largest_cube(calibrated: CalibratedMachine, region: Region, tool: Array) -> float:
+    """Return the edge of the largest cube about home's tool within a region, mm; zero where home is not inside.
+
+    Where the coordinates are not the tool, it is that within the box of tools (P, m) all over the region.
+    """
+    low, high = region.low, region.high
+    if not is_pose(calibrated):
+        home = calibrated.model.tool_values(calibrated.theta, calibrated.model.home_pose)
+        apart = calibrated.comparison.subtract(tool, home)
+        low, high = apart.min(axis=0), apart.max(axis=0)
+    lengths = calibrated.lengths
+    return max(0.0, 2.0 * float(np.minimum(-low[lengths], high[lengths]).min(initial=np.inf)))
+
+
+def measure_beyond(calibrated: CalibratedMachine, commands: Array, known: Region | None) -> float:
+    """Return the share of commands (P, C) outside of the box of the poses that calibrated a machine; 0 if unknown.
+
+    Poses are judged by their lengths; those of a machine without any by all coordinates.
+    """
     if known is None:
         return 0.0
-    apart = position - check_home_pose(calibrated.machine).position
-    slack = BARELY * (known.high - known.low)[:3]
-    outside = (apart < known.low[:3] - slack) | (apart > known.high[:3] + slack)
-    return float(outside.any(axis=1).mean())
+    model = calibrated.model
+    lengths = np.array([one.unit == "mm" for one in model.coordinates])
+    chosen = lengths if lengths.any() else np.ones_like(lengths)
+    given = calibrated.typical(len(commands))
+    pose, found = model.locate(calibrated.theta, commands, given, weights=calibrated.weights)
+    apart = Comparison(model.pose_channels).subtract(pose[found], model.home_pose)
+    slack = BARELY * (known.high - known.low)
+    outside = (apart < known.low - slack) | (apart > known.high + slack)
+    return float(outside[:, chosen].any(axis=1).mean())
 
 
-def box_about_home(position: tuple[float, float, float], rotation: tuple[float, float, float]) -> Region:
-    """Return the box of half extents in mm and rad about home."""
-    half = np.array([*position, *rotation])
+def box_about_home(half: Array) -> Region:
+    """Return the box of half extents (q,) about home, in the coordinates' units."""
     return Region(-half, half, "the box about home as stated")
 
 
 def sample_region(calibrated: CalibratedMachine, region: Region, n: int, seed: int) -> Array:
-    """Return actuator positions (n, N), mm, of poses all over a region, as far as they are in reach.
+    """Return commands (n, C) of poses all over a region, as far as they are in reach.
 
     Raises
     ------
     InputError
         Where fewer than `FEWEST` are.
     """
-    machine, home = calibrated.machine, check_home_pose(calibrated.machine)
-    sobol, kept, count = qmc.Sobol(6, rng=np.random.default_rng(seed)), list[Array](), 0
-    size = int(2 ** np.ceil(np.log2(n)))
+    model, compared = calibrated.model, Comparison(calibrated.model.pose_channels)
+    q = len(model.coordinates)
+    sobol, kept, count = qmc.Sobol(q, rng=np.random.default_rng(seed)), list[Array](), 0
+    size, (low, high) = int(2 ** np.ceil(np.log2(n))), model.command_range.T
     for _ in range(TRIES):
         apart = qmc.scale(sobol.random(size), region.low, np.maximum(region.high, region.low + 1e-12))
-        rotation = matrix_from_rotation_vector(apart[:, 3:]) @ home.rotation
-        found = solve_inverse_kinematics(machine, calibrated.theta, home.position + apart[:, :3], rotation, check=False)
-        moved = np.abs(found.actuators - machine.mechanism.initial_actuator_positions).max(axis=1)
-        there = found.converged & (moved <= machine.mechanism.actuator_range)
-        kept.append(found.actuators[there])
+        pose = compared.add(np.broadcast_to(model.home_pose, apart.shape), apart)
+        commands = model.read(calibrated.theta, pose, calibrated.typical(size))[:, calibrated.commanded]
+        with np.errstate(invalid="ignore"):
+            there = ((commands >= low) & (commands <= high)).all(axis=1)
+        kept.append(commands[there])
         count += int(there.sum())
         if count >= n:
             break
@@ -105,18 +122,30 @@ def sample_region(calibrated: CalibratedMachine, region: Region, n: int, seed: i
     return np.concatenate(kept)[:n]
 
 
+def enclose_workspace(calibrated: CalibratedMachine) -> Region | None:
+    """Return the workspace of a machine whose commands have no range; None where they have."""
+    if np.isfinite(calibrated.model.command_range).all():
+        return None
+    low, high = bound_workspace(calibrated) - calibrated.model.home_pose
+    return Region(low, high, "the workspace")
+
+
 def sample_range(calibrated: CalibratedMachine, n: int, seed: int) -> Array:
-    """Return actuator positions (about n, N), mm, all over the actuators' range, that have a pose.
+    """Return commands (about n, C) all over their range, that have a pose; all over the workspace where they have none.
 
     Raises
     ------
     InputError
         Where none has.
     """
-    mechanism = calibrated.machine.mechanism
-    share = qmc.Sobol(calibrated.n_legs, rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(n))))
-    actuators = mechanism.initial_actuator_positions + mechanism.actuator_range * (2.0 * share[:n] - 1.0)
-    found = solve_forward_kinematics(calibrated.machine, calibrated.theta, actuators, check=False)
-    if not found.converged.any():
-        raise InputError(f"mechanism {mechanism.name!r}: found no pose within the actuators' range")
-    return actuators[found.converged]
+    model = calibrated.model
+    workspace = enclose_workspace(calibrated)
+    if workspace is not None:
+        return sample_region(calibrated, workspace, n, seed)
+    low, high = model.command_range.T
+    share = qmc.Sobol(len(low), rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(n))))
+    commands = 0.5 * (low + high) + 0.5 * (high - low) * (2.0 * share[:n] - 1.0)
+    _, found = model.locate(calibrated.theta, commands, calibrated.typical(len(commands)))
+    if not found.any():
+        raise InputError(f"machine {calibrated.name!r}: found no pose within the range of its commands")
+    return np.asarray(commands[found])

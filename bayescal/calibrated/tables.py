@@ -1,79 +1,162 @@
-"""Tables of commanded poses and actuator positions as they are read, and of what the machine makes of them."""
+"""Tables of commands and of poses as they are read, and of what a calibrated machine makes of them.
+
+Columns are named by channel and unit as those of readings: ``rho_1_mm``, ``motor_2_deg``. A pose has the columns of the
+machine's coordinates; that of a tool which is something else has ``tool_`` before its names.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import difflib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.calibrated.predict import Command, PosePrediction
-from bayescal.data.actuators import check_range, name_actuators
-from bayescal.data.instruments.poses import COORDINATES
-from bayescal.data.instruments.read_poses import DEVIATIONS, POSITION, VALUES
+from bayescal.calibrated.predict import Command, PosePrediction, is_pose
+from bayescal.data.actuators import check_range
 from bayescal.data.instruments.rotations import OTHER_COLUMNS, VECTOR, read_rotation_vectors
 from bayescal.data.instruments.tables import name_covariances
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import Table, format_table, read_table
-from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
-from bayescal.numerics.units import MICROMETRE, MICRORADIAN
+from bayescal.identifiability.units import units_like
+from bayescal.machines.readings import Channel, Coordinate, LegsModel
+from bayescal.numerics.geometry import Array
 
 REACHED = "reached"
 NAMED = 12
 """Poses out of reach that a message names."""
-TO_FILE = np.array([1 / MICROMETRE] * 3 + [1 / MICRORADIAN] * 3)
+TOOL = "tool_"
+FINE = {"mm": ("um", 1e3), "rad": ("urad", 1e6)}
+"""Units of standard deviations and covariances in files, and how many of them make an inner one."""
+TURNED = ("rx", "ry", "rz")
 
 
 @dataclass(frozen=True, eq=False)
 class Commanded:
-    """Poses to be taken: their table, names (P), positions (P, 3) in mm and rotations (P, 3, 3), base frame."""
+    """Poses to be taken: their table, names (P), the tool's numbers or the coordinates (P, n), what is given (P,)."""
 
     table: Table
     names: tuple[str, ...]
-    position: Array
-    rotation: Array
+    poses: Array
+    given: dict[str, Array]
+    coordinates: bool
 
 
-def read_commanded(path: Path, n_legs: int) -> Commanded:
-    """Return the poses of a table: position in mm, rotation in any form; what else is measured is passed over.
+# --- reading -------------------------------------------------------------------------------------------------------
+
+
+def read_quantities(table: Table, wanted: Sequence[Channel | Coordinate], prefix: str = "") -> Array:
+    """Return the columns of some quantities, each in a unit of its kind, in the inner one, shape (P, n).
+
+    The components of a rotation vector rx, ry, rz may be there in any form of rotation.
+
+    Raises
+    ------
+    InputError
+        For a missing column, two of the same quantity, and a cell that is no number.
+    """
+    values = np.full((len(table.rows), len(wanted)), np.nan)
+    turned = [k for k, one in enumerate(wanted) if getattr(one, "rotation", "") and one.name in TURNED]
+    for k, one in enumerate(wanted):
+        if k in turned and not prefix:
+            continue
+        stem = one.stem if isinstance(one, Channel) else one.name
+        known = {f"{prefix}{stem}_{unit}": factor for unit, factor in units_like(one.unit).items()}
+        there = [name for name in table.columns if name in known]
+        if not there:
+            listed = " or ".join(dict.fromkeys([f"{prefix}{stem}_{one.unit}", *known]))
+            raise InputError(f"{table.path}: found no column '{prefix}{stem}_{one.unit}', expected {listed}")
+        if len(there) > 1:
+            raise InputError(f"{table.path}: found columns {there[0]!r} and {there[1]!r}, expected one of them")
+        values[:, k] = known[there[0]] * table.numbers(there)[:, 0]
+    if turned and not prefix:
+        values[:, turned] = read_rotation_vectors(table)
+        whole = np.isfinite(values[:, turned]).all(axis=1)
+        if not whole.all():
+            raise InputError(
+                f"{table.where(int(np.argmin(whole)))}: found no whole rotation, expected {', '.join(VECTOR)}"
+            )
+    return values
+
+
+def list_columns(wanted: Sequence[Channel | Coordinate], prefix: str = "") -> list[str]:
+    """Return the columns that some quantities may be in, the first of each in its own unit."""
+    names: list[str] = []
+    for one in wanted:
+        stem = one.stem if isinstance(one, Channel) else one.name
+        units = dict.fromkeys([one.unit, *units_like(one.unit)])
+        names += [f"{prefix}{stem}_{unit}" for unit in units]
+    return names
+
+
+def read_named(path: Path, known: Sequence[str], expected: Sequence[str]) -> tuple[Table, tuple[str, ...]]:
+    """Return a table with a column ``pose`` and others out of those known, and the poses' names, each once."""
+    table = read_table(path, None)
+    for name in table.columns:
+        if name not in ("pose", *known):
+            close = difflib.get_close_matches(name, ("pose", *known), n=1, cutoff=0.4)
+            hint = f", did you mean {close[0]!r}?" if close else ""
+            raise InputError(f"{path}: found column {name!r}{hint}, expected pose, {', '.join(expected)}")
+    if "pose" not in table.columns:
+        raise InputError(f"{path}: found no column 'pose', expected the poses' names")
+    names = table.text("pose")
+    table.check_unique([(name,) for name in names], "pose")
+    return table, tuple(names)
+
+
+def read_given(table: Table, names: Sequence[str]) -> dict[str, Array]:
+    """Return what has to be known of each pose besides, (P,) by name; InputError where a column is missing."""
+    for name in names:
+        if name not in table.columns:
+            raise InputError(f"{table.path}: found no column of {name}, expected one")
+    return {name: table.numbers((name,))[:, 0] for name in names}
+
+
+def read_commanded(path: Path, calibrated: CalibratedMachine) -> Commanded:
+    """Return the poses of a table, the tool's or the machine's coordinates; what else is measured is passed over.
 
     Raises
     ------
     InputError
         For a missing column, a cell that is no number, or a pose that stands twice.
     """
-    upper, lower = name_covariances(COORDINATES)
-    others = ("use", *DEVIATIONS, *upper, *lower, *name_actuators(n_legs))
-    table = read_table(path, ("pose", *POSITION), (*VECTOR, *OTHER_COLUMNS, *others))
-    names = _read_names(table)
-    turn = read_rotation_vectors(table)
-    if not np.isfinite(turn).all():
-        row = int(np.argmax(~np.isfinite(turn).all(axis=1)))
-        raise InputError(f"{table.where(row)}: found no whole rotation, expected {', '.join(VECTOR)}")
-    return Commanded(table, names, table.numbers(POSITION), matrix_from_rotation_vector(turn))
+    model = calibrated.model
+    tool = [] if is_pose(calibrated) else list_columns(model.tool_channels, TOOL)
+    pose = [*list_columns(model.pose_channels), *(OTHER_COLUMNS if isinstance(model, LegsModel) else ())]
+    upper, lower = name_covariances([one.name for one in model.pose_channels])
+    sds = [f"sd_{one}" for one in pose]
+    others = ("use", *sds, *_name_sd(model.pose_channels), *upper, *lower, *list_columns(list_commanded(calibrated)))
+    expected = [name_column(one) for one in model.pose_channels]
+    expected += [f"or {', '.join(TOOL + name_column(one) for one in model.tool_channels)}"] if tool else []
+    table, names = read_named(path, [*pose, *tool, *model.given, *others], [*expected, *model.given])
+    by_tool = any(name in tool for name in table.columns)
+    if by_tool and any(name in pose for name in table.columns):
+        first, second = (next(name for name in table.columns if name in some) for some in (tool, pose))
+        raise InputError(f"{path}: found columns {first!r} and {second!r}, expected the tool's or the coordinates")
+    wanted = model.tool_channels if by_tool else model.pose_channels
+    values = read_quantities(table, wanted, TOOL if by_tool else "")
+    return Commanded(table, names, values, read_given(table, model.given), not by_tool)
 
 
-def read_positions(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str, ...], Array]:
-    """Return names (P) and actuator positions (P, N) in mm of a table; InputError where they are out of range."""
-    mechanism = calibrated.machine.mechanism
-    columns = name_actuators(mechanism.n_legs)
-    table = read_table(path, ("pose", *columns), ("use", REACHED, *_name_deviations(mechanism.n_legs)))
-    names, actuators = _read_names(table), table.numbers(columns)
+def read_commands(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str, ...], Array, dict[str, Array]]:
+    """Return names (P), commands (P, C) in the channels' units and what is given; InputError where out of range."""
+    model, channels = calibrated.model, list_commanded(calibrated)
+    others = ("use", REACHED, *_name_sd(channels))
+    expected = [name_column(one) for one in channels]
+    table, names = read_named(path, [*list_columns(channels), *model.given, *others], [*expected, *model.given])
+    commands = read_quantities(table, channels)
     with name_faults(path):
-        check_range(actuators, mechanism.initial_actuator_positions, mechanism.actuator_range, names)
-    return names, actuators
+        if isinstance(model, LegsModel):
+            mechanism = model.machine.mechanism
+            check_range(commands, mechanism.initial_actuator_positions, mechanism.actuator_range, names)
+    return names, commands, read_given(table, model.given)
 
 
-def _name_deviations(n_legs: int) -> tuple[str, ...]:
-    return tuple(f"sd_rho_{leg}_um" for leg in range(1, n_legs + 1))
-
-
-def _read_names(table: Table) -> tuple[str, ...]:
-    names = table.text("pose")
-    table.check_unique([(name,) for name in names], "pose")
-    return tuple(names)
+def list_commanded(calibrated: CalibratedMachine) -> list[Channel]:
+    """Return the commanded channels."""
+    return [calibrated.model.channels[k] for k in calibrated.commanded]
 
 
 def check_reached(commanded: Commanded, command: Command) -> None:
@@ -82,76 +165,120 @@ def check_reached(commanded: Commanded, command: Command) -> None:
     if not lost:
         return
     lines, names = commanded.table.lines, commanded.names
-    told = [f"line {lines[k]}, pose {names[k]!r}: {command.faults[k]}" for k in lost[:NAMED]]
+    listed = [f"line {lines[k]}, pose {names[k]!r}: {command.faults[k]}" for k in lost[:NAMED]]
     more = f"; and {len(lost) - NAMED} more" if len(lost) > NAMED else ""
     raise InputError(
         f"{commanded.table.path}: found {len(lost)} of {len(names)} poses out of reach, expected none, or --mark: "
-        f"{'; '.join(told)}{more}"
+        f"{'; '.join(listed)}{more}"
     )
 
 
 def check_found(path: Path, names: Sequence[str], prediction: PosePrediction) -> None:
-    """Raise InputError that names the actuator positions at which the machine has no pose."""
+    """Raise InputError that names the commands at which the machine has no pose."""
     lost = [repr(name) for name, found in zip(names, prediction.found, strict=True) if not found]
     if lost:
         more = f" and {len(lost) - NAMED} more" if len(lost) > NAMED else ""
         raise InputError(
-            f"{path}: found no pose of the machine at {', '.join(lost[:NAMED])}{more}, expected actuator "
-            "positions that close on home's branch"
+            f"{path}: found no pose of the machine at {', '.join(lost[:NAMED])}{more}, expected commands that close on "
+            "home's branch"
         )
 
 
-def format_command(calibrated: CalibratedMachine, names: Sequence[str], command: Command) -> str:
-    """Return actuator positions in mm as CSV text, with standard deviations in µm, and which poses are out of reach."""
-    positions = name_actuators(calibrated.n_legs)
-    deviations = _name_deviations(calibrated.n_legs)
-    sd = np.full(command.actuators.shape, np.nan) if command.sd is None else command.sd / MICROMETRE
+# --- writing -------------------------------------------------------------------------------------------------------
+
+
+def format_command(
+    calibrated: CalibratedMachine, names: Sequence[str], command: Command, given: Mapping[str, Array]
+) -> str:
+    """Return commands as CSV text, with standard deviations, and which poses are out of reach."""
+    channels = list_commanded(calibrated)
+    fine = np.array([FINE.get(one.unit, ("", 1.0))[1] for one in channels])
+    sd = np.full(command.commands.shape, np.nan) if command.sd is None else command.sd * fine
+    known = [[repr(float(x)) for x in row] for row in zip(*given.values(), strict=True)] or [[]] * len(names)
     rows = [
-        (name, _quote(fault) or "yes", *_format_cells(rho, ".9f", fault), *_format_cells(spread, ".6g", fault))
-        for name, fault, rho, spread in zip(names, command.faults, command.actuators, sd, strict=True)
+        (name, _quote(fault) or "yes", *own, *_format_cells(value, ".9f", fault), *_format_cells(spread, ".6g", fault))
+        for name, fault, own, value, spread in zip(names, command.faults, known, command.commands, sd, strict=True)
     ]
     comments = [
         *calibrated.source.describe(),
-        "Actuator positions that hold the poses: posterior mean in mm, standard deviation in µm of all but the",
-        "actuators' own control: geometry, errors of the legs, noise of the actuators' readings.",
+        "Commands that hold the poses: posterior mean, and standard deviation (sd) by geometry, model error and noise",
+        "of the actuators' readings.",
     ]
-    return format_table(comments, ["pose", REACHED, *positions, *deviations], rows)
+    columns = ["pose", REACHED, *given, *(name_column(one) for one in channels), *_name_sd(channels)]
+    return format_table(comments, columns, rows)
 
 
-def format_prediction(calibrated: CalibratedMachine, names: Sequence[str], prediction: PosePrediction) -> str:
-    """Return poses as CSV text as `bayescal poses-from-targets` writes them: mm and degrees, covariance in µm, µrad."""
-    upper, _ = name_covariances(COORDINATES)
-    pairs = np.triu_indices(6)
-    columns, values = ["pose", *VALUES], _list_values(prediction.position, prediction.rotation)
-    rows: list[tuple[str, ...]] = [(name, *row) for name, row in zip(names, values, strict=True)]
-    if prediction.covariance is not None:
-        columns += upper
-        scaled = (prediction.covariance * np.outer(TO_FILE, TO_FILE))[:, pairs[0], pairs[1]]
-        rows = [(*row, *(f"{c:.8g}" for c in cells)) for row, cells in zip(rows, scaled, strict=True)]
-    comments = [
-        *calibrated.source.describe(),
-        "Predicted pose of the platform frame in the base frame; position in mm, rotation vector in degrees.",
-        "cov: covariance of position (µm) and of the rotation vector (µrad) about the base axes: geometry, errors of",
-        "the legs, noise of the actuators' readings.",
+def format_prediction(
+    calibrated: CalibratedMachine, names: Sequence[str], prediction: PosePrediction, given: Mapping[str, Array]
+) -> str:
+    """Return tools, and coordinates where these are others, as CSV text; rotation vectors in degrees.
+
+    The covariance of the tool is in µm and µrad, that of a machine on legs as `bayescal poses-from-targets` has it.
+    """
+    model, whole = calibrated.model, is_pose(calibrated)
+    tool, pose = model.tool_channels, model.pose_channels
+    prefix = "" if whole else TOOL
+    columns = ["pose", *given, *(prefix + name_column(one) for one in tool), *(() if whole else map(name_column, pose))]
+    values = np.concatenate([prediction.tool, prediction.pose], axis=1)[:, : len(columns) - 1 - len(given)]
+    known = [[repr(float(x)) for x in row] for row in zip(*given.values(), strict=True)] or [[]] * len(names)
+    rows: list[list[str]] = [
+        [name, *own, *_format_values(row, [*tool, *pose])] for name, own, row in zip(names, known, values, strict=True)
+    ]
+    if prediction.covariance is not None and prediction.pose_covariance is not None:
+        columns += name_covariances([f"{prefix}{one.stem}" for one in tool])[0]
+        scale, upper = _fine(tool), np.triu_indices(len(tool))
+        cells = (prediction.covariance * np.outer(scale, scale))[:, upper[0], upper[1]]
+        if not whole:
+            columns += _name_sd(pose)
+            sd = np.sqrt(np.diagonal(prediction.pose_covariance, axis1=1, axis2=2)) * _fine(pose)
+            cells = np.concatenate([cells, sd], axis=1)
+        rows = [[*row, *(f"{c:.8g}" for c in some)] for row, some in zip(rows, cells, strict=True)]
+    comments = [*calibrated.source.describe(), *_describe_pose(calibrated)]
+    comments += [
+        "cov: covariance in µm and µrad, that of a rotation vector about the base axes: geometry, model error,",
+        "noise of the actuators' readings.",
     ]
     return format_table(comments, columns, rows)
 
 
-def format_draws(calibrated: CalibratedMachine, names: Sequence[str], position: Array, rotation: Array) -> str:
-    """Return drawn poses (S, P, ...) as CSV text, a row for each draw of each pose."""
+def _describe_pose(calibrated: CalibratedMachine) -> list[str]:
+    if isinstance(calibrated.model, LegsModel):
+        return ["Predicted pose of the platform frame in the base frame; position in mm, rotation vector in degrees."]
+    if is_pose(calibrated):
+        return ["Predicted coordinates of the machine."]
+    return ["Predicted tool (tool_...) and coordinates of the machine."]
+
+
+def format_draws(calibrated: CalibratedMachine, names: Sequence[str], tools: Array) -> str:
+    """Return drawn tools (S, P, m) as CSV text, a row for each draw of each pose."""
+    channels, prefix = calibrated.model.tool_channels, "" if is_pose(calibrated) else TOOL
     rows: list[tuple[object, ...]] = []
-    for draw, (p, r) in enumerate(zip(position, rotation, strict=True), start=1):
-        rows += [(name, draw, *row) for name, row in zip(names, _list_values(p, r), strict=True)]
+    for draw, some in enumerate(tools, start=1):
+        rows += [(name, draw, *_format_values(row, channels)) for name, row in zip(names, some, strict=True)]
     comments = [
         *calibrated.source.describe(),
-        "Poses by draws of the posterior; position in mm, rotation vector in degrees.",
+        "Poses by draws of the posterior; rotation vectors in degrees.",
     ]
-    return format_table(comments, ["pose", "draw", *VALUES], rows)
+    return format_table(comments, ["pose", "draw", *(prefix + name_column(one) for one in channels)], rows)
 
 
-def _list_values(position: Array, rotation: Array) -> list[list[str]]:
-    angles = np.degrees(rotation_vector_from_matrix(rotation))
-    return [[f"{x:.9f}" for x in p] + [f"{x:.10f}" for x in a] for p, a in zip(position, angles, strict=True)]
+def name_column(channel: Channel) -> str:
+    """Return the column that a quantity is written to: a rotation vector in degrees, all else in its own unit."""
+    return f"{channel.stem}_{'deg' if channel.rotation else channel.unit}"
+
+
+def _name_sd(channels: Sequence[Channel]) -> list[str]:
+    """Return the columns of standard deviations."""
+    return [f"sd_{one.stem}_{FINE.get(one.unit, (one.unit, 1.0))[0]}" for one in channels]
+
+
+def _fine(channels: Sequence[Channel]) -> Array:
+    return np.array([FINE.get(one.unit, ("", 1.0))[1] for one in channels])
+
+
+def _format_values(values: Array, channels: Sequence[Channel]) -> list[str]:
+    pairs = zip(values, channels, strict=False)
+    return [f"{np.degrees(x):.10f}" if one.rotation else f"{x:.9f}" for x, one in pairs]
 
 
 def _format_cells(values: Array, digits: str, fault: str) -> list[str]:

@@ -1,24 +1,32 @@
-"""How sure the poses of a calibrated machine are over its workspace: GUM's budget by source, JCGM 101's Monte Carlo.
+"""How well the tool of a calibrated machine is known over its workspace: GUM's budget, Monte Carlo of JCGM 101.
 
-The law of propagation gives each pose's covariance: that of the geometry and those of what moves the legs besides. By
+The law of propagation gives each pose's covariance: that of the geometry and those of what commands err by besides. By
 Monte Carlo draws of the posterior go through the kinematics, each with errors of its own; where both agree the expanded
 uncertainty k u of the budget may be stated, otherwise that of the draws (JCGM 101:2008, section 8).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
-from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors
-from bayescal.calibrated.predict import PosePrediction, draw_poses, predict_poses
+from bayescal.calibrated.machine import CalibratedMachine
+from bayescal.calibrated.predict import (
+    check_determined,
+    draw_poses,
+    find_curved,
+    place_machine,
+    predict_poses,
+    split,
+    spread_outputs,
+)
 from bayescal.errors import InputError
+from bayescal.machines.readings.base import NOTHING, Given
 from bayescal.numerics.geometry import Array
 
-GEOMETRY, ACTUATORS, MODEL, MATRIX = "geometry", "actuator noise", "model error", "deformation matrix"
+GEOMETRY = "geometry"
 BATCH = 16  # poses at a time that draws go through
 
 
@@ -28,25 +36,24 @@ class Budget:
 
     Attributes
     ----------
-    actuators : ndarray, shape (P, N)
-        mm.
-    position : ndarray, shape (P, 3)
-        Where the platform's frame is in the base frame, mm.
-    parts : dict of str to ndarray, shape (P, 6, 6)
-        Of position (mm) and rotation vector (rad) about the base axes, by source.
+    commands : ndarray, shape (P, C)
+    tool : ndarray, shape (P, m)
+        Where it is, as the posterior has it in the mean.
+    parts : dict of str to ndarray, shape (P, m, m)
+        Of the tool, by source.
     """
 
-    actuators: Array
-    position: Array
+    commands: Array
+    tool: Array
     parts: dict[str, Array]
 
     @property
     def combined(self) -> Array:
-        """Covariance of each pose, all sources together, shape (P, 6, 6)."""
+        """Covariance of each pose, all sources together, shape (P, m, m)."""
         return np.sum(list(self.parts.values()), axis=0)
 
     def sd(self, source: str | None = None) -> Array:
-        """Return standard uncertainties (P, 6) in mm and rad, of one source or combined."""
+        """Return standard uncertainties (P, m) in the tool's units, of one source or combined."""
         covariance = self.combined if source is None else self.parts[source]
         return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
 
@@ -57,10 +64,10 @@ class Spread:
 
     Attributes
     ----------
-    half_width : ndarray, shape (P, 6)
-        Half the interval, as wide on both sides of the mean, that holds the stated share of draws, mm and rad.
+    half_width : ndarray, shape (P, m)
+        Half the interval, as wide on both sides of the mean, that holds the stated share of draws.
     radius : ndarray, shape (P,)
-        Of the sphere about the mean that holds it, mm.
+        Of the sphere about the mean that holds it, mm; zero for a tool without lengths.
     n_draws : int
         How many draws of the posterior.
     """
@@ -70,8 +77,8 @@ class Spread:
     n_draws: int
 
 
-def compute_budget(calibrated: CalibratedMachine, actuators: Array) -> Budget:
-    """Return the covariances of the poses of actuator positions (P, N), mm, by source.
+def compute_budget(calibrated: CalibratedMachine, commands: Array, given: Given = NOTHING) -> Budget:
+    """Return the covariances of the tool at commands (P, C), by source.
 
     Raises
     ------
@@ -80,28 +87,19 @@ def compute_budget(calibrated: CalibratedMachine, actuators: Array) -> Budget:
     """
     if calibrated.covariance is None:
         raise InputError(f"experiment {calibrated.source.experiment}: found no draws of its posterior, expected some")
-    together = predict_poses(calibrated, actuators)
-    assert together.of_geometry is not None
-    parts = {GEOMETRY: together.of_geometry}
-    for source, errors in _split_errors(calibrated.errors).items():
-        alone = predict_poses(replace(calibrated, errors=errors), actuators)
-        assert alone.covariance is not None
-        assert alone.of_geometry is not None
-        parts[source] = alone.covariance - alone.of_geometry
-    return Budget(actuators, together.position, parts)
-
-
-def _split_errors(errors: object) -> dict[str, IndependentErrors]:
-    """Return what moves the legs besides the geometry, source by source."""
-    if not isinstance(errors, IndependentErrors):
-        raise InputError("model error: found a structured one, expected one that is independent from pose to pose")
-    none = np.zeros_like(errors.model_variance)
-    parts = {ACTUATORS: replace(errors, model_variance=none, matrix_covariance=None)}
-    if errors.model_variance.any():
-        parts[MODEL] = IndependentErrors(0.0, errors.model_variance)
-    if errors.matrix_covariance is not None:
-        parts[MATRIX] = IndependentErrors(0.0, none, errors.matrix_covariance)
-    return parts
+    check_determined(calibrated)
+    curved, m = find_curved(calibrated), len(calibrated.model.tool_channels)
+    sources = calibrated.errors.split()
+    found: dict[str, list[Array]] = {name: [] for name in (GEOMETRY, *sources)}
+    for part in split(len(commands)):
+        at = place_machine(calibrated, commands[part], {name: value[part] for name, value in given.items()})
+        found[GEOMETRY].append(spread_outputs(calibrated, at, curved)[1][:, :m, :m])
+        to_tool = at.gain[:, :m]
+        for name, errors in sources.items():
+            covariance = errors.covariance(at.pose, at.commands, at.given)
+            found[name].append(to_tool @ covariance @ np.swapaxes(to_tool, 1, 2))
+    parts = {name: np.concatenate(some) for name, some in found.items()}
+    return Budget(commands, predict_poses(calibrated, commands, given).tool, parts)
 
 
 def coverage_factor(coverage: float) -> float:
@@ -109,29 +107,24 @@ def coverage_factor(coverage: float) -> float:
     return float(norm.ppf(0.5 * (1.0 + coverage)))
 
 
-def propagate(calibrated: CalibratedMachine, actuators: Array, coverage: float, n_draws: int, seed: int) -> Spread:
-    """Return by Monte Carlo what holds a share of poses at actuator positions (P, N), mm (JCGM 101:2008, section 7).
+def propagate(
+    calibrated: CalibratedMachine, commands: Array, coverage: float, n_draws: int, seed: int, given: Given = NOTHING
+) -> Spread:
+    """Return by Monte Carlo what holds a share of tools at commands (P, C) (JCGM 101:2008, section 7).
 
     Raises
     ------
     InputError
         Where there are no draws.
     """
-    rng, mean = np.random.default_rng(seed), predict_poses(calibrated, actuators)
-    half_width, radius, n = np.empty((len(actuators), 6)), np.empty(len(actuators)), 0
-    for start in range(0, len(actuators), BATCH):
+    rng, mean = np.random.default_rng(seed), predict_poses(calibrated, commands, given)
+    half_width, radius, n = np.empty_like(mean.tool), np.empty(len(commands)), 0
+    for start in range(0, len(commands), BATCH):
         part = slice(start, start + BATCH)
-        apart = _deviate(mean, part, *draw_poses(calibrated, actuators[part], n_draws, rng))
+        some = {name: value[part] for name, value in given.items()}
+        drawn = draw_poses(calibrated, commands[part], n_draws, rng, some)
+        apart = calibrated.comparison.subtract(drawn, mean.tool[part])
         half_width[part] = np.nanquantile(np.abs(apart), coverage, axis=0)
-        radius[part] = np.nanquantile(np.linalg.norm(apart[..., :3], axis=-1), coverage, axis=0)
+        radius[part] = np.nanquantile(np.linalg.norm(apart[..., calibrated.lengths], axis=-1), coverage, axis=0)
         n = len(apart)
     return Spread(half_width, radius, n)
-
-
-def _deviate(mean: PosePrediction, part: slice, position: Array, rotation: Array) -> Array:
-    """Return how far drawn poses (S, P, 3), (S, P, 3, 3) are from the predicted ones, (S, P, 6), mm and rad."""
-    turned = rotation @ np.swapaxes(mean.rotation[part], 1, 2)
-    there = np.isfinite(turned).all(axis=(-2, -1))
-    angles = np.full((*there.shape, 3), np.nan)
-    angles[there] = Rotation.from_matrix(turned[there]).as_rotvec()
-    return np.concatenate([position - mean.position[part], angles], axis=-1)

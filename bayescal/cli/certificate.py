@@ -10,11 +10,12 @@ import typer
 
 from bayescal.cli.app import app
 from bayescal.cli.console import check_out, put
-from bayescal.cli.machine import Calibrated, Config, Force, Variant
+from bayescal.cli.machine import Calibrated, Config, Force, Trust, Variant
 from bayescal.errors import InputError
 from bayescal.limits import LARGEST_SEED
 
 if TYPE_CHECKING:
+    from bayescal.calibrated.machine import CalibratedMachine
     from bayescal.calibrated.region import Region
 
 
@@ -43,6 +44,7 @@ def certificate(
     seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED - 2, help="Of poses and draws.")] = 0,
     experiment: Config = None,
     force: Force = False,
+    trust: Trust = False,
 ) -> None:
     """Certify how sure the poses of a calibrated machine are: budget, expanded uncertainty, ISO figures."""
     from bayescal.api import load_calibrated
@@ -51,12 +53,12 @@ def certificate(
     from bayescal.report.page import render_page
     from bayescal.report.pictures import render_picture
 
-    calibrated = load_calibrated(results, variant, experiment, force)
+    calibrated = load_calibrated(results, variant, experiment, force, trust)
     if out is not None and out.suffix != ".html":
         raise InputError(f"--out: found {out.name!r}, expected a name that ends with .html; the numbers go beside it")
     where = out or Path(f"certificate-{calibrated.source.stem}.html")
     check_out(where)
-    region = _read_region(position_mm, rotation_deg, whole_range)
+    region = _read_region(calibrated, position_mm, rotation_deg, whole_range)
     wishes = Wishes(coverage, poses, cube_mm=cube, seed=seed, region=region, whole_range=whole_range)
     found = certify(calibrated, results, wishes)
     typer.echo(state_headline(found))
@@ -67,12 +69,15 @@ def certificate(
 
 
 def _read_region(
+    calibrated: CalibratedMachine,
     position_mm: tuple[float, float, float] | None,
     rotation_deg: tuple[float, float, float] | None,
     whole_range: bool,
 ) -> Region | None:
     """Return the box that the options state; None for the default, or for the actuators' range."""
-    from math import isfinite, radians
+    from math import isfinite
+
+    import numpy as np
 
     from bayescal.calibrated.region import box_about_home
 
@@ -86,5 +91,16 @@ def _read_region(
     for name, values in (("--position-mm", position_mm), ("--rotation-deg", turned)):
         if not all(isfinite(value) and value >= 0.0 for value in values):
             raise InputError(f"{name}: found {' '.join(f'{v:g}' for v in values)}, expected half extents of 0 or more")
-    x, y, z = (radians(value) for value in turned)
-    return box_about_home(position_mm, (x, y, z))
+    units = [one.unit for one in calibrated.model.coordinates]
+    half = np.zeros(len(units))
+    for unit, name, extents in (
+        ("mm", "--position-mm", np.array(position_mm)),
+        ("rad", "--rotation-deg", np.radians(turned)),
+    ):
+        places = [k for k, other in enumerate(units) if other == unit]
+        if len(places) == len(extents):
+            half[places] = extents
+        elif unit == "mm" or places or rotation_deg is not None:
+            names = ", ".join(one.name for one in calibrated.model.coordinates)
+            raise InputError(f"{name}: found three for coordinates {names}, expected a machine with three of that kind")
+    return box_about_home(half)

@@ -20,6 +20,7 @@ from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
 HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
+EDGE = 1e-3  # how near to a bound, by the width of a uniform prior, a machine known otherwise is taken to be
 
 
 def build_sampling(
@@ -133,6 +134,14 @@ class LegSampling(Sampling):
     def y_from_theta(self, theta: Array) -> Array:
         """Return coordinates (..., m)."""
         return self.coordinates.y_from_theta(theta)
+
+    def adopt(self, theta: Array) -> Array:
+        """Return coordinates (M, m) of machines (M, D), brought within the bounds of uniform priors."""
+        known, theta = self.coordinates, theta.copy()
+        lower, upper = known.lower[known.bounded], known.upper[known.bounded]
+        margin, places = EDGE * (upper - lower), known.free[known.bounded]
+        theta[:, places] = np.clip(theta[:, places], lower + margin, upper - margin)
+        return known.y_from_theta(theta)
 
     def natural(self, theta: Array) -> Array:
         """Return the free parameters in their own units, (..., m)."""

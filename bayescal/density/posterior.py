@@ -99,6 +99,10 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: ErrorCoordinates]:
         """Return everything that is free in its own unit, (..., n)."""
         return np.concatenate([self.sampling.natural(self.theta(y)), self.errors.natural(self.zeta(y))], axis=-1)
 
+    def adopt(self, theta: Array, zeta: Array) -> Array:
+        """Return the coordinates (M, n) of machines θ (M, D), brought within the priors' bounds, and of errors ζ."""
+        return np.concatenate([self.sampling.adopt(theta), zeta], axis=-1)
+
     # --- density -------------------------------------------------------------------------------------------------
 
     def log_prior(self, y: Array) -> Array:
@@ -110,12 +114,6 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: ErrorCoordinates]:
         constant = self.errors.log_mass - self.errors.n_parameters * HALF_LOG_TWO_PI
         own = constant - 0.5 * np.einsum("...i,...i->...", deviations, deviations)
         return np.asarray(self.sampling.log_prior(y[..., : self.n_geometry], theta) + own)
-
-    def log_parameters(self, y: Array) -> Array:
-        """Return the log-prior of each parameter in its own unit, (..., n); of no error its probability."""
-        natural = self.natural(y)
-        priors = self.all_priors().values()
-        return np.stack([prior.log_density(natural[..., k]) for k, prior in enumerate(priors)], axis=-1)
 
     def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
         """Return draws of the prior in the coordinates, shape (n_draws, n); NaN where they are no coordinates."""
@@ -137,6 +135,10 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: ErrorCoordinates]:
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each row of the data given all others, (B, n) to (B, P)."""
         return self.evaluate_rows(self.likelihood, y)
+
+    def pointwise_of(self, y: Array, row: int) -> Array:
+        """Return the log-likelihood of one row given all others, (B, n) to (B,)."""
+        return np.asarray(self.pointwise(y)[:, row])
 
     def evaluate_rows(self, likelihood: L, y: Array) -> Array:
         """Return the log-likelihood of each row, of these or of others, shape (B, P), for coordinates (B, n)."""

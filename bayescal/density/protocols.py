@@ -50,6 +50,10 @@ class Sampling(ABC):
     def y_from_theta(self, theta: Array) -> Array:
         """Return coordinates of parameter vectors, (..., D) to (..., m)."""
 
+    def adopt(self, theta: Array) -> Array:
+        """Return the same, of machines that may lie beyond the priors' bounds, brought within; by default none has."""
+        return self.y_from_theta(theta)
+
     @abstractmethod
     def natural(self, theta: Array) -> Array:
         """Return the free parameters in their own units, (..., D) to (..., m)."""

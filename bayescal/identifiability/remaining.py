@@ -1,24 +1,30 @@
 """How far a calibrated machine errs over its workspace, by draws of what is known of it.
 
 The calibrated machine predicts its poses by the posterior mean of its parameters; a draw of the posterior stands for
-the true one. At a pose the closure of the draw, f(θ, pose, ρ), is what its legs miss, and the pose errs by -A⁻¹ f
-with A = ∂f/∂pose at the calibrated machine; where that is as good as its tangent by θ, the tangent takes its place.
-Actuators and the draw's own model errors τ err besides, as in `bayescal.identifiability.sensitivity`. Requirements hold
-where no pose of the workspace exceeds a limit.
+the true one. How far the prediction errs is taken exactly in the parameters; where that is as good as its tangent by
+them, the tangent takes its place. Requirements hold where no pose of the workspace exceeds a limit.
+
+On legs the closure of the draw at a pose, f(θ, pose, ρ), is what its legs miss, and the pose errs by -A⁻¹ f with
+A = ∂f/∂pose at the calibrated machine. Actuators and the draw's own model errors τ err besides, as in
+`bayescal.identifiability.sensitivity`. The tool of any machine is located by the readings of its own channels.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from bayescal.density.calibration.measurements import Comparison
 from bayescal.errors import NumericalError
+from bayescal.identifiability.reading_rows import linearise_near
 from bayescal.identifiability.requirements import Requirement
 from bayescal.machines.kinematics import ForwardKinematics, Machine, solve_forward_kinematics
 from bayescal.machines.models.base import Linearisation
+from bayescal.machines.readings import Given, ReadingModel, Readings
 from bayescal.numerics.geometry import Array
 
 CHUNK = 250  # draws at a time
@@ -27,31 +33,11 @@ BENT = 0.1  # of the errors' spread: off the tangent by more, draws are followed
 ROUNDING = 1e-9  # mm and rad
 
 
-@dataclass(frozen=True, eq=False)
-class Remaining:
-    """Poses at which a calibrated machine is to be accurate.
+class Remaining(ABC):
+    """Poses at which a calibrated machine is to be accurate; W poses, c components of an error, S draws."""
 
-    Attributes
-    ----------
-    machine : Machine
-    theta : ndarray, shape (D,)
-        The calibrated machine.
-    actuators : ndarray, shape (W, N)
-        mm.
-    actuator_noise : float
-        σ_ρ, mm.
-    model_error : ndarray, shape (S, N)
-        Model errors τ of the draws that stand for the true machine, mm.
-    seed : int
-        Of what actuators and model err by: the same at every call, so that differences are not chance.
-    """
-
-    machine: Machine
     theta: Array
-    actuators: Array
-    actuator_noise: float
-    model_error: Array
-    seed: int
+    """The calibrated machine, shape (D,)."""
 
     def find_largest(self, requirements: Sequence[Requirement], theta: Array) -> Array:
         """Return the largest error anywhere in the workspace, in shares of each of R limits.
@@ -76,12 +62,66 @@ class Remaining:
         rows = []
         for k in range(0, len(theta), CHUNK):
             part = slice(k, k + CHUNK)
-            error = (self._follow if bent else self._project)(theta[part])
-            error += self._noise[..., part]
+            error = self.follow(theta[part]) if bent else self._project(theta[part])
+            error = error + self.noise[..., part]
             of_draws = error.transpose(2, 0, 1)
             shares = np.stack([(r.take(of_draws) / r.limit).max(axis=1) for r in requirements], axis=1)
             rows.append(np.where(np.isfinite(shares), shares, np.inf))
         return np.concatenate(rows)
+
+    @property
+    @abstractmethod
+    def slope(self) -> Array:
+        """Error by the true machine's parameters, shape (W, c, D)."""
+
+    @property
+    @abstractmethod
+    def noise(self) -> Array:
+        """What errs beside the parameters: a draw each, shape (W, c, S)."""
+
+    @abstractmethod
+    def follow(self, theta: Array) -> Array:
+        """Return the errors of true machines (s, D) as they are, shape (W, c, s); NaN where there is none."""
+
+    def _project(self, theta: Array) -> Array:
+        """Return the errors of machines (s, D) by their tangent, shape (W, c, s)."""
+        flat = self.slope.reshape(-1, self.slope.shape[-1])
+        return np.asarray((flat @ (theta - self.theta).T).reshape(*self.slope.shape[:2], len(theta)))
+
+    def _leaves_tangent(self, theta: Array) -> bool:
+        """Return whether machines (s, D) err otherwise than their tangent says."""
+        followed = self.follow(theta)
+        off, spread = (
+            np.sqrt(np.mean(error**2, axis=-1)).max(axis=0) for error in (followed - self._project(theta), followed)
+        )
+        return not bool(np.all(off <= BENT * spread + ROUNDING))
+
+
+@dataclass(frozen=True, eq=False)
+class LegsRemaining(Remaining):
+    """Poses of a machine on legs that its actuators reach.
+
+    Attributes
+    ----------
+    machine : Machine
+    theta : ndarray, shape (D,)
+        The calibrated machine.
+    actuators : ndarray, shape (W, N)
+        mm.
+    actuator_noise : float
+        σ_ρ, mm.
+    model_error : ndarray, shape (S, N)
+        Model errors τ of the draws that stand for the true machine, mm.
+    seed : int
+        Of what actuators and model err by: the same at every call, so that differences are not chance.
+    """
+
+    machine: Machine
+    theta: Array
+    actuators: Array
+    actuator_noise: float
+    model_error: Array
+    seed: int
 
     @cached_property
     def _poses(self) -> ForwardKinematics:
@@ -100,13 +140,12 @@ class Remaining:
         return np.linalg.pinv(self._here.pose)
 
     @cached_property
-    def _slope(self) -> Array:
-        """Pose by parameters, shape (W 6, D)."""
-        slope = -(self._gain @ self._here.parameters)
-        return slope.reshape(-1, slope.shape[-1])
+    def slope(self) -> Array:
+        """Pose by parameters, shape (W, 6, D)."""
+        return np.asarray(-(self._gain @ self._here.parameters))
 
     @cached_property
-    def _noise(self) -> Array:
+    def noise(self) -> Array:
         """What actuators and model err by, shape (W, 6, S), mm and rad."""
         rng, gain, by_actuators = np.random.default_rng(self.seed), self._gain, self._here.actuators
         shape = (*self.actuators.shape, len(self.model_error))
@@ -116,25 +155,76 @@ class Remaining:
             noise += by_legs @ (rng.standard_normal(shape) * self.model_error.T)
         return noise
 
-    def _project(self, theta: Array) -> Array:
-        """Return the errors of machines (s, D) by their tangent, shape (W, 6, s)."""
-        error = self._slope @ (theta - self.theta).T
-        return np.asarray(error.reshape(len(self.actuators), -1, len(theta)))
-
-    def _follow(self, theta: Array) -> Array:
+    def follow(self, theta: Array) -> Array:
         """Return the errors of machines (s, D) by their closures, shape (W, 6, s); NaN where there is none."""
         machine, poses = self.machine, self._poses
         closure = machine.model.bind(machine.layout, poses.position, poses.rotation, machine.basis(self.actuators))
         with np.errstate(all="ignore"):  # far out numbers overflow
             return np.asarray(-(self._gain @ closure.evaluate(np.asfortranarray(theta)).transpose(1, 0, 2)))
 
-    def _leaves_tangent(self, theta: Array) -> bool:
-        """Return whether machines (s, D) err otherwise than their tangent says."""
-        followed = self._follow(theta)
-        off, spread = (
-            np.sqrt(np.mean(error**2, axis=-1)).max(axis=0) for error in (followed - self._project(theta), followed)
-        )
-        return not bool(np.all(off <= BENT * spread + ROUNDING))
+
+@dataclass(frozen=True, eq=False)
+class ToolRemaining(Remaining):
+    """Poses at which the tool of any machine is located by channels of its own.
+
+    Where the true machine d stands at v, its channels read h(d, v) + ε. The calibrated one takes that for its own
+    readings at v + G (h(d, v) - h(d̂, v) + ε), with G the weighted inverse of H, and its tool to be there.
+
+    Attributes
+    ----------
+    model : ReadingModel
+        With these channels alone, K of them.
+    theta : ndarray, shape (D,)
+        The calibrated machine d̂.
+    pose : ndarray, shape (W, q)
+    given : mapping of str to ndarray, shape (W,)
+    sd : ndarray, shape (S, K)
+        Noise of the channels, of each draw that stands for the true machine.
+    seed : int
+        Of the noise: the same at every call, so that differences are not chance.
+    """
+
+    model: ReadingModel
+    theta: Array
+    pose: Array
+    given: Given
+    sd: Array
+    seed: int
+
+    @cached_property
+    def _here(self) -> Readings:
+        return linearise_near(self.model, self.theta, self.pose, self.given)
+
+    @cached_property
+    def _tool(self) -> tuple[Array, Array, Array]:
+        return self.model.tool(self.theta, self.pose)
+
+    @cached_property
+    def _located(self) -> Array:
+        """What the tool's place moves by with the readings, shape (W, c, K)."""
+        white = 1.0 / np.sqrt(np.mean(self.sd**2, axis=0))
+        return np.asarray(self._tool[1] @ np.linalg.pinv(white[:, None] * self._here.by_pose) * white)
+
+    @cached_property
+    def slope(self) -> Array:
+        """Error of the tool's place by parameters, shape (W, c, D)."""
+        return np.asarray(self._located @ self._here.by_parameters - self._tool[2])
+
+    @cached_property
+    def noise(self) -> Array:
+        """What readings err by, shape (W, c, S)."""
+        rng = np.random.default_rng(self.seed)
+        draws = rng.standard_normal((len(self.pose), *self.sd.T.shape)) * self.sd.T
+        return np.asarray(self._located @ draws)
+
+    def follow(self, theta: Array) -> Array:
+        """Return the errors of true machines (s, D), the readings as they are, shape (W, c, s)."""
+        comparison, here = Comparison(self.model.channels), self._here
+        given = {name: value[:, None] for name, value in self.given.items()}
+        read = self.model.read(theta, self.pose[:, None], given)
+        moved = comparison.subtract(read, here.values[:, None])
+        place, _, _ = self.model.tool(theta, self.pose[:, None])
+        return np.asarray(self._located @ np.swapaxes(moved, 1, 2) - np.swapaxes(place - self._tool[0][:, None], 1, 2))
 
 
 @dataclass(frozen=True, eq=False)

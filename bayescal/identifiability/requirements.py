@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,31 +20,35 @@ NORMS = {"position": slice(0, 3), "rotation": slice(3, 6)}
 
 @dataclass(frozen=True)
 class Requirement:
-    """A limit on a component of the pose error, or on the length of its position or rotation part.
+    """A limit on a component of an error, or on the length of its position or rotation part.
 
     Attributes
     ----------
     name : str
-        One of `COMPONENTS` or `NORMS`.
+        One of the components or of `NORMS`.
     limit : float
         mm or rad.
+    components : tuple of str
+        Of the errors: those of a platform's pose, or what else has to be accurate, positions first.
     """
 
     name: str
     limit: float
+    components: tuple[str, ...] = COMPONENTS
+
+    @property
+    def where(self) -> slice:
+        """Which components are limited."""
+        return NORMS.get(self.name) or slice(k := self.components.index(self.name), k + 1)
 
     def take(self, error: Array) -> Array:
-        """Return the required quantity of pose errors (..., 6), not negative, shape (...)."""
-        if self.name in NORMS:
-            return np.asarray(np.linalg.norm(error[..., NORMS[self.name]], axis=-1))
-        return np.abs(error[..., COMPONENTS.index(self.name)])
+        """Return the required quantity of errors (..., c), not negative, shape (...)."""
+        part = error[..., self.where]
+        return np.abs(part[..., 0]) if part.shape[-1] == 1 else np.asarray(np.linalg.norm(part, axis=-1))
 
     def variance(self, covariance: Array) -> Array:
-        """Return the variance of the quantity from pose covariances (..., 6, 6), summed over a norm's parts."""
-        diagonal = np.diagonal(covariance, axis1=-2, axis2=-1)
-        if self.name in NORMS:
-            return np.asarray(diagonal[..., NORMS[self.name]].sum(axis=-1))
-        return np.asarray(diagonal[..., COMPONENTS.index(self.name)])
+        """Return the variance of the quantity from covariances (..., c, c), summed over a norm's parts."""
+        return np.asarray(np.diagonal(covariance, axis1=-2, axis2=-1)[..., self.where].sum(axis=-1))
 
 
 @dataclass(frozen=True)
@@ -183,8 +187,8 @@ def _largest(requirement: Requirement, covariance: Array) -> float:
     return float(np.sqrt(requirement.variance(covariance).max()))
 
 
-def find_limits(requirements: list[Requirement], workspace: Sensitivity, sd: Array) -> Array:
-    """Return limits of the six components, mm and rad, shape (6,); infinite where nothing is required.
+def find_limits(requirements: Sequence[Requirement], slope: Array) -> Array:
+    """Return limits of the components of an error, mm and rad, shape (c,); infinite where nothing is required.
 
     A limit on a length holds for each of its components, where they have no smaller one. Without any requirement they
     are the root mean square errors over the workspace before any measurement, so that all count alike.
@@ -192,16 +196,13 @@ def find_limits(requirements: list[Requirement], workspace: Sensitivity, sd: Arr
     Parameters
     ----------
     requirements : list of Requirement
-    workspace : Sensitivity
-        Derivatives at the workspace's poses.
-    sd : ndarray, shape (L,)
-        Tolerances.
+    slope : ndarray, shape (W, c, L)
+        What has to be accurate at the workspace's poses, by the parameters in units of the tolerances.
     """
-    limits = np.full(6, np.inf)
+    limits = np.full(slope.shape[1], np.inf)
     for requirement in requirements:
-        where = NORMS.get(requirement.name) or slice(k := COMPONENTS.index(requirement.name), k + 1)
-        limits[where] = np.minimum(limits[where], requirement.limit)
+        limits[requirement.where] = np.minimum(limits[requirement.where], requirement.limit)
     if np.isfinite(limits).any():
         return limits
-    before = np.sqrt(np.mean(np.sum((workspace.slope * sd) ** 2, axis=-1), axis=0))
+    before = np.sqrt(np.mean(np.sum(slope**2, axis=-1), axis=0))
     return np.where(before > 0.0, before, np.inf)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 LENGTHS = {"um": 1e-3, "mm": 1.0, "m": 1e3}
 ANGLES = {"arcsec": np.pi / 180 / 3600, "mrad": 1e-3, "deg": np.pi / 180, "rad": 1.0}
+
+
+def units_like(unit: str) -> Mapping[str, float]:
+    """Return the units that a column may be in instead of a channel's, each with its size in it."""
+    return {"mm": LENGTHS, "rad": {name: float(v) for name, v in ANGLES.items()}}.get(unit, {unit: 1.0})
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,12 @@ import numpy as np
 from scipy.special import logsumexp
 
 from bayescal.errors import NumericalError
-from bayescal.inference.importance import LogDensity, smooth_weights
+from bayescal.inference.ensemble import run_ensembles
+from bayescal.inference.exploration import Exploration
+from bayescal.inference.importance import LogDensity, resample, smooth_weights
 from bayescal.inference.proposal import MixtureProposal
+from bayescal.inference.sampling import Sample
+from bayescal.inference.straightening import Straightening
 from bayescal.limits import MOVED_LIMIT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
@@ -26,6 +30,14 @@ ENOUGH = 0.8
 """Share of effective draws from which on another round is not worth its evaluations."""
 ROUNDS = 3
 BLOCK = 32  # draws that are weighed between looks at the error, where one is enough
+WEIGHED = 256  # draws of a posterior, a round
+PROPOSED = 1500
+USED = 1024  # at most
+WEIGHED_AT_ONCE, PER_COORDINATE_AT_ONCE, PROPOSED_AT_ONCE = 128, 2, 1000
+"""The same where only the evidence is wanted, and the draws of a regression."""
+KNOWN_ENOUGH = 0.02
+"""Standard error in nats that is enough then: evidences under other priors are themselves known to 0.03."""
+STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,3 +245,69 @@ def _summarise(move: Move, log_weights: Array) -> Correction:
     error = float(np.std(relative, ddof=1) / np.sqrt(n_draws))
     _, pareto_k = smooth_weights(log_weights[np.isfinite(log_weights)])
     return Correction(move, float(log_ratio), error, float(1.0 / np.mean(relative**2)), pareto_k, n_draws)
+
+
+# --- an explored posterior corrected --------------------------------------------------------------------------------
+
+
+def correct_draws(
+    costly: CostlyDensity, exploration: Exploration, sample: Sample, seed: np.random.SeedSequence
+) -> Correction:
+    """Return the correction from draws of the posterior."""
+    draws = sample.straight.reshape(-1, sample.straight.shape[-1])
+    chosen = np.random.default_rng(seed).choice(len(draws), min(USED, len(draws)), replace=False)
+    modes = _sort(exploration, draws)
+    centred = np.concatenate([own - own.mean(axis=0) for k in np.unique(modes) for own in (draws[modes == k],)])
+    covariance = np.atleast_2d(np.cov(centred.T))
+    return correct(costly, draws[chosen], modes[chosen], covariance, WEIGHED)
+
+
+def correct_evidence(costly: CostlyDensity, exploration: Exploration, seed: np.random.SeedSequence) -> Correction:
+    """Return the correction from some draws of the proposal."""
+    drawn = draw_to_correct(exploration, np.random.default_rng(seed), USED // 2, PROPOSED_AT_ONCE)
+    return correct(costly, *drawn, WEIGHED_AT_ONCE, PER_COORDINATE_AT_ONCE, KNOWN_ENOUGH)
+
+
+def draw_to_correct(
+    exploration: Exploration, rng: np.random.Generator, n_draws: int, n_proposed: int = PROPOSED
+) -> tuple[Array, np.ndarray, Array]:
+    """Return draws of the posterior (S, n) in straight coordinates, their modes (S,), a mode's covariance (n, n)."""
+    proposal = exploration.proposal
+    draws = resample(exploration.straight.log_density, proposal, rng, n_proposed, n_draws).draws
+    main = proposal.factors[np.argmax(proposal.weights)]
+    return draws, _sort(exploration, draws), main @ main.T
+
+
+def _sort(exploration: Exploration, draws: Array) -> np.ndarray:
+    """Return which component of the proposal each draw (S, n) belongs to, shape (S,)."""
+    if len(exploration.proposal.weights) == 1:
+        return np.zeros(len(draws), dtype=int)
+    return np.argmax(exploration.proposal.component_log_densities(draws), axis=0)
+
+
+def move_sample(sample: Sample, exploration: Exploration, correction: Correction) -> Sample:
+    """Return a sample whose draws are those of the costly density, as far as the correction is enough."""
+    moved = correction.move(sample.straight.reshape(-1, sample.straight.shape[-1])).reshape(sample.straight.shape)
+    density = sample.log_density - correction.move.log_volume + correction.log_ratio
+    return Sample(exploration.straight, moved, density, sample.acceptance)
+
+
+def sample_exactly(
+    costly: CostlyDensity, exploration: Exploration, sample: Sample, move: Move, seeds: list[np.random.SeedSequence]
+) -> Sample:
+    """Return draws of ensembles that walk on the costly density itself, as many as a sample has: slow.
+
+    They start from the moved proposal; half as many steps again are left out at first.
+    """
+    straight, (_, n_walkers, n_steps, _) = exploration.straight, sample.straight.shape
+    density, proposal = costly.log_density, move.move_proposal(exploration.proposal)
+    ensembles = run_ensembles(density, proposal, seeds, n_walkers, n_steps // 2, n_steps)
+    return Sample.from_ensembles(straight, ensembles)
+
+
+def pull_back(straight: Straightening, y: Array, information: Array) -> Array:
+    """Return information on the geometry's coordinates (m, m), at y (n,), as that on all straight ones (n, n)."""
+    x, unit = straight.x_from_y(y[None]), STEP * np.eye(len(y))
+    slope = (straight.y_from_x(x + unit) - straight.y_from_x(x - unit))[:, : len(information)].T / (2 * STEP)
+    found = slope.T @ information @ slope
+    return np.asarray(0.5 * (found + found.T))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
 
+from bayescal.density.priors import Prior
 from bayescal.numerics.geometry import Array
 
 
@@ -89,6 +91,36 @@ class Target(Prospect, Protocol):
 
     def funnel(self, y: Array) -> Funnel | None:
         """Return what makes the geometry the less certain the larger a model error, at y (n,); None without them."""
+
+
+class Fittable(Target, Protocol):
+    """A posterior whose fit is judged, too: its rows are left out one by one, its priors are varied."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters, as `natural` has them."""
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units."""
+
+    def theta(self, y: Array) -> Array:
+        """Return full parameter vectors (B, D) of coordinates (B, n)."""
+
+    def adopt(self, theta: Array, errors: Array) -> Array:
+        """Return the coordinates (M, n) of machines θ (M, D), brought within the priors' bounds, and of errors.
+
+        The latter are in coordinates, (M, n - m).
+        """
+
+    def all_priors(self) -> Mapping[str, Prior]:
+        """Return the priors of all parameters in their own units, by name and in order."""
+
+    def pointwise_of(self, y: Array, row: int) -> Array:
+        """Return the log-likelihood of one row given all others, (B, n) to (B,)."""
+
+    def row_information(self, y: Array, row: int) -> Array:
+        """Return what one row tells of the geometry at y beyond all others, shape (m, m)."""
 
 
 class Funnel(Protocol):

@@ -1,10 +1,10 @@
 """The pose to measure next: the one that makes the predicted poses surest, or that best tells variants apart.
 
-What is known of m parameters is their covariance in units of the tolerances. A candidate with the rows B, in units of
-noise and tolerances, takes its inverse A to A + BᵀB, whatever is measured there; all candidates are judged at once by
-updates of rank k (see `bayescal.pose_selection.criteria.updates`).
+What is known of m parameters of any machine is their covariance C. A candidate has the rows R, white and with its pose
+eliminated, and takes C⁻¹ to C⁻¹ + RᵀR, whatever is measured there; all candidates are judged at once, by updates of
+rank k.
 
-Variants k and l with probabilities p predict the measured pose of a candidate as N(μ, Σ) each. What measuring it is
+Variants k and l with probabilities p predict what is measured at a candidate as N(μ, Σ) each. What measuring it is
 expected to tell of which of them is right is at most Σ p_k p_l (KL(k, l) + KL(l, k)) nats over the pairs (Box and Hill
 1967).
 """
@@ -13,12 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
-from bayescal.pose_selection.criteria.trace import BayesianTrace
+from bayescal.numerics.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,43 +29,86 @@ class Step:
     ----------
     candidate : int
     covariance : ndarray, shape (m, m)
-        Of the parameters after it, in units of the tolerances.
-    value : float
-        Of the criterion, after it.
+        Of the parameters after it, in their units.
+    mean_square : float
+        tr(W C), the weighted error that is left.
     """
 
     candidate: int
     covariance: Array
-    value: float
+    mean_square: float
 
 
-def look_ahead(criterion: BayesianTrace, covariance: Array, blocks: Array, allowed: np.ndarray) -> Iterator[Step]:
-    """Yield the best candidate, then the best one after it, and so on; none twice.
+def look_ahead(weight: Array, covariance: Array, rows: Array, allowed: np.ndarray) -> Iterator[Step]:
+    """Yield the candidate that lowers tr(W C) most, then the best one after it, and so on; none twice.
 
     Parameters
     ----------
-    criterion : BayesianTrace
+    weight : ndarray, shape (m, m)
+        W, what an error of the parameters costs.
     covariance : ndarray, shape (m, m)
-        What is known so far, in units of the tolerances.
-    blocks : ndarray, shape (C, k, m)
-        Rows of the candidates; see `BayesianTrace.rows`.
-    allowed : ndarray of bool, shape (C,)
+        C, what is known so far.
+    rows : ndarray, shape (c, k, m)
+        Of the candidates, in units of the noise, their poses eliminated.
+    allowed : ndarray of bool, shape (c,)
         Which may be measured.
     """
-    precision = np.linalg.inv(covariance)
-    scorer = criterion.scorer(blocks, np.linalg.cholesky(precision).T, 0)
-    scorer.start([])
     left = allowed.copy()
     while left.any():
-        chosen, value = scorer.best_added(left)
+        gains = compute_gains(rows, covariance, weight)
+        chosen = int(np.where(left, gains, -np.inf).argmax())
         left[chosen] = False
-        scorer.add(chosen)
-        precision = precision + blocks[chosen].T @ blocks[chosen]
-        yield Step(chosen, np.linalg.inv(precision), value)
+        covariance = learn(covariance, rows[chosen])
+        yield Step(chosen, covariance, float(np.trace(weight @ covariance)))
 
 
-def find_unmeasured(candidates: Array, measured: Array, apart: float) -> np.ndarray:
-    """Return which candidates (C, N) differ from all measured poses (P, N) by more than ``apart`` in an actuator, mm.
+def compute_gains(rows: Array, covariance: Array, weight: Array) -> Array:
+    """Return by what part tr(W C) falls with the readings of each pose: tr(W C Rᵀ (1 + R C Rᵀ)⁻¹ R C) / tr(W C).
+
+    Parameters
+    ----------
+    rows : ndarray, shape (c, k, m)
+        R, white, poses eliminated.
+    covariance, weight : ndarray, shape (m, m)
+        C and W.
+    """
+    seen = rows @ covariance
+    inner = np.eye(rows.shape[1]) + seen @ np.swapaxes(rows, -1, -2)
+    fall = np.einsum("cki,ij,clj->ckl", seen, weight, seen, optimize=True)
+    gain = np.trace(np.linalg.solve(inner, fall), axis1=-2, axis2=-1) / np.trace(weight @ covariance)
+    return np.asarray(gain)
+
+
+def learn(covariance: Array, rows: Array) -> Array:
+    """Return C - C Rᵀ (1 + R C Rᵀ)⁻¹ R C, what remains unknown after the readings of one pose, R (k, m)."""
+    seen = rows @ covariance
+    result = covariance - seen.T @ np.linalg.solve(np.eye(len(rows)) + seen @ rows.T, seen)
+    return np.asarray(0.5 * (result + result.T))
+
+
+def add_poses(
+    rows: Array, weight: Array, count: int, places: np.ndarray, covariance: Array | None = None
+) -> tuple[list[int], list[Array]]:
+    """Return candidates, among those at some places, in the order in which they lower tr(W C) most, and each C then.
+
+    They start from a covariance C (m, m), that of the priors where none is given.
+    """
+    covariance = np.eye(rows.shape[-1]) if covariance is None else covariance
+    steps = list(islice(look_ahead(weight, covariance, rows, np.isin(np.arange(len(rows)), places)), count))
+    return [one.candidate for one in steps], [one.covariance for one in steps]
+
+
+def learn_in_turn(rows: Array, places: np.ndarray, covariance: Array | None = None) -> list[Array]:
+    """Return what remains unknown after each of the candidates at some places, C (m, m), as in `add_poses`."""
+    covariance, left = np.eye(rows.shape[-1]) if covariance is None else covariance, []
+    for place in places:
+        covariance = learn(covariance, rows[place])
+        left.append(covariance)
+    return left
+
+
+def find_unmeasured(candidates: Array, measured: Array, apart: float | Array) -> np.ndarray:
+    """Return which candidates (C, N) differ from all measured poses (P, N) by more than ``apart`` in a coordinate.
 
     The same pose measured twice would average the instrument's noise, not what the model leaves out there.
 
@@ -74,8 +117,8 @@ def find_unmeasured(candidates: Array, measured: Array, apart: float) -> np.ndar
     InputError
         Where there is none.
     """
-    distance = np.abs(candidates[:, None] - measured).max(axis=-1).min(axis=1, initial=np.inf)
-    new: np.ndarray = distance > apart
+    distance = (np.abs(candidates[:, None] - measured) / apart).max(axis=-1).min(axis=1, initial=np.inf)
+    new: np.ndarray = distance > 1.0
     if not new.any():
         raise InputError(f"candidates: found all {len(candidates)} measured already, expected one that is not")
     return new
@@ -88,10 +131,10 @@ def compare_variants(probabilities: Array, differences: Array, covariances: Arra
     ----------
     probabilities : ndarray, shape (K,)
         Of the variants.
-    differences : ndarray, shape (K, C, 6)
-        Poses that each variant predicts against those of the first one, mm and rad.
-    covariances : ndarray, shape (K, C, 6, 6)
-        Of the measured poses.
+    differences : ndarray, shape (K, C, d)
+        What each variant predicts against the same one of them.
+    covariances : ndarray, shape (K, C, d, d)
+        Of what is measured.
     """
     precisions = np.linalg.inv(covariances)
     total = np.zeros(differences.shape[1])
@@ -102,6 +145,6 @@ def compare_variants(probabilities: Array, differences: Array, covariances: Arra
             spread = np.einsum("cij,cji->c", precisions[k], covariances[m])
             spread += np.einsum("cij,cji->c", precisions[m], covariances[k])
             moved = np.einsum("ci,cij,cj->c", apart, both, apart)
-            divergence = 0.5 * (spread + moved) - DEGREES_OF_FREEDOM
+            divergence = 0.5 * (spread + moved) - differences.shape[-1]
             total += probabilities[k] * probabilities[m] * divergence
     return total

@@ -33,6 +33,7 @@ class LinearDelta(ReadingMachine):
             Coordinate("y", "mm", 0.0, 80.0),
             Coordinate("z", "mm", 20.0, 20.0),
         ]
+        self.tool_channels = [Channel(axis, "mm") for axis in "xyz"]  # what has to be accurate: the coordinates
         self.channels = [
             *(Channel(f"s[{k}]", "mm") for k in (1, 2, 3)),
             *(Channel(name, "mm", external=True) for name in ("cam_x", "cam_y", "height")),

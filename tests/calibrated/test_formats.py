@@ -19,7 +19,7 @@ import telescope_machines as machines
 from scipy.spatial.transform import Rotation
 
 from bayescal.calibrated.export import export_machine
-from bayescal.calibrated.machine import IndependentErrors, Source, build_calibrated
+from bayescal.calibrated.machine import Source, build_calibrated_legs, build_leg_errors
 from bayescal.calibrated.predict import predict_poses
 from bayescal.errors import InputError
 from bayescal.machines.deformations import NoDeformation
@@ -37,7 +37,7 @@ def hexapod(rng):
 
 
 def strut_lengths(found, actuators: np.ndarray) -> np.ndarray:
-    mechanism = found.machine.mechanism
+    mechanism = found.legs.mechanism
     return mechanism.leg_lengths + actuators - mechanism.initial_actuator_positions
 
 
@@ -64,20 +64,20 @@ def ask(program: Path, hal: Path, what: str, rows: np.ndarray) -> np.ndarray:
 def test_genhexkins_takes_the_same_poses(genhex, hexapod, rng, tmp_path):
     """Position to 1 nm and orientation to 1 nm at the joints, 1.7 m off; and strut lengths of given poses."""
     export_machine(hexapod, tmp_path, "genhexkins")
-    actuators = calibrated.measurable_actuators(hexapod.machine, 30, rng)
+    actuators = calibrated.measurable_actuators(hexapod.legs, 30, rng)
     expected = predict_poses(hexapod, actuators)
     angles = Rotation.from_matrix(expected.rotation).as_euler("xyz", degrees=True)  # about fixed axes: R_z R_y R_x
     lengths = ask(genhex, tmp_path / "genhexkins.hal", "inverse", np.hstack([expected.position, angles]))
     np.testing.assert_allclose(lengths, strut_lengths(hexapod, actuators), rtol=0, atol=NANOMETRE)
-    home = predict_poses(hexapod, hexapod.machine.mechanism.initial_actuator_positions[None]).position
+    home = predict_poses(hexapod, hexapod.legs.mechanism.initial_actuator_positions[None]).position
     start = np.tile(np.hstack([home[0], np.zeros(3)]), (30, 1))
     poses = ask(genhex, tmp_path / "genhexkins.hal", "forward", np.hstack([strut_lengths(hexapod, actuators), start]))
     np.testing.assert_allclose(poses[:, :3], expected.position, rtol=0, atol=NANOMETRE)
     rotation = Rotation.from_euler("xyz", poses[:, 3:], degrees=True).as_matrix()
-    points = hexapod.machine.mechanism.platform_points
+    points = hexapod.legs.mechanism.platform_points
     np.testing.assert_allclose(rotation @ points.T, expected.rotation @ points.T, rtol=0, atol=NANOMETRE)
     before = build_machine(SixUps, hexapods.load_hexapod("m2"), NoDeformation()).mechanism
-    assert np.abs(before.leg_lengths - hexapod.machine.mechanism.leg_lengths).max() > 0.01  # as calibrated, not nominal
+    assert np.abs(before.leg_lengths - hexapod.legs.mechanism.leg_lengths).max() > 0.01  # as calibrated, not nominal
 
 
 def test_hal_file_has_nothing_but_comments_and_pins(hexapod, tmp_path):
@@ -87,7 +87,7 @@ def test_hal_file_has_nothing_but_comments_and_pins(hexapod, tmp_path):
     assert all(len(pin) == 3 and pin[0] == "setp" and pin[1].startswith("genhexkins.") for pin in pins)
     assert len({pin[1] for pin in pins}) == len(pins) == 38
     first = next(line for line in lines if line.startswith("# joint 0: "))
-    assert repr(float(hexapod.machine.mechanism.leg_lengths[0])) in first
+    assert repr(float(hexapod.legs.mechanism.leg_lengths[0])) in first
 
 
 # --- URDF ------------------------------------------------------------------------------------------------------------
@@ -136,7 +136,7 @@ def aim(tree: Tree, leg: int, values: dict[str, float], position, rotation, foun
     name = f"leg_{leg}"
     foot = tree.joints[f"{name}_base_universal_1_link"]
     start = tree.place(foot.find("parent").get("link"), values) @ tree.step(foot, 0.0)
-    point = 1e-3 * (position + rotation @ found.machine.mechanism.platform_points[leg - 1])
+    point = 1e-3 * (position + rotation @ found.legs.mechanism.platform_points[leg - 1])
     x, y, z = start[:3, :3].T @ (point - start[:3, 3])
     values[f"{name}_base_universal_1"] = np.arctan2(-y, z)
     values[f"{name}_base_universal_2"] = np.arctan2(x, np.hypot(y, z))
@@ -156,10 +156,8 @@ def test_urdf_closes_at_home_and_at_other_poses(model, rng, tmp_path):
     tree = Tree(tmp_path / "machine.urdf")
     assert len(tree.loops()) == 5
     assert len(set(tree.links)) == len(tree.links) == len(tree.joints) + 1
-    mechanism = found.machine.mechanism
-    actuators = np.vstack(
-        [mechanism.initial_actuator_positions, calibrated.measurable_actuators(found.machine, 3, rng)]
-    )
+    mechanism = found.legs.mechanism
+    actuators = np.vstack([mechanism.initial_actuator_positions, calibrated.measurable_actuators(found.legs, 3, rng)])
     prediction = predict_poses(found, actuators)
     for rho, position, rotation in zip(actuators, prediction.position, prediction.rotation, strict=True):
         moved = 1e-3 * (rho - mechanism.initial_actuator_positions)
@@ -181,7 +179,7 @@ def test_json_and_csv_hold_the_same_numbers(hexapod, tmp_path):
     export_machine(hexapod, tmp_path, "csv")
     content = json.loads((tmp_path / "machine.json").read_text())
     legs = pd.read_csv(tmp_path / "legs.csv", comment="#")
-    mechanism = hexapod.machine.mechanism
+    mechanism = hexapod.legs.mechanism
     assert content["base_points_mm"] == mechanism.base_points.tolist()
     assert content["source"]["converged"]
     np.testing.assert_array_equal(content["covariance"], hexapod.covariance)
@@ -207,7 +205,8 @@ def test_json_and_csv_hold_the_same_numbers(hexapod, tmp_path):
 def test_formats_that_cannot_have_a_machine(name, model, deformation, n_legs, expected, rng, tmp_path):
     machine = machines.build_machine(deformation, machines.build_random_mechanism(n_legs, seed=n_legs), model)
     theta = machine.layout.nominal
-    found = build_calibrated(machine, theta, None, IndependentErrors(0.0, np.zeros(n_legs)), calibrated.SOURCE)
+    errors = build_leg_errors(machine, theta, 0.0, np.zeros(n_legs))
+    found = build_calibrated_legs(machine, theta, None, errors, calibrated.SOURCE)
     with pytest.raises(InputError) as refusal:
         export_machine(found, tmp_path / "out", name)
     assert expected in str(refusal.value)
@@ -215,7 +214,7 @@ def test_formats_that_cannot_have_a_machine(name, model, deformation, n_legs, ex
     assert studies.snapshot(tmp_path) == {}
 
 
-@pytest.mark.parametrize("name", ["mechanism", "csv", "json", "urdf", "genhexkins"])
+@pytest.mark.parametrize("name", ["mechanism", "parameters", "toml", "csv", "json", "urdf", "genhexkins"])
 def test_every_file_says_that_it_was_forced(name, hexapod, tmp_path):
     problems = ("R-hat up to 1.2",)
     forced = replace(hexapod, source=Source("study", "six_ups/none", "simulated", problems))

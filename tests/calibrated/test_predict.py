@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.calibrated.machine import IndependentErrors, LegErrors, build_calibrated
+from bayescal.calibrated.machine import Errors, build_calibrated_legs, build_leg_errors
 from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import solve_inverse_kinematics
-from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
+from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector, rotation_vector_from_matrix
 
-NO_ERRORS = IndependentErrors(0.0, np.zeros(6))
+NO_ERRORS = Errors(np.zeros((6, 6)), np.zeros(6))
 CASES = (("six_pus", "matrix"), ("six_ups", "none"), ("beam", "none"))
 
 
@@ -28,9 +28,10 @@ def made_up(request, rng):
 
 def test_covariance_agrees_with_draws(made_up, rng):
     """2,000 draws tell a standard deviation to 1.6 %: four of these are 6.5 %."""
-    actuators = calibrated.measurable_actuators(made_up.machine, 2, rng)
+    actuators = calibrated.measurable_actuators(made_up.legs, 2, rng)
     prediction = predict_poses(made_up, actuators)
-    position, rotation = draw_poses(made_up, actuators, 2000, rng)
+    drawn = draw_poses(made_up, actuators, 2000, rng)
+    position, rotation = drawn[..., :3], matrix_from_rotation_vector(drawn[..., 3:])
     errors = compute_pose_error(position, rotation, prediction.position, prediction.rotation)
     sd = np.sqrt(np.diagonal(prediction.covariance, axis1=1, axis2=2))
     np.testing.assert_allclose(errors.std(axis=0) / sd, 1.0, atol=0.065)
@@ -42,14 +43,14 @@ def test_covariance_agrees_with_draws(made_up, rng):
 
 
 def test_actuators_agree_with_draws(made_up, rng):
-    prediction = predict_poses(made_up, calibrated.measurable_actuators(made_up.machine, 2, rng))
-    geometry = replace(made_up, errors=IndependentErrors(0.0, np.zeros(6)))
-    command = command_poses(geometry, prediction.position, prediction.rotation)
+    prediction = predict_poses(made_up, calibrated.measurable_actuators(made_up.legs, 2, rng))
+    geometry = replace(made_up, errors=NO_ERRORS)
+    command = command_poses(geometry, prediction.tool)
     assert command.reached.all()
     theta, pose = made_up.thin(2000)[:, None], (prediction.position, prediction.rotation)
-    drawn = solve_inverse_kinematics(made_up.machine, theta, *pose).actuators
+    drawn = solve_inverse_kinematics(made_up.legs, theta, *pose).actuators
     np.testing.assert_allclose(drawn.std(axis=0) / command.sd, 1.0, atol=0.065)
-    np.testing.assert_allclose(drawn.mean(axis=0), command.actuators, atol=0.1 * command.sd.max())
+    np.testing.assert_allclose(drawn.mean(axis=0), command.commands, atol=0.1 * command.sd.max())
 
 
 @pytest.mark.parametrize("deformation", ["none", "matrix"])
@@ -58,80 +59,79 @@ def test_errors_of_the_legs_are_those_of_the_density(deformation, rng):
     machine = machines.build_machine(deformation)
     made_up = calibrated.build_made_up(machine, rng, scale=1e-9)
     actuators = calibrated.measurable_actuators(machine, 6, rng)
-    poses = machines.place_poses(made_up.machine, made_up.theta, actuators, np.zeros((6, 6)))
-    likelihood = PoseLikelihood(made_up.machine, replace(poses, covariance=np.zeros((6, 6, 6))), 1e-3)
+    poses = machines.place_poses(made_up.legs, made_up.theta, actuators, np.zeros((6, 6)))
+    likelihood = PoseLikelihood(made_up.legs, replace(poses, covariance=np.zeros((6, 6, 6))), 1e-3)
     expected = likelihood.pose_covariance(np.full(6, 2e-3))
     np.testing.assert_allclose(predict_poses(made_up, actuators).covariance, expected, rtol=1e-6, atol=1e-16)
 
 
 def test_command_undoes_predict(made_up, rng):
-    actuators = calibrated.measurable_actuators(made_up.machine, 1100, rng)  # more than a chunk
+    actuators = calibrated.measurable_actuators(made_up.legs, 1100, rng)  # more than a chunk
     prediction = predict_poses(made_up, actuators)
     assert prediction.found.all()
     assert prediction.covariance.shape == (1100, 6, 6)
-    command = command_poses(made_up, prediction.position, prediction.rotation)
-    np.testing.assert_allclose(command.actuators, actuators, rtol=0, atol=1e-8)
+    command = command_poses(made_up, prediction.tool)
+    np.testing.assert_allclose(command.commands, actuators, rtol=0, atol=1e-8)
     assert command.covariance.shape == (1100, 6, 6)
 
 
 def test_poses_out_of_reach_say_why(rng):
     made_up = calibrated.build_made_up(machines.build_machine("none"), rng)
-    home = predict_poses(made_up, made_up.machine.mechanism.initial_actuator_positions[None])
-    position = home.position + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [900.0, 0.0, 0.0]])
-    command = command_poses(made_up, position, np.tile(home.rotation, (3, 1, 1)))
+    home = predict_poses(made_up, made_up.legs.mechanism.initial_actuator_positions[None])
+    moves = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [900.0, 0.0, 0.0]])
+    command = command_poses(made_up, home.tool + np.pad(moves, ((0, 0), (0, 3))))
     assert command.reached.tolist() == [True, False, False]
     assert command.faults[1].startswith("leg ")
     assert "would move by 2" in command.faults[1]
     assert "its range is 1.3 mm" in command.faults[1]
     assert command.faults[2] == "no actuator positions hold it"
-    assert np.isnan(command.actuators[2]).all()
-    assert np.isfinite(command.actuators[:2]).all()
+    assert np.isnan(command.commands[2]).all()
+    assert np.isfinite(command.commands[:2]).all()
 
 
 @pytest.mark.parametrize("values", [np.zeros(6), np.zeros((3, 5)), np.zeros((0, 6))])
 def test_other_shapes_are_refused(values, rng):
     made_up = calibrated.build_made_up(machines.build_machine("none"), rng, n_draws=20)
-    with pytest.raises(InputError, match="actuator positions: found"):
+    with pytest.raises(InputError, match="commands: found"):
         predict_poses(made_up, values)
 
 
 @dataclass(frozen=True, eq=False)
-class Offset(LegErrors):
-    """A model error with a mean: every leg is too long by a share of its actuator's displacement."""
+class Offset(Errors):
+    """A model error with a mean: actuators travel less than they say by a share of their displacement."""
 
-    share: float
+    share: float = 0.0
+    start: np.ndarray | None = None
 
-    def mean(self, displacement):
-        return self.share * displacement
-
-    def covariance(self, displacement, actuators):
-        return np.broadcast_to(1e-6 * np.eye(6), actuators.shape)
+    def mean(self, pose, commands, given=None):
+        return -self.share * (commands - self.start)
 
 
 def test_errors_with_a_mean_move_pose_and_actuators(rng):
     """A structured model error: struts too short by 1e-4 of their travel are actuators that travel less."""
     made_up = calibrated.build_made_up(machines.build_machine("none", model="six_ups"), rng)
-    mechanism = made_up.machine.mechanism
-    actuators = calibrated.measurable_actuators(made_up.machine, 5, rng)
+    mechanism = made_up.legs.mechanism
+    actuators = calibrated.measurable_actuators(made_up.legs, 5, rng)
     less = mechanism.initial_actuator_positions + (1 - 1e-4) * (actuators - mechanism.initial_actuator_positions)
-    biased = replace(made_up, errors=Offset(1e-4))
+    errors = Offset(1e-6 * np.eye(6), np.zeros(6), 1e-4, mechanism.initial_actuator_positions)
+    biased = replace(made_up, errors=errors)
     one, other = predict_poses(biased, actuators), predict_poses(made_up, less)
     np.testing.assert_allclose(one.position, other.position, rtol=0, atol=1e-7)
     np.testing.assert_allclose(one.rotation, other.rotation, rtol=0, atol=1e-9)
-    back = command_poses(biased, one.position, one.rotation)
-    np.testing.assert_allclose(back.actuators, actuators, rtol=0, atol=1e-7)
+    back = command_poses(biased, one.tool)
+    np.testing.assert_allclose(back.commands, actuators, rtol=0, atol=1e-7)
     assert np.abs(actuators - less).max() > 1e-5
-    position, _ = draw_poses(biased, actuators, 400, rng)
+    position = draw_poses(biased, actuators, 400, rng)[..., :3]
     spread = position.std(axis=0) / 20
     np.testing.assert_array_less(np.abs(position.mean(axis=0) - one.position), 5 * spread)
 
 
 def test_same_random_numbers_same_draws(rng):
     made_up = calibrated.build_made_up(machines.build_machine("none"), rng, n_draws=50)
-    actuators = calibrated.measurable_actuators(made_up.machine, 3, rng)
+    actuators = calibrated.measurable_actuators(made_up.legs, 3, rng)
     first, second = (draw_poses(made_up, actuators, 20, np.random.default_rng(5)) for _ in range(2))
-    np.testing.assert_array_equal(first[0], second[0])
-    assert first[0].shape == (20, 3, 3)
+    np.testing.assert_array_equal(first, second)
+    assert first.shape == (20, 3, 6)
     with pytest.raises(InputError, match="found no draws"):
         draw_poses(replace(made_up, draws=None), actuators, 20, rng)
 
@@ -140,9 +140,10 @@ def test_turned_far_at_the_edge(rng):
     """Rotation vectors: covariances are about the base axes, wherever the platform points."""
     made_up = calibrated.build_made_up(machines.build_machine("none", model="six_ups"), rng, n_draws=50)
     turn = matrix_from_rotation_vector(np.array([0.0, 0.0, 2e-3]))
-    home = predict_poses(made_up, made_up.machine.mechanism.initial_actuator_positions[None])
-    command = command_poses(made_up, home.position, turn @ home.rotation)
-    again = predict_poses(made_up, command.actuators)
+    home = predict_poses(made_up, made_up.legs.mechanism.initial_actuator_positions[None])
+    pose = np.concatenate([home.position, rotation_vector_from_matrix(turn @ home.rotation)], axis=1)
+    command = command_poses(made_up, pose)
+    again = predict_poses(made_up, command.commands)
     error = compute_pose_error(again.position, again.rotation, home.position, home.rotation)
     np.testing.assert_allclose(error, [[0, 0, 0, 0, 0, 2e-3]], atol=1e-9)
 
@@ -154,10 +155,12 @@ def test_along_a_bent_ridge_draws_tell_mean_and_covariance(rng):
     draws = np.tile(layout.nominal, (2000, 1))
     draws[:, layout.index["u_x"]] += 0.05 * rng.standard_normal((2000, 6))
     draws[:, layout.index["a_x"]] -= machines.INITIAL_POSITION * (draws[:, layout.index["u_x"]])  # joints stay at home
-    made_up = build_calibrated(machine, draws.mean(axis=0), draws, NO_ERRORS, calibrated.SOURCE)
+    made_up = build_calibrated_legs(
+        machine, draws.mean(axis=0), draws, build_leg_errors(machine, draws[0], 0.0, np.zeros(6)), calibrated.SOURCE
+    )
     actuators = machines.INITIAL_POSITION + np.full((1, 6), machines.ACTUATOR_RANGE)
     found = predict_poses(made_up, actuators)
-    position, _ = draw_poses(made_up, actuators, 2000, rng)
+    position = draw_poses(made_up, actuators, 2000, rng)[..., :3]
     tangent = predict_poses(replace(made_up, draws=None), actuators)
     sd, z = position.std(axis=0)[0], position[:, 0, 2]
     assert abs(found.position[0, 2] - z.mean()) < 0.1 * z.std() < 0.2 * abs(tangent.position[0, 2] - z.mean())

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.calibrated.exported import list_machine_files, list_posterior_files, read_exported
+from bayescal.calibrated.exported import list_mechanism_files, list_posterior_files, read_exported
 from bayescal.calibrated.region import (
     FEWEST,
     box_about_home,
     enclose_measured,
+    find_largest_cube,
     measure_beyond,
     sample_range,
     sample_region,
@@ -24,47 +25,49 @@ from bayescal.machines.kinematics import check_home_pose, solve_forward_kinemati
 def calibrated():
     """Return a made-up calibrated telescope that was measured in the inner half of its actuators' range."""
     machine = made.build_made_up(machines.build_machine("none"), np.random.default_rng(4), 300)
-    mechanism = machine.machine.mechanism
+    mechanism = machine.legs.mechanism
     moved = np.random.default_rng(5).uniform(-0.5, 0.5, (40, 6)) * mechanism.actuator_range
     return replace(machine, measured=mechanism.initial_actuator_positions + moved)
 
 
 def reach(calibrated, actuators):
-    found = solve_forward_kinematics(calibrated.machine, calibrated.theta, actuators)
-    return found.position - check_home_pose(calibrated.machine).position
+    found = solve_forward_kinematics(calibrated.legs, calibrated.theta, actuators)
+    return found.position - check_home_pose(calibrated.legs).position
 
 
 def test_by_default_poses_lie_where_the_machine_was_measured(calibrated):
     region = enclose_measured(calibrated)
     measured = reach(calibrated, calibrated.measured)
     np.testing.assert_allclose(region.low[:3], measured.min(axis=0))
-    found = reach(calibrated, sample_region(calibrated, region, 64, 1))
+    sampled = sample_region(calibrated, region, 64, 1)
+    found = reach(calibrated, sampled)
     assert found.shape == (64, 3)
     assert np.all(found >= region.low[:3] - 1e-9)
     assert np.all(found <= region.high[:3] + 1e-9)
-    assert measure_beyond(calibrated, found + check_home_pose(calibrated.machine).position) == 0.0
+    assert measure_beyond(calibrated, sampled, region) == 0.0
     np.testing.assert_array_equal(sample_region(calibrated, region, 64, 1), sample_region(calibrated, region, 64, 1))
 
 
 def test_the_whole_range_lies_beyond_what_was_measured(calibrated):
-    position = solve_forward_kinematics(calibrated.machine, calibrated.theta, sample_range(calibrated, 64, 0)).position
-    assert measure_beyond(calibrated, position) > 0.1
-    assert measure_beyond(replace(calibrated, measured=None), position) == 0.0
+    everywhere = sample_range(calibrated, 64, 0)
+    assert measure_beyond(calibrated, everywhere, enclose_measured(calibrated)) > 0.1
+    assert enclose_measured(replace(calibrated, measured=None)) is None
+    assert measure_beyond(calibrated, everywhere, None) == 0.0
 
 
 def test_the_largest_cube_of_a_box_is_twice_its_nearest_side(calibrated):
-    assert box_about_home((3.0, 2.0, 5.0), (0.0, 0.0, 0.0)).cube == 4.0
-    off = replace(box_about_home((3.0, 2.0, 5.0), (0.0, 0.0, 0.0)), low=np.full(6, 1.0))
-    assert off.cube == 0.0
+    box = box_about_home(np.array([3.0, 2.0, 5.0, 0.0, 0.0, 0.0]))
+    assert find_largest_cube(calibrated, box, np.zeros((0, 6))) == 4.0
+    assert find_largest_cube(calibrated, replace(box, low=np.full(6, 1.0)), np.zeros((0, 6))) == 0.0
 
 
 def test_a_box_out_of_reach_is_refused(calibrated):
-    far = box_about_home((1e4, 1e4, 1e4), (0.0, 0.0, 0.0))
+    far = box_about_home(np.array([1e4, 1e4, 1e4, 0.0, 0.0, 0.0]))
     with pytest.raises(InputError, match=f"in reach of the actuators, expected {FEWEST} at least"):
         sample_region(calibrated, far, 16, 0)
 
 
 def test_an_exported_machine_knows_where_it_was_measured(calibrated, tmp_path):
-    for name, content in {**list_machine_files(calibrated), **list_posterior_files(calibrated)}.items():
+    for name, content in {**list_mechanism_files(calibrated), **list_posterior_files(calibrated)}.items():
         (tmp_path / name).write_bytes(content)
     np.testing.assert_allclose(read_exported(tmp_path).measured, calibrated.measured, atol=1e-6)

@@ -14,7 +14,7 @@ import telescope_machines as machines
 
 from bayescal.calibrated.export import export_machine
 from bayescal.calibrated.exported import read_exported
-from bayescal.calibrated.machine import IndependentErrors, Source, build_calibrated
+from bayescal.calibrated.machine import Source, build_calibrated_legs, build_leg_errors
 from bayescal.calibrated.mechanism_file import format_mechanism
 from bayescal.calibrated.predict import command_poses, predict_poses
 from bayescal.calibrated.settle import express_parameters, settle_machine
@@ -88,18 +88,18 @@ def test_exported_and_read_again(model, n_legs, deformation, rng, tmp_path):
     np.testing.assert_allclose(other.position, one.position, **SAME)
     np.testing.assert_allclose(other.rotation, one.rotation, **SAME_TURN)
     np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-6, atol=1e-18)
-    first, second = (command_poses(m, one.position, one.rotation) for m in (made_up, again))
-    np.testing.assert_allclose(second.actuators, first.actuators, **SAME)
+    first, second = (command_poses(m, one.tool) for m in (made_up, again))
+    np.testing.assert_allclose(second.commands, first.commands, **SAME)
 
 
 def test_measured_matrix_keeps_its_uncertainty(rng, tmp_path):
     machine = machines.build_machine("matrix")
     covariance = np.tile(np.diag(rng.uniform(0.5, 1.0, 6) * 1e-6), (6, 1, 1))
-    errors = IndependentErrors(1e-3, np.full(6, 1e-6), covariance)
+    errors = build_leg_errors(machine, machine.layout.nominal, 1e-3, np.full(6, 1e-6), covariance)
     made_up = calibrated.build_made_up(machine, rng, errors=errors)
     export_machine(made_up, tmp_path)
     actuators = calibrated.measurable_actuators(machine, 5, rng)
-    known = replace(made_up, errors=replace(errors, matrix_covariance=None))
+    known = replace(made_up, errors=replace(made_up.errors, matrix_covariance=None))
     one, other, less = (predict_poses(m, actuators).covariance for m in (made_up, read_exported(tmp_path), known))
     np.testing.assert_allclose(other, one, rtol=1e-9, atol=1e-20)
     assert (np.linalg.eigvalsh(one - less).min(axis=1) > -1e-18).all()
@@ -156,7 +156,8 @@ def test_near_leads_the_search_for_home(tmp_path):
 def test_without_draws_there_is_a_machine_but_no_covariance(rng, tmp_path):
     machine = machines.build_machine("none")
     theta = calibrated.draw_machines(machine, 1, rng)[0]
-    found = build_calibrated(machine, theta, None, IndependentErrors(1e-3, np.zeros(6)), calibrated.SOURCE)
+    errors = build_leg_errors(machine, theta, 1e-3, np.zeros(6))
+    found = build_calibrated_legs(machine, theta, None, errors, calibrated.SOURCE)
     written = {path.name for path in export_machine(found, tmp_path)}
     assert written == {"calibrated.toml", "mechanism.toml", "parameters.csv"}
     again = read_exported(tmp_path)
@@ -175,13 +176,13 @@ def test_a_model_of_ones_own_predicts_but_has_no_drawings(rng, tmp_path):
     built_in = machines.build_machine("none")
     own = Machine(built_in.mechanism, Own(), built_in.deformation)
     draws = calibrated.draw_machines(built_in, 50, rng)
-    rest = (draws.mean(axis=0), draws, IndependentErrors(1e-3, np.full(6, 1e-6)), calibrated.SOURCE)
-    one, other = build_calibrated(built_in, *rest), build_calibrated(own, *rest)
+    rest = (draws.mean(axis=0), draws, build_leg_errors(built_in, draws[0], 1e-3, np.full(6, 1e-6)), calibrated.SOURCE)
+    one, other = build_calibrated_legs(built_in, *rest), build_calibrated_legs(own, *rest)
     assert (one.is_settled, other.is_settled) == (True, False)
     actuators = calibrated.measurable_actuators(built_in, 4, rng)
     first, second = predict_poses(one, actuators), predict_poses(other, actuators)
     np.testing.assert_allclose(second.position, first.position, **SAME)
     np.testing.assert_allclose(second.covariance, first.covariance, rtol=1e-5, atol=1e-11)
     with pytest.raises(InputError, match="found a model or deformation of one's own"):
-        export_machine(other, tmp_path / "out")
+        export_machine(other, tmp_path / "out", "mechanism")
     assert studies.snapshot(tmp_path) == {}

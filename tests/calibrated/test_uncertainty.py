@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.calibrated.machine import IndependentErrors
+from bayescal.calibrated.machine import MODEL, NOISE, Errors
 from bayescal.calibrated.predict import draw_poses, predict_poses
 from bayescal.calibrated.region import sample_range
 from bayescal.calibrated.standards import (
@@ -19,17 +19,15 @@ from bayescal.calibrated.standards import (
     judge_poses,
     list_axis_poses,
     list_cube_poses,
+    place_lengths,
 )
 from bayescal.calibrated.uncertainty import (
-    ACTUATORS,
     GEOMETRY,
-    MODEL,
     compute_budget,
     coverage_factor,
     propagate,
 )
 from bayescal.errors import InputError
-from bayescal.machines.kinematics import check_home_pose
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +43,7 @@ def workspace(calibrated):
 
 
 def test_the_workspace_is_within_reach_and_the_same_for_a_seed(calibrated, workspace):
-    mechanism = calibrated.machine.mechanism
+    mechanism = calibrated.legs.mechanism
     apart = workspace - mechanism.initial_actuator_positions
     assert np.all(np.abs(apart) <= mechanism.actuator_range)
     assert np.ptp(apart, axis=0).min() > 1.8 * mechanism.actuator_range
@@ -54,14 +52,12 @@ def test_the_workspace_is_within_reach_and_the_same_for_a_seed(calibrated, works
 
 def test_the_parts_of_a_budget_make_up_its_whole(calibrated, workspace):
     budget = compute_budget(calibrated, workspace)
-    assert list(budget.parts) == [GEOMETRY, ACTUATORS, MODEL]
+    assert list(budget.parts) == [GEOMETRY, NOISE, MODEL]
     np.testing.assert_allclose(budget.combined, predict_poses(calibrated, workspace).covariance, rtol=1e-9, atol=1e-16)
-    still = replace(calibrated, errors=IndependentErrors(0.0, np.zeros(6)))
+    still = replace(calibrated, errors=Errors(np.zeros((6, 6)), np.zeros(6)))
     np.testing.assert_allclose(budget.parts[GEOMETRY], predict_poses(still, workspace).covariance, atol=1e-16)
-    double = replace(calibrated, errors=replace(calibrated.errors, actuator_noise=2e-3))
-    np.testing.assert_allclose(
-        compute_budget(double, workspace).sd(ACTUATORS), 2 * budget.sd(ACTUATORS), rtol=1e-6, atol=1e-15
-    )
+    double = replace(calibrated, errors=replace(calibrated.errors, noise=4e-6 * np.eye(6)))
+    np.testing.assert_allclose(compute_budget(double, workspace).sd(NOISE), 2 * budget.sd(NOISE), rtol=1e-6, atol=1e-15)
 
 
 def test_expanded_uncertainty_agrees_with_monte_carlo(calibrated, workspace):
@@ -79,7 +75,7 @@ def test_monte_carlo_is_the_share_of_the_machines_own_draws(calibrated, workspac
     few = workspace[:3]
     found = propagate(calibrated, few, 0.9, 1500, 5)
     mean = predict_poses(calibrated, few)
-    position, _ = draw_poses(calibrated, few, 1500, np.random.default_rng(99))
+    position = draw_poses(calibrated, few, 1500, np.random.default_rng(99))[..., :3]
     inside = np.abs(position - mean.position) <= found.half_width[:, :3]
     np.testing.assert_allclose(inside.mean(axis=0), 0.9, atol=4 * np.sqrt(2 * 0.09 / 1500))
 
@@ -107,23 +103,22 @@ def test_iso_230_2_by_hand():
 
 
 def test_cube_and_its_poses(calibrated):
-    home = check_home_pose(calibrated.machine)
-    edge = fit_cube(calibrated, home.position, home.rotation)
-    poses = list_cube_poses(home.position, edge)
+    home = calibrated.model.home_pose
+    edge = fit_cube(calibrated, home)
+    poses = list_cube_poses(edge)
     np.testing.assert_allclose(np.ptp(poses, axis=0), 0.8 * edge)
-    np.testing.assert_allclose(np.ptp(list_axis_poses(home.position, edge, 2), axis=0), [0, 0, edge], atol=1e-9)
+    np.testing.assert_allclose(np.ptp(list_axis_poses(edge, 2), axis=0), [0, 0, edge], atol=1e-9)
     with pytest.raises(InputError, match="cube: found a pose out of reach"):
-        draw_cycles(calibrated, list_cube_poses(home.position, 20 * edge), home.rotation, 3, 10, 0)
+        draw_cycles(calibrated, place_lengths(calibrated, home, list_cube_poses(20 * edge)), 3, 10, 0)
 
 
 def test_what_repeats_is_noise_alone(calibrated):
-    home = check_home_pose(calibrated.machine)
-    poses = list_cube_poses(home.position, 0.2)
-    cycles = draw_cycles(calibrated, poses, home.rotation, 200, 50, 3)
-    quiet = replace(calibrated, errors=replace(calibrated.errors, actuator_noise=0.0))
-    assert np.ptp(draw_cycles(quiet, poses, home.rotation, 5, 50, 3), axis=2).max() == pytest.approx(0.0, abs=1e-12)
-    noise = compute_budget(calibrated, calibrated.machine.mechanism.initial_actuator_positions[None]).sd(ACTUATORS)
+    poses = place_lengths(calibrated, calibrated.model.home_pose, list_cube_poses(0.2))
+    cycles = draw_cycles(calibrated, poses, 200, 50, 3)
+    quiet = replace(calibrated, errors=calibrated.errors.without_noise())
+    assert np.ptp(draw_cycles(quiet, poses, 5, 50, 3), axis=2).max() == pytest.approx(0.0, abs=1e-12)
+    noise = compute_budget(calibrated, calibrated.legs.mechanism.initial_actuator_positions[None]).sd(NOISE)
     np.testing.assert_allclose(cycles.std(axis=2).mean(axis=(0, 1)), noise[0, :3], rtol=0.03)
     bias = cycles.mean(axis=2).std(axis=0)
-    still = compute_budget(quiet, calibrated.machine.mechanism.initial_actuator_positions[None]).sd()
+    still = compute_budget(quiet, calibrated.legs.mechanism.initial_actuator_positions[None]).sd()
     np.testing.assert_allclose(bias.mean(axis=0), still[0, :3], rtol=0.2)

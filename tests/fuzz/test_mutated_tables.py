@@ -32,7 +32,7 @@ def whole(tmp_path_factory) -> Path:
     folder, rng = tmp_path_factory.mktemp("tables"), np.random.default_rng(2)
     calibrated = made_up.build_made_up(machines.build_machine("none"), rng, n_draws=60, scale=1e-3)
     export_machine(calibrated, folder / "machine", "mechanism")
-    actuators = made_up.measurable_actuators(calibrated.machine, 6, rng)
+    actuators = made_up.measurable_actuators(calibrated.legs, 6, rng)
     found = predict_poses(calibrated, actuators)
     poses = np.concatenate([found.position, np.degrees(rotation_vector_from_matrix(found.rotation))], axis=1)
     names = name_actuators(6)

@@ -10,7 +10,7 @@ import telescope_machines as machines
 
 from bayescal.errors import NumericalError
 from bayescal.identifiability import remaining
-from bayescal.identifiability.remaining import Remaining, Standing, move_draws
+from bayescal.identifiability.remaining import LegsRemaining, Standing, move_draws
 from bayescal.identifiability.requirements import Requirement
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import compute_pose_error
@@ -28,10 +28,10 @@ def place():
     actuators = start + 5.0 * rng.uniform(-1.0, 1.0, (N_POSES, 6))
     true = np.tile(theta, (N_DRAWS, 1))
     true[:, machine.layout.index["l"]] += 0.02 * rng.standard_normal((N_DRAWS, 6))
-    return Remaining(machine, theta, actuators, 0.0, np.zeros((N_DRAWS, 6)), 1), true
+    return LegsRemaining(machine, theta, actuators, 0.0, np.zeros((N_DRAWS, 6)), 1), true
 
 
-def compute_directly(place: Remaining, true: np.ndarray) -> np.ndarray:
+def compute_directly(place: LegsRemaining, true: np.ndarray) -> np.ndarray:
     """Return the largest errors in shares of the limits by forward kinematics of both machines."""
     predicted = solve_forward_kinematics(place.machine, place.theta, place.actuators)
     stood = solve_forward_kinematics(place.machine, true[:, None], place.actuators)

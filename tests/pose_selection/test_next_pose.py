@@ -15,40 +15,36 @@ from bayescal.pose_selection.next_pose import compare_variants, find_unmeasured,
 
 @pytest.fixture(scope="module")
 def choice():
-    """Return a criterion, what is known after five poses, and the rows of forty candidates."""
+    """Return a weight, what is known after five poses, and the rows of forty candidates."""
     domain = pose_problems.yu_domain(("l", "b_z"))
     criterion = pose_problems.build_criterion("I", domain)
     candidates = random_candidates(domain, 45, np.random.default_rng(3))
     rows = criterion.rows(domain.knowledge, candidates.sensitivity)
     known = rows[40:].reshape(-1, rows.shape[-1])
     covariance = np.linalg.inv(np.eye(rows.shape[-1]) + known.T @ known)
-    return criterion, covariance, rows[:40]
-
-
-def judge(criterion, covariance: np.ndarray) -> float:
-    root = criterion.weight_root(len(covariance))
-    return float(np.trace(root @ covariance @ root.T))
+    root = criterion.weight_root(rows.shape[-1])
+    return root.T @ root, covariance, rows[:40]
 
 
 def test_each_step_is_the_best_of_all_candidates(choice):
-    criterion, covariance, rows = choice
+    weight, covariance, rows = choice
     left = set(range(len(rows)))
-    for step in islice(look_ahead(criterion, covariance, rows, np.ones(len(rows), dtype=bool)), 4):
+    for step in islice(look_ahead(weight, covariance, rows, np.ones(len(rows), dtype=bool)), 4):
         after = {k: np.linalg.inv(np.linalg.inv(covariance) + rows[k].T @ rows[k]) for k in left}
-        values = {k: judge(criterion, one) for k, one in after.items()}
+        values = {k: float(np.trace(weight @ one)) for k, one in after.items()}
         best = min(values.values())
         assert values[step.candidate] == pytest.approx(best, rel=1e-6)
-        assert -step.value == pytest.approx(best, rel=1e-6)
+        assert step.mean_square == pytest.approx(best, rel=1e-6)
         np.testing.assert_allclose(step.covariance, after[step.candidate], rtol=1e-6, atol=1e-12)
         covariance = step.covariance
         left.remove(step.candidate)
 
 
 def test_only_what_is_allowed_is_chosen(choice):
-    criterion, covariance, rows = choice
+    weight, covariance, rows = choice
     allowed = np.zeros(len(rows), dtype=bool)
     allowed[[5, 9]] = True
-    assert {step.candidate for step in look_ahead(criterion, covariance, rows, allowed)} == {5, 9}
+    assert {step.candidate for step in look_ahead(weight, covariance, rows, allowed)} == {5, 9}
 
 
 def test_measured_poses_are_not_candidates():

@@ -22,7 +22,7 @@ HELP = (
 def list_genhexkins_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     """Return ``genhexkins.hal``; InputError where the machine has other than six struts with perfect joints."""
     check_perfect_legs(calibrated, "genhexkins", ("strut",))
-    mechanism = calibrated.machine.mechanism
+    mechanism = calibrated.legs.mechanism
     if mechanism.n_legs != STRUTS:
         raise InputError(f"format genhexkins: found {mechanism.n_legs} struts, expected {STRUTS}")
     lines = [f"# {comment}" for comment in (*calibrated.source.describe(), *HELP)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.errors import InputError
+from bayescal.errors import InputError, name_faults
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.models.six_ups import SixUps
@@ -20,7 +20,8 @@ def check_perfect_legs(calibrated: CalibratedMachine, what: str, drives: tuple[s
     drives : tuple of str
         Those that it takes.
     """
-    machine, variant = calibrated.machine, calibrated.source.variant
+    with name_faults(f"format {what}"):
+        machine, variant = calibrated.legs, calibrated.source.variant
     if machine.mechanism.drive not in drives:
         raise InputError(f"format {what}: found actuators at the base in variant {variant!r}, expected struts")
     if not isinstance(machine.model, SixPus | SixUps):

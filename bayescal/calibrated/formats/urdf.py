@@ -26,8 +26,8 @@ AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
 def list_urdf_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     """Return ``machine.urdf``; InputError where joints and rigid links are not all of the machine's kinematics."""
     check_perfect_legs(calibrated, "urdf", ("strut", "base"))
-    mechanism = calibrated.machine.mechanism
-    home = check_home_pose(calibrated.machine)
+    mechanism = calibrated.legs.mechanism
+    home = check_home_pose(calibrated.legs)
     robot = Xml.Element("robot", name=mechanism.name)
     for comment in (*calibrated.source.describe(), "Lengths in m, angles in rad; all joints are zero at home."):
         robot.append(Xml.Comment(f" {comment.replace('--', '- -')} "))
@@ -42,7 +42,7 @@ def list_urdf_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
 
 def _add_leg(robot: Xml.Element, calibrated: CalibratedMachine, leg: int, upper: Array, turned: Array) -> None:
     """Add a leg's chain from the base to the platform, or to where it belongs."""
-    mechanism, name = calibrated.machine.mechanism, f"leg_{leg + 1}"
+    mechanism, name = calibrated.legs.mechanism, f"leg_{leg + 1}"
     lower, strut = mechanism.home_joints[leg], mechanism.drive == "strut"
     along, link, place = _frame_along(upper - lower), "base", (lower, np.eye(3))
     if not strut:

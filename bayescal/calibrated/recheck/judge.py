@@ -1,4 +1,4 @@
-"""What poses measured after a calibration say: it holds, or a leg has moved, by how much, how sure."""
+"""What readings after a calibration say: it holds, or a parameter has shifted, by how much, how probable."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from scipy.special import softmax
 from scipy.stats import chi2
 
 from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.calibrated.recheck.statistics import build_test, compute_knowledge, look_again
-from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.calibrated.recheck.statistics import Suspects, build_test, compute_knowledge, keep_seen, look_again
+from bayescal.density.calibration.measurements import Measurements
 from bayescal.numerics.geometry import Array
 
 ODD = 1e-3
-"""Probability of what a shift of one leg leaves over, below which something else has happened."""
+"""Probability of what a shift of one parameter leaves over, below which something else has happened."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,21 +24,24 @@ class Recheck:
 
     Attributes
     ----------
+    suspects : Suspects
+        N parameters, one of which may have shifted.
     holds : bool
         Whether no statistic of any session passed the threshold.
     statistic : ndarray, shape (J, N)
-        t of every leg, the sessions pooled from the first.
+        t of every parameter, the sessions pooled from the first.
     threshold : float
     false_alarm : float
     shift, sd : ndarray, shape (N,)
-        Of every leg as if it alone had moved, all sessions together, mm.
+        Of every parameter as if it alone had shifted, all sessions together, in its unit.
     probability : ndarray, shape (N,)
-        That it is this leg, where one moved.
+        That it is this one, where one shifted.
     left_over : float
-        With which probability as much is left over by chance, beside the shift of the most probable leg, where the
-        calibration does not hold.
+        With which probability as much is left over by chance, beside the shift of the most probable parameter, where
+        the calibration does not hold.
     """
 
+    suspects: Suspects
     holds: bool
     statistic: Array
     threshold: float
@@ -49,32 +52,37 @@ class Recheck:
     left_over: float
 
     @property
-    def leg(self) -> int:
-        """The most probable leg, counted from zero."""
+    def worst(self) -> int:
+        """The most probable parameter, counted from zero."""
         return int(np.argmax(self.probability))
 
     @property
     def is_odd(self) -> bool:
-        """Whether what was measured fits neither the calibration nor one leg's shift."""
+        """Whether what was measured fits neither the calibration nor one shift."""
         return self.left_over < ODD
 
 
 def judge_recheck(
-    calibrated: CalibratedMachine, sessions: Sequence[MeasuredPoses], false_alarm: float, n_looks: int
+    calibrated: CalibratedMachine,
+    suspects: Suspects,
+    sessions: Sequence[Measurements],
+    false_alarm: float,
+    n_looks: int,
 ) -> Recheck:
     """Return what sessions say together, a look at each of them.
 
     Parameters
     ----------
     calibrated : CalibratedMachine
-    sessions : sequence of MeasuredPoses
-        Whole poses in the base frame, in their order.
+    suspects : Suspects
+    sessions : sequence of Measurements
+        Readings of all channels, in their order.
     false_alarm : float
         Of all looks together.
     n_looks : int
         Sessions that are planned; at least as many as there are.
     """
-    parts = [compute_knowledge(calibrated, s.position, s.rotation, s.actuators, s.covariance) for s in sessions]
+    suspects, parts = keep_seen(suspects, [compute_knowledge(calibrated, suspects, one) for one in sessions])
     grams = np.stack([one.gram.sum(axis=0) for one in parts])
     knowledge, pooled = parts[0], np.cumsum(grams, axis=0)
     test = build_test(look_again(knowledge, list(grams), max(n_looks, len(grams))), false_alarm)
@@ -83,10 +91,11 @@ def judge_recheck(
     statistic = score / np.sqrt(own)
     holds = bool(np.abs(statistic).max() <= test.threshold)
     square = knowledge.left_over(pooled[-1])
-    n_rows = sum(s.n_poses for s in sessions) * calibrated.n_legs
+    n_rows = sum(one.n_rows for one in parts)
     explained = 0.0 if holds else float((statistic[-1] ** 2).max())
     odd = chi2.sf(square - explained, n_rows - (not holds))
     return Recheck(
+        suspects,
         holds,
         statistic,
         test.threshold,

@@ -1,47 +1,148 @@
-"""What poses tell of a shift of a leg since a calibration: a linear model, its scores, and the test of all legs.
+"""What readings after a calibration say of shifts since then: a linear model, its scores, and the test of all shifts.
 
-At a pose measured later the closure of the calibrated machine leaves y = -F_θ Δθ - F_l δ + e: what the calibration did
-not know, Δθ ~ N(0, P), the shifts δ of the legs' lengths, and errors e of legs, actuators and instrument, with
-covariance C. With Δθ integrated, the score b of δ at zero has mean K δ and covariance K. Each leg by itself has the
-statistic t_k = b_k / √K_kk, standard normal while the calibration holds; the test takes the largest of all |t_k|. Over
-several sessions pooled from the first, scores are sums of independent steps, as those of any likelihood are.
+At a pose of any machine what is read differs from the calibrated one's readings by
+
+    s - h(θ̂, v) = H Δv + A Δθ + A_s δ + e:
+
+where the pose is, which nobody knows; what the calibration did not know, Δθ ~ N(0, P); the shifts δ of N parameters;
+and errors e of all channels, with covariance C. In the directions Z that no pose explains, Zᵀ C^(-1/2) H = 0, the
+residual is y = X_θ Δθ + X_s δ + ε. With Δθ integrated, the score b of δ at zero has mean K δ and covariance K. Each
+parameter by itself has the statistic t_k = b_k / √K_kk, standard normal while the calibration holds; the test takes the
+largest of all |t_k|. Over several sessions pooled from the first, scores are sums of independent steps, as in any
+likelihood.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from bayescal.calibrated.machine import CalibratedMachine
+from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.errors import InputError
-from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.machines.readings import Given, LegsModel
+from bayescal.machines.readings.locate import Function, solve
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
 SIMULATED = 100_000
 """Tests simulated for a threshold: a false alarm of 1 % is met to 0.03 %."""
 LENGTH = "l"
+SHOWN = {"mm": ("µm", MICROMETRE), "rad": ("arcsec", ARCSECOND)}
+SEEN = 1e-9
+"""Share of a parameter's slopes that has to be left of them, the poses eliminated, for a shift of it to show."""
+
+
+@dataclass(frozen=True, eq=False)
+class Suspects:
+    """N parameters that may have shifted, one at a time.
+
+    Attributes
+    ----------
+    names : tuple of str
+        As texts call them.
+    places : ndarray of int, shape (N,)
+        In the machine's layout.
+    units : tuple of str
+    kind : str
+        What any of them is called.
+    stated : bool
+        Whether they were asked for, and are not all that there are.
+    """
+
+    names: tuple[str, ...]
+    places: np.ndarray
+    units: tuple[str, ...]
+    kind: str
+    stated: bool
+
+    def pick(self, some: np.ndarray) -> Suspects:
+        """Return some of them, by a mask."""
+        chosen = np.flatnonzero(some)
+        names, units = (tuple(one[k] for k in chosen) for one in (self.names, self.units))
+        return Suspects(names, self.places[chosen], units, self.kind, self.stated)
+
+
+def choose_suspects(calibrated: CalibratedMachine, wanted: Sequence[str]) -> Suspects:
+    """Return the parameters of some symbols, or of these names; without any the lengths of legs, else all free ones.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, and where nothing is free.
+    """
+    model = calibrated.model
+    layout = model.layout
+    if not wanted and isinstance(model, LegsModel) and LENGTH in layout.index:
+        wanted = [LENGTH]
+    for name in wanted:
+        if name not in layout.symbols and name not in layout.names:
+            raise InputError(
+                f"recheck: shift of {name!r}: unknown here, expected some of {', '.join(layout.symbols)}, or a name"
+            )
+    names = [n for k, n in enumerate(layout.names) if n in wanted or n.partition("[")[0] in wanted]
+    names = names or list(calibrated.names)
+    if not names:
+        raise InputError("recheck: found no free parameter, expected some, or --shift-of")
+    places = np.array([layout.names.index(name) for name in names])
+    lengths = isinstance(model, LegsModel) and list(wanted) == [LENGTH]
+    called = tuple(f"{model.member} {n.partition('[')[2].rstrip(']')}" if lengths else n for n in names)
+    units = tuple(layout.units[k] for k in places)
+    return Suspects(called, places, units, model.member if lengths else "parameter", bool(wanted))
+
+
+def say_size(value: float, unit: str) -> str:
+    """Return a size in the unit that shifts are stated in: micrometres, arcseconds, or the parameter's own."""
+    shown, size = SHOWN.get(unit, (unit, 1.0))
+    return f"{value / size:.6g} {shown}"
+
+
+def say_shift(value: float, sd: float, unit: str) -> str:
+    """Return a shift with its standard deviation in the same units."""
+    shown, size = SHOWN.get(unit, (unit, 1.0))
+    if unit in SHOWN:
+        return f"{value / size:+.1f} ± {sd / size:.1f} {shown}"
+    return f"{value:+.3g} ± {sd:.2g} {shown}"
 
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """What poses tell.
+    """What poses say.
 
     Attributes
     ----------
-    rows : ndarray, shape (P, N, q + N + 1)
-        C^(-1/2) X of the columns X: Δθ in units of its posterior, δ in mm, and y.
-    n_legs : int
+    rows : ndarray, shape (P, k, q + N + 1)
+        White rows, poses eliminated: of Δθ in units of its posterior, of δ in the parameters' units, the residual.
+    n_shifts : int
+        N.
+    n_rows : int
+        How many of all these rows hold anything.
+    seen : ndarray of bool, shape (N,)
+        Whether a shift changes anything that is read, other than another pose would.
     """
 
     rows: Array
-    n_legs: int
+    n_shifts: int
+    n_rows: int
+    seen: np.ndarray
+
+    def pick(self, some: np.ndarray) -> Knowledge:
+        """Return what they say of some of the shifts, by a mask."""
+        n = self.n_shifts
+        kept = np.concatenate([np.ones(self.rows.shape[-1] - n - 1, dtype=bool), some, [True]])
+        return Knowledge(self.rows[..., kept], int(some.sum()), self.n_rows, self.seen[some])
+
+    def scale(self, shift: Array) -> Knowledge:
+        """Return what they say of the same shifts in units of their own (N,)."""
+        scale = np.concatenate([np.ones(self.rows.shape[-1] - self.n_shifts - 1), shift, [1.0]])
+        return Knowledge(self.rows * scale, self.n_shifts, self.n_rows, self.seen)
 
     @cached_property
     def gram(self) -> Array:
-        """XᵀC⁻¹X of each pose, shape (P, q + N + 1, q + N + 1)."""
+        """XᵀX of each pose, shape (P, q + N + 1, q + N + 1)."""
         return np.swapaxes(self.rows, 1, 2) @ self.rows
 
     def add_each(self, gram: Array, repeats: int) -> Array:
@@ -50,7 +151,7 @@ class Knowledge:
         The pose is a low-rank change of what there is: K grows by RᵀB⁻¹R, with R what of its columns by δ the others
         do not explain, and B the covariance of its rows given those.
         """
-        q = gram.shape[-1] - self.n_legs - 1
+        q = gram.shape[-1] - self.n_shifts - 1
         gram, rows = repeats * gram, np.sqrt(repeats) * self.rows
         inverse = np.linalg.inv(gram[:q, :q] + np.eye(q))
         known, moved = rows[..., :q], rows[..., q:-1]
@@ -62,7 +163,7 @@ class Knowledge:
 
     def score(self, gram: Array) -> tuple[Array, Array]:
         """Return b (..., N) and K (..., N, N) of sums of the poses' matrices."""
-        q = gram.shape[-1] - self.n_legs - 1
+        q = gram.shape[-1] - self.n_shifts - 1
         precision = gram[..., :q, :q] + np.eye(q)
         solved = np.linalg.solve(precision, gram[..., :q, q:])
         reduced = gram[..., q:, q:] - np.swapaxes(gram[..., :q, q:], -1, -2) @ solved
@@ -70,55 +171,178 @@ class Knowledge:
 
     def left_over(self, gram: Array) -> float:
         """Return yᵀV⁻¹y of a sum of the poses' matrices, V the covariance of y with Δθ in it."""
-        q = gram.shape[-1] - self.n_legs - 1
+        q = gram.shape[-1] - self.n_shifts - 1
         return float(gram[-1, -1] - gram[:q, -1] @ np.linalg.solve(gram[:q, :q] + np.eye(q), gram[:q, -1]))
 
 
-def predict_knowledge(calibrated: CalibratedMachine, actuators: Array, covariance: Array) -> Knowledge:
-    """Return what poses at actuator positions (P, N) will tell, measured with a covariance (6, 6), mm and rad.
-
-    Raises
-    ------
-    InputError
-        Where the machine has no pose at one of them.
-    """
-    found = solve_forward_kinematics(calibrated.machine, calibrated.theta, actuators, check=False)
-    if not found.converged.all():
-        raise InputError(f"pose {int(np.argmin(found.converged)) + 1}: found no pose of the machine, expected one")
-    noise = np.broadcast_to(covariance, (len(actuators), 6, 6))
-    return compute_knowledge(calibrated, found.position, found.rotation, actuators, noise)
+# --- rows of a machine -------------------------------------------------------------------------------------------
 
 
-def compute_knowledge(
-    calibrated: CalibratedMachine, position: Array, rotation: Array, actuators: Array, covariance: Array
+def predict_knowledge(
+    calibrated: CalibratedMachine, suspects: Suspects, commands: Array, given: Given, planned: Measurements
 ) -> Knowledge:
-    """Return what measured poses (P, 3), (P, 3, 3) at actuator positions (P, N) tell; covariance (P, 6, 6), mm and rad.
+    """Return what poses at commands (P, C) will say.
+
+    Parameters
+    ----------
+    calibrated : CalibratedMachine
+    suspects : Suspects
+    commands : ndarray, shape (P, C)
+        In the channels' units.
+    given : mapping of str to ndarray, shape (P,)
+    planned : Measurements
+        One row that says which channels will be read, by numbers, and their noise; that of the commanded channels is
+        the machine's own.
 
     Raises
     ------
     InputError
-        Where the calibrated machine has no covariance, or its legs have no length.
+        Where the machine has no pose at one of them, or where nothing will show a shift.
     """
-    machine = calibrated.machine
+    model = calibrated.model
+    pose, found = model.locate(calibrated.theta, commands, given, weights=calibrated.weights)
+    if not found.all():
+        raise InputError(f"pose {int(np.argmin(found)) + 1}: found no pose of the machine, expected one")
+    n = len(commands)
+    values = np.where(planned.present, model.read(calibrated.theta, pose, given), np.nan)
+    values[:, calibrated.commanded] = model.read(calibrated.theta, pose, given)[:, calibrated.commanded]
+    correlation = None if planned.correlation is None else np.repeat(planned.correlation, n, axis=0)
+    names = tuple(f"pose {k}" for k in range(1, n + 1))
+    data = Measurements(names, values, np.repeat(planned.sd, n, axis=0), given, correlation)
+    return _linearise(calibrated, suspects, data, pose)
+
+
+def compute_knowledge(calibrated: CalibratedMachine, suspects: Suspects, session: Measurements) -> Knowledge:
+    """Return what a session's readings say.
+
+    Parameters
+    ----------
+    calibrated : CalibratedMachine
+    suspects : Suspects
+    session : Measurements
+        Readings of all channels; the noise of the commanded ones is the machine's own.
+
+    Raises
+    ------
+    InputError
+        Where no pose of the machine is near some readings, or where nothing shows a shift.
+    """
+    return _linearise(calibrated, suspects, session, find_poses(calibrated, session))
+
+
+def find_poses(calibrated: CalibratedMachine, session: Measurements) -> Array:
+    """Return the poses (P, q) at which the calibrated machine fits readings best; InputError where there is none."""
+    model, theta = calibrated.model, calibrated.theta
+    commands = session.values[:, calibrated.commanded]
+    start, near = np.tile(model.home_pose, (session.n_poses, 1)), np.isfinite(commands).all(axis=1)
+    if commands.shape[1] >= len(model.coordinates) and near.any():
+        given = {name: value[near] for name, value in session.given.items()}
+        pose, found = model.locate(theta, commands[near], given, weights=calibrated.weights)
+        near[near] = found
+        start[near] = pose[found]
+    else:
+        near[:] = False
+    scale = model.pose_scale
+    for rows, follow in ((near, False), (~near, True)):
+        if rows.any():
+            some = session.pick(rows)
+            start[rows], there = solve(_seek(calibrated, some, start[rows]), start[rows], scale, follow)
+            for k in np.flatnonzero(rows)[~there][:1]:
+                raise InputError(f"pose {session.poses[k]!r}: found no pose of the machine near its readings")
+    return start
+
+
+def _seek(calibrated: CalibratedMachine, session: Measurements, start: Array) -> Callable[[float], Function]:
+    """Return what `solve` follows: white readings less those of a pose, on the way from a start."""
+    white, first = _whiten(calibrated, session, start), _compare(calibrated, session, start, False)[0]
+
+    def seek_after(share: float) -> Function:
+        def seek(pose: Array, rows: np.ndarray) -> tuple[Array, Array]:
+            error, by_pose, _ = _compare(calibrated, session.pick(rows), pose, False)
+            error = error - (1.0 - share) * first[rows]
+            return (white[rows] @ error[..., None])[..., 0], white[rows] @ by_pose
+
+        return seek
+
+    return seek_after
+
+
+def _compare(
+    calibrated: CalibratedMachine, session: Measurements, pose: Array, with_parameters: bool = True
+) -> tuple[Array, Array, Array]:
+    """Return measured minus read at poses, (P, K), and slopes of what is read, (P, K, q) and (P, K, D); zero if unread.
+
+    The mean error of the commanded channels is taken off.
+    """
+    here = calibrated.model.linearise(calibrated.theta, pose, with_parameters, session.given)
+    comparison, values = Comparison(calibrated.model.channels), session.values.copy()
+    commands = values[:, calibrated.commanded]
+    values[:, calibrated.commanded] = commands + calibrated.errors.mean(pose, np.nan_to_num(commands), session.given)
+    error = comparison.subtract(values, here.values)
+    slopes = [here.by_pose, *([here.by_parameters] if with_parameters else [])]
+    slopes = [comparison.pull_back(np.nan_to_num(error), here.values, one) for one in slopes]
+    unread = ~session.present
+    error, *slopes = (np.where(unread.reshape(*unread.shape, *[1] * (x.ndim - 2)), 0.0, x) for x in (error, *slopes))
+    return error, slopes[0], slopes[-1]
+
+
+def _whiten(calibrated: CalibratedMachine, session: Measurements, pose: Array) -> Array:
+    """Return what makes readings (P, K) white, (P, K, K): their own noise, and the machine's of commanded channels."""
+    there, own = session.present, calibrated.commanded
+    sd = np.where(there, session.sd, 1.0)
+    covariance = np.eye(sd.shape[1]) * sd[..., None] ** 2
+    if session.correlation is not None:
+        covariance = sd[..., None] * session.correlation * sd[:, None]
+    covariance[:, own, :] = covariance[:, :, own] = 0.0
+    commands = np.nan_to_num(session.values[:, own])
+    block = calibrated.errors.covariance(pose, commands, session.given)
+    covariance[np.ix_(np.arange(len(sd)), own, own)] = block
+    both = there[:, :, None] & there[:, None, :]
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(np.where(both, covariance, np.eye(sd.shape[1])))))
+
+
+def _linearise(calibrated: CalibratedMachine, suspects: Suspects, session: Measurements, pose: Array) -> Knowledge:
     if calibrated.covariance is None:
         raise InputError("found no draws of the posterior, expected them: a recheck needs to know what is known")
-    if LENGTH not in machine.layout.index:
-        raise InputError("found legs without a length l, expected some: a recheck looks for shifts of lengths")
-    here = machine.linearise(calibrated.theta, position, rotation, actuators)
-    displacement = actuators - machine.mechanism.initial_actuator_positions
-    errors = calibrated.errors.covariance(displacement, here.actuators)
-    spread = here.pose @ covariance @ np.swapaxes(here.pose, 1, 2) + errors
-    root = _find_root(calibrated.covariance)
+    q, n_read = pose.shape[1], session.present.sum(axis=1)
+    for k in np.flatnonzero(n_read <= q)[:1]:
+        raise InputError(
+            f"{session.poses[k]}: found {n_read[k]} channels that are read and {q} coordinates of the pose, which take "
+            "all that is read: no shift shows; expected more channels, an instrument's or redundant ones"
+        )
+    white = _whiten(calibrated, session, pose)
+    error, by_pose, by_parameters = _compare(calibrated, session, pose)
     columns = np.concatenate(
         [
-            -here.parameters[..., calibrated.free] @ root,
-            -here.parameters[..., machine.layout.index[LENGTH]],
-            (here.residual - calibrated.errors.mean(displacement))[..., None],
+            by_parameters[..., calibrated.free] @ _find_root(calibrated.covariance),
+            by_parameters[..., suspects.places],
+            error[..., None],
         ],
         axis=-1,
     )
-    white = np.linalg.inv(np.linalg.cholesky(spread)) @ columns
-    return Knowledge(white, len(machine.layout.index[LENGTH]))
+    white_columns = white @ columns
+    left = np.linalg.qr(white @ by_pose, mode="complete").Q[..., q:]
+    rows = np.swapaxes(left, 1, 2) @ white_columns
+    n = len(suspects.places)
+    whole, rest = (np.sqrt(np.sum(one[..., -1 - n : -1] ** 2, axis=(0, 1))) for one in (white_columns, rows))
+    return Knowledge(rows, n, int((n_read - q).sum()), rest > SEEN * whole)
+
+
+def keep_seen(suspects: Suspects, parts: Sequence[Knowledge]) -> tuple[Suspects, list[Knowledge]]:
+    """Return those whose shifts show in any of some poses, and what these say of them.
+
+    Raises
+    ------
+    InputError
+        Where one that was asked for does not show, or none does.
+    """
+    seen = np.logical_or.reduce([one.seen for one in parts])
+    if (suspects.stated and not seen.all()) or not seen.any():
+        raise InputError(
+            f"recheck: found that a shift of {suspects.names[int(np.argmin(seen))]} changes nothing that is read, or "
+            "only as another pose would, expected parameters whose shifts show, or more channels"
+        )
+    return suspects.pick(seen), [one.pick(seen) for one in parts]
 
 
 def _find_root(covariance: Array) -> Array:
@@ -132,8 +356,8 @@ def _find_root(covariance: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class LegTest:
-    """The test of the largest statistic of all legs at any of several looks.
+class ShiftTest:
+    """The test of the largest statistic of all N parameters at any of several looks.
 
     Attributes
     ----------
@@ -149,21 +373,21 @@ class LegTest:
     false_alarm: float
     information: Array
 
-    def find_power(self, shift: float, n_simulated: int = SIMULATED // 2) -> Array:
-        """Return with which probability a shift (mm) of each leg is found at any look, shape (N,)."""
+    def find_power(self, n_simulated: int = SIMULATED // 2) -> Array:
+        """Return with which probability a shift of one unit of each parameter is found at any look, shape (N,)."""
         noise = _simulate(self.information, n_simulated)
         scale = np.sqrt(np.diagonal(self.information, axis1=1, axis2=2))[:, None]
         found = []
-        for leg in range(self.information.shape[1]):
-            moved = noise + shift * self.information[:, None, :, leg] / scale
+        for k in range(self.information.shape[1]):
+            moved = noise + self.information[:, None, :, k] / scale
             found.append(np.mean(np.abs(moved).max(axis=(0, 2)) > self.threshold))
         return np.array(found)
 
 
-def build_test(information: Array, false_alarm: float) -> LegTest:
+def build_test(information: Array, false_alarm: float) -> ShiftTest:
     """Return the test of information K (J, N, N) at J looks that gives false alarms so often, all looks together."""
     largest = np.abs(_simulate(information, SIMULATED)).max(axis=(0, 2))
-    return LegTest(float(np.quantile(largest, 1.0 - false_alarm)), false_alarm, information)
+    return ShiftTest(float(np.quantile(largest, 1.0 - false_alarm)), false_alarm, information)
 
 
 def _simulate(information: Array, n: int) -> Array:

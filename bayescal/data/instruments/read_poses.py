@@ -63,7 +63,7 @@ def read_poses(path: Path, actuators: Path | None, noise: PoseNoise, n_legs: int
     table = _read_columns(path, name_actuators(n_legs))
     taken = read_taken(table, actuators, n_legs)
     values = _read_values(table)
-    covariance = _read_noise(table, noise, np.isfinite(values))
+    covariance = read_noise(table, noise, np.isfinite(values))
     check_positive(table, covariance, np.isfinite(values))
     return PoseReadings(taken.names, taken.actuators, values, covariance * np.outer(UNITS, UNITS)), taken
 
@@ -82,7 +82,7 @@ def check_pose_table(path: Path, noise: PoseNoise, actuators: tuple[str, ...]) -
             raise
         raise InputError(str(error), (*error.others, describe_no_noise(path, COLUMNS, KEYS))) from error
     values = _read_values(table)
-    covariance = _read_noise(table, noise, np.isfinite(values))
+    covariance = read_noise(table, noise, np.isfinite(values))
     check_positive(table, covariance, np.isfinite(values))
 
 
@@ -101,7 +101,7 @@ def _read_values(table: Table) -> Array:
     return values
 
 
-def _read_noise(table: Table, noise: PoseNoise, measured: np.ndarray) -> Array:
+def read_noise(table: Table, noise: PoseNoise, measured: np.ndarray) -> Array:
     """Return the covariances (P, 6, 6) in µm and µrad."""
     covariance = read_covariances(table, COORDINATES, measured)
     deviations = [k for k, name in enumerate(DEVIATIONS) if name in table.columns]

@@ -356,7 +356,7 @@ class CalibrationLikelihood:
         return replace(bent, metric=metric) if np.isfinite(metric).all() else first
 
     def limited(self, theta: Array, error: Array) -> CalibrationLikelihood:
-        """Return the density that uses its expansion as far as it is good enough, by errors (n,) of machines (n, D).
+        """Return the same density that uses its expansion as far as it is good enough.
 
         The error of the log-density grows with the square of the change of H.
         """

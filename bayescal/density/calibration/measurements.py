@@ -123,13 +123,11 @@ class Comparison:
         return np.asarray(error)
 
     def add(self, read: Array, error: Array) -> Array:
-        """Return readings (..., K) that are off by errors (..., K), as `subtract` has them."""
+        """Return what differs from readings by errors as `subtract` returns them, both (..., K)."""
         result = read + error
         for three in self.rotations:
-            turned = Rotation.from_rotvec(error[..., three].reshape(-1, 3))
-            at = Rotation.from_rotvec(np.nan_to_num(read[..., three]).reshape(-1, 3))
-            result[..., three] = (turned * at).as_rotvec().reshape(read[..., three].shape)
-        return result
+            result[..., three] = _turn(*np.broadcast_arrays(error[..., three], -read[..., three]))
+        return np.asarray(result)
 
     def pull_back(self, error: Array, read: Array, slope: Array) -> Array:
         """Return the derivative of read minus measured from that of the readings, both (..., K, n)."""

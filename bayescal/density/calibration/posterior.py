@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
 from bayescal.density.calibration.terms import HALF_LOG_TWO_PI, NO_ERRORS, CommonDraws, Errors
-from bayescal.density.calibration.whitening import Whitening, WhiteResiduals
+from bayescal.density.calibration.whitening import Whitening
 from bayescal.density.elimination import invert, left_of, orthonormalise, project_out
 from bayescal.density.local import Funnel
 from bayescal.density.low_rank_columns import Coefficients, find_coefficients, split
@@ -26,8 +26,10 @@ from bayescal.numerics.geometry import Array
 STEP = 1e-4  # of a coordinate, for the slope of the logarithms of volumes
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
 NEARBY, FAR = 8, 3.0  # machines by which the density is tried about its anchor, and how many deviations they are off
+EDGE = 1e-3  # how near to a bound, by the width of a uniform prior, a machine known otherwise is taken to be
 GAIN = 1e-12  # of the squares, below which the search has arrived
 STILL = 1e-8  # of a coordinate, below which a step that leads nowhere is the last: shorter ones lead nowhere, too
+LEAST_SHARE = 1e-3  # of a variance, that an unknown noise is taken to have
 MAX_ITERATIONS = 200
 
 
@@ -121,12 +123,12 @@ class CalibrationPosterior:
     @cached_property
     def prior_sd(self) -> Array:
         """Standard deviations of all priors, shape (n,)."""
-        return np.array([prior.sd for prior in self._ordered])
+        return np.array([prior.sd for prior in self.all_priors().values()])
 
-    @cached_property
-    def _ordered(self) -> tuple[Prior, ...]:
-        """Priors of all coordinates, in order."""
-        return (*(self.priors[name] for name in self.geometry_names), *self.errors.priors)
+    def all_priors(self) -> dict[str, Prior]:
+        """Return the priors of all parameters in their own units, by name and in order."""
+        own = (*(self.priors[name] for name in self.geometry_names), *self.errors.priors)
+        return dict(zip(self.names, own, strict=True))
 
     @cached_property
     def _uniform(self) -> tuple[np.ndarray, Array]:
@@ -165,16 +167,6 @@ class CalibrationPosterior:
         place = np.concatenate([y[..., : self.n_geometry], self.errors.deviation(self.zeta(y))], axis=-1)
         constant = self.n_parameters * HALF_LOG_TWO_PI + len(self.errors.switches) * np.log(2.0)
         return np.asarray(-0.5 * np.einsum("...i,...i->...", place, place) - constant)
-
-    def log_coordinates(self, y: Array) -> Array:
-        """Return the log-prior of each coordinate, (..., n)."""
-        geometry = -0.5 * y[..., : self.n_geometry] ** 2 - HALF_LOG_TWO_PI
-        return np.concatenate([geometry, self.errors.log_coordinates(self.zeta(y))], axis=-1)
-
-    def log_parameters(self, y: Array) -> Array:
-        """Return the log-prior of each parameter in its own unit, (..., n); of no error its probability."""
-        natural = self.natural(y)
-        return np.stack([prior.log_density(natural[..., k]) for k, prior in enumerate(self._ordered)], axis=-1)
 
     def draw_prior(self, n_draws: int, rng: np.random.Generator) -> Array:
         """Return draws of the prior in the coordinates, shape (n_draws, n)."""
@@ -237,16 +229,12 @@ class CalibrationPosterior:
                 result[part][some] = other.offset(beyond, there) + told
         return np.where(np.isfinite(result), result, -np.inf)
 
-    def residuals(self, y: Array) -> WhiteResiduals:
-        """Return the residuals of the best poses and of the mean errors common to all rows at coordinates (B, n)."""
+    def residuals(self, y: Array) -> Array:
+        """Return white residuals of the best poses and of the mean errors common to all rows, (B, n) to (B, P, K)."""
         white, at = self.stand(y)
-        error = at.error
-        if self.errors.has_columns:
-            error = np.concatenate([found.residual for _, found in self._absorb(y, white, at)])
-        outliers = self.errors.outliers
-        return WhiteResiduals(
-            error, at.slope, self.likelihood.data.present, outliers.freedom, white.vector, white.colour
-        )
+        if not self.errors.has_columns:
+            return at.error
+        return np.concatenate([found.residual for _, found in self._absorb(y, white, at)])
 
     def stand(self, y: Array) -> tuple[Whitening, Stand]:
         """Return the whitening and where machines of coordinates (B, n) explain the readings best."""
@@ -275,11 +263,6 @@ class CalibrationPosterior:
         acted = self.errors.columns(self.zeta(y), likelihood.data)
         return white.rows(np.where(likelihood.data.present[..., None], acted, 0.0))
 
-    def absorb(self, y: Array) -> Coefficients:
-        """Return the coefficients of errors common to all rows given the readings, at coordinates (B, n)."""
-        white, at = self.stand(y)
-        return self._find(self.columns(y, white, at.slope), at.error)
-
     def draw_common(self, y: Array, rng: np.random.Generator) -> CommonDraws:
         """Return draws of the errors common to all rows, one for each of the coordinates (B, n)."""
         if not self.errors.has_columns:
@@ -289,7 +272,7 @@ class CalibrationPosterior:
         return CommonDraws(self.errors, tuple(parts))
 
     def _absorb(self, y: Array, white: Whitening, at: Stand) -> Iterator[tuple[slice, Coefficients]]:
-        """Yield the same of as many machines as are worked on together."""
+        """Yield the coefficients of errors common to all rows given the readings, of machines worked on together."""
         n_columns = self.errors.columns(self.zeta(y[:1]), self.likelihood.data).shape[-1]
         n_machines, n_poses, n_channels = at.error.shape
         for some in split(n_machines, n_poses, n_channels, n_columns):
@@ -565,6 +548,65 @@ class CalibrationPosterior:
             rows, prior = reduced / trust[:, None, None], prior + acted.T @ acted
         rows = np.sqrt(trust)[:, None, None] * rows
         # information is a sum over white readings, homogeneous in their precisions: each group's share is its readings'
-        parts = np.einsum("gk,pki,pkj->gij", self.errors.groups(rows.shape[1]), rows, rows, optimize=True)
-        tau = self.funnel_errors(y[None])[0]
-        return Funnel(parts.sum(axis=0), prior, np.full(len(tau), 1e-12), tau, parts)
+        groups = self.errors.groups(rows.shape[1])
+        parts = np.einsum("gk,pki,pkj->gij", groups, rows, rows, optimize=True)
+        information, tau = parts.sum(axis=0), self.funnel_errors(y[None])[0]
+        share = self._share_of_unknown(left, groups)
+        parts /= share[:, None, None]
+        known = (groups * self.errors.is_known(rows.shape[1])).any(axis=1)
+        parts[known] = information - parts[~known].sum(axis=0)
+        return Funnel(information, prior, np.maximum(tau**2 * (1.0 / share - 1.0), 1e-12), tau, parts)
+
+    def _share_of_unknown(self, left: Array, groups: Array) -> Array:
+        """Return how much of what groups of channels (N, K) are compared with has noise that is not known, shape (N,).
+
+        What poses leave of reading k, Σ_l Π_kl r_l by a projection (P, K, K), has Π_kl² of its variance from reading l.
+        Where readings are compared with some whose noise is known, their information does not grow beyond all bounds
+        as their own noise vanishes.
+        """
+        there = self.likelihood.data.present
+        known = there * self.errors.is_known(there.shape[1])
+        from_known = np.einsum("gk,pkl,pl->g", groups * ~self.errors.is_known(there.shape[1]), left**2, known)
+        every = np.einsum("gk,pkk,pk->g", groups, left, there.astype(np.float64))
+        return np.maximum(1.0 - from_known / np.where(every > 0.0, every, 1.0), LEAST_SHARE)
+
+    # --- what a fit is judged by -----------------------------------------------------------------------------------
+
+    @cached_property
+    def _alone(self) -> dict[int, CalibrationPosterior]:
+        return {}
+
+    def pointwise_of(self, y: Array, row: int) -> Array:
+        """Return the log-likelihood of one pose's readings given all others, (B, n) to (B,)."""
+        if self.errors.has_columns:
+            return self.pointwise(y)[:, row]
+        if row not in self._alone:
+            self._alone[row] = replace(self, likelihood=self.likelihood.pick(np.array([row])))
+        return self._alone[row].pointwise(y)[:, 0]
+
+    def reduced_rows(self, y: Array) -> tuple[Array, Array]:
+        """Return white residuals that no pose explains (P, K), and their derivatives (P, K, m + N), at y (n,).
+
+        The derivatives are by the geometry, then by coefficients of errors common to all rows, which are standard
+        normal under the prior. Poses that the density trusts less count less.
+        """
+        with np.errstate(all="ignore"):
+            white, at = self.stand(y[None])
+            error, slope, by_parameters = self.rows(y, white, at.pose)
+            square = np.einsum("cpk,cpk->cp", *[self.residuals(y[None])] * 2)
+            trust = np.sqrt(self.errors.outliers.trust(square, self.likelihood.n_spare)[0])
+            left, common = project_out(slope), self._white_columns(y[None], white, self.likelihood)[0]
+        rows = left @ np.concatenate([by_parameters, common], axis=-1)
+        return trust[:, None] * left_of(left, error), trust[:, None, None] * rows
+
+    def row_information(self, y: Array, row: int) -> Array:
+        """Return what one pose's readings tell of the geometry at y, shape (m, m)."""
+        rows = self.reduced_rows(y)[1][row, :, : self.n_geometry]
+        return np.asarray(rows.T @ rows)
+
+    def adopt(self, theta: Array, errors: Array) -> Array:
+        """Return the coordinates of machines θ (M, D), brought within the priors' bounds, with those of errors."""
+        uniform, width = self._uniform
+        away = (theta - self.centre)[:, self._first] / width
+        inside = ndtri(np.clip(away + 0.5, EDGE, 1.0 - EDGE))
+        return np.concatenate([np.where(uniform, inside, away), errors], axis=1)

@@ -73,6 +73,48 @@ def predict_readings(
     return _collect(held, parts)
 
 
+def replicate_readings(
+    posterior: CalibrationPosterior, y: Array, rng: np.random.Generator, pose: Array | None = None
+) -> Array:
+    """Return readings of all rows had draws (B, n) been the truth, shape (B, P, K); NaN where none was taken.
+
+    Nobody knows the poses: they are drawn given the readings, to first order, and so are errors common to all rows.
+    Where poses are given, (P, q), they are those, alike for all draws, and common errors are drawn from their prior.
+    """
+    likelihood, errors, data = posterior.likelihood, posterior.errors, posterior.likelihood.data
+    given, nu = {name: value[None] for name, value in data.given.items()}, errors.outliers.freedom
+    made = np.full((len(y), *data.values.shape), np.nan)
+    for part in likelihood.batches(len(y)):
+        theta, own, common = posterior.theta(y[part]), y[part], np.zeros((1, 1, 1))
+        white = likelihood.whiten(*posterior.deviations(own))
+        wider = np.ones((len(theta), data.n_poses, 1))
+        if errors.outliers.expected:
+            wider = np.sqrt(nu / rng.chisquare(nu, wider.shape))
+        if pose is None:
+            at = likelihood.stand(theta, white)
+            places = at.pose + wider * _draw_poses(at.slope, rng)
+            if errors.has_columns:
+                common = posterior.draw_common(own, rng).at(data)
+                places -= find_step(at.slope, white.vector(np.where(data.present, common, 0.0)))[0]
+        else:
+            places = np.broadcast_to(pose, (len(theta), *pose.shape))
+            if errors.has_columns:
+                columns = errors.columns(posterior.zeta(own), data)
+                common = np.einsum("bpkn,bn->bpk", columns, rng.standard_normal((len(own), columns.shape[-1])))
+        read = likelihood.model.read(theta[:, None], places, given)
+        noise = wider * rng.standard_normal((len(theta), *data.values.shape))
+        error = white.colour(np.where(data.present, noise, 0.0)) + common
+        made[part] = np.where(data.present, likelihood.comparison.add(read, error), np.nan)
+    return made
+
+
+def _draw_poses(slope: Array, rng: np.random.Generator) -> Array:
+    """Return draws about zero with the covariance (HᵀH)⁻¹, (B, P, q), for white slopes H (B, P, K, q)."""
+    triangle = np.linalg.qr(slope, mode="r")
+    normal = rng.standard_normal((*slope.shape[:2], slope.shape[-1], 1))
+    return np.asarray(np.linalg.solve(triangle, normal)[..., 0])
+
+
 def _apart(held: CalibrationLikelihood, channel: int) -> np.ndarray:
     """Return the channels that a channel is predicted from, a mask (K,): all but it and the rest of its rotation."""
     names = np.array([one.rotation for one in held.model.channels])

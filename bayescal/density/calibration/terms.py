@@ -333,12 +333,6 @@ class Errors:
             found[..., k] -= np.where(zeta[..., k] > 0.5 * place, 0.0, place)
         return found
 
-    def log_coordinates(self, zeta: Array) -> Array:
-        """Return the log-prior of each coordinate, (..., n); each of two places with probability one half."""
-        found = -0.5 * self.deviation(zeta) ** 2 - HALF_LOG_TWO_PI
-        found[..., list(self.switches)] -= np.log(2.0)
-        return np.asarray(found)
-
     def draw_prior(self, y: Array, first: int, rng: np.random.Generator) -> Array:
         """Return draws (S, m) of standard normals with half of the switches, from coordinate ``first`` on, off."""
         found = y.copy()
@@ -355,10 +349,6 @@ class Errors:
             image[k] = place if zeta[k] > 0.5 * place else 0.0
             found.append((jump, image))
         return found
-
-    def share_present(self, zeta: Array) -> dict[str, float]:
-        """Return the share of draws (S, n) with each error that has a switch, by the name of its scale."""
-        return {self.names[k]: float((zeta[:, k] > 0.5 * place).mean()) for k, place in self.switches.items()}
 
     # --- what they do ------------------------------------------------------------------------------------------------
 
@@ -392,6 +382,11 @@ class Errors:
         both = [every if term.concerns is None else term.concerns for term in self._noisy]
         keys = [tuple(j for j, mine in enumerate(both) if mine[k]) for k in range(n_channels)]
         return np.array([[key == kind for key in keys] for kind in sorted(set(keys))], dtype=np.float64)
+
+    def is_known(self, n_channels: int) -> np.ndarray:
+        """Return of which of K channels nothing of the noise is unknown, shape (K,)."""
+        concerned = [np.ones(n_channels, bool) if one.concerns is None else one.concerns for one in self._noisy]
+        return ~np.any(concerned, axis=0)
 
     def columns(self, zeta: Array, data: Measurements) -> Array:
         """Return Φ of all terms side by side, (B, P, K, N)."""

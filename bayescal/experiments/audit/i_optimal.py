@@ -77,7 +77,7 @@ def select_i_optimal(inputs: AuditInputs, n: int | None = None, n_candidates: in
     knowledge = inputs.knowledge
     rng = np.random.default_rng([inputs.config.seed, SEED])
     workspace = compute_sensitivity(knowledge, inputs.workspace_actuators)
-    limits = find_limits(inputs.requirements, workspace, knowledge.sd)
+    limits = find_limits(inputs.requirements, workspace.slope * knowledge.sd)
     criterion = IOptimality(inputs.plan, workspace=workspace, sd=knowledge.sd, limits=limits)
     if knowledge.machine.mechanism.n_legs == DEGREES_OF_FREEDOM:
         domain = ActuatorBox(knowledge)

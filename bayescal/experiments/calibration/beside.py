@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.reading_tables import units_like
 from bayescal.experiments.calibration.schema import BesideConfig
 from bayescal.files.csv_tables import read_table
+from bayescal.identifiability.units import units_like
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 
 import numpy as np
+import pandas as pd
 
-from bayescal.experiments.calibration.fit import Fit, fit_variant
+from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.experiments.calibration.calibrated import ERRORS, keep_machine, tabulate_errors
 from bayescal.experiments.calibration.inputs import CalibrationInputs
 from bayescal.experiments.calibration.knowledge import Knowledge, assess
 from bayescal.experiments.calibration.tables import Findings, Residuals, summarise, tabulate
 from bayescal.experiments.calibration.validation import Held, hold_back, list_folds
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
+from bayescal.experiments.shared.estimate import TREE, Fit
+from bayescal.experiments.shared.prior_widths import WidthTask, begin_widths, tabulate_widths, weigh_widths
+from bayescal.experiments.shared.reading_fit import ReadingFit, ReadingSubject, fit_readings
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
-from bayescal.experiments.shared.reading_trees import build_reading_tree
-from bayescal.experiments.shared.trees import name_file, write_tree
+from bayescal.experiments.shared.trees import name_file, write_packed
+from bayescal.inference.importance import ImportanceEvidence
 from bayescal.inference.stages import stage
 from bayescal.numerics.geometry import Array
 
@@ -25,17 +31,20 @@ from bayescal.numerics.geometry import Array
 class _Fitted:
     """What one task of a variant finds; its verification where poses are kept for that."""
 
-    fit: Fit
+    fit: ReadingFit
     residuals: Residuals
     knowledge: Knowledge
     beside: list[Array]
     held: list[Held]
+    errors: pd.DataFrame
 
 
 def compute_calibration(inputs: CalibrationInputs, run: Run) -> Results:
     """Return what is found for all variants."""
     names = {name: name for name in inputs.variants}
-    fitted = run.map("variants", _compute_variant, inputs, names, (_Fitted,))
+    fitted, factors = run.map("variants", _compute_variant, inputs, names, (_Fitted,)), inputs.config.sensitivity.factor
+    fits = {name: one.fit for name, one in fitted.items()}
+    await_widths = begin_widths(_weigh, inputs, fits, factors, run)
     folds = {
         f"{name} {fold + 1}": (name, fold)
         for name, variant in inputs.variants.items()
@@ -53,53 +62,56 @@ def compute_calibration(inputs: CalibrationInputs, run: Run) -> Results:
         )
         for name, one in fitted.items()
     }
-    tables = tabulate(inputs, found)
+    tables, widths = tabulate(inputs, found), await_widths()
+    tables[ERRORS] = pd.concat([one.errors for one in fitted.values()], ignore_index=True)
+    if widths:
+        tables["sensitivity"] = tabulate_widths(fits, widths, factors)
     summary = summarise(inputs, tables)
     slip = find_calibration_slip(one.suspicion() for one in inputs.variants.values())
     summary |= {} if slip is None else {"slip": asdict(slip)}
-    return Results(summary, tables, _list_files(inputs, found))
+    return Results(summary, tables, {**_list_files(fits), **keep_machine(inputs)})
 
 
-def _list_files(inputs: CalibrationInputs, found: dict[str, Findings]) -> dict[str, Writer]:
+def _list_files(fits: Mapping[str, Fit]) -> dict[str, Writer]:
     """Return what writes the variants' posteriors."""
-    files = {}
-    for name, one in found.items():
-        variant, fit = inputs.variants[name], one.fit
-        poses = [pose for pose, held in zip(variant.data.poses, variant.verification, strict=True) if not held]
-        files[name_file(name)] = write_tree(partial(build_reading_tree, fit.saved, fit.names, fit.units, poses, name))
-    return files
+    return {name_file(name): partial(write_packed, fit.evaluated[TREE]) for name, fit in fits.items()}
 
 
 def _compute_variant(inputs: CalibrationInputs, name: str) -> _Fitted:
-    variant = inputs.variants[name]
-    fit = fit_variant(inputs, variant)
-    posterior = variant.posterior()
+    variant, config = inputs.variants[name], inputs.config
+    posterior = variant.posterior().anchored()
+    fit = fit_readings(posterior, config.seed, name, config.sampler, config.evidence)
     covariance = np.atleast_2d(np.cov(fit.kept[:, : posterior.n_geometry], rowvar=False))
     with stage("held-back poses"):
         held = [hold_back(inputs, variant, 0, fit.kept)] if variant.verification.any() else []
     with stage("accuracy"):
         return _Fitted(
             fit,
-            _explain(inputs, name, fit),
-            assess(inputs.config, variant, posterior.anchored(), fit.kept.mean(axis=0), covariance),
+            _explain(posterior, fit),
+            assess(config, variant, posterior, fit.kept.mean(axis=0), covariance),
             [one.evaluate(variant.whole, posterior.theta(fit.kept)) for one in inputs.beside],
             held,
+            tabulate_errors(config, variant, fit.kept),
         )
 
 
-def _explain(inputs: CalibrationInputs, name: str, fit: Fit) -> Residuals:
-    """Return what the best machine leaves of the readings at the calibration poses."""
-    variant = inputs.variants[name]
-    posterior = variant.posterior().anchored()
+def _weigh(inputs: CalibrationInputs, task: WidthTask) -> ImportanceEvidence:
+    variant, config = inputs.variants[task.variant], inputs.config
+    subject = ReadingSubject(variant.posterior(factor=task.factor).anchored())
+    return weigh_widths(subject, variant.posterior(), task, config.seed, config.sampler, config.evidence)
+
+
+def _explain(posterior: CalibrationPosterior, fit: Fit) -> Residuals:
+    """Return the residuals of the best machine at the calibration poses."""
     white, stand = posterior.stand(fit.mode[None])
     own, tau = posterior.deviations(fit.mode[None])
     likelihood, outliers = posterior.likelihood, posterior.errors.outliers
     given = {key: value[None] for key, value in likelihood.data.given.items()}
     read = likelihood.model.read(posterior.theta(fit.mode[None])[:, None], stand.pose, given)
     residual = posterior.residuals(fit.mode[None])
-    common = white.colour(stand.error - residual.error)  # what errors common to all rows explain beyond the pose
+    common = white.colour(stand.error - residual)  # what errors common to all rows explain beyond the pose
     left = (likelihood.comparison.subtract(likelihood.data.values, read) - common)[0]
-    square = np.einsum("pk,pk->p", residual.error[0], residual.error[0])
+    square = np.einsum("pk,pk->p", residual[0], residual[0])
     return Residuals(
         stand.pose[0],
         np.where(likelihood.data.present, left, np.nan),

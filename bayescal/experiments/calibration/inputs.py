@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.calibrated.kept import keep_machines
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.outliers import Outliers
@@ -19,7 +20,7 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.beside import Beside, read_beside
 from bayescal.experiments.calibration.errors import build_terms
 from bayescal.experiments.calibration.noise import build_noise, stated_noise
-from bayescal.experiments.calibration.priors import choose_priors
+from bayescal.experiments.calibration.priors import choose_priors, widen
 from bayescal.experiments.calibration.reading_tables import PoseReadings, read_tables
 from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
 from bayescal.experiments.calibration.workspace import Workspace, build_workspace, find_starts
@@ -75,10 +76,11 @@ class Variant:
         """Return the density of the readings of some poses, by a mask (P,)."""
         return CalibrationLikelihood(self.model, self.data.pick(which), self.workspace.volume, self.start[which])
 
-    def posterior(self, which: np.ndarray | None = None) -> CalibrationPosterior:
-        """Return the posterior of some poses, those for calibration by default."""
+    def posterior(self, which: np.ndarray | None = None, factor: float = 1.0) -> CalibrationPosterior:
+        """Return the posterior of some poses, those for calibration by default; ``factor`` widens all priors."""
         likelihood = self.likelihood(~self.verification if which is None else which)
-        return CalibrationPosterior(likelihood, self.priors, self.errors, self.fixed, self.common)
+        priors = self.priors if factor == 1.0 else {k: widen(one, factor) for k, one in self.priors.items()}
+        return CalibrationPosterior(likelihood, priors, self.errors, self.fixed, self.common)
 
     def suspicion(self, which: np.ndarray | None = None) -> Suspicion:
         """Return the same for slips to be looked for in."""
@@ -113,12 +115,18 @@ class CalibrationInputs:
         Its name.
     variants : dict of name to Variant
     beside : list of Beside
+    files : dict of str to bytes
+        Those that the machines are read from, by names in one folder.
+    machine_files : dict of str to str
+        The names there of the machines' own files, by those in the config.
     """
 
     config: CalibrationConfig
     machine: str
     variants: dict[str, Variant]
     beside: list[Beside]
+    files: dict[str, bytes]
+    machine_files: dict[str, str]
 
 
 def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
@@ -137,7 +145,9 @@ def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
             machine = models[one.machine or config.machine]
             variants[one.name] = _build(config, one, machine, readings, deviations, folder)
     beside = [read_beside(one, folder, model) for one in config.beside]
-    return CalibrationInputs(config, getattr(model, "name", config.machine), variants, beside)
+    files, kept = keep_machines(folder / name for name in models)
+    machine_files = {name: kept[folder / name] for name in models}
+    return CalibrationInputs(config, getattr(model, "name", config.machine), variants, beside, files, machine_files)
 
 
 def list_machines(config: CalibrationConfig) -> list[str]:

@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 
+from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.compute import compute_calibration
 from bayescal.experiments.calibration.inputs import CalibrationInputs, list_machines, read_inputs
 from bayescal.experiments.calibration.machine_kind import MachineExperiment
 from bayescal.experiments.calibration.memory import estimate_calibration
 from bayescal.experiments.calibration.page.build import build_page, list_variants
+from bayescal.experiments.calibration.page.verdict import NO_TOOL
 from bayescal.experiments.calibration.schema import CalibrationConfig
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.calibrating import Calibrating, load_same
 from bayescal.experiments.shared.measured import MeasuredReadings, MeasuringReadings
 from bayescal.experiments.shared.outlook import join_outlooks
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.report.blocks import Page
 
 
-class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs], MeasuringReadings):
+class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs], Calibrating, MeasuringReadings):
     """Any machine calibrated from any of its readings."""
 
     schema = CalibrationConfig
+    tables_of_machine = ("parameters", "errors")
 
     def machines(self, config: CalibrationConfig) -> list[str]:
         """Return the files of the machine, those of single variants too."""
@@ -41,8 +46,10 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs], Measu
         return estimate_calibration(inputs)
 
     def outlook(self, inputs: CalibrationInputs) -> list[str]:
-        """Return what each variant's readings can determine."""
-        return join_outlooks({name: one.tell_outlook() for name, one in inputs.variants.items()})
+        """Return what each variant's readings can determine, and that the machine states no tool where it does not."""
+        stated = all(one.model.states_tool for one in inputs.variants.values())
+        said = join_outlooks({name: one.tell_outlook() for name, one in inputs.variants.items()})
+        return said if stated else [*said, NO_TOOL]
 
     def doubt(self, inputs: CalibrationInputs) -> list[str]:
         """Return what may have happened to readings that no machine within its priors comes near."""
@@ -72,6 +79,22 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs], Measu
     def page(self, results: Results) -> Page:
         """Return the page."""
         return build_page(results.tables, results.summary)
+
+    def calibrate(
+        self, results: Results, variant: str | None, experiment: Path | None, trust: bool
+    ) -> CalibratedMachine:
+        """Return the machine of a variant of the calibration."""
+        from bayescal.experiments.calibration.calibrated import calibrate_machine
+
+        config = self.config_of(results) if experiment is None else load_same(results, experiment, self.schema)
+        return calibrate_machine(results, config, variant, experiment, trust)
+
+    def config_of(self, results: Results) -> CalibrationConfig:
+        """Return the config that results were made with, its variants' names for their titles."""
+        content = dict(results.config)
+        for section in ("variants", "beside"):
+            content[section] = [{"title": one.get("name", section), **one} for one in content.get(section, [])]
+        return super().config_of(replace(results, provenance={**results.provenance, "config": content}))
 
     def show(self, results: Results, page: Page, console: Console) -> None:
         """Print the verdict, then the variants."""

@@ -12,12 +12,15 @@ from bayescal.experiments.calibration.inputs import Variant
 from bayescal.experiments.calibration.schema import NextConfig
 from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.identifiability.directions import find_directions
-from bayescal.identifiability.information import information_of_rows
+from bayescal.identifiability.information import Information, information_of_rows
+from bayescal.identifiability.reading_rows import Slopes, View, differentiate_poses, name_tool, rms, see, typical_given
 from bayescal.identifiability.ridges import describe_move, round_below
+from bayescal.identifiability.structured_noise import marginalise
 from bayescal.identifiability.units import Units
 from bayescal.identifiability.verdicts import judge_parameters
-from bayescal.machines.readings import Given, ReadingModel
+from bayescal.machines.readings import Given
 from bayescal.numerics.geometry import Array
+from bayescal.pose_selection.next_pose import compute_gains
 
 N_WORKSPACE = 200
 
@@ -37,6 +40,8 @@ class Knowledge:
     before, after, noise : ndarray, shape (m,)
         Root mean square error over the workspace by what is unknown of the parameters beforehand and now, and by the
         noise of one pose's own readings; NaN where the machine's own sensors do not tell it.
+    worst, worst_pose : ndarray, shapes (m,) and (m, q)
+        The largest standard uncertainty over the workspace by what is unknown of the parameters now, and where.
     next_pose : ndarray, shape (c, q)
         Poses to measure next, the best first for each set of sensors.
     next_sensors : tuple of str
@@ -52,57 +57,11 @@ class Knowledge:
     before: Array
     after: Array
     noise: Array
+    worst: Array
+    worst_pose: Array
     next_pose: Array
     next_sensors: tuple[str, ...]
     next_gain: Array
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """Poses (W, q) seen by some channels at one machine, to first order; those where it cannot stand are left out.
-
-    ``rows`` (W, K, m): white derivative of the readings by the coordinates of the posterior, poses eliminated; ``tool``
-    (W, t, m): what the tool's place, as located with these channels, errs by them; ``noise`` (W, t): its variance, that
-    of ``located`` (W, t, K), how white readings move it.
-    """
-
-    pose: Array
-    rows: Array
-    tool: Array
-    noise: Array
-    located: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Slopes:
-    """Derivatives at poses (W, q) of one machine.
-
-    ``white`` (K,): one over the noise of each channel; ``by_pose`` (W, K, q) and ``by_parameters`` (W, K, D) of the
-    readings, ``tool_by_pose`` (W, t, q) and ``tool_by_parameters`` (W, t, D) of the tool; ``moves`` (m, D): what the
-    posterior's coordinates move; ``half`` (q,): half widths of the workspace.
-    """
-
-    pose: Array
-    white: Array
-    by_pose: Array
-    by_parameters: Array
-    tool_by_pose: Array
-    tool_by_parameters: Array
-    moves: Array
-    half: Array
-
-    def seen_by(self, some: np.ndarray) -> View:
-        """Return the poses seen by the channels of a mask (K,)."""
-        white = np.where(some, self.white, 0.0)[:, None]
-        slope, seen = white * self.by_pose, (white * self.by_parameters) @ self.moves.T
-        gain = np.linalg.pinv(slope)
-        told = np.linalg.matrix_rank(slope * self.half) == slope.shape[-1]
-        rows = seen - slope @ (gain @ seen)
-        located = self.tool_by_pose @ gain
-        tool = self.tool_by_parameters @ self.moves.T - self.tool_by_pose @ (gain @ seen)
-        unknown = ~told[:, None]
-        noise = np.where(unknown, np.nan, (located**2).sum(axis=-1))
-        return View(self.pose, rows, np.where(unknown[..., None], np.nan, tool), noise, located)
 
 
 class Asked(Protocol):
@@ -136,7 +95,7 @@ def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: A
     """
     rng = np.random.default_rng([asked.seed, 5])
     at = look_around(variant, posterior, y, rng)
-    names, units = name_tool(variant.model, at.tool.shape[1])
+    names, units = name_tool(variant.model)
     every = np.ones(len(variant.model.channels), dtype=bool)
     candidates = variant.workspace.draw(asked.next.candidates, rng)
     tried = [
@@ -144,6 +103,7 @@ def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: A
         for label, some in (("own", variant.internal), ("all", every))
         if label == "own" or (some != variant.internal).any()
     ]
+    spread = np.sqrt(np.einsum("wti,ij,wtj->wt", at.tool, covariance, at.tool, optimize=True))
     verdicts, ridges = _judge(asked.units, posterior, y)
     return Knowledge(
         verdicts,
@@ -153,6 +113,8 @@ def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: A
         rms(at.tool, np.eye(posterior.n_geometry)),
         rms(at.tool, covariance),
         np.sqrt(at.noise.mean(axis=0)),
+        spread.max(axis=0),
+        at.pose[spread.argmax(axis=0)],
         np.concatenate([pose for _, pose, _ in tried]),
         tuple(label for label, pose, _ in tried for _ in pose),
         np.concatenate([gain for *_, gain in tried]),
@@ -162,14 +124,6 @@ def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: A
 def look_around(variant: Variant, posterior: CalibrationPosterior, y: Array, rng: np.random.Generator) -> View:
     """Return random poses of the workspace seen by the machine's own sensors."""
     return look(posterior, variant, y, variant.workspace.draw(N_WORKSPACE, rng), variant.internal)
-
-
-def name_tool(model: ReadingModel, n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return names and units of the n numbers that have to be accurate."""
-    coordinates = model.coordinates
-    if n == len(coordinates):
-        return tuple(one.name for one in coordinates), tuple(one.unit for one in coordinates)
-    return tuple(f"tool[{k + 1}]" for k in range(n)), ("mm",) * n
 
 
 def look(
@@ -191,42 +145,8 @@ def differentiate(
 
     What the machine has to know of each pose is the median of the data's where nothing is given.
     """
-    theta, model = posterior.theta(y[None])[0], variant.model
-    white = _typical_noise(posterior, variant, y, np.ones(len(model.channels), dtype=bool))
-    here = model.linearise(theta, pose, True, _typical_given(variant, len(pose)) if given is None else given)
-    good = np.isfinite(here.by_pose).all(axis=(1, 2)) & np.isfinite(here.by_parameters).all(axis=(1, 2))
-    pose = pose[good]
-    _, by_pose, direct = model.tool(theta, pose)
-    return Slopes(
-        pose,
-        white,
-        here.by_pose[good],
-        here.by_parameters[good],
-        by_pose,
-        direct,
-        posterior.moves(y),
-        variant.workspace.half,
-    )
-
-
-def _typical_noise(posterior: CalibrationPosterior, variant: Variant, y: Array, some: np.ndarray) -> Array:
-    """Return one over the noise of a channel, the median of its readings, zero for channels not in a mask, (K,)."""
-    own, tau = posterior.deviations(y[None])
-    present = posterior.likelihood.data.present
-    total = np.where(present, np.sqrt(own[0] ** 2 + tau[0] ** 2), np.nan)
-    result = np.zeros(len(some))
-    for k in np.flatnonzero(some & present.any(axis=0)):
-        result[k] = 1.0 / np.nanmedian(total[:, k])
-    return result
-
-
-def _typical_given(variant: Variant, n: int) -> Given:
-    return {name: np.full(n, np.median(value)) for name, value in variant.data.given.items()}
-
-
-def rms(tool: Array, covariance: Array) -> Array:
-    """Return the root mean square over poses of what parameters of a covariance leave unknown of the tool, (t,)."""
-    return np.sqrt(np.einsum("wti,ij,wtj->wt", tool, covariance, tool, optimize=True).mean(axis=0))
+    given = typical_given(variant.data.given, len(pose)) if given is None else given
+    return differentiate_poses(posterior, variant.workspace.half, y, pose, given)
 
 
 def _rank(
@@ -250,34 +170,21 @@ def _rank(
 
 
 def weigh(variant: Variant, at: View) -> Array:
-    """Return W (m, m) such that tr(W C) is the sum over poses of the tool's squared error, of lengths only."""
-    lengths = at.tool[:, : max(1, variant.model.pose_units.count("mm"))]
+    """Return W (m, m) such that tr(W C) is the sum over poses of the tool's squared error, of lengths if it has any."""
+    units = [one.unit for one in variant.model.tool_channels]
+    lengths = at.tool[:, [unit == ("mm" if "mm" in units else units[0]) for unit in units]]
     return np.asarray(np.einsum("wti,wtj->ij", lengths, lengths))
 
 
-def compute_gains(rows: Array, covariance: Array, weight: Array) -> Array:
-    """Return by what part tr(W C) falls with the readings of each pose: tr(W C Rᵀ (1 + R C Rᵀ)⁻¹ R C) / tr(W C).
-
-    Parameters
-    ----------
-    rows : ndarray, shape (c, K, m)
-        R, white, poses eliminated.
-    covariance, weight : ndarray, shape (m, m)
-        C and W.
-    """
-    seen = rows @ covariance
-    inner = np.eye(rows.shape[1]) + seen @ np.swapaxes(rows, -1, -2)
-    fall = np.einsum("cki,ij,clj->ckl", seen, weight, seen, optimize=True)
-    gain = np.trace(np.linalg.solve(inner, fall), axis1=-2, axis2=-1) / np.trace(weight @ covariance)
-    return np.asarray(gain)
-
-
-def see(posterior: CalibrationPosterior, y: Array) -> Array:
-    """Return the white derivative of the readings by the parameters' coordinates, poses eliminated, (P, K, m)."""
+def _inform(posterior: CalibrationPosterior, y: Array, rows: Array) -> Information:
+    """Return the information of white rows (P, K, m), beside errors common to all rows of their stated scales."""
+    if not posterior.errors.has_columns:
+        return information_of_rows(rows, np.ones(posterior.n_geometry))
+    y = y.copy()
+    y[[posterior.n_geometry + k for k in posterior.errors.switches]] = 0.0
     white, stand = posterior.stand(y[None])
-    error, slope, by_parameters = posterior.rows(y, white, stand.pose)
-    del error
-    return np.asarray(by_parameters - slope @ (np.linalg.pinv(slope) @ by_parameters))
+    others = posterior.columns(y[None], white, stand.slope)[0]
+    return marginalise(rows.reshape(-1, rows.shape[-1]), others.reshape(-1, others.shape[-1]))
 
 
 def _judge(
@@ -285,7 +192,7 @@ def _judge(
 ) -> tuple[tuple[str, ...], list[tuple[str, float, str]]]:
     """Return the verdict on each parameter, and directions that contract too little, in words."""
     rows = see(posterior, y)
-    information = information_of_rows(rows, np.ones(posterior.n_geometry))
+    information = _inform(posterior, y, rows)
     nothing = np.empty((posterior.n_geometry, 0))
     units = Units(section.length, section.angle)
     ridges = []

@@ -10,6 +10,7 @@ import pandas as pd
 
 from bayescal.experiments.calibration.inputs import Variant
 from bayescal.experiments.calibration.knowledge import Knowledge
+from bayescal.numerics.geometry import Array
 
 
 def name_data(variant: Variant) -> str:
@@ -28,7 +29,16 @@ def tabulate_accuracy(variant: Variant, known: Knowledge) -> pd.DataFrame:
             "before": known.before,
             "after": known.after,
             "noise": known.noise,
+            "worst": known.worst,
+            "worst_at": [_name_place(variant, pose) for pose in known.worst_pose],
         }
+    )
+
+
+def _name_place(variant: Variant, pose: Array) -> str:
+    """Return where a pose is, coordinate by coordinate."""
+    return ", ".join(
+        f"{one.name} = {value:.4g} {one.unit}" for one, value in zip(variant.model.coordinates, pose, strict=True)
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, NoiseFactor
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.reading_tables import PoseReadings, units_like
+from bayescal.experiments.calibration.reading_tables import PoseReadings
 from bayescal.experiments.calibration.schema import (
     NOISE_UNITS,
     CalibrationConfig,
@@ -16,6 +16,7 @@ from bayescal.experiments.calibration.schema import (
     ChannelConfig,
 )
 from bayescal.experiments.shared.per_leg import spread_over_legs
+from bayescal.identifiability.units import units_like
 from bayescal.machines.readings import Channel, ReadingModel
 from bayescal.numerics.geometry import Array
 

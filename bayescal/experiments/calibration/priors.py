@@ -104,6 +104,15 @@ def _priors_of(block: ParameterBlock, prior: PriorConfig, factor: float) -> dict
     return {name: UniformPrior(value - width, value + width) for name, value, width in pairs}
 
 
+def widen(prior: Prior, factor: float) -> Prior:
+    """Return a normal or uniform prior whose width is multiplied by a factor, its mean the same."""
+    if isinstance(prior, NormalPrior):
+        return NormalPrior(prior.centre, factor * prior.scale)
+    assert isinstance(prior, UniformPrior)
+    half = 0.5 * factor * (prior.upper - prior.lower)
+    return UniformPrior(prior.mean - half, prior.mean + half)
+
+
 def _check_range(name: str, prior: Prior, layout: ParameterLayout) -> None:
     place = layout.names.index(name)
     lower, upper = (float(limit[place]) for limit in layout.limits)

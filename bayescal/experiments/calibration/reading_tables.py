@@ -17,13 +17,12 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.schema import DataTableConfig
 from bayescal.files.csv_tables import Table, read_table
-from bayescal.identifiability.units import ANGLES, LENGTHS
+from bayescal.identifiability.units import units_like
 from bayescal.machines.readings import Channel
 from bayescal.numerics.geometry import Array
 
 USES = ("calibration", "verification")
 TURN_LIMIT = {"rad": 2.0 * float(np.pi)}
-FACTORS: Mapping[str, Mapping[str, float]] = {"mm": LENGTHS, "rad": {name: float(v) for name, v in ANGLES.items()}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,16 +49,6 @@ class PoseReadings:
     correlation: Array | None
     commanded: np.ndarray
     given: dict[str, Array] = field(default_factory=dict)
-
-
-def stem_of(name: str) -> str:
-    """Return a channel's name as columns have it: ``motor[2]`` is ``motor_2``."""
-    return name.replace("[", "_").rstrip("]")
-
-
-def units_like(unit: str) -> Mapping[str, float]:
-    """Return the units that a column may be in instead of a channel's, each with its size in it."""
-    return FACTORS.get(unit, {unit: 1.0})
 
 
 @dataclass(frozen=True)
@@ -115,10 +104,10 @@ def _list_columns(channels: Sequence[Channel], given: Sequence[str]) -> dict[str
     columns = {name: _Column("given") for name in given}
     for k, channel in enumerate(channels):
         for unit, factor in units_like(channel.unit).items():
-            columns[f"{stem_of(channel.name)}_{unit}"] = _Column("values", (k,), factor)
-            columns[f"{stem_of(channel.name)}_sd_{unit}"] = _Column("sd", (k,), factor)
+            columns[f"{channel.stem}_{unit}"] = _Column("values", (k,), factor)
+            columns[f"{channel.stem}_sd_{unit}"] = _Column("sd", (k,), factor)
         for j, other in enumerate(channels[:k]):
-            columns[f"corr_{stem_of(other.name)}_{stem_of(channel.name)}"] = _Column("corr", (j, k))
+            columns[f"corr_{other.stem}_{channel.stem}"] = _Column("corr", (j, k))
     return columns
 
 
@@ -130,7 +119,7 @@ def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channe
         if name in ("pose", "use", *section.ignore):
             continue
         if name not in known:
-            expected = ", ".join(f"{stem_of(one.name)}_{one.unit}" for one in channels)
+            expected = ", ".join(f"{one.stem}_{one.unit}" for one in channels)
             close = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
             hint = f", did you mean {close[0]!r}?" if close else ""
             raise InputError(

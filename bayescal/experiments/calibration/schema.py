@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 from bayescal.config.classes import ClassMark, OwnSection
 from bayescal.config.sections import (
     ExperimentConfig,
+    Factor,
     InputFile,
     Name,
     Names,
@@ -152,6 +153,16 @@ class ValidationConfig(Section):
     """Posterior draws that predict."""
 
 
+class PriorWidthsConfig(Section):
+    """Factors on the widths of all priors, sd or half width, for which the evidence is computed again."""
+
+    factor: Annotated[list[Factor], Field(min_length=1), AfterValidator(check_once)] = Field(default=[1.0])
+    """Factors on the widths of all parameters' priors for which evidences are computed [1]."""
+
+
+AS_STATED = PriorWidthsConfig()
+
+
 class BesideConfig(Section):
     """Values from elsewhere, which stay out of the fit: a CSV with ``quantity``, ``unit``, ``value``.
 
@@ -206,6 +217,8 @@ class CalibrationConfig(ExperimentConfig):
     """Models to compare."""
     validation: ValidationConfig = ValidationConfig()
     """Prediction of held-back readings."""
+    sensitivity: PriorWidthsConfig = Field(default=AS_STATED, exclude_if=lambda value: value == AS_STATED)
+    """Other widths of the priors."""
     beside: list[BesideConfig] = Field(default=[])
     """Values from elsewhere that stay out of the fit."""
     next: NextConfig = NextConfig()

@@ -18,7 +18,7 @@ from bayescal.data.truth import (
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.experiments.calibration.noise import noise_of_channels
 from bayescal.experiments.calibration.priors import choose_priors
-from bayescal.experiments.calibration.reading_tables import USES, stem_of
+from bayescal.experiments.calibration.reading_tables import USES
 from bayescal.experiments.calibration.schema import CalibrationSimulationConfig
 from bayescal.experiments.calibration.workspace import (
     Workspace,
@@ -73,7 +73,7 @@ def simulate(inputs: SimulationInputs, rng: np.random.Generator) -> Simulated:
     measured = exact + inputs.noise * rng.standard_normal(exact.shape)
     names = [f"C{k:03d}" for k in range(1, config.n_poses + 1)]
     names += [f"V{k:02d}" for k in range(1, config.verification_poses + 1)]
-    columns = ["pose", "use", *(f"{stem_of(one.name)}_{one.unit}" for one in model.channels), *given]
+    columns = ["pose", "use", *(f"{one.stem}_{one.unit}" for one in model.channels), *given]
     decimals = [DECIMALS.get(one.unit, 9) for one in model.channels]
     rows = [
         (

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from bayescal.experiments.calibration.fit import Fit
 from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
 from bayescal.experiments.calibration.knowledge import Knowledge
 from bayescal.experiments.calibration.knowledge_tables import (
@@ -22,6 +21,8 @@ from bayescal.experiments.calibration.knowledge_tables import (
 )
 from bayescal.experiments.calibration.validation import Held
 from bayescal.experiments.shared.function_errors import tabulate_functions
+from bayescal.experiments.shared.reading_fit import ReadingFit
+from bayescal.experiments.shared.stacking import tabulate_comparison
 from bayescal.numerics.geometry import Array
 
 DOUBTFUL = 0.01  # probability under the stated noise below which what a pose leaves is doubtful
@@ -57,7 +58,7 @@ class Residuals:
 class Findings:
     """All that was found for one variant."""
 
-    fit: Fit
+    fit: ReadingFit
     residuals: Residuals
     knowledge: Knowledge
     beside: list[Array]
@@ -69,7 +70,11 @@ def tabulate(inputs: CalibrationInputs, found: Mapping[str, Findings]) -> dict[s
     every = [(inputs.variants[name], one) for name, one in found.items()]
     predictions = pd.DataFrame([row for one in every for row in _list_predictions(*one)])
     tables = {
-        "variants": pd.DataFrame([_describe(*one, predictions) for one in every]),
+        "variants": tabulate_comparison(
+            pd.DataFrame([_describe(*one, predictions) for one in every]),
+            {name: one.fit.left_out for name, one in found.items()},
+            "data",
+        ),
         "parameters": pd.concat([_list_parameters(*one) for one in every], ignore_index=True),
         "residuals": pd.DataFrame([row for one in every for row in _list_residuals(*one)]),
         "poses": pd.concat([_list_poses(*one) for one in every], ignore_index=True),
@@ -97,6 +102,10 @@ def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dic
         **fit.describe_evidence(),
         "elpd": sum(held.elpd for held in one.held) if one.held else float("nan"),
         "misfit": float(np.sqrt(left.square.sum() / freedom)) if freedom > 0 else float("nan"),
+        "misfit_chi2": fit.misfit.value,
+        "misfit_dof": fit.misfit.dof,
+        "pulls_chi2": fit.pulls.value,
+        "pulls_dof": fit.pulls.dof,
         **fit.describe_chains(),
     }
     if not predictions.empty:
@@ -107,8 +116,6 @@ def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dic
 
 def _list_parameters(variant: Variant, one: Findings) -> pd.DataFrame:
     fit, posterior = one.fit, variant.posterior()
-    low, high = np.quantile(fit.natural, [0.05, 0.95], axis=0)
-    mean, sd = fit.natural.mean(axis=0), fit.natural.std(axis=0)
     layout = variant.model.layout
     start = [float(layout.nominal[posterior.places(name)[0]]) for name in posterior.geometry_names]
     medians = posterior.errors.natural(np.zeros(posterior.errors.n_parameters))
@@ -121,11 +128,13 @@ def _list_parameters(variant: Variant, one: Findings) -> pd.DataFrame:
             "unit": fit.units,
             "nominal": start,
             "prior_sd": fit.prior_sd,
-            "mean": mean,
-            "sd": sd,
-            "q05": low,
-            "q95": high,
-            "contraction": 1.0 - (sd / fit.prior_sd) ** 2,
+            "mean": fit.mean,
+            "sd": fit.sd,
+            "q05": fit.q05,
+            "q95": fit.q95,
+            "contraction": 1.0 - (fit.sd / fit.prior_sd) ** 2,
+            "prior_sensitivity": fit.power_scaling[:, 0],
+            "likelihood_sensitivity": fit.power_scaling[:, 1],
             "verdict": verdicts,
             "rhat": fit.diagnostics.rhat,
             "ess_bulk": fit.diagnostics.ess_bulk,
@@ -163,6 +172,9 @@ def _list_poses(variant: Variant, one: Findings) -> pd.DataFrame:
             "square": left.square,
             "chance": chance,
             "trust": left.trust,
+            "elpd_loo": one.fit.left_out.elpd,
+            "pareto_k": one.fit.left_out.pareto_k,
+            "refitted": one.fit.left_out.was_refitted,
             "doubtful": (left.trust < DISTRUSTED) | ((variant.config.robust is None) & (chance < DOUBTFUL)),
         }
     )
@@ -214,11 +226,21 @@ def summarise(inputs: CalibrationInputs, tables: Mapping[str, pd.DataFrame]) -> 
         "machine": inputs.machine,
         "origin": config.origin.model_dump(),
         "member": next(iter(inputs.variants.values())).model.member,
+        "machine_files": inputs.machine_files,
+        "states_tool": all(one.model.states_tool for one in inputs.variants.values()),
         "converged": bool(variants["converged"].all()),
         "units": config.units.model_dump(),
         "variants": {str(row.pop("variant")): plain(row) for row in variants.to_dict("records")},
         "rankings": rank_variants(variants),
     }
+
+
+def choose_best(summary: Mapping[str, Any]) -> str:
+    """Return the variant to use: of those with the most readings the one that explains them best, if it converged."""
+    rows = summary["variants"]
+    ranking = max(summary["rankings"], key=lambda names: (rows[names[0]]["n_equations"], len(names)))
+    sound = [name for name in ranking if rows[name]["converged"]]
+    return str((sound or ranking)[0])
 
 
 def rank_variants(variants: pd.DataFrame) -> list[list[str]]:

@@ -97,7 +97,8 @@ def state_slips(found: FoundSlip | None, planted: tuple[int, list[str]]) -> Find
     text = f"no other unit, sign or order of channels or rows explains the data better; of {count} planted slips "
     if not unnoticed:
         return Finding(SLIPS, "", "good", f"{text}none would pass unnoticed.")
-    named = "; ".join(one.replace(" seem to be", "").replace(" seems to be", "") for one in unnoticed[:NAMED])
+    shown = [one.partition(":")[0] for one in unnoticed[:NAMED]]
+    named = "; ".join(one.replace(" seem to be", "").replace(" seems to be", "") for one in shown)
     more = f"; {len(unnoticed) - NAMED} more" if len(unnoticed) > NAMED else ""
     return Finding(
         SLIPS, "", "good", f"{text}{len(unnoticed)} would pass unnoticed within the tolerances: {named}{more}."

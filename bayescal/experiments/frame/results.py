@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -146,8 +146,8 @@ def find_kind(column: pd.Series) -> ColumnKind:
     return "number" if numbers else "text"
 
 
-def read_results(folder: Path) -> Results:
-    """Read a results directory.
+def read_results(folder: Path, only: Collection[str] | None = None) -> Results:
+    """Read a results directory, all its tables or only some.
 
     Raises
     ------
@@ -165,6 +165,7 @@ def read_results(folder: Path) -> Results:
         if not TABLE_NAME.fullmatch(name):
             raise InputError(f"{folder / PROVENANCE_FILE}: tables: found {name!r}, expected names of CSV files")
     summary = read_json(folder / SUMMARY_FILE)
+    kinds = {name: columns for name, columns in kinds.items() if only is None or Path(name).stem in only}
     found = {name: _read_table(folder / name, columns) for name, columns in kinds.items()}
     _check_lengths(folder, found, provenance.get(LENGTHS))
     tables = {Path(name).stem: table for name, table in found.items()}

@@ -13,19 +13,16 @@ from scipy.special import softmax
 from threadpoolctl import threadpool_limits
 
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.next_pose.inputs import NextInputs, take_poses
-from bayescal.experiments.next_pose.state import State, find_state
-from bayescal.experiments.shared.leg_slips import find_measured_slip
+from bayescal.experiments.next_pose.inputs import NextInputs
+from bayescal.experiments.next_pose.state import State, Subject, find_state
 from bayescal.identifiability.remaining import Standing
-from bayescal.identifiability.sensitivity import Sensitivity
 from bayescal.limits import PARETO_K_LIMIT
-from bayescal.numerics.geometry import Array, compute_pose_error, rotation_vector_from_matrix
-from bayescal.pose_selection.next_pose import Step, compare_variants, find_unmeasured, look_ahead
+from bayescal.numerics.geometry import Array
+from bayescal.pose_selection.next_pose import Step, compare_variants, look_ahead
 
 MOST_ERRORS = 2_000_000  # draws times poses of the workspace: their errors are kept
 FEWEST_DRAWS = 200
 COURSE, COURSE_DRAWS = 8, 500
-APART = 0.02  # of the actuators' range: closer to a measured pose, a candidate would be the same again
 SHOWN = 10  # poses of the list to come
 SEED, COURSE_SEED = 11, 12
 
@@ -52,10 +49,9 @@ def compute_next(inputs: NextInputs) -> Results:
         names = list(states)
         best = names[int(np.argmax(probabilities))]
         state = states[best]
-        seen = state.see(inputs.candidates)
-        ahead = _look_ahead(inputs, state, seen, _tell_apart(inputs, states, probabilities, seen))
+        ahead = _look_ahead(inputs, state, _tell_apart(inputs, states, probabilities, state))
         tables = {
-            "next_poses": _list_poses(inputs, ahead, seen),
+            "next_poses": _list_poses(state, ahead),
             "requirements": _tabulate_requirements(inputs, state, ahead),
             "course": pd.concat([_follow_course(inputs, state), _foresee(inputs, ahead, state)], ignore_index=True),
             "variants": pd.DataFrame(
@@ -67,8 +63,7 @@ def compute_next(inputs: NextInputs) -> Results:
             ),
         }
         summary = _summarise(inputs, state, best, float(probabilities.max()), ahead)
-        slip = find_measured_slip(inputs.variants.values())
-        return Results(summary if slip is None else summary | {"slip": asdict(slip)}, tables)
+        return Results(summary if inputs.slip is None else summary | {"slip": asdict(inputs.slip)}, tables)
 
 
 # --- what is known -----------------------------------------------------------------------------------------------
@@ -76,30 +71,29 @@ def compute_next(inputs: NextInputs) -> Results:
 
 def _find_states(inputs: NextInputs) -> tuple[dict[str, State], Array]:
     """Return what is known by each variant, and how probable these are, shape (K,)."""
-    n_draws = _count_draws(inputs, inputs.config.draws)
+    seed = inputs.config.seed + SEED
     states = {
-        name: find_state(one, None, inputs.requirements, inputs.workspace, n_draws, inputs.config.seed + SEED)
-        for name, one in inputs.variants.items()
+        name: find_state(one, None, _count_draws(one, inputs.config.draws), seed)
+        for name, one in inputs.subjects.items()
     }
     return states, softmax([one.belief.log_evidence for one in states.values()])
 
 
-def _count_draws(inputs: NextInputs, wanted: int) -> int:
-    return max(FEWEST_DRAWS, min(wanted, MOST_ERRORS // len(inputs.workspace)))
+def _count_draws(subject: Subject, wanted: int) -> int:
+    return max(FEWEST_DRAWS, min(wanted, MOST_ERRORS // subject.n_workspace))
 
 
 def _follow_course(inputs: NextInputs, last: State) -> pd.DataFrame:
     """Return how requirements stood after the first poses, each time updated from the time before."""
     if not inputs.requirements:
         return pd.DataFrame()
-    n_poses, start, rows = last.measured.poses.n_poses, None, []
+    subject = last.subject
+    n_poses, start, rows = subject.n_poses, None, []
+    draws, seed = _count_draws(subject, COURSE_DRAWS), inputs.config.seed + COURSE_SEED
     for n in sorted(set(np.linspace(1, n_poses, min(COURSE, n_poses)).round().astype(int).tolist())):
         state = last
         if n < n_poses:
-            some = take_poses(last.measured, n)
-            draws = _count_draws(inputs, COURSE_DRAWS)
-            seed = inputs.config.seed + COURSE_SEED
-            state = find_state(some, start, inputs.requirements, inputs.workspace, draws, seed, anew=False)
+            state = find_state(subject.first(n), start, draws, seed, anew=False)
             start = state.belief.y
         rough = state.belief.pareto_k > PARETO_K_LIMIT and state.belief.way == "updated"
         rows.append({**_describe_standing(inputs, n, "measured", state.standing), "rough": rough})
@@ -121,29 +115,21 @@ def _describe_standing(inputs: NextInputs, n: int, what: str, standing: Standing
 # --- what may come -----------------------------------------------------------------------------------------------
 
 
-def _tell_apart(inputs: NextInputs, states: dict[str, State], probabilities: Array, seen: Sensitivity) -> Array | None:
+def _tell_apart(inputs: NextInputs, states: dict[str, State], probabilities: Array, best: State) -> Array | None:
     """Return what each candidate is expected to tell of which variant is right, nats, (C,); None where it is no aim."""
     if inputs.config.aim != "variants":
         return None
-    differences, covariances = [], []
-    for state in states.values():
-        own = state.see(inputs.candidates)
-        slope = own.slope * state.knowledge.sd
-        noise = own.pose_noise(state.plan) + np.linalg.inv(state.plan.information(own.poses))
-        covariances.append(slope @ state.covariance @ np.swapaxes(slope, -1, -2) + noise)
-        pose, other = own.poses, seen.poses
-        differences.append(compute_pose_error(pose.position, pose.rotation, other.position, other.rotation))
-    return compare_variants(probabilities, np.stack(differences), np.stack(covariances))
+    predicted = [state.predict(best) for state in states.values()]
+    differences, covariances = (np.stack(part) for part in zip(*predicted, strict=True))
+    return compare_variants(probabilities, differences, covariances)
 
 
-def _look_ahead(inputs: NextInputs, state: State, seen: Sensitivity, telling: Array | None) -> Ahead:
+def _look_ahead(inputs: NextInputs, state: State, telling: Array | None) -> Ahead:
     """Return the poses to measure next: by the requirements one after the other, or the one that tells most."""
-    measured, reach = state.measured.poses.actuators, state.measured.machine.mechanism.actuator_range
-    allowed = find_unmeasured(inputs.candidates, measured, APART * reach)
-    rows = state.rows(seen)
+    allowed = state.subject.allowed
     if telling is not None:
-        allowed &= telling >= np.max(telling[allowed])
-    found = look_ahead(state.criterion, state.covariance, rows, allowed)
+        allowed = allowed & (telling >= np.nanmax(telling[allowed]))
+    found = look_ahead(state.weight, state.covariance, state.rows, allowed)
     steps = list(islice(found, 1 if telling is not None else inputs.config.ahead))
     return Ahead(steps, dict(_foretell(inputs, state, steps)) if inputs.requirements else {})
 
@@ -179,7 +165,7 @@ def count_needed(ahead: Ahead, probability: float) -> int | None:
 
 
 def _foresee(inputs: NextInputs, ahead: Ahead, state: State) -> pd.DataFrame:
-    n_poses = state.measured.poses.n_poses
+    n_poses = state.subject.n_poses
     rows = [
         {**_describe_standing(inputs, n_poses + n, "expected", standing), "rough": False}
         for n, standing in sorted(ahead.standings.items())
@@ -187,17 +173,11 @@ def _foresee(inputs: NextInputs, ahead: Ahead, state: State) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _list_poses(inputs: NextInputs, ahead: Ahead, seen: Sensitivity) -> pd.DataFrame:
-    """Return the poses to come: displacements and positions of the actuators, and where the platform will stand."""
+def _list_poses(state: State, ahead: Ahead) -> pd.DataFrame:
+    """Return the poses to come, as the machine is sent there."""
     chosen = np.array([step.candidate for step in ahead.steps[:SHOWN]])
-    actuators, legs = inputs.candidates[chosen], range(1, inputs.candidates.shape[1] + 1)
-    turned = np.degrees(rotation_vector_from_matrix(seen.poses.rotation[chosen]))
-    columns: dict[str, Any] = {"order": np.arange(1, len(chosen) + 1), "candidate": chosen + 1}
-    columns |= {f"displacement_{leg}_mm": actuators[:, leg - 1] - inputs.home[leg - 1] for leg in legs}
-    columns |= {f"rho_{leg}_mm": actuators[:, leg - 1] for leg in legs}
-    columns |= {f"{axis}_mm": seen.poses.position[chosen][:, k] for k, axis in enumerate("xyz")}
-    columns |= {f"r{axis}_deg": turned[:, k] for k, axis in enumerate("xyz")}
-    return pd.DataFrame(columns)
+    order = {"order": np.arange(1, len(chosen) + 1), "candidate": chosen + 1}
+    return pd.DataFrame(order | state.list_poses(chosen))
 
 
 # --- results -----------------------------------------------------------------------------------------------------
@@ -210,12 +190,11 @@ def _tabulate_requirements(inputs: NextInputs, state: State, ahead: Ahead) -> pd
     wanted, after = inputs.config.probability, ahead.standings[1]
     rows = []
     for k, one in enumerate(inputs.requirements):
-        unit = "rad" if one.name.startswith("rotation") else "mm"
-        limit = one.limit / inputs.units.factor(unit)
+        limit = inputs.config.requirements[one.name]
         rows.append(
             {
                 "requirement": one.name,
-                "unit": inputs.config.units.angle if unit == "rad" else inputs.config.units.length,
+                "unit": inputs.units[one.name],
                 "limit": limit,
                 "error": limit * float(state.standing.bound(wanted)[k]),
                 "error_after_next": limit * float(after.bound(wanted)[k]),
@@ -237,9 +216,9 @@ def _summarise(inputs: NextInputs, state: State, best: str, of_best: float, ahea
         "data_origin": inputs.origin,
         "aim": config.aim,
         "stated_probability": config.probability,
-        "n_poses": state.measured.poses.n_poses,
-        "n_candidates": len(inputs.candidates),
-        "n_workspace": len(inputs.workspace),
+        "n_poses": state.subject.n_poses,
+        "n_candidates": inputs.n_candidates,
+        "n_workspace": state.subject.n_workspace,
         "ahead": config.ahead,
         "n_draws": len(belief.draws),
         "variant": best,
@@ -247,10 +226,12 @@ def _summarise(inputs: NextInputs, state: State, best: str, of_best: float, ahea
         "found": belief.way,
         "efficiency": belief.efficiency,
         "pareto_k": belief.pareto_k,
-        "model_error_um": 1e3 * float(np.sqrt(np.mean(state.model_error**2))),
+        "stays": state.stays,
         "next_candidate": first.candidate + 1,
-        "mean_error": float(np.sqrt(np.trace(_mean(state) @ state.covariance))),
-        "mean_error_after_next": float(np.sqrt(-first.value)),
+        "next_pose": state.describe_pose(first.candidate),
+        "shown": [asdict(one) for one in state.subject.list_shown()],
+        "mean_error": float(np.sqrt(np.trace(state.weight @ state.covariance))),
+        "mean_error_after_next": float(np.sqrt(first.mean_square)),
         "requirements": None,
     }
     if inputs.requirements:
@@ -263,11 +244,6 @@ def _summarise(inputs: NextInputs, state: State, best: str, of_best: float, ahea
             "poses_needed": count_needed(ahead, find_goal(inputs, state)),
         }
     return {**summary, "decision": _decide(inputs, summary)}
-
-
-def _mean(state: State) -> Array:
-    root = state.criterion.weight_root(len(state.covariance))
-    return root.T @ root
 
 
 def _decide(inputs: NextInputs, summary: dict[str, Any]) -> str:

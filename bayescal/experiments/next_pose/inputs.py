@@ -1,24 +1,34 @@
-"""From the config to what is computed with: the study's variants, the workspace and the poses that may be measured."""
+"""From the config to what is computed with: the variants, the workspace and the poses that may be measured."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
 from bayescal.data.actuators import read_moves
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import check_arrays
-from bayescal.experiments.next_pose.schema import NextConfig
-from bayescal.experiments.shared.design import find_actuators, read_requirements, read_workspace
-from bayescal.experiments.shared.measured import MeasuredVariant, Measuring
+from bayescal.experiments.next_pose.legs import LegsSubject, know, list_candidates, take_poses
+from bayescal.experiments.next_pose.readings import ReadingsSubject
+from bayescal.experiments.next_pose.schema import CandidatesConfig, NextConfig
+from bayescal.experiments.next_pose.state import Subject
+from bayescal.experiments.shared.design import REQUIRED, find_actuators, read_workspace
+from bayescal.experiments.shared.leg_slips import find_measured_slip
+from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant, Measuring, MeasuringReadings
+from bayescal.experiments.shared.reading_slips import Suspicion, find_calibration_slip
+from bayescal.experiments.shared.schema import WorkspaceConfig
+from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.identifiability.design import Knowledge
 from bayescal.identifiability.pose_volume import PoseVolume
-from bayescal.identifiability.requirements import Requirement
+from bayescal.identifiability.reading_rows import differentiate_poses, typical_given
+from bayescal.identifiability.requirements import COMPONENTS, Requirement
 from bayescal.identifiability.units import Units
+from bayescal.machines.readings import Given
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 from bayescal.pose_selection import (
     ActuatorBox,
@@ -29,9 +39,10 @@ from bayescal.pose_selection import (
     factorial_candidates,
 )
 
-CANDIDATES = 31  # of the seeds
-SEEN = 6
-"""Arrays of all candidates by legs and parameters where they are placed and seen."""
+CANDIDATES, WORKSPACE = 31, 32  # of the seeds
+N_WORKSPACE = 200
+TRIES = 20
+"""Times so many poses are drawn to find those at which a machine can be."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,28 +54,26 @@ class NextInputs:
     config : NextConfig
     origin : str
         Of the data, in words.
-    variants : dict of str to MeasuredVariant
+    subjects : dict of str to Subject
         Those that may be right, with the poses measured so far.
-    requirements : list of Requirement
-    workspace : ndarray, shape (W, N)
-        Actuator positions of its poses, mm.
-    candidates : ndarray, shape (C, N)
-        Actuator positions of the poses that may be measured, mm.
-    units : Units
+    n_candidates : int
+    units : dict of str to str
+        Of each requirement, as the config states it.
+    slip : FoundSlip or None
+        What would explain the data many times better than they are.
     """
 
     config: NextConfig
     origin: str
-    variants: dict[str, MeasuredVariant]
-    requirements: list[Requirement]
-    workspace: Array
-    candidates: Array
-    units: Units
+    subjects: dict[str, Subject]
+    n_candidates: int
+    units: dict[str, str]
+    slip: FoundSlip | None
 
     @property
-    def home(self) -> Array:
-        """Actuator positions at home, shape (N,), mm."""
-        return next(iter(self.variants.values())).machine.mechanism.initial_actuator_positions
+    def requirements(self) -> list[Requirement]:
+        """What is required."""
+        return next(iter(self.subjects.values())).requirements
 
 
 def read_next(config: NextConfig, folder: Path) -> NextInputs:
@@ -73,69 +82,86 @@ def read_next(config: NextConfig, folder: Path) -> NextInputs:
     Raises
     ------
     InputError
-        Where the file is no study's, a variant is not there, the workspace is out of reach or no candidate is left.
+        Where the file calibrates no machine, a variant is not there, the workspace is out of reach or no candidate is
+        left.
     """
     path = folder / config.study
     experiment, study = load(path)
-    if not isinstance(experiment, Measuring):
-        raise InputError(f"{path}: kind: found {study.kind!r}, expected 'study', whose poses were measured so far")
-    known = experiment.list_variants(study)
-    for name in config.variants:
-        if name not in known:
-            raise InputError(f"{path}: variant {name!r}: unknown here, expected one of {', '.join(known)}")
-    chosen = {name: known[name] for name in config.variants or known}
-    if config.aim == "variants" and len(chosen) < 2:
+    if isinstance(experiment, MeasuringReadings):
+        found = experiment.measure_readings(study, path.parent, config.variants)
+        inputs = _read_readings(config, folder, found)
+    elif isinstance(experiment, Measuring):
+        known = experiment.list_variants(study)
+        for name in config.variants:
+            if name not in known:
+                raise InputError(f"{path}: variant {name!r}: unknown here, expected one of {', '.join(known)}")
+        chosen = {name: known[name] for name in config.variants or known}
+        measured = {name: experiment.measure(study, path, one, config.with_model_error) for name, one in chosen.items()}
+        inputs = _read_legs(config, folder, measured)
+    else:
+        raise InputError(f"{path}: kind: found {study.kind!r}, expected 'study' or 'calibration', with poses measured")
+    if config.aim == "variants" and len(inputs.subjects) < 2:
         raise InputError(f"{path}: found one variant with aim 'variants', expected two or more to be told apart")
-    found = {name: experiment.measure(study, path, one, config.with_model_error) for name, one in chosen.items()}
-    measured = {name: _take_first(one, config.first, path) for name, one in found.items()}
-    first = next(iter(measured.values()))
-    knowledge, volume = know(first, {}), read_workspace(config.workspace)
-    candidates = read_candidates(config, folder, knowledge, volume).placed.actuators
-    workspace = find_actuators(knowledge, volume, config.seed, candidates)
-    units = Units(config.units.length, config.units.angle)
-    requirements = read_requirements(config.requirements, units)
-    origin = first.origin.partition(": study ")[0]
-    return NextInputs(config, origin, measured, requirements, workspace, candidates, units)
+    return inputs
 
 
-def know(measured: MeasuredVariant, centre: dict[str, float]) -> Knowledge:
-    """Return a measured machine with its tolerances, where its parameters are expected at values of their own."""
-    posterior = measured.posterior
-    names = posterior.names[: posterior.n_geometry]
-    means = {name: measured.priors[name].mean for name in names}
-    return Knowledge(
-        measured.machine, {name: measured.priors[name].sd for name in names}, {**measured.fixed, **means, **centre}
-    )
-
-
-def take_poses(measured: MeasuredVariant, n: int) -> MeasuredVariant:
-    """Return the variant after the first n of its poses."""
-    some, variance = measured.poses.select(np.arange(n)), measured.actuator_variance
-    variance = None if variance is None else variance[:n]
-    likelihood = PoseLikelihood(measured.machine, some, measured.actuator_noise, variance)
-    posterior = replace(measured.posterior, likelihood=likelihood)
-    return replace(measured, poses=some, posterior=posterior, actuator_variance=variance)
-
-
-def _take_first(measured: MeasuredVariant, n: int | None, path: Path) -> MeasuredVariant:
-    there = measured.poses.n_poses
+def _take_first(n: int | None, there: int, path: str) -> int:
     if n is not None and n > there:
         raise InputError(f"first: found {n}, expected at most {there}, the calibration poses of {path}")
-    return measured if n is None else take_poses(measured, n)
+    return there if n is None else n
 
 
-# --- candidates --------------------------------------------------------------------------------------------------
+def _read_requirements(
+    config: NextConfig, components: tuple[str, ...], kinds: tuple[str, ...], known: tuple[str, ...]
+) -> tuple[list[Requirement], dict[str, str]]:
+    """Return the largest errors that are allowed, mm and rad, and their units as stated.
+
+    Raises
+    ------
+    InputError
+        For another name than those known.
+    """
+    for name in config.requirements:
+        if name not in known:
+            raise InputError(f"requirements: found {name!r}, expected some of {', '.join(known)}")
+    units = Units(config.units.length, config.units.angle)
+    of = {"position": "mm", "rotation": "rad"} | dict(zip(components, kinds, strict=True))
+    wanted = {name: config.requirements[name] for name in known if name in config.requirements}
+    found = [Requirement(name, limit * units.factor(of[name]), components) for name, limit in wanted.items()]
+    return found, {name: units.name(of[name]) for name in wanted}
 
 
-def estimate_candidates(n: int, n_legs: int, n_parameters: int, n_variants: int) -> list[tuple[float, ...]]:
-    """Return the arrays of candidates; see `estimate_arrays`."""
-    return [(SEEN, n, n_legs, n_parameters + n_legs), (4 * n_variants, n, DEGREES_OF_FREEDOM, n_parameters)]
+# --- machines on legs ----------------------------------------------------------------------------------------------
+
+
+def _read_legs(config: NextConfig, folder: Path, measured: dict[str, MeasuredVariant]) -> NextInputs:
+    """Return a study's variants with its whole poses."""
+    n = _take_first(config.first, next(iter(measured.values())).poses.n_poses, config.study)
+    measured = {name: one if n == one.poses.n_poses else take_poses(one, n) for name, one in measured.items()}
+    first = next(iter(measured.values()))
+    section = config.workspace
+    if isinstance(section, dict):
+        raise InputError(
+            f"workspace: found {', '.join(section)} of a machine on legs, expected position_mm and rotation_deg"
+        )
+    if section is None and config.requirements:
+        raise InputError("workspace: found [requirements] without [workspace], expected both")
+    knowledge, volume = know(first, {}), read_workspace(section)
+    candidates = read_candidates(config, folder, knowledge, volume).placed.actuators
+    workspace = find_actuators(knowledge, volume, config.seed, candidates)
+    kinds = ("mm",) * 3 + ("rad",) * 3
+    requirements, units = _read_requirements(config, COMPONENTS, kinds, REQUIRED)
+    subjects: dict[str, Subject] = {
+        name: LegsSubject(one, requirements, workspace, candidates) for name, one in measured.items()
+    }
+    origin, slip = first.origin.partition(": study ")[0], find_measured_slip(measured.values())
+    return NextInputs(config, origin, subjects, len(candidates), units, slip)
 
 
 def _check_candidates(n: int, knowledge: Knowledge) -> None:
     """Raise InputError where there is no memory to place so many candidates."""
     machine = knowledge.machine
-    held = estimate_candidates(n, machine.mechanism.n_legs, machine.layout.size, 1)
+    held = list_candidates(n, machine.mechanism.n_legs, machine.layout.size)
     check_arrays({"candidates": n}, held, "fewer candidates")
 
 
@@ -168,3 +194,127 @@ def read_candidates(config: NextConfig, folder: Path, knowledge: Knowledge, volu
         )
     whole = factorial_candidates(domain, section.count, rng)
     return candidates_at(domain, whole.shares * reach / mechanism.actuator_range)
+
+
+# --- machines of any readings --------------------------------------------------------------------------------------
+
+
+def _read_readings(config: NextConfig, folder: Path, found: dict[str, MeasuredReadings]) -> NextInputs:
+    """Return a calibration's variants with the readings so far."""
+    first = next(iter(found.values()))
+    n = _take_first(config.first, first.posterior.likelihood.data.n_poses, config.study)
+    model = first.posterior.likelihood.model
+    _check_same_readings(found)
+    _check_redundant(first)
+    low, high = _read_bounds(config, first)
+    measured = {name: replace(one.first(n), low=low, high=high) for name, one in found.items()}
+    first = next(iter(measured.values()))
+    workspace = _draw_poses(first, N_WORKSPACE, np.random.default_rng([config.seed, WORKSPACE]))
+    rng = np.random.default_rng([config.seed, CANDIDATES])
+    candidates, given = _list_candidates(config.candidates, folder, first, rng)
+    components, kinds = (tuple(getattr(one, key) for one in model.tool_channels) for key in ("name", "unit"))
+    known = (*components, "position") if "mm" in kinds else components
+    requirements, units = _read_requirements(config, components, kinds, known)
+    if requirements:
+        _check_located(first, workspace)
+    subjects: dict[str, Subject] = {
+        name: ReadingsSubject(one, requirements, workspace, candidates, given) for name, one in measured.items()
+    }
+    slip = find_calibration_slip(Suspicion(one.posterior, one.low, one.high) for one in found.values())
+    return NextInputs(config, first.origin, subjects, len(candidates), units, slip)
+
+
+def _check_same_readings(found: Mapping[str, MeasuredReadings]) -> None:
+    """Raise InputError where variants have other readings, so that their evidences do not compare."""
+    (name, first), *others = found.items()
+    data = first.posterior.likelihood.data
+    for other, one in others:
+        theirs = one.posterior.likelihood
+        same = theirs.model.names == first.posterior.likelihood.model.names and theirs.data.poses == data.poses
+        if not same or not np.array_equal(theirs.data.present, data.present):
+            raise InputError(
+                f"variants: found other readings in {other!r} than in {name!r}, whose evidences then do not compare, "
+                "expected such that take in the same, listed in variants = [...]"
+            )
+
+
+def _check_redundant(measured: MeasuredReadings) -> None:
+    """Raise InputError where no pose says anything of the parameters, or the machine alone nothing of its tool."""
+    likelihood = measured.posterior.likelihood
+    read, q = likelihood.data.present.any(axis=0), len(likelihood.model.coordinates)
+    if read.sum() <= q:
+        raise InputError(
+            f"variants: found {read.sum()} channels that are read and {q} unknown coordinates of each pose, which take "
+            "all that is read: no pose says anything of the parameters; expected more channels"
+        )
+
+
+def _check_located(measured: MeasuredReadings, workspace: Array) -> None:
+    """Raise InputError where the machine's own channels do not determine its pose: its error then has no bound."""
+    posterior = measured.posterior
+    given = typical_given(posterior.likelihood.data.given, len(workspace))
+    expected = np.zeros(posterior.n_parameters)
+    seen = differentiate_poses(posterior, measured.half, expected, workspace, given).seen_by(measured.internal)
+    lost = ~np.isfinite(seen.tool).all(axis=(1, 2))
+    if lost.any():
+        names = posterior.likelihood.model.names
+        own = ", ".join(name for name, internal in zip(names, measured.internal, strict=True) if internal)
+        raise InputError(
+            f"requirements: found that the machine's own sensors ({own or 'none'}) do not determine its pose at "
+            f"{lost.sum()} of {len(lost)} poses of the workspace, so that its error there has no bound; expected own "
+            "sensors that do"
+        )
+
+
+def _read_bounds(config: NextConfig, measured: MeasuredReadings) -> tuple[Array, Array]:
+    """Return smallest and largest coordinates, (q,) each: the section's, otherwise those of the calibration."""
+    section, units = config.workspace, Units(config.units.length, config.units.angle)
+    low, high = measured.low.copy(), measured.high.copy()
+    coordinates = measured.posterior.likelihood.model.coordinates
+    names = [one.name for one in coordinates]
+    if isinstance(section, WorkspaceConfig):
+        raise InputError(
+            f"workspace: found position_mm of a machine that is no hexapod, expected bounds of {', '.join(names)}, "
+            f"such as {names[0]} = [-1.0, 1.0]"
+        )
+    for name, bounds in (section or {}).items():
+        if name not in names:
+            raise InputError(f"workspace: found {name!r}, expected some of {', '.join(names)}")
+        k = names.index(name)
+        if not bounds[0] < bounds[1]:
+            raise InputError(
+                f"workspace.{name}: found {bounds[0]:g} to {bounds[1]:g}, expected the smaller number first"
+            )
+        low[k], high[k] = (units.factor(coordinates[k].unit) * one for one in bounds)
+    return low, high
+
+
+def _draw_poses(measured: MeasuredReadings, n: int, rng: np.random.Generator) -> Array:
+    """Return n random poses of the workspace that the machine as expected can take, (n, q)."""
+    posterior = measured.posterior
+    model, found = posterior.likelihood.model, np.empty((0, len(measured.low)))
+    for _ in range(TRIES):
+        pose = rng.uniform(measured.low, measured.high, (n, len(measured.low)))
+        read = model.read(posterior.centre, pose, typical_given(posterior.likelihood.data.given, n))
+        found = np.concatenate([found, pose[np.isfinite(read).all(axis=-1)]])
+        if len(found) >= n:
+            return found[:n]
+    raise InputError("workspace: found hardly a pose that the machine can take, expected a smaller workspace")
+
+
+def _list_candidates(
+    section: CandidatesConfig, folder: Path, measured: MeasuredReadings, rng: np.random.Generator
+) -> tuple[Array, Given]:
+    """Return the poses that may be measured, (C, q), and what is known of each: a table, or random ones."""
+    likelihood = measured.posterior.likelihood
+    for name in ("unit_mm", "range_mm", "position_mm", "rotation_deg"):
+        if name in section.model_fields_set:
+            raise InputError(f"candidates.{name}: found it of a machine without legs, expected count or configurations")
+    if section.configurations is not None:
+        model = likelihood.model
+        expected = [*(f"{one.name}_{one.unit}" for one in model.coordinates), *model.given]
+        known = [*list_columns(model.coordinates), *model.given]
+        table, _ = read_named(folder / section.configurations, known, expected)
+        return read_quantities(table, model.coordinates), read_given(table, model.given)
+    pose = _draw_poses(measured, section.count, rng)
+    return pose, typical_given(likelihood.data.given, len(pose))

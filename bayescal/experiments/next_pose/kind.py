@@ -11,15 +11,13 @@ from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.next_pose.compute import MOST_ERRORS, compute_next
-from bayescal.experiments.next_pose.inputs import NextInputs, estimate_candidates, read_next
+from bayescal.experiments.next_pose.inputs import NextInputs, read_next
 from bayescal.experiments.next_pose.page import build_page
 from bayescal.experiments.next_pose.schema import NextConfig
-from bayescal.experiments.shared.leg_slips import find_measured_slip
-from bayescal.experiments.shared.search_memory import list_search
 from bayescal.report.blocks import Page
 
 DRAWS = 8
-"""Arrays of all draws by parameters, and by requirements at every pose of the workspace."""
+"""Arrays of all draws by requirements at every pose of the workspace."""
 
 
 class NextPose(Experiment[NextConfig, NextInputs]):
@@ -45,25 +43,19 @@ class NextPose(Experiment[NextConfig, NextInputs]):
 
     def estimate_memory(self, inputs: NextInputs) -> Need:
         """Return what candidates take, seen by every variant, and draws over the workspace."""
-        first = next(iter(inputs.variants.values()))
-        n, n_draws = first.posterior.n_parameters, inputs.config.draws
-        n_candidates, n_legs = inputs.candidates.shape
+        first, n_draws = next(iter(inputs.subjects.values())), inputs.config.draws
         return estimate_arrays(
-            {"poses": first.poses.n_poses, "candidates": n_candidates, "parameters": n, "draws": n_draws},
+            {"poses": first.n_poses, "candidates": inputs.n_candidates, "draws": n_draws},
             [
-                *estimate_candidates(n_candidates, n_legs, first.machine.layout.size, len(inputs.variants)),
-                *list_search(first.posterior),
-                (DRAWS, n_draws, n),
-                (DRAWS, len(inputs.workspace), n_legs, n),
-                (DRAWS, min(n_draws * len(inputs.workspace), MOST_ERRORS)),
+                *(one for subject in inputs.subjects.values() for one in subject.list_arrays(n_draws)),
+                (DRAWS, min(n_draws * first.n_workspace, MOST_ERRORS)),
             ],
             "fewer candidates or draws",
         )
 
     def doubt(self, inputs: NextInputs) -> list[str]:
-        """Return what would explain the poses measured so far many times better than they stand."""
-        slip = find_measured_slip(inputs.variants.values())
-        return [] if slip is None else [slip.say()]
+        """Return what would explain the poses measured so far many times better than they are."""
+        return [] if inputs.slip is None else [inputs.slip.say()]
 
     def compute(self, inputs: NextInputs, run: Run) -> Results:
         """Return what to do; it is over in seconds, and nothing is kept on the way."""

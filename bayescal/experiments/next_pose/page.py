@@ -13,7 +13,6 @@ from matplotlib.axes import Axes
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.slips import state_slip
 from bayescal.report.blocks import (
-    Block,
     Cell,
     Column,
     Definitions,
@@ -32,25 +31,27 @@ SURE = 0.9995  # rounds to a full hundred per cent
 METHOD = (
     (
         "What is known?",
-        "The posterior of the study's calibration poses: the most probable machine by Newton's steps, and draws of "
-        "Laplace's approximation there, weighed by the density itself. A draw stands for the true machine.",
+        "The posterior of the calibration poses: its mode by Newton's steps, and draws of Laplace's approximation "
+        "there, weighed by the density itself. A draw stands for the true machine.",
     ),
     (
         "When do the requirements hold?",
-        "The calibrated machine, the posterior mean, predicts the poses of the workspace; the true machine errs from "
-        "that by its geometry, its actuators' noise and its model errors. The requirements hold where no pose of the "
-        "workspace exceeds a limit. The probability is the share of draws of which this is so.",
+        "The calibrated machine, the posterior mean, predicts the poses of the workspace from what its own sensors "
+        "read; the true machine errs from that by its geometry, by the noise of these sensors and by its model errors. "
+        "The requirements hold where no pose of the workspace exceeds a limit. The probability is the share of draws "
+        "of which this is so.",
     ),
     (
         "Which pose is next?",
         "For the requirements: the candidate after which the predicted poses of the workspace have the smallest mean "
-        "variance in units of the limits (I-optimal). For telling variants apart: the candidate where their "
-        "predictions differ most, against what is not known of them and the instrument's noise (Box and Hill 1967).",
+        "variance in units of the limits (I-optimal). To distinguish variants: the candidate where their predictions "
+        "differ most, against what is not known of them and the noise (Box and Hill 1967).",
     ),
     (
         "What is expected of it?",
-        "That it is measured as well as the poses so far. The geometry's uncertainty shrinks accordingly; what is "
-        "known of the model errors stays as it is, though more poses will tell more of them, too.",
+        "That it is measured as well as the poses so far, by all sensors and instruments that these had. The "
+        "uncertainty of the geometry shrinks accordingly; what is known of noise and model errors stays as it is, "
+        "though more poses will constrain them, too.",
     ),
 )
 
@@ -58,7 +59,7 @@ METHOD = (
 def build_page(results: Results) -> Page:
     """Return what the page says."""
     summary = results.summary
-    sections = [Section("Next poses", tuple(_show_poses(results)), "next")]
+    sections = [Section("Next poses", (_show_poses(results),), "next")]
     if summary["requirements"] is not None:
         sections.append(Section("Requirements", (_tabulate_requirements(results),), "requirements"))
         sections.append(Section("Course", (_plot_course(results),), "course"))
@@ -119,7 +120,7 @@ def _state_all(results: Results) -> list[Statement]:
     summary = results.summary
     said = state_slip(summary)
     if summary["decision"] != "hopeless":
-        said.append(_state_pose(results))
+        said.append(_state_pose(summary))
     if summary["requirements"] is not None:
         said += [_state_gain(results), _state_needed(summary), _state_best(summary)]
     if len(results.table("variants")) > 1:
@@ -127,11 +128,9 @@ def _state_all(results: Results) -> list[Statement]:
     return [*said, _state_soundness(summary)]
 
 
-def _state_pose(results: Results) -> Statement:
-    row = results.table("next_poses").iloc[0]
-    moves = [format_fixed(float(row[name]), 3) for name in row.index if name.startswith("displacement_")]
-    lead = "If one went on" if results.summary["decision"] == "stop" else "Next pose"
-    return Statement(f"Displace the actuators from their initial positions by {', '.join(moves)} mm.", "plain", lead)
+def _state_pose(summary: dict[str, Any]) -> Statement:
+    lead = "If one went on" if summary["decision"] == "stop" else "Next pose"
+    return Statement(summary["next_pose"], "plain", lead)
 
 
 def _state_gain(results: Results) -> Statement:
@@ -159,9 +158,9 @@ def _state_needed(summary: dict[str, Any]) -> Statement:
     if standing["goal"] == summary["stated_probability"]:
         return Statement(f"{about.capitalize()} to the wanted {wanted}, if chosen as below.", "plain", lead)
     text = (
-        f"Whether the wanted {wanted} can be reached depends on the model errors, which more poses will tell: with "
-        f"{_say_chance(standing['at_best'])} they are small enough. After {about}, if chosen as below, the geometry "
-        "will hardly matter any more."
+        f"Whether the wanted {wanted} can be reached depends on noise and model errors, which more poses will "
+        f"constrain: with {_say_chance(standing['at_best'])} they are small enough. After {about}, if chosen as below, "
+        "the geometry will hardly matter any more."
     )
     return Statement(text, "warning", lead)
 
@@ -171,10 +170,8 @@ def _state_best(summary: dict[str, Any]) -> Statement:
     text = f"With the geometry known exactly the requirements would hold with {_say_chance(best)}"
     if best >= wanted:
         return Statement(f"{text}: measuring is what helps.", "good", "What can be reached")
-    error = format_significant(summary["model_error_um"], 2)
-    why = f"actuators and model errors stay ({error} µm a leg, root mean square, by what is known today)"
     level: Level = "bad" if summary["decision"] == "hopeless" else "warning"
-    return Statement(f"{text}: {why}.", level, "What can be reached")
+    return Statement(f"{text}: {summary['stays']}.", level, "What can be reached")
 
 
 def _state_variants(results: Results) -> Statement:
@@ -186,7 +183,7 @@ def _state_variants(results: Results) -> Statement:
 def _state_soundness(summary: dict[str, Any]) -> Statement:
     k = format_fixed(summary["pareto_k"], 2)
     if summary["found"] == "sampled":
-        text = f"Draws are those of ensembles, since weights have a heavy tail (k {k}); a study's run tells more."
+        text = f"Draws are those of ensembles, since weights have a heavy tail (k {k}); `bayescal run` is more exact."
         return Statement(text, "warning", "How sure")
     anew = "" if summary["found"] == "updated" else ", the posterior explored anew"
     text = (
@@ -202,30 +199,27 @@ def _name(requirement: str) -> str:
 # --- tables and figures ------------------------------------------------------------------------------------------
 
 
-def _show_poses(results: Results) -> list[Block]:
-    table = results.table("next_poses")
-    legs = [name.split("_")[1] for name in table.columns if name.startswith("displacement_")]
+def _show_poses(results: Results) -> Table:
+    table, shown = results.table("next_poses"), results.summary["shown"]
     columns = [
         Column("Order"),
         Column("Candidate"),
-        *(Column(leg, "mm", "Displacement of actuator") for leg in legs),
-        *(Column(axis, "mm", "Platform, expected") for axis in "xyz"),
-        *(Column(f"r{axis}", "deg", "Platform, expected") for axis in "xyz"),
+        *(Column(one["heading"], one["unit"], one["group"]) for one in shown),
     ]
     rows = [
         [
             str(int(row["order"])),
             str(int(row["candidate"])),
-            *(format_fixed(float(row[f"displacement_{leg}_mm"]), 3) for leg in legs),
-            *(format_fixed(float(row[f"{axis}_mm"]), 2) for axis in "xyz"),
-            *(format_fixed(float(row[f"r{axis}_deg"]), 3) for axis in "xyz"),
+            *(format_fixed(float(row[one["column"]]), one["decimals"]) for one in shown),
         ]
         for _, row in table.iterrows()
     ]
-    caption = "The poses to measure, in their order; only the first is sure, since what it tells may change the others."
+    caption = (
+        "The poses to measure, in their order; the first alone is final, since its readings may change the others."
+    )
     if len(table) == 1:
-        caption = "The pose that tells most of which variant is right."
-    return [make_table(caption, columns, rows, style="wide")]
+        caption = "The pose at which the predictions of the variants differ most."
+    return make_table(caption, columns, rows, style="wide")
 
 
 def _tabulate_requirements(results: Results) -> Table:
@@ -266,7 +260,7 @@ def _tabulate_variants(results: Results) -> Table:
         [str(row["variant"]), format_fixed(float(row["log_evidence"]), 1), _say_chance(float(row["probability"]))]
         for _, row in table.iterrows()
     ]
-    caption = "Evidence by Laplace's approximation; a run of the study tells it more exactly."
+    caption = "Evidence by Laplace's approximation; `bayescal run` computes it more exactly."
     return make_table(caption, columns, rows)
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
-from bayescal.config.sections import ExperimentConfig, InputFile, Names, Positive, Section
-from bayescal.experiments.shared.schema import Extent, RequirementsConfig, Turns, UnitsConfig, WorkspaceConfig
+from bayescal.config.load import MEASURED
+from bayescal.config.sections import ExperimentConfig, InputFile, Names, Number, Positive, Section
+from bayescal.experiments.shared.schema import Extent, Turns, UnitsConfig, WorkspaceConfig
 from bayescal.numerics.geometry import Array
 
 
@@ -16,11 +17,13 @@ class CandidatesConfig(Section):
     """Poses that may be measured: those of a table, or a grid over the actuators' range or over limits of the pose."""
 
     configurations: InputFile | None = None
-    """CSV file of actuator displacements, a row a pose; a grid where nothing is said."""
+    """CSV file of actuator displacements, a row a pose; without legs of poses: pose, x_mm ... A grid where nothing is
+    said, without legs random poses of the workspace.
+    """
     unit_mm: Positive = 1.0
     """Unit of its numbers."""
     count: Annotated[int, Field(ge=2, le=20_000)] = 729
-    """How many poses the grid has."""
+    """How many poses there are then."""
     range_mm: Positive | None = None
     """Largest displacement of an actuator to either side; the actuators' range where nothing is said."""
     position_mm: Extent | None = None
@@ -47,29 +50,49 @@ class CandidatesConfig(Section):
         return np.concatenate([self.position_mm, np.radians(self.rotation_deg)])
 
 
+OF_LEGS, OF_BOUNDS = f"{MEASURED}legs", f"{MEASURED}bounds"
+type Bounds = Annotated[list[Number], Field(min_length=2, max_length=2)]
+
+
+def _tag_workspace(section: Any) -> str:
+    legs = {"position_mm", "rotation_deg", "shape", "poses"}
+    return OF_LEGS if isinstance(section, WorkspaceConfig) or legs & set(section or ()) else OF_BOUNDS
+
+
 class NextConfig(ExperimentConfig):
     """Which pose to measure next, and whether to stop."""
 
     kind: Literal["next_pose"]
     """`"next_pose"`."""
     study: InputFile
-    """The study's TOML file; its calibration poses are those measured so far."""
+    """TOML file of a study or a calibration; its calibration poses are those measured so far."""
     first: Annotated[int, Field(ge=1, le=100_000)] | None = None
     """Only the first so many of these poses, to see what would have been said then; all where nothing is said."""
     variants: Names = Field(default=[])
     """Variants of the study that may be right; all where nothing is said."""
     with_model_error: bool = True
-    """Whether the machine may err by more than its geometry and its instruments, as the study's model error says."""
+    """Whether legs may err by more than their geometry and the instruments, as the study's model error says."""
     aim: Literal["requirements", "variants"] = "requirements"
     """What the next pose is for: to meet the `requirements`, or to tell the leading `variants` apart."""
     probability: Annotated[float, Field(ge=0.5, le=0.9999)] = 0.95
     """How probable it has to be that the requirements hold, or which variant is right, before one stops [1]."""
     units: UnitsConfig = UnitsConfig()
     """Units of the requirements."""
-    workspace: WorkspaceConfig | None = None
-    """Where accuracy counts."""
-    requirements: RequirementsConfig = RequirementsConfig()
-    """What is required there."""
+    workspace: (
+        Annotated[
+            Annotated[WorkspaceConfig, Tag(OF_LEGS)] | Annotated[dict[str, Bounds], Tag(OF_BOUNDS)],
+            Discriminator(_tag_workspace),
+        ]
+        | None
+    ) = None
+    """Where accuracy counts; without legs by coordinate: smallest and largest value, the calibration's where nothing is
+    said [units].
+    """
+    requirements: dict[str, Positive] = Field(default={})
+    """By component of what has to be accurate: largest error anywhere in the workspace. Of a platform `x`, `y`, `z`,
+    `position`, `rotation_x`, `rotation_y`, `rotation_z`, `rotation`; without legs what the machine's tool is, and
+    `position` for its lengths together [units].
+    """
     candidates: CandidatesConfig = CandidatesConfig()
     """Poses that may be measured."""
     ahead: Annotated[int, Field(ge=1, le=200)] = 40
@@ -79,9 +102,7 @@ class NextConfig(ExperimentConfig):
 
     @model_validator(mode="after")
     def _check_aim(self) -> Self:
-        if self.workspace is None and self.requirements.is_any:
-            raise ValueError("found [requirements] without [workspace], expected both")
-        if self.aim == "requirements" and not self.requirements.is_any:
+        if self.aim == "requirements" and not self.requirements:
             raise ValueError("found no [requirements], expected the largest errors allowed, or aim = 'variants'")
         if self.aim == "variants" and len(self.variants) == 1:
             raise ValueError("found one of the variants with aim 'variants', expected two or more, or none for all")

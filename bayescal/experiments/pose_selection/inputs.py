@@ -138,7 +138,7 @@ class SelectionInputs:
     @cached_property
     def limits(self) -> Array:
         """What errors of a pose are measured by, shape (6,), mm and rad."""
-        return find_limits(self.design.requirements, self.workspace, self.design.knowledge.sd)
+        return find_limits(self.design.requirements, self.workspace.slope * self.design.knowledge.sd)
 
     def indices(self, actuators: Array) -> dict[str, float]:
         """Return the five observability indices of poses at actuator positions (n, N)."""

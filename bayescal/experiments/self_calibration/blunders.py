@@ -92,14 +92,14 @@ def _complain(where: Path, variant: Variant, name: str, off: float, limit: float
 def _is_explained(posterior: CalibrationPosterior, mode: Array) -> bool:
     """Whether readings and priors together leave no more than their number lets one expect."""
     count = int(posterior.likelihood.n_spare.sum())
-    square = float((posterior.residuals(mode[None]).error ** 2).sum() + mode @ mode)
+    square = float((posterior.residuals(mode[None]) ** 2).sum() + mode @ mode)
     return square <= count + DOUBT * np.sqrt(2.0 * count)
 
 
 def _find_suspect(posterior: CalibrationPosterior, mode: Array) -> tuple[int, float] | None:
     """Return a pose without which all others are explained, and how far its readings are off then."""
     likelihood = posterior.likelihood
-    square, n_poses = (posterior.residuals(mode[None]).error[0] ** 2).sum(axis=1), likelihood.data.n_poses
+    square, n_poses = (posterior.residuals(mode[None])[0] ** 2).sum(axis=1), likelihood.data.n_poses
     if (n_poses - 1) * _redundancy(posterior) < posterior.n_parameters:
         return None
     for suspect in np.argsort(-square)[:SUSPECTS]:

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results, Writer
+from bayescal.experiments.frame.results import Results
 from bayescal.experiments.self_calibration.blunders import list_denied
 from bayescal.experiments.self_calibration.fit import fit_variant
 from bayescal.experiments.self_calibration.identifiability import audit_variant
@@ -16,8 +16,8 @@ from bayescal.experiments.self_calibration.inputs import ReadingInputs
 from bayescal.experiments.self_calibration.tables import VariantFindings, summarise, tabulate
 from bayescal.experiments.self_calibration.tool import assess_tool, predict_tool
 from bayescal.experiments.shared.calibrability import compute_calibrability
-from bayescal.experiments.shared.reading_trees import build_reading_tree
-from bayescal.experiments.shared.trees import name_file, write_tree
+from bayescal.experiments.shared.estimate import TREE
+from bayescal.experiments.shared.trees import name_file, write_packed
 
 
 def compute_self_calibration(inputs: ReadingInputs, run: Run) -> Results:
@@ -26,19 +26,8 @@ def compute_self_calibration(inputs: ReadingInputs, run: Run) -> Results:
     tables = tabulate(inputs, found)
     summary, denied = summarise(inputs, found, tables), list_denied(inputs)
     summary |= {"denied_slips": denied} if denied else {}
-    return Results(summary, tables, _list_files(inputs, found))
-
-
-def _list_files(inputs: ReadingInputs, found: dict[str, VariantFindings]) -> dict[str, Writer]:
-    """Return what writes the variants' posteriors."""
-    table = inputs.table
-    poses = [pose for pose, held in zip(table.poses, table.verification, strict=True) if not held]
-    files = {}
-    for name, one in found.items():
-        units = inputs.posterior(inputs.variants[name]).units
-        build = partial(build_reading_tree, one.fit.saved, one.fit.names, units, poses, name)
-        files[name_file(name)] = write_tree(build)
-    return files
+    files = {name_file(name): partial(write_packed, one.fit.evaluated[TREE]) for name, one in found.items()}
+    return Results(summary, tables, files)
 
 
 def compute_variants(inputs: ReadingInputs, run: Run) -> dict[str, VariantFindings]:

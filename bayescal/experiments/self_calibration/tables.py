@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.self_calibration.fit import Fit
+from bayescal.experiments.self_calibration.fit import VariantFit
 from bayescal.experiments.self_calibration.identifiability import Identifiability
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
 from bayescal.experiments.self_calibration.tool import ToolAccuracy, ToolPrediction, true_machine
 from bayescal.experiments.shared.calibrability import Calibrability
 from bayescal.experiments.shared.function_errors import tabulate_functions
+from bayescal.experiments.shared.stacking import tabulate_comparison
 from bayescal.numerics.geometry import Array
 
 MICROMETRES = 1e3
@@ -24,7 +25,7 @@ MICROMETRES = 1e3
 class VariantFindings:
     """All that was found for one variant; a prediction only with verification poses, an audit where all is free."""
 
-    fit: Fit
+    fit: VariantFit
     prediction: ToolPrediction | None
     accuracy: ToolAccuracy
     calibrability: Calibrability
@@ -36,7 +37,11 @@ def tabulate(inputs: ReadingInputs, outcomes: Mapping[str, VariantFindings]) -> 
     every = [(inputs.variants[name], outcome) for name, outcome in outcomes.items()]
     audited = [(variant, outcome.audit) for variant, outcome in every if outcome.audit is not None]
     tables = {
-        "variants": pd.DataFrame([_describe_variant(inputs, *one) for one in every]),
+        "variants": tabulate_comparison(
+            pd.DataFrame([_describe_variant(inputs, *one) for one in every]),
+            {variant.name: one.fit.left_out for variant, one in every},
+            "sensors",
+        ),
         "parameters": pd.concat([_list_parameters(inputs, *one) for one in every], ignore_index=True),
         "identifiability": pd.concat([_list_verdicts(*one) for one in audited] or [pd.DataFrame()], ignore_index=True),
         "ridges": pd.DataFrame(
@@ -76,6 +81,10 @@ def _describe_variant(inputs: ReadingInputs, variant: Variant, outcome: VariantF
         **fit.describe_evidence(),
         "elpd": fit.elpd,
         "misfit": _misfit(variant, fit),
+        "misfit_chi2": fit.misfit.value,
+        "misfit_dof": fit.misfit.dof,
+        "pulls_chi2": fit.pulls.value,
+        "pulls_dof": fit.pulls.dof,
         **fit.describe_chains(),
         "calibrability": outcome.calibrability.metres_radians,
         "calibrability_scaled": outcome.calibrability.scaled,
@@ -89,7 +98,7 @@ def _describe_variant(inputs: ReadingInputs, variant: Variant, outcome: VariantF
     return row
 
 
-def _misfit(variant: Variant, fit: Fit) -> float:
+def _misfit(variant: Variant, fit: VariantFit) -> float:
     """Return what is left of readings in units of the noise, rms over the degrees of freedom; NaN without any."""
     freedom = variant.sensors.redundancy * len(fit.square) - len(fit.names)
     return float(np.sqrt(fit.square.sum() / freedom)) if freedom > 0 else float("nan")
@@ -100,9 +109,6 @@ def _list_parameters(inputs: ReadingInputs, variant: Variant, outcome: VariantFi
     count = variant.together.shape[1]  # beside those of the sensors' functions
     names, prior_sd = fit.names[:count], fit.prior_sd[:count]
     first = [layout.names.index(variant.common.get(name, (name,))[0]) for name in names]
-    draws = fit.natural[:, :count]
-    mean, sd = draws.mean(axis=0), draws.std(axis=0)
-    low, high = np.quantile(draws, [0.05, 0.95], axis=0)
     true = true_machine(inputs, variant)
     table = pd.DataFrame(
         {
@@ -111,11 +117,13 @@ def _list_parameters(inputs: ReadingInputs, variant: Variant, outcome: VariantFi
             "unit": [layout.units[k] for k in first],
             "nominal": layout.nominal[first],
             "prior_sd": prior_sd,
-            "mean": mean,
-            "sd": sd,
-            "q05": low,
-            "q95": high,
-            "contraction": 1.0 - (sd / prior_sd) ** 2,
+            "mean": fit.mean[:count],
+            "sd": fit.sd[:count],
+            "q05": fit.q05[:count],
+            "q95": fit.q95[:count],
+            "contraction": 1.0 - (fit.sd[:count] / prior_sd) ** 2,
+            "prior_sensitivity": fit.power_scaling[:count, 0],
+            "likelihood_sensitivity": fit.power_scaling[:count, 1],
             "rhat": fit.diagnostics.rhat[:count],
             "ess_bulk": fit.diagnostics.ess_bulk[:count],
             "ess_tail": fit.diagnostics.ess_tail[:count],
@@ -163,7 +171,9 @@ def _list_residuals(inputs: ReadingInputs, variant: Variant, outcome: VariantFin
     """Return the rms of each calibration pose's residuals, in units of the noise, by its degrees of freedom."""
     names = [name for name, held in zip(inputs.table.poses, inputs.table.verification, strict=True) if not held]
     rms = np.sqrt(outcome.fit.square / max(1, variant.sensors.redundancy))
-    return pd.DataFrame({"variant": variant.name, "pose": names, "rms": rms})
+    left_out = outcome.fit.left_out
+    by_pose = {"elpd_loo": left_out.elpd, "pareto_k": left_out.pareto_k, "refitted": left_out.was_refitted}
+    return pd.DataFrame({"variant": variant.name, "pose": names, "rms": rms, **by_pose})
 
 
 def summarise(

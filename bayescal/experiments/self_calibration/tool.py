@@ -13,7 +13,7 @@ import numpy as np
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import CommonDraws, Errors
 from bayescal.errors import NumericalError
-from bayescal.experiments.self_calibration.fit import Fit
+from bayescal.experiments.self_calibration.fit import VariantFit
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.reading_machine import free_parameters
 from bayescal.experiments.shared.sensor_sets import ToolSensitivity, compute_tool_sensitivity, locate_tool
@@ -87,7 +87,7 @@ def true_machine(inputs: ReadingInputs, variant: Variant) -> Array | None:
     return theta
 
 
-def predict_tool(inputs: ReadingInputs, variant: Variant, fit: Fit, rng: np.random.Generator) -> ToolPrediction:
+def predict_tool(inputs: ReadingInputs, variant: Variant, fit: VariantFit, rng: np.random.Generator) -> ToolPrediction:
     """Return the tool's centre at the verification poses, from the machine's own sensors and draws of its parameters.
 
     Given a machine, the pose that readings tell of is normal about the best one with (HᵀΣ⁻¹H)⁻¹ to first order.
@@ -111,7 +111,7 @@ def predict_tool(inputs: ReadingInputs, variant: Variant, fit: Fit, rng: np.rand
     return ToolPrediction(mean, low, high, sd, true)
 
 
-def _correct(readings: Array, variant: Variant, fit: Fit) -> Array:
+def _correct(readings: Array, variant: Variant, fit: VariantFit) -> Array:
     """Return readings (V, K) of the machine's own sensors less draws of their functions, (V, k) or (T, V, k)."""
     if variant.functions is None:
         return readings[:, variant.kept]
@@ -120,7 +120,7 @@ def _correct(readings: Array, variant: Variant, fit: Fit) -> Array:
     return np.asarray((readings - CommonDraws(Errors((variant.functions,)), fit.common).at(rows))[..., variant.kept])
 
 
-def assess_tool(inputs: ReadingInputs, variant: Variant, fit: Fit) -> ToolAccuracy:
+def assess_tool(inputs: ReadingInputs, variant: Variant, fit: VariantFit) -> ToolAccuracy:
     """Return how far the tool's centre is off over the workspace, before and after the calibration.
 
     Before are all parameters within their tolerances that the sensors see, those that a variant fixes too. What a
@@ -147,7 +147,7 @@ def assess_tool(inputs: ReadingInputs, variant: Variant, fit: Fit) -> ToolAccura
     )
 
 
-def _spread_of_draws(variant: Variant, fit: Fit, tool: ToolSensitivity, pose: Array) -> float:
+def _spread_of_draws(variant: Variant, fit: VariantFit, tool: ToolSensitivity, pose: Array) -> float:
     """Return the rms error of the tool's centre at poses (W, q) over draws of parameters and functions together, mm."""
     sensors = variant.internal
     readings = variant.sensors.read(fit.theta.mean(axis=0), pose)

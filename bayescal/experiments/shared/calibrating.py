@@ -4,20 +4,38 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from pathlib import Path
+from typing import ClassVar
 
 from bayescal.calibrated.exported import CALIBRATED, read_exported
 from bayescal.calibrated.machine import CalibratedMachine
+from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
-from bayescal.experiments.frame.load import find_kind
-from bayescal.experiments.frame.results import PROVENANCE_FILE, SUMMARY_FILE, Results
+from bayescal.experiments.frame.identity import identify
+from bayescal.experiments.frame.load import find_kind, load
+from bayescal.experiments.frame.results import PROVENANCE_FILE, Results, Writer, read_results
+from bayescal.experiments.shared.trees import read_draws
 from bayescal.files.atomic import read_json
+from bayescal.numerics.geometry import Array
+
+KEPT = "machine"
+"""Folder of the results that holds what the machine is read from."""
 
 
 class Calibrating(ABC):
-    """A kind of experiment whose results hold a calibrated machine."""
+    """A kind of experiment whose results hold a calibrated machine.
+
+    Attributes
+    ----------
+    tables_of_machine : tuple of str
+        Tables of the results that it is made from.
+    """
+
+    tables_of_machine: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
-    def calibrate(self, results: Results, variant: str | None, experiment: Path | None) -> CalibratedMachine:
+    def calibrate(
+        self, results: Results, variant: str | None, experiment: Path | None, trust: bool
+    ) -> CalibratedMachine:
         """Return the machine of a variant, of the best where none is named.
 
         Parameters
@@ -26,6 +44,8 @@ class Calibrating(ABC):
         variant : str or None
         experiment : Path or None
             The config of the results, for those that do not hold the nominal machine.
+        trust : bool
+            Whether the code of classes of its own that the results keep may be run.
 
         Raises
         ------
@@ -35,29 +55,37 @@ class Calibrating(ABC):
 
 
 def load_calibrated(
-    path: Path, variant: str | None = None, experiment: Path | None = None, force: bool = False
+    path: Path | str,
+    variant: str | None = None,
+    experiment: Path | str | None = None,
+    force: bool = False,
+    trust: bool = False,
 ) -> CalibratedMachine:
     """Return the calibrated machine of a results directory, or of one that `bayescal export` wrote.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
     variant : str, optional
         Of the results; the best by default.
-    experiment : Path, optional
+    experiment : Path or str, optional
         The config of the results, for those that do not hold the nominal machine.
     force : bool
         Take a posterior that did not converge, too.
+    trust : bool
+        Run the code of classes that are the machine's own: results keep it, and loading a stranger's runs none unasked.
 
     Raises
     ------
     InputError
-        For results without a machine or such a variant, and for a posterior that did not converge.
+        For results without a machine or such a variant, for a posterior that did not converge, and for code that nobody
+        has allowed to run.
     """
+    path = Path(path)
     if (path / CALIBRATED).is_file():
-        found = _check_exported(read_exported(path), path, variant)
+        found = _check_exported(read_exported(path, trust), path, variant)
     else:
-        found = _calibrate(path, variant, experiment)
+        found = _calibrate(path, variant, None if experiment is None else Path(experiment), trust)
     if found.source.problems and not force:
         problems = "; ".join(found.source.problems)
         raise InputError(
@@ -66,17 +94,57 @@ def load_calibrated(
     return found
 
 
-def _calibrate(path: Path, variant: str | None, experiment: Path | None) -> CalibratedMachine:
-    provenance = read_json(path / PROVENANCE_FILE)
-    results = Results(read_json(path / SUMMARY_FILE), provenance=provenance, folder=path)
-    name = provenance.get("kind")
+def _calibrate(path: Path, variant: str | None, experiment: Path | None, trust: bool) -> CalibratedMachine:
+    name = read_json(path / PROVENANCE_FILE).get("kind")
     kind: object = None if not isinstance(name, str) or ":" in name else find_kind(name, path, None)
     if not isinstance(kind, Calibrating):
-        raise InputError(f"{path}: found results of kind {name!r}, which hold no mechanism on legs, expected a study's")
-    return kind.calibrate(results, variant, experiment)
+        raise InputError(
+            f"{path}: found results of kind {name!r}, which hold no calibrated machine, expected those of a study or a "
+            "calibration"
+        )
+    return kind.calibrate(read_results(path, kind.tables_of_machine), variant, experiment, trust)
 
 
 def _check_exported(found: CalibratedMachine, path: Path, variant: str | None) -> CalibratedMachine:
     if variant not in (None, found.source.variant):
         raise InputError(f"{path}: found an exported variant {found.source.variant!r}, expected {variant!r}")
     return found
+
+
+# --- for those kinds -----------------------------------------------------------------------------------------------
+
+
+def load_same[C: ExperimentConfig](results: Results, path: Path, schema: type[C]) -> C:
+    """Return the config of a file, which must be that of the results."""
+    experiment, config = load(path)
+    if not isinstance(config, schema):
+        wanted = results.provenance.get("kind")
+        raise InputError(f"{path}: kind: found {config.kind!r}, expected {wanted!r}")
+    identity = identify(config, path.parent, experiment.files(config, path.parent))
+    if any(results.provenance.get(key) != identity[key] for key in ("config", "files")):
+        raise InputError(
+            f"{path}: found another {config.kind} than that of {results.folder}, expected the same config and files"
+        )
+    return config
+
+
+def read_hashes(results: Results) -> set[str]:
+    """Return the SHA-256 of all files that results go back to."""
+    files = results.provenance.get("files")
+    return {str(one) for one in files.values()} if isinstance(files, dict) else set()
+
+
+def read_draws_of(results: Results, name: str) -> dict[str, Array] | None:
+    """Return the posterior's draws by parameter, (S,) each, of a file of the results; None where there is none."""
+    assert results.folder is not None
+    path = results.folder / name
+    return read_draws(path) if path.is_file() else None
+
+
+def write_bytes(content: bytes) -> Writer:
+    """Return what writes a file as it was."""
+
+    def write(path: Path) -> None:
+        path.write_bytes(content)
+
+    return write

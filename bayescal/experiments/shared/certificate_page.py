@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 from matplotlib import figure as mpl
 
-from bayescal.calibrated.uncertainty import ACTUATORS, GEOMETRY, MATRIX, MODEL
-from bayescal.experiments.shared.certify import AGREED, AXES, BOUND, SCALE, Certificate
+from bayescal.calibrated.machine import MATRIX, MODEL, NOISE
+from bayescal.calibrated.standards import PoseFigures
+from bayescal.calibrated.uncertainty import GEOMETRY
+from bayescal.experiments.shared.certify import AGREED, BOUND, Certificate
+from bayescal.machines.readings import LegsModel
 from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import (
     Cell,
@@ -25,14 +29,15 @@ from bayescal.report.numbers import format_percent, format_significant
 from bayescal.report.style import LEG_COLOURS
 
 KIND = "Certificate"
-UNITS = ("µm", "µm", "µm", "µrad", "µrad", "µrad")
 SOURCES = {
     GEOMETRY: "geometry (the posterior of the calibration)",
-    ACTUATORS: "noise of the actuators, as stated",
+    NOISE: "noise of the actuators, as stated",
     MODEL: "model error τ, what the model leaves unexplained",
     MATRIX: "deformation matrix, as measured",
 }
 COLOURS = dict(zip(SOURCES, (LEG_COLOURS[4], LEG_COLOURS[1], LEG_COLOURS[0], LEG_COLOURS[3]), strict=True))
+STATED = {"_um": "µm", "_mm": "mm", "_arcsec": "arcsec", "_deg": "°", "_rad": "rad", " noise": ""}
+"""Endings of keys that state standard deviations, and their units."""
 HELD_BACK = "from the data's held-back poses"
 PREDICTED = "predicted"
 MUCH_BEYOND = 0.05
@@ -46,14 +51,14 @@ def build_certificate(found: Certificate) -> Page:
     return Page(
         kind=KIND,
         name=source.experiment,
-        title=f"Uncertainty of a calibrated machine: {found.calibrated.machine.mechanism.name}",
+        title=f"Uncertainty of a calibrated machine: {found.calibrated.name}",
         origin=source.data,
         headline=state_headline(found),
         verdict=tuple(_state_verdict(found)),
         sections=(
             Section("What is certified", (_tabulate_subject(found),), "subject", "Subject"),
             Section("Budget by source", (_tabulate_budget(found), _plot_shares(found)), "budget", "Budget"),
-            Section("Figures of ISO 9283 and ISO 230-2", (_tabulate_figures(found),), "figures", "Figures"),
+            Section("Figures of ISO 9283 and ISO 230-2", _show_figures(found), "figures", "Figures"),
             Section("Inputs and software", _list_inputs(found), "inputs", "Inputs"),
             Section("How it was computed", (Definitions(_explain(found)),), "method", "Method"),
         ),
@@ -63,23 +68,33 @@ def build_certificate(found: Certificate) -> Page:
 
 
 def state_headline(found: Certificate) -> str:
-    """Return the expanded uncertainty of position in one sentence."""
-    typical, largest = _summarise(found.expanded)
-    each = ", ".join(f"{axis} {_micro(value)}" for axis, value in zip(AXES[:3], typical, strict=False))
-    coverage = format_percent(found.wishes.coverage)
+    """Return the expanded uncertainty of the tool's position, of all its numbers where it has none, in one sentence."""
+    typical, largest = _summarise(found, found.expanded)
+    chosen = _choose_main(found)
+    each = ", ".join(f"{found.axis_names[k]} {_micro(typical[k])}" for k in chosen)
+    coverage, unit = format_percent(found.wishes.coverage), found.units[chosen[0]]
+    what = "Position" if len(found.calibrated.lengths) else "Tool"
+    if not found.calibrated.model.states_tool:
+        what = "Coordinates"
     return (
-        f"Position within ±({each}) µm with {coverage}, root mean square {found.where}; at its worst pose within "
-        f"±{_micro(largest[:3].max())} µm."
+        f"{what} within ±({each}) {unit} with {coverage}, root mean square {found.where}; at its worst pose within "
+        f"±{_micro(largest[chosen].max())} {unit}."
     )
+
+
+def _choose_main(found: Certificate) -> list[int]:
+    """Return the places of the tool's lengths; those of its first unit where it has none."""
+    lengths = [int(k) for k in found.calibrated.lengths]
+    return lengths or [k for k, unit in enumerate(found.units) if unit == found.units[0]]
 
 
 def _micro(value: float) -> str:
     return format_significant(float(value), 2)
 
 
-def _summarise(values: Array) -> tuple[Array, Array]:
-    """Return rms and largest of values (P, 6) over the workspace, in µm and µrad."""
-    return np.sqrt(np.mean(values**2, axis=0)) * SCALE, np.abs(values).max(axis=0) * SCALE
+def _summarise(found: Certificate, values: Array) -> tuple[Array, Array]:
+    """Return rms and largest of values (P, m) over the workspace, in the units in which they are stated."""
+    return np.sqrt(np.mean(values**2, axis=0)) * found.scale, np.abs(values).max(axis=0) * found.scale
 
 
 # --- the verdict -------------------------------------------------------------------------------------------------
@@ -87,21 +102,38 @@ def _summarise(values: Array) -> tuple[Array, Array]:
 
 def _state_verdict(found: Certificate) -> list[Statement]:
     shares = _find_shares(found)
-    first = max(shares, key=lambda source: shares[source][:3].mean())
-    share = format_percent(float(shares[first][:3].mean()))
+    main = _choose_main(found)
+    first = max(shares, key=lambda source: shares[source][main].mean())
+    share = format_percent(float(shares[first][main].mean()))
     worst = found.ratios[np.argmax(np.abs(found.ratios - 1.0))] - 1.0
     said = (
         f"k u and Monte Carlo by {found.spread.n_draws} draws of the posterior differ by {100 * worst:+.1f} % at most"
     )
     statements = [
         Statement(
-            f"{_begin(SOURCES[first])} makes {share} of the variance of position.", "plain", "Where it comes from"
+            f"{_begin(SOURCES[first])} makes {share} of the variance of position."
+            if len(found.calibrated.lengths)
+            else f"{_begin(SOURCES[first])} makes {share} of the variance.",
+            "plain",
+            "Where it comes from",
         ),
         Statement(f"{said}, within {format_percent(AGREED)}: k u is stated.", "good", "Checked")
         if found.agrees
         else Statement(f"{said}: what is stated is that of Monte Carlo.", "warning", "Checked"),
     ]
-    return _state_beyond(found) + statements + _state_held_back(found)
+    return _state_tool(found) + _state_beyond(found) + statements + _state_held_back(found)
+
+
+def _state_tool(found: Certificate) -> list[Statement]:
+    model = found.calibrated.model
+    if model.states_tool:
+        return []
+    names = ", ".join(one.name for one in model.coordinates)
+    return [
+        Statement(
+            f"The machine's class states no tool: its coordinates {names} are certified instead.", "warning", "Tool"
+        )
+    ]
 
 
 def _state_beyond(found: Certificate) -> list[Statement]:
@@ -145,45 +177,52 @@ def _state_held_back(found: Certificate) -> list[Statement]:
 
 
 def _tabulate_subject(found: Certificate) -> Table:
-    calibrated, mechanism = found.calibrated, found.calibrated.machine.mechanism
-    low, high = found.budget.position.min(axis=0), found.budget.position.max(axis=0)
-    span = "; ".join(f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip(AXES, low, high, strict=False))
+    calibrated, main = found.calibrated, _choose_main(found)
+    low, high = found.budget.tool.min(axis=0), found.budget.tool.max(axis=0)
+    span = "; ".join(f"{found.axis_names[k]} {low[k]:.4g} to {high[k]:.4g}" for k in main)
+    span += f" {calibrated.model.tool_channels[main[0]].unit}"
     rows = [
-        ("Measurand", "pose of the platform's frame in the base frame at given actuator positions, without a load"),
-        ("Machine", f"{mechanism.name}, {mechanism.n_legs} legs, actuators ±{mechanism.actuator_range:g} mm"),
+        *_describe_machine(found),
         ("Model", f"{calibrated.source.variant} of experiment {calibrated.source.experiment}"),
         ("Uncertain parameters", str(len(calibrated.free))),
-        ("Workspace", f"{len(found.budget.actuators)} poses {found.where}: {span} mm"),
+        ("Workspace", f"{len(found.budget.commands)} poses {found.where}: {span}"),
         ("Data", calibrated.source.data),
     ]
     return make_table("", [Column("What", kind="text"), Column("", kind="text")], rows)
 
 
 def _find_shares(found: Certificate) -> dict[str, Array]:
-    """Return the share of each source in the variance, mean over the workspace, shapes (6,)."""
+    """Return the share of each source in the variance, mean over the workspace, shapes (m,)."""
     total = (found.budget.sd() ** 2).mean(axis=0)
     return {source: (found.budget.sd(source) ** 2).mean(axis=0) / total for source in found.budget.parts}
 
 
 def _tabulate_budget(found: Certificate) -> Table:
-    columns = [Column("Source", kind="text"), *(Column(*one) for one in zip(AXES, UNITS, strict=True))]
+    columns = [
+        Column("Source", kind="text"),
+        *(Column(*one) for one in zip(found.axis_names, found.units, strict=True)),
+    ]
 
     def write(title: str, values: Array) -> list[str | Cell]:
         return [title, *(_micro(value) for value in values)]
 
-    rows = [write(SOURCES[source], _summarise(found.budget.sd(source))[0]) for source in found.budget.parts]
-    rows.append(write("combined standard uncertainty u", _summarise(found.budget.sd())[0]))
+    rows = [write(SOURCES[source], _summarise(found, found.budget.sd(source))[0]) for source in found.budget.parts]
+    rows.append(write("combined standard uncertainty u", _summarise(found, found.budget.sd())[0]))
     percent = format_percent(found.wishes.coverage)
-    rows.append(write(f"expanded, k = {found.factor:.2f} ({percent})", _summarise(found.factor * found.budget.sd())[0]))
-    rows.append(write(f"expanded, Monte Carlo ({percent})", _summarise(found.spread.half_width)[0]))
-    rows.append(write("stated expanded uncertainty U", _summarise(found.expanded)[0]))
-    rows.append(write("stated U at the worst pose", _summarise(found.expanded)[1]))
+    rows.append(
+        write(f"expanded, k = {found.factor:.2f} ({percent})", _summarise(found, found.factor * found.budget.sd())[0])
+    )
+    rows.append(write(f"expanded, Monte Carlo ({percent})", _summarise(found, found.spread.half_width)[0]))
+    rows.append(write("stated expanded uncertainty U", _summarise(found, found.expanded)[0]))
+    rows.append(write("stated U at the worst pose", _summarise(found, found.expanded)[1]))
     radius = float(np.sqrt(np.mean(found.spread.radius**2))) * 1e3
     notes = [
         Statement(
             f"{percent} of positions lie within {_micro(radius)} µm of the stated one in any direction (Monte Carlo, "
             f"root mean square over {len(found.spread.radius)} poses)."
-        ),
+        )
+        if len(found.calibrated.lengths)
+        else Statement(f"Monte Carlo: root mean square over {len(found.spread.radius)} poses."),
         Statement(
             "Instrument frame: nothing is added. Poses are those in the base frame of the machine; whoever measures "
             "in another frame adds the uncertainty of where that frame is."
@@ -192,23 +231,45 @@ def _tabulate_budget(found: Certificate) -> Table:
     return make_table("Standard uncertainties by source, root mean square over the workspace", columns, rows, notes)
 
 
-def _tabulate_figures(found: Certificate) -> Table:
+def _describe_machine(found: Certificate) -> list[tuple[str, str]]:
+    """Return what is certified, and of which machine."""
+    calibrated, model = found.calibrated, found.calibrated.model
+    if isinstance(model, LegsModel):
+        mechanism = model.machine.mechanism
+        measurand = "pose of the platform's frame in the base frame at given actuator positions, without a load"
+        words = f"{mechanism.name}, {mechanism.n_legs} legs, actuators ±{mechanism.actuator_range:g} mm"
+        return [("Measurand", measurand), ("Machine", words)]
+    what = "tool" if model.states_tool else "coordinates"
+    measurand = f"{what} {', '.join(found.axis_names)} at given commands {', '.join(model.commanded)}"
+    typical = ", ".join(f"{name} = {value[0]:.4g}" for name, value in calibrated.typical(1).items())
+    rows = [("Measurand", measurand), ("Machine", calibrated.name)]
+    return rows + ([("At", f"{typical}, the median of the poses that calibrated it")] if typical else [])
+
+
+def _show_figures(found: Certificate) -> tuple[Table | Statement, ...]:
+    if found.poses is None:
+        return (Statement(f"Not meaningful: {found.without}.", "plain", "Figures"),)
+    return (_tabulate_figures(found, found.poses),)
+
+
+def _tabulate_figures(found: Certificate, poses: PoseFigures) -> Table:
     columns = [
         Column("Figure", kind="text"),
         Column("expected", "µm"),
         Column(f"with {format_percent(BOUND)} at most", "µm"),
         Column("Label", kind="text"),
     ]
-    poses, rows = found.poses, list[list[str | Cell]]()
+    rows = list[list[str | Cell]]()
 
     def add(title: str, values: Array) -> None:
         ends = (values.mean() * 1e3, np.quantile(values, BOUND) * 1e3)
         rows.append([title, *(_micro(one) for one in ends), PREDICTED])
 
-    edge = f"cube of {found.cube_mm:g} mm about home"
+    shape = ("line", "square", "cube")[len(found.calibrated.lengths) - 1]
+    edge = f"{shape} of {found.cube_mm:g} mm about home"
     add(f"ISO 9283 pose accuracy AP, worst of five poses in a {edge}", poses.accuracy.max(axis=1))
     add("ISO 9283 pose repeatability RP, worst of five poses, 30 cycles", poses.repeatability.max(axis=1))
-    for name, axis in zip(AXES, found.axes, strict=False):
+    for name, axis in zip([found.axis_names[k] for k in found.calibrated.lengths], found.axes, strict=True):
         add(f"ISO 230-2 accuracy A of {name}, one direction", axis.accuracy)
         add(f"ISO 230-2 systematic deviation E of {name}, one direction", axis.systematic)
         add(f"ISO 230-2 repeatability R of {name}, one direction", axis.repeatability)
@@ -233,11 +294,15 @@ def _list_inputs(found: Certificate) -> tuple[Table, ...]:
     if not provenance:
         row = ("exported machine", "its results, which name files and versions, are not beside it")
         return (make_table("", columns, [row]),)
-    data = provenance["config"].get("data", {})
+    config, known = provenance["config"], dict[str, Any]()
+    for name, section in (("", config.get("data", {})), *config.get("sensors", {}).items()):
+        pairs = section.items() if isinstance(section, dict) else ()
+        known |= {f"{name} {key}".strip(): value for key, value in pairs}
     stated = [
-        (key.removesuffix("_um").replace("_", " "), f"{value:g} µm")
-        for key, value in data.items()
-        if key.endswith("_um") and isinstance(value, int | float)
+        (f"{key[: -len(ending)].replace('_', ' ')}", f"{value:g} {unit}")
+        for key, value in known.items()
+        for ending, unit in STATED.items()
+        if key.endswith(ending) and isinstance(value, int | float)
     ]
     stated.append(("seed", str(provenance["seed"])))
     stated += [(name, version) for name, version in provenance["versions"].items()]
@@ -255,15 +320,15 @@ def _list_inputs(found: Certificate) -> tuple[Table, ...]:
 
 def _plot_shares(found: Certificate) -> Figure:
     caption = "Share of each source in the variance of each axis, mean over the workspace."
-    return Figure("budget", caption, partial(draw_shares, _find_shares(found)))
+    return Figure("budget", caption, partial(draw_shares, _find_shares(found), found.axis_names))
 
 
-def draw_shares(shares: dict[str, Array]) -> mpl.Figure:
+def draw_shares(shares: dict[str, Array], names: tuple[str, ...]) -> mpl.Figure:
     """Return stacked bars of what each source has of each axis's variance."""
     figure = mpl.Figure(figsize=(6.4, 2.6), layout="constrained")
-    axes, left = figure.subplots(), np.zeros(len(AXES))
+    axes, left = figure.subplots(), np.zeros(len(names))
     for source, share in shares.items():
-        axes.barh(AXES, 100 * share, left=left, color=COLOURS[source], label=source, height=0.7)
+        axes.barh(names, 100 * share, left=left, color=COLOURS[source], label=source, height=0.7)
         left += 100 * share
     axes.invert_yaxis()
     axes.set_xlim(0.0, 100.0)
@@ -277,7 +342,7 @@ def _explain(found: Certificate) -> tuple[tuple[str, str], ...]:
         (
             "Where do the standard uncertainties come from?",
             "The posterior of the calibration says how sure the geometry is (type A, with tolerances as type B through "
-            "their priors); noise is taken as stated (type B). The closure of the legs turns both into poses: the law "
+            "their priors); noise is taken as stated (type B). The kinematics turn both into poses: the law "
             "of propagation of uncertainty (JCGM 100, section 5).",
         ),
         (

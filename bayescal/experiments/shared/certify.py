@@ -9,18 +9,29 @@ from typing import Any
 import numpy as np
 
 from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.calibrated.region import Region, enclose_measured, measure_beyond, sample_range, sample_region
+from bayescal.calibrated.predict import check_determined
+from bayescal.calibrated.region import (
+    Region,
+    enclose_measured,
+    enclose_workspace,
+    find_largest_cube,
+    measure_beyond,
+    sample_range,
+    sample_region,
+)
 from bayescal.calibrated.standards import (
     AXIS_CYCLES,
     CYCLES,
     AxisFigures,
     PoseFigures,
+    check_standards,
     draw_cycles,
     fit_cube,
     judge_axis,
     judge_poses,
     list_axis_poses,
     list_cube_poses,
+    place_lengths,
 )
 from bayescal.calibrated.uncertainty import (
     Budget,
@@ -29,16 +40,16 @@ from bayescal.calibrated.uncertainty import (
     coverage_factor,
     propagate,
 )
+from bayescal.errors import InputError
 from bayescal.experiments.frame.results import PROVENANCE_FILE, SUMMARY_FILE
 from bayescal.files.atomic import read_json
-from bayescal.machines.kinematics import check_home_pose
 from bayescal.numerics.geometry import Array
 
 AGREED = 0.02
 """How far the expanded uncertainty k u may be from that of the draws before the latter is stated."""
 BOUND = 0.95  # share of machines of the posterior whose figure of merit is not larger
-AXES = ("x", "y", "z", "rx", "ry", "rz")
-SCALE = np.array([1e3, 1e3, 1e3, 1e6, 1e6, 1e6])  # to µm and µrad, from mm and rad
+SHOWN = {"mm": (1e3, "µm"), "rad": (1e6, "µrad")}
+"""Factors and units in which uncertainties are stated, by inner units."""
 N_CHECKED = 64  # poses that draws go through
 
 
@@ -60,7 +71,7 @@ class Wishes:
     region : Region or None
         Where; by default that of the poses that calibrated the machine, where they are known.
     whole_range : bool
-        All over the actuators' range instead.
+        All over its range instead.
     """
 
     coverage: float = 0.95
@@ -86,10 +97,13 @@ class Certificate:
     spread : Spread
         By Monte Carlo, of the first poses of the budget.
     cube_mm : float
-    poses : PoseFigures
+        Zero where figures of the standards have no meaning.
+    poses : PoseFigures or None
         ISO 9283 of each machine of the posterior (S, 5).
     axes : tuple of AxisFigures
-        ISO 230-2 along x, y and z, of each machine (S,).
+        ISO 230-2 along the tool's lengths, of each machine (S,).
+    without : str
+        Why there are no figures of the standards, in words; else empty.
     summary, provenance : dict
         Of the results; empty for a machine that was exported.
     region : Region or None
@@ -104,12 +118,28 @@ class Certificate:
     factor: float
     spread: Spread
     cube_mm: float
-    poses: PoseFigures
+    poses: PoseFigures | None
     axes: tuple[AxisFigures, ...]
     summary: dict[str, Any]
     provenance: dict[str, Any]
     region: Region | None = None
     beyond: float = 0.0
+    without: str = ""
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Names of the tool's numbers."""
+        return tuple(one.name for one in self.calibrated.model.tool_channels)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units in which they are stated."""
+        return tuple(SHOWN.get(one.unit, (1.0, one.unit))[1] for one in self.calibrated.model.tool_channels)
+
+    @property
+    def scale(self) -> Array:
+        """How many of these make an inner one, shape (m,)."""
+        return np.array([SHOWN.get(one.unit, (1.0, ""))[0] for one in self.calibrated.model.tool_channels])
 
     @property
     def where(self) -> str:
@@ -118,7 +148,7 @@ class Certificate:
 
     @property
     def ratios(self) -> Array:
-        """The expanded uncertainty k u over that of the draws, per axis, rms over the poses of both, shape (6,)."""
+        """The expanded uncertainty k u over that of the draws, per axis, rms over the poses of both, shape (m,)."""
         checked = self.factor * self.budget.sd()[: len(self.spread.half_width)]
         return np.asarray(_rms(checked) / _rms(self.spread.half_width))
 
@@ -129,7 +159,7 @@ class Certificate:
 
     @property
     def expanded(self) -> Array:
-        """Expanded uncertainty of each pose, (P, 6), mm and rad: k u, or as much more or less as the draws say."""
+        """Expanded uncertainty of each pose, (P, m): k u, or as much more or less as the draws say."""
         expanded = self.factor * self.budget.sd()
         return np.asarray(expanded if self.agrees else expanded / self.ratios)
 
@@ -137,7 +167,7 @@ class Certificate:
         """Return what is stated as numbers for files: µm and µrad, root mean squares over the workspace."""
 
         def name(values: Array) -> dict[str, float]:
-            return dict(zip(AXES, (float(f"{one:.6g}") for one in values), strict=True))
+            return dict(zip(self.axis_names, (float(f"{one:.6g}") for one in values), strict=True))
 
         return {
             "experiment": self.calibrated.source.experiment,
@@ -145,19 +175,19 @@ class Certificate:
             "data_origin": self.calibrated.source.data,
             "problems": list(self.calibrated.source.problems),
             "coverage": self.wishes.coverage,
-            "poses": len(self.budget.actuators),
+            "poses": len(self.budget.commands),
             "workspace": self.where,
             "share_extrapolated": float(f"{self.beyond:.4g}"),
-            "unit": {"x, y, z": "µm", "rx, ry, rz": "µrad"},
+            "unit": _group(self.axis_names, self.units),
             "standard_uncertainty": {
-                **{source: name(_rms(self.budget.sd(source)) * SCALE) for source in self.budget.parts},
-                "combined": name(_rms(self.budget.sd()) * SCALE),
+                **{source: name(_rms(self.budget.sd(source)) * self.scale) for source in self.budget.parts},
+                "combined": name(_rms(self.budget.sd()) * self.scale),
             },
             "coverage_factor": float(f"{self.factor:.6g}"),
             "expanded_uncertainty": {
-                "stated": name(_rms(self.expanded) * SCALE),
-                "largest": name(self.expanded.max(axis=0) * SCALE),
-                "monte_carlo": name(_rms(self.spread.half_width) * SCALE),
+                "stated": name(_rms(self.expanded) * self.scale),
+                "largest": name(self.expanded.max(axis=0) * self.scale),
+                "monte_carlo": name(_rms(self.spread.half_width) * self.scale),
                 "propagated_over_monte_carlo": name(self.ratios),
                 "method": "k u" if self.agrees else "Monte Carlo",
             },
@@ -168,31 +198,38 @@ def _rms(values: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
+def _group(names: tuple[str, ...], units: tuple[str, ...]) -> dict[str, str]:
+    """Return the units of names, those of one unit together."""
+    return {
+        ", ".join(name for name, other in zip(names, units, strict=True) if other == unit): unit
+        for unit in dict.fromkeys(units)
+    }
+
+
 def certify(calibrated: CalibratedMachine, path: Path, wishes: Wishes) -> Certificate:
     """Return what a certificate states of a calibrated machine, loaded from a directory.
 
     Raises
     ------
     InputError
-        Without draws of the posterior, or where the cube is out of reach.
+        Without draws of the posterior, where commands do not tell the pose, or where the cube is out of reach.
     """
-    region = None if wishes.whole_range else wishes.region or enclose_measured(calibrated)
+    check_determined(calibrated)
+    known = enclose_measured(calibrated)
+    everywhere = enclose_workspace(calibrated)
+    region = everywhere if wishes.whole_range else wishes.region or known or everywhere
     if region is None:
-        actuators = sample_range(calibrated, wishes.n_poses, wishes.seed)
+        commands = sample_range(calibrated, wishes.n_poses, wishes.seed)
     else:
-        actuators = sample_region(calibrated, region, wishes.n_poses, wishes.seed)
-    budget = compute_budget(calibrated, actuators)
-    spread = propagate(calibrated, actuators[:N_CHECKED], wishes.coverage, wishes.n_draws, wishes.seed + 1)
-    home = check_home_pose(calibrated.machine)
-    position, rotation = home.position, home.rotation
-    within = np.inf if region is None or region.cube == 0.0 else region.cube
-    cube = wishes.cube_mm or fit_cube(calibrated, position, rotation, within)
-    effort = (wishes.n_draws, wishes.seed + 2)
-    visited = draw_cycles(calibrated, list_cube_poses(position, cube), rotation, CYCLES, *effort)
-    axes = []
-    for axis in range(3):
-        along = draw_cycles(calibrated, list_axis_poses(position, cube, axis), rotation, AXIS_CYCLES, *effort)
-        axes.append(judge_axis(along[..., axis]))
+        commands = sample_region(calibrated, region, wishes.n_poses, wishes.seed)
+    given = calibrated.typical(len(commands))
+    budget = compute_budget(calibrated, commands, given)
+    checked = {name: value[:N_CHECKED] for name, value in given.items()}
+    spread = propagate(calibrated, commands[:N_CHECKED], wishes.coverage, wishes.n_draws, wishes.seed + 1, checked)
+    without = check_standards(calibrated)
+    if without and wishes.cube_mm is not None:
+        raise InputError(f"cube: not meaningful: {without}")
+    cube, poses, axes = (0.0, None, ()) if without else _judge(calibrated, wishes, region, budget)
     return Certificate(
         calibrated,
         wishes,
@@ -200,13 +237,30 @@ def certify(calibrated: CalibratedMachine, path: Path, wishes: Wishes) -> Certif
         coverage_factor(wishes.coverage),
         spread,
         cube,
-        judge_poses(visited),
-        tuple(axes),
+        poses,
+        axes,
         _read(path / SUMMARY_FILE),
         _read(path / PROVENANCE_FILE),
         region,
-        measure_beyond(calibrated, budget.position),
+        measure_beyond(calibrated, commands, known),
+        without,
     )
+
+
+def _judge(
+    calibrated: CalibratedMachine, wishes: Wishes, region: Region | None, budget: Budget
+) -> tuple[float, PoseFigures, tuple[AxisFigures, ...]]:
+    """Return the edge of a cube about home, and the standards' figures of poses and axes in it."""
+    home = calibrated.model.tool_values(calibrated.theta, calibrated.model.home_pose)
+    within = np.inf if region is None else find_largest_cube(calibrated, region, budget.tool)
+    cube, n = wishes.cube_mm or fit_cube(calibrated, home, within or np.inf), len(calibrated.lengths)
+    effort = (wishes.n_draws, wishes.seed + 2)
+    visited = draw_cycles(calibrated, place_lengths(calibrated, home, list_cube_poses(cube, n)), CYCLES, *effort)
+    axes = []
+    for axis in range(n):
+        poses = place_lengths(calibrated, home, list_axis_poses(cube, axis, n))
+        axes.append(judge_axis(draw_cycles(calibrated, poses, AXIS_CYCLES, *effort)[..., axis]))
+    return cube, judge_poses(visited), tuple(axes)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -1,14 +1,26 @@
-"""What inference finds of one posterior, whatever its density: draws with diagnostics, evidence in two ways."""
+"""What inference finds of one posterior, whatever its density, and how far that is to be trusted.
+
+A fit is explored, sampled and integrated in two ways; corrected, where a finer density is at hand; then judged: by each
+row left out, by the power of prior and data, by what noise and tolerances say, by what prior draws predict.
+"""
 
 from __future__ import annotations
 
+import time
 import zlib
-from dataclasses import dataclass
-from typing import Any
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
+from bayescal.experiments.shared.chi_square import ChiSquare
+from bayescal.experiments.shared.packing import pack_tree
+from bayescal.experiments.shared.soundness import measure_pulls
+from bayescal.experiments.shared.trees import choose_draws
 from bayescal.inference.bridge import BridgeEvidence, estimate_by_bridge
+from bayescal.inference.correction import Correction, CostlyDensity, correct_draws, move_sample, sample_exactly
 from bayescal.inference.diagnostics import (
     Diagnostics,
     list_check_problems,
@@ -18,20 +30,77 @@ from bayescal.inference.diagnostics import (
     list_tail_problems,
     measure_longest_stand,
 )
+from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import ImportanceEvidence
 from bayescal.inference.integration import Effort, integrate_posterior, widen_tails
+from bayescal.inference.leave_one_out import LeftOut, leave_out, refit_doubtful
 from bayescal.inference.overdispersed import N_DRAWS, draw_far_out
+from bayescal.inference.power_scaling import measure_sensitivity
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.inference.scouts import Scouts, send_scouts
 from bayescal.inference.stages import expect
 from bayescal.inference.tails import Tails, compare_tails
-from bayescal.inference.target import Target
-from bayescal.inference.tempered import TemperedEvidence, estimate_by_tempering
-from bayescal.limits import AGREEMENT, PARETO_K_LIMIT
+from bayescal.inference.target import Fittable, Target
+from bayescal.inference.tempered import estimate_by_tempering
+from bayescal.limits import AGREEMENT, MOVED_LIMIT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 KEPT_DRAWS = 1000
+TREE = "tree"
+
+type Arrays = dict[str, Array]
+
+
+class Subject(ABC):
+    """A posterior to be fitted, and what only its kind of measurement knows of it."""
+
+    @property
+    @abstractmethod
+    def posterior(self) -> Fittable:
+        """The posterior."""
+
+    @abstractmethod
+    def evaluate(self, posterior: Fittable, y: Array, seed: np.random.SeedSequence) -> Arrays:
+        """Return what draws (E, S, n) in sampling coordinates say of the rows, by name.
+
+        ``log_likelihood`` (E, S, P) of all rows, and whatever tables and files of the kind need. Where rows depend on
+        each other so that their densities do not add up, ``calibration_density`` (E S,) is that of the posterior's
+        together.
+        """
+
+    @abstractmethod
+    def replicate_prior(self, posterior: Fittable, seed: np.random.SeedSequence) -> Arrays:
+        """Return draws of the prior, ``prior`` (T, n) in own units, and what they predict."""
+
+    @abstractmethod
+    def measure_misfit(self, posterior: Fittable, mode: Array) -> ChiSquare:
+        """Return χ² of what is left of the rows at the mode (n,)."""
+
+    def choose(self, shape: tuple[int, int, int]) -> np.ndarray:
+        """Return which of the draws of ensembles, walkers and steps are kept, by places in all of them, (E, S)."""
+        return choose_draws(shape[0], shape[1] * shape[2], KEPT_DRAWS)
+
+    def is_used(self, n_rows: int) -> np.ndarray:
+        """Return which of the rows evaluated the posterior has seen, shape (P,)."""
+        return np.ones(n_rows, dtype=bool)
+
+    def find_costly(self, exploration: Exploration) -> CostlyDensity | None:
+        """Return a density that leaves less out than the explored one; None where there is none."""
+        del exploration
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """Log-evidence by tempering, its standard error, and whether the chains mixed."""
+
+    log_evidence: float
+    standard_error: float
+    mixed: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,38 +109,60 @@ class Estimate:
 
     Attributes
     ----------
-    natural : ndarray, shape (S, n)
-        All draws, in their own units.
-    kept : ndarray, shape (T, n)
-        Some of them, in sampling coordinates.
-    mode : ndarray, shape (n,)
-        The best mode, in sampling coordinates.
+    y, draws : ndarray, shape (E, S, n)
+        Some draws of each ensemble, in sampling coordinates and in own units.
+    log_density : ndarray, shape (E, S)
+        Theirs, in the proposal's coordinates.
+    mean, sd, q05, q95 : ndarray, shape (n,)
+        Of all draws, in own units.
+    modes : ndarray, shape (M, n)
+        In sampling coordinates, the best first.
+    modes_converged : bool
+    acceptance : ndarray, shape (E,)
     diagnostics : Diagnostics
     importance : ImportanceEvidence
     bridge : BridgeEvidence
-    modes_converged : bool
     longest_stand, n_steps : int
         For how many of its steps the most patient walker stood still.
     scouts : Scouts
         Where walkers that started far out ended.
     tails : Tails
         What the draws have of the mass where the proposal seldom leads.
-    check : TemperedEvidence or None
+    check : Check or None
         Where the config asks for it.
+    correction : Correction or None
+        What led to a density that leaves less out: draws and evidences are its own.
     """
 
-    natural: Array
-    kept: Array
-    mode: Array
+    y: Array
+    draws: Array
+    log_density: Array
+    mean: Array
+    sd: Array
+    q05: Array
+    q95: Array
+    modes: Array
+    modes_converged: bool
+    acceptance: Array
     diagnostics: Diagnostics
     importance: ImportanceEvidence
     bridge: BridgeEvidence
-    modes_converged: bool
     longest_stand: int
     n_steps: int
     scouts: Scouts
     tails: Tails
-    check: TemperedEvidence | None
+    check: Check | None
+    correction: Correction | None
+
+    @property
+    def kept(self) -> Array:
+        """Some draws in sampling coordinates, chains laid end to end, shape (T, n)."""
+        return self.y.reshape(-1, self.y.shape[-1])
+
+    @property
+    def mode(self) -> Array:
+        """The best mode, shape (n,)."""
+        return np.asarray(self.modes[0])
 
     @property
     def log_evidence(self) -> float:
@@ -88,6 +179,11 @@ class Estimate:
         """Whether the weights' tail is light enough."""
         return self.importance.pareto_k <= PARETO_K_LIMIT
 
+    @property
+    def gap(self) -> float:
+        """How far the two log-evidences are apart."""
+        return abs(self.importance.log_evidence - self.bridge.log_evidence)
+
     def list_problems(self) -> list[str]:
         """Return what speaks against it in words; empty where it converged."""
         problems = self.diagnostics.list_problems()
@@ -95,9 +191,8 @@ class Estimate:
             problems.append("the mode search did not converge")
         if not self.bridge.converged:
             problems.append("bridge sampling did not converge")
-        gap = abs(self.importance.log_evidence - self.bridge.log_evidence)
-        if not gap <= AGREEMENT:
-            problems.append(f"the two log-evidences differ by {gap:.2f}, limit {AGREEMENT}")
+        if not self.gap <= AGREEMENT:
+            problems.append(f"the two log-evidences differ by {self.gap:.2f}, limit {AGREEMENT}")
         problems += list_importance_problems(
             self.importance.pareto_k, self.importance.efficiency * self.importance.n_draws
         )
@@ -107,6 +202,12 @@ class Estimate:
         if self.check is not None:
             own, check = (self.log_evidence, self.log_evidence_se), self.check
             problems += list_check_problems(own, (check.log_evidence, check.standard_error), check.mixed)
+        if self.correction is not None and not self.correction.is_trusted:
+            share, pareto_k = 100 * self.correction.efficiency, self.correction.pareto_k
+            problems.append(
+                f"the evidence by the exact density rests on {share:.0f} % of its draws, limit "
+                f"{100 * MOVED_LIMIT:.0f} %, Pareto k {pareto_k:.2f}, limit {PARETO_K_LIMIT}"
+            )
         return problems
 
     def describe_evidence(self) -> dict[str, Any]:
@@ -133,49 +234,165 @@ class Estimate:
         }
 
 
+@dataclass(frozen=True, eq=False)
+class Fit(Estimate):
+    """An estimate and what judges it.
+
+    Attributes
+    ----------
+    names, units : tuple of str
+        Of the n parameters.
+    prior_sd : ndarray, shape (n,)
+    evaluated : dict of str to ndarray
+        What the draws say of the rows, as `Subject.evaluate` and `Subject.replicate_prior` return it.
+    left_out : LeftOut
+        Each of the posterior's rows left out.
+    misfit, pulls : ChiSquare
+        What is left of the rows at the mode, and how far the posterior lies from nominal.
+    power_scaling : ndarray, shape (n, 2)
+        How much each parameter depends on prior and data.
+    wall_seconds : float
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    prior_sd: Array
+    evaluated: Arrays
+    left_out: LeftOut
+    misfit: ChiSquare
+    pulls: ChiSquare
+    power_scaling: Array
+    wall_seconds: float
+
+    def pack(self, tree: xr.DataTree, only_saved: tuple[str, ...]) -> Self:
+        """Return it with its tree as a file's bytes in place of what nothing but that needs."""
+        evaluated = {name: value for name, value in self.evaluated.items() if name not in only_saved}
+        return replace(self, evaluated=evaluated | {TREE: pack_tree(tree)})
+
+
 def estimate_posterior(
     posterior: Target, seed: int, name: str, sampler: SamplerConfig, effort: EvidenceConfig
 ) -> Estimate:
     """Return what inference finds of a posterior; its random numbers depend on the seed and the name alone."""
-    explore_seed, importance_seed, ensemble_seed, bridge_seed = np.random.SeedSequence(
-        [seed, zlib.crc32(name.encode())]
-    ).spawn(4)
+    return _estimate(posterior, seed, name, sampler, effort)[0]
+
+
+def fit_posterior(subject: Subject, seed: int, name: str, sampler: SamplerConfig, effort: EvidenceConfig) -> Fit:
+    """Return a posterior's fit; its random numbers depend on the seed and the name alone."""
+    began = time.perf_counter()
+    found, exploration = _estimate(subject.posterior, seed, name, sampler, effort, subject)
+    *_, evaluate_seed, _, prior_seed, refit_seed = _spawn(seed, name)
+    # the one that was explored: with a finer density where that makes a difference
+    posterior = cast("Fittable", exploration.straight.posterior)
+    evaluated = subject.evaluate(posterior, found.y, evaluate_seed)
+    used = subject.is_used(evaluated["log_likelihood"].shape[-1])
+    left_out = leave_out(found.draws, evaluated["log_likelihood"][..., used])
+    left_out = refit_doubtful(left_out, posterior, exploration, sampler.walkers, refit_seed)
+    return Fit(
+        **vars(found),
+        names=posterior.names,
+        units=posterior.units,
+        prior_sd=np.array([prior.sd for prior in posterior.all_priors().values()]),
+        evaluated=evaluated | subject.replicate_prior(posterior, prior_seed),
+        left_out=left_out,
+        misfit=subject.measure_misfit(posterior, found.mode),
+        pulls=measure_pulls(posterior, found.draws),
+        power_scaling=_scale_power(posterior, found.draws, evaluated, used),
+        wall_seconds=time.perf_counter() - began,
+    )
+
+
+def _spawn(seed: int, name: str) -> list[np.random.SeedSequence]:
+    """Return the seeds of exploration, importance, ensembles, bridge, evaluation, correction, prior and refits."""
+    return np.random.SeedSequence([seed, zlib.crc32(name.encode())]).spawn(8)
+
+
+def _seed_for(seed: int, name: str, purpose: str) -> np.random.SeedSequence:
+    """Return the seed of what examines a posterior from outside; its random numbers are its own."""
+    return np.random.SeedSequence([seed, zlib.crc32(f"{name}-{purpose}".encode())])
+
+
+def _estimate(
+    posterior: Target,
+    seed: int,
+    name: str,
+    sampler: SamplerConfig,
+    effort: EvidenceConfig,
+    subject: Subject | None = None,
+) -> tuple[Estimate, Exploration]:
+    explore_seed, importance_seed, ensemble_seed, bridge_seed, _, correct_seed, *_ = _spawn(seed, name)
     price = Effort(effort.draws, effort.target_error, effort.max_draws)
     walks = sampler.ensembles * sampler.walkers * (sampler.burn_in + sampler.steps)
     expect({"evidence": effort.draws, "tails": N_DRAWS, "sampling": walks, "bridge": effort.draws})
     found, importance = integrate_posterior(posterior, explore_seed, importance_seed, sampler.walkers, price)
-    far = draw_far_out(found, np.random.SeedSequence([seed, zlib.crc32(f"{name}-tails".encode())]))
+    far = draw_far_out(found, _seed_for(seed, name, "tails"))
     found, importance = widen_tails(found, importance, far, importance_seed, price)
-    density = found.straight.log_density
     sample = sample_posterior(found, ensemble_seed, sampler.ensembles, sampler.walkers, sampler.burn_in, sampler.steps)
     bridge = estimate_by_bridge(
-        density,
+        found.straight.log_density,
         sample.straight,
         sample.log_density,
         np.random.default_rng(bridge_seed),
         effort.draws,
         found.proposal,
     )
-    flat = sample.y.reshape(-1, posterior.n_parameters)
-    chosen = np.linspace(0, len(flat) - 1, min(KEPT_DRAWS, len(flat))).astype(int)
-    return Estimate(
-        sample.natural.reshape(flat.shape),
-        flat[chosen],
-        found.modes[0].y,
-        sample.diagnostics,
-        importance,
-        bridge,
-        all(mode.converged for mode in found.modes),
-        measure_longest_stand(sample.log_density),
-        sampler.steps,
-        send_scouts(found, sample, far, np.random.SeedSequence([seed, zlib.crc32(f"{name}-scouts".encode())])),
-        compare_tails(found, sample, far),
-        _check(posterior, seed, name, effort),
+    scouts = send_scouts(found, sample, far, _seed_for(seed, name, "scouts"))
+    tails = compare_tails(found, sample, far)
+    check = None
+    if effort.check is not None:
+        tempered = estimate_by_tempering(found.straight.posterior, _seed_for(seed, name, "tempered"))
+        check = Check(tempered.log_evidence, tempered.standard_error, tempered.mixed)
+    costly, correction = None if subject is None else subject.find_costly(found), None
+    if costly is not None:
+        correction = correct_draws(costly, found, sample, correct_seed)
+        if correction.is_trusted:
+            sample = move_sample(sample, found, correction)
+        else:
+            seeds = correct_seed.spawn(sampler.ensembles)
+            sample = sample_exactly(costly, found, sample, correction.move, seeds)
+    shape, n = sample.log_density.shape, posterior.n_parameters
+    places = choose_draws(shape[0], shape[1] * shape[2], KEPT_DRAWS) if subject is None else subject.choose(shape)
+    low, high = np.quantile(sample.natural, (0.05, 0.95), axis=(0, 1, 2))
+    estimate = Estimate(
+        y=sample.y.reshape(-1, n)[places],
+        draws=sample.natural.reshape(-1, n)[places],
+        log_density=sample.log_density.reshape(-1)[places],
+        mean=sample.natural.mean(axis=(0, 1, 2)),
+        sd=sample.natural.std(axis=(0, 1, 2)),
+        q05=low,
+        q95=high,
+        modes=np.stack([mode.y for mode in found.modes]),
+        modes_converged=all(mode.converged for mode in found.modes),
+        acceptance=sample.acceptance,
+        diagnostics=sample.diagnostics,
+        importance=shift_evidence(importance, correction),
+        bridge=shift_evidence(bridge, correction),
+        longest_stand=measure_longest_stand(sample.log_density),
+        n_steps=sampler.steps,
+        scouts=scouts,
+        tails=tails,
+        check=None if check is None else shift_evidence(check, correction),
+        correction=correction,
     )
+    return estimate, found
 
 
-def _check(posterior: Target, seed: int, name: str, effort: EvidenceConfig) -> TemperedEvidence | None:
-    """Return the evidence by tempering where it is asked for."""
-    if effort.check is None:
-        return None
-    return estimate_by_tempering(posterior, np.random.SeedSequence([seed, zlib.crc32(f"{name}-tempered".encode())]))
+def shift_evidence[T: (ImportanceEvidence, BridgeEvidence, Check)](found: T, correction: Correction | None) -> T:
+    """Return a log-evidence after the correction, its standard error that of both."""
+    if correction is None:
+        return found
+    error = float(np.hypot(found.standard_error, correction.standard_error))
+    return replace(found, log_evidence=found.log_evidence + correction.log_ratio, standard_error=error)
+
+
+def _scale_power(posterior: Fittable, draws: Array, evaluated: Mapping[str, Array], used: np.ndarray) -> Array:
+    """Return how much each parameter depends on prior and data, shape (n, 2), from some of the draws."""
+    chosen = choose_draws(*draws.shape[:2])
+    density = evaluated["log_likelihood"]
+    some, density = (one.reshape(-1, one.shape[-1])[chosen] for one in (draws, density))
+    priors = posterior.all_priors().values()
+    log_prior = sum(prior.log_density(some[..., k]) for k, prior in enumerate(priors))
+    together = density[..., used].sum(axis=-1)
+    if "calibration_density" in evaluated:
+        together = evaluated["calibration_density"][chosen]
+    return measure_sensitivity(some, np.asarray(log_prior), together)

@@ -277,14 +277,13 @@ def find_recheck_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> Fo
         Whole, in the base frame.
     """
     assert calibrated.covariance is not None
-    sd, start = np.sqrt(np.diagonal(calibrated.covariance)), calibrated.machine.mechanism.initial_actuator_positions
+    sd, start = np.sqrt(np.diagonal(calibrated.covariance)), calibrated.legs.mechanism.initial_actuator_positions
     free = np.flatnonzero(sd > 0.0)
 
     def likelihood_of(data: LegData, chosen: np.ndarray) -> Likelihood:
-        return PoseLikelihood(calibrated.machine, replace(poses.select(chosen), actuators=data.actuators), 0.0)
+        return PoseLikelihood(calibrated.legs, replace(poses.select(chosen), actuators=data.actuators), 0.0)
 
-    still, unit = np.zeros((1, calibrated.n_legs)), np.eye(calibrated.n_legs)[None]
-    of_legs = np.diagonal(calibrated.errors.covariance(still, unit), axis1=1, axis2=2).mean()
+    of_legs = (np.diagonal(calibrated.errors.noise) + calibrated.errors.model_variance).mean()
     stated = float(np.sqrt(of_legs + _position_variance(poses)))
     known = _Known(calibrated.theta, free, sd[free])
     return find_leg_slip([Suspect(likelihood_of, known, LegData(poses.actuators), stated)], start)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +119,15 @@ class MeasuredReadings:
     low: Array
     high: Array
     internal: np.ndarray
+
+    @property
+    def half(self) -> Array:
+        """Half widths of the workspace, shape (q,)."""
+        return 0.5 * (self.high - self.low)
+
+    def first(self, n: int) -> MeasuredReadings:
+        """Return the variant after the first n of its poses."""
+        return replace(self, posterior=replace(self.posterior, likelihood=self.posterior.likelihood.pick(np.arange(n))))
 
 
 class MeasuringReadings(ABC):

@@ -1,7 +1,8 @@
 """Posteriors as ArviZ keeps them: a tree of named groups in which every variable has its unit.
 
-The measured quantity of every pose is one number, so that a pose is what is left out, replicated and compared; what it
-is, the kind of experiment says. Prior and posterior are thinned alike in all groups.
+``observed_data`` holds the readings as measured, rows by channels; what draws of prior and posterior predict stands
+beside them. The log-likelihood is that of whole rows: a row is what is left out and compared. ArviZ's LOO-PIT, which
+wants a log-likelihood of every number, takes one channel at a time: ``tree.sel(channel="x")``.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayescal.errors import InputError
 from bayescal.experiments.shared.packing import pack_tree
+from bayescal.files.netcdf import read_netcdf
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
@@ -23,6 +26,7 @@ if TYPE_CHECKING:
 
     from bayescal.experiments.frame.results import Writer
 
+NAME = "readings"
 SAVED_DRAWS = 2000
 PRIOR_DRAWS = 500
 KEPT_NUMBERS = 2**23
@@ -31,26 +35,40 @@ LEAST_DRAWS = 200
 
 
 @dataclass(frozen=True, eq=False)
-class Replicated:
-    """One number per pose: as measured, and as draws say that it would be measured again.
+class Readings:
+    """Readings of P rows by K channels: as measured, and as draws say that they would be measured again.
 
     Attributes
     ----------
-    name, unit, meaning : str
-    observed : ndarray, shape (P,)
-    posterior : ndarray, shape (E, S, P)
-    prior : ndarray, shape (T, P)
+    rows, channels, units : sequence of str
+        Names of the rows, names and units of the channels.
+    observed : ndarray, shape (P, K)
+        NaN where nothing was read.
+    posterior : ndarray, shape (E, S, P, K)
+    prior : ndarray, shape (T, P, K)
     log_likelihood : ndarray, shape (E, S, P)
-        Of each pose with all that was measured there.
+        Of each row.
+    meaning : str
     """
 
-    name: str
-    unit: str
-    meaning: str
+    rows: Sequence[str]
+    channels: Sequence[str]
+    units: Sequence[str]
     observed: Array
     posterior: Array
     prior: Array
     log_likelihood: Array
+    meaning: str
+
+    @property
+    def unit(self) -> str:
+        """The units of all channels, each once."""
+        return ", ".join(dict.fromkeys(self.units))
+
+    @property
+    def coords(self) -> dict[str, Sequence[Any]]:
+        """Names of rows and channels."""
+        return {"row": list(self.rows), "channel": list(self.channels)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,38 +127,37 @@ def spread(n: int, n_wanted: int) -> Array:
 
 
 def build_tree(
-    draws: Draws, replicated: Replicated, poses: Sequence[str], groups: Mapping[str, Group], **attributes: str
+    draws: Draws, readings: Readings, groups: Mapping[str, Group] | None = None, **attributes: str
 ) -> xr.DataTree:
     """Return a posterior as an ArviZ DataTree.
 
     Parameters
     ----------
     draws : Draws
-    replicated : Replicated
-    poses : sequence of str
-        Names of the P poses.
-    groups : mapping of str to Group
+    readings : Readings
+    groups : mapping of str to Group, optional
         Further groups by their paths.
     **attributes : str
         Of the tree.
     """
     import xarray as xr
 
-    poses_of = {"calibration_pose": list(poses)}
-    pose = ("calibration_pose",)
-    name, unit, meaning = replicated.name, replicated.unit, replicated.meaning
-    density = (("chain", "draw", *pose), replicated.log_likelihood, "nat", "log-density of all that a pose measured")
+    over, both, unit = ("chain", "draw"), ("row", "channel"), readings.unit
+    density = {NAME: ((*over, "row"), readings.log_likelihood, "nat", "log-density of all readings of a row")}
+    predicted = "readings that would be measured again"
     found = {
         "posterior": _split(draws, draws.posterior, draws.units),
-        "sample_stats": _over({"lp": ((), draws.log_density, "nat", "log-density in sampling coordinates")}),
-        "log_likelihood": _make(Group({name: density}, poses_of)),
+        "sample_stats": _over({"lp": ((), draws.log_density, "nat", "log-density in the proposal's coordinates")}),
+        "log_likelihood": _make(Group(density, {"row": list(readings.rows)})),
         "log_prior": _split(draws, draws.log_prior, ["nat"] * len(draws.names)),
         "prior": _split(draws, draws.prior[None], draws.units),
-        "observed_data": _make(Group({name: (pose, replicated.observed, unit, meaning)}, poses_of)),
-        "posterior_predictive": _over({name: (pose, replicated.posterior, unit, meaning)}, poses_of),
-        "prior_predictive": _over({name: (pose, replicated.prior[None], unit, meaning)}, poses_of),
-        **{path: _make(group) for path, group in groups.items()},
+        "observed_data": _make(Group({NAME: (both, readings.observed, unit, readings.meaning)}, readings.coords)),
+        "posterior_predictive": _over({NAME: (both, readings.posterior, unit, predicted)}, readings.coords),
+        "prior_predictive": _over({NAME: (both, readings.prior[None], unit, predicted)}, readings.coords),
+        **{path: _make(group) for path, group in (groups or {}).items()},
     }
+    for name in ("observed_data", "posterior_predictive", "prior_predictive"):
+        found[name] = found[name].assign_coords(unit=("channel", list(readings.units)))
     tree = xr.DataTree.from_dict(found)
     tree.attrs = attributes
     return tree
@@ -180,6 +197,20 @@ def _share_dimensions(entries: Mapping[str, Sequence[int | str]]) -> dict[str, s
     lists = {s: own for s, own in entries.items() if own != [""]}
     first = next(iter(lists.values()), [])
     return {s: "" if s not in lists else "leg" if own == first else f"{s}_entry" for s, own in entries.items()}
+
+
+def read_draws(path: Path) -> dict[str, Array]:
+    """Return the draws of each parameter of a tree's file by its name, shapes (S,), chains laid end to end."""
+    values: dict[str, Array] = {}
+    try:
+        for symbol, found in read_netcdf(path, "posterior").data_vars.items():
+            flat = found.to_numpy().reshape(found.sizes["chain"] * found.sizes["draw"], -1)
+            own = [str(dim) for dim in found.dims if dim not in ("chain", "draw")]
+            names = [f"{symbol}[{one}]" for one in found[own[0]].values] if own else [str(symbol)]
+            values |= dict(zip(names, flat.T, strict=True))
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read as a posterior ({' '.join(str(error).split())})") from error
+    return values
 
 
 def _symbol(name: str) -> str:

@@ -19,29 +19,27 @@ from bayescal.calibrated.exported import (
     read_matrix_covariance,
     read_measured,
 )
-from bayescal.calibrated.machine import CalibratedMachine, IndependentErrors, Source, build_calibrated
+from bayescal.calibrated.kept import check_same, check_trust
+from bayescal.calibrated.machine import CalibratedMachine, Source, build_calibrated_legs, build_leg_errors
 from bayescal.calibrated.mechanism_file import format_mechanism
-from bayescal.config.registry import list_references
+from bayescal.config.registry import list_references, list_sources
 from bayescal.density.schema import FixedConfig
 from bayescal.errors import InputError
-from bayescal.experiments.frame.identity import identify
-from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.calibrating import KEPT, read_draws_of, read_hashes
 from bayescal.experiments.shared.per_leg import spread_over_legs
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
 from bayescal.experiments.study.schema import StudyConfig, VariantConfig, stem_of
 from bayescal.files.csv_tables import read_matrix
-from bayescal.files.netcdf import read_netcdf
 from bayescal.machines.deformations import NominalDeformation
 from bayescal.machines.kinematics import Machine
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.read import build_named_machine, load_mechanism
+from bayescal.machines.readings import LegsModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
-NOMINAL = "machine"
-"""Folder of the results that holds the nominal machine."""
 TAU = "tau"
 
 
@@ -50,14 +48,26 @@ def describe_nominal(inputs: StudyInputs) -> dict[str, str]:
     comments = [f"Nominal mechanism of study {inputs.config.name}; what calibrated it stands in the results"]
     texts = {
         MECHANISM: format_mechanism(inputs.mechanism, comments),
-        MEASURED: format_measured(inputs.measured.actuators[~inputs.verification]),
+        MEASURED: format_measured(_see(inputs), inputs.measured.actuators[~inputs.verification], {}),
     }
     if any(inputs.machine(variant).deformation.uses_matrix for variant in inputs.config.variants):
         texts[MATRIX] = format_matrix(inputs.matrix)
         covariance = find_matrix_covariance(inputs)
         if covariance is not None:
             texts[MATRIX_COVARIANCE] = format_matrix_covariance(covariance)
-    return {f"{NOMINAL}/{name}": text for name, text in texts.items()}
+    sources = [one for variant in inputs.config.variants for one in _list_own(variant, inputs.folder)]
+    texts |= {name: (inputs.folder / name).read_text(encoding="utf-8") for name in dict.fromkeys(sources)}
+    return {f"{KEPT}/{name}": text for name, text in texts.items()}
+
+
+def _list_own(variant: VariantConfig, folder: Path) -> list[str]:
+    """Return the files of a variant's own classes, as far as they lie in the study's folder."""
+    found = [*list_sources("MODELS", variant.model, folder), *list_sources("DEFORMATIONS", variant.deformation, folder)]
+    return [one for one in found if (folder / one).resolve().is_relative_to(folder.resolve())]
+
+
+def _see(inputs: StudyInputs) -> LegsModel:
+    return LegsModel(inputs.machine(inputs.config.variants[0]))
 
 
 def find_matrix_covariance(inputs: StudyInputs) -> Array | None:
@@ -70,36 +80,22 @@ def find_matrix_covariance(inputs: StudyInputs) -> Array | None:
 
 
 def calibrate_study(
-    results: Results, config: StudyConfig, variant: str | None, experiment: Path | None
+    results: Results, config: StudyConfig, variant: str | None, experiment: Path | None, trust: bool
 ) -> CalibratedMachine:
     """Return the machine of a variant of a study's results; see `Calibrating.calibrate`."""
     chosen, name = _choose(results, config, variant)
     fit = results.summary["variants"][name]
     if experiment is None:
-        machine, covariance = _read_nominal(results, config, chosen)
+        machine, covariance = _read_nominal(results, config, chosen, trust)
     else:
         machine, covariance = _load_nominal(config, chosen, experiment.parent)
     theta = _fix(config, machine.layout)
     _set_named(theta, machine.layout, {name: one["mean"] for name, one in fit["parameters"].items()})
-    errors = IndependentErrors(
-        config.data.actuator_noise_um * MICROMETRE, _find_model_variance(fit["parameters"], machine), covariance
-    )
+    variance = _find_model_variance(fit["parameters"], machine)
+    errors = build_leg_errors(machine, theta, config.data.actuator_noise_um * MICROMETRE, variance, covariance)
     source = Source(config.name, name, config.data.origin, tuple(fit["problems"]))
     draws = _read_draws(results, name, machine.layout, theta)
-    return build_calibrated(machine, theta, draws, errors, source, _read_measured(results, machine))
-
-
-def load_same(results: Results, path: Path) -> StudyConfig:
-    """Return the study of a file, which must be that of the results."""
-    experiment, config = load(path)
-    if not isinstance(config, StudyConfig):
-        raise InputError(f"{path}: kind: found {config.kind!r}, expected 'study'")
-    identity = identify(config, path.parent, experiment.files(config, path.parent))
-    if any(results.provenance.get(key) != identity[key] for key in ("config", "files")):
-        raise InputError(
-            f"{path}: found another study than that of {results.folder}, expected the same config and files"
-        )
-    return config
+    return build_calibrated_legs(machine, theta, draws, errors, source, _read_measured(results, machine))
 
 
 def _choose(results: Results, config: StudyConfig, name: str | None) -> tuple[VariantConfig, str]:
@@ -115,10 +111,12 @@ def _choose(results: Results, config: StudyConfig, name: str | None) -> tuple[Va
 # --- the nominal machine -----------------------------------------------------------------------------------------
 
 
-def _read_nominal(results: Results, config: StudyConfig, variant: VariantConfig) -> tuple[Machine, Array | None]:
+def _read_nominal(
+    results: Results, config: StudyConfig, variant: VariantConfig, trust: bool
+) -> tuple[Machine, Array | None]:
     """Return the nominal machine that the results keep, and the covariance of its measured K."""
     assert results.folder is not None
-    folder = results.folder / NOMINAL
+    folder = results.folder / KEPT
     if not (folder / MECHANISM).is_file():
         raise InputError(
             f"{folder / MECHANISM}: no such file, expected the nominal machine, which earlier versions did not write; "
@@ -126,10 +124,14 @@ def _read_nominal(results: Results, config: StudyConfig, variant: VariantConfig)
         )
     for what, name in (("MODELS", variant.model), ("DEFORMATIONS", variant.deformation)):
         if name not in list_references(what):
-            raise InputError(
-                f"{results.folder}: found variant {variant.name!r} with {name!r}, whose code results do not decide "
-                "on, expected the study's config: --experiment STUDY.toml"
-            )
+            file = name.partition(":")[0]
+            if not (folder / file).is_file():
+                raise InputError(
+                    f"{results.folder}: found variant {variant.name!r} with {name!r}, whose code the results do not "
+                    "keep, expected the study's config: --experiment STUDY.toml"
+                )
+            check_trust(folder / file, f"own class {name!r}", trust)
+            check_same(folder, list_sources(what, name, folder), read_hashes(results))
     mechanism = load_mechanism(folder / MECHANISM)
     nominal = NominalDeformation(
         config.deformation.kappa, lambda: PER_MILLE * read_matrix(folder / MATRIX, mechanism.n_legs)
@@ -151,8 +153,8 @@ def _load_nominal(config: StudyConfig, variant: VariantConfig, folder: Path) -> 
 def _read_measured(results: Results, machine: Machine) -> Array | None:
     """Return the actuator positions of the calibration's poses; None of results of earlier versions."""
     assert results.folder is not None
-    path = results.folder / NOMINAL / MEASURED
-    return read_measured(path, machine.mechanism.n_legs) if path.is_file() else None
+    path = results.folder / KEPT / MEASURED
+    return read_measured(path, LegsModel(machine))[0] if path.is_file() else None
 
 
 # --- the posterior -----------------------------------------------------------------------------------------------
@@ -184,25 +186,10 @@ def _find_model_variance(parameters: dict[str, Any], machine: Machine) -> Array:
 
 def _read_draws(results: Results, variant: str, layout: ParameterLayout, theta: Array) -> Array | None:
     """Return the posterior's draws as parameter vectors (S, D); None where the results have none."""
-    assert results.folder is not None
-    path = results.folder / "posterior" / f"{stem_of(variant)}.nc"
-    if not path.is_file():
+    values = read_draws_of(results, f"posterior/{stem_of(variant)}.nc")
+    if values is None:
         return None
-    values = _read_posterior(path)
     n_draws = len(next(iter(values.values())))
     draws = np.broadcast_to(theta, (n_draws, layout.size)).copy()
     _set_named(draws, layout, values)
     return draws
-
-
-def _read_posterior(path: Path) -> dict[str, Array]:
-    """Return the draws of each parameter by its name, shapes (S,)."""
-    values: dict[str, Array] = {}
-    try:
-        for symbol, found in read_netcdf(path, "posterior").data_vars.items():
-            flat = found.to_numpy().reshape(found.sizes["chain"] * found.sizes["draw"], -1)
-            names = [str(symbol)] if "leg" not in found.dims else [f"{symbol}[{leg}]" for leg in found["leg"].values]
-            values |= dict(zip(names, flat.T, strict=True))
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path}: cannot be read as a posterior ({' '.join(str(error).split())})") from error
-    return values

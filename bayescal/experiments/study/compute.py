@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
@@ -13,17 +12,18 @@ from bayescal.config.classes import label_class
 from bayescal.density.least_squares import LeastSquaresFit
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
+from bayescal.experiments.shared.estimate import TREE, Fit
 from bayescal.experiments.shared.joints import tabulate_joints
-from bayescal.experiments.shared.packing import pack_tree
+from bayescal.experiments.shared.prior_widths import WidthTask, begin_widths, tabulate_widths, weigh_widths
+from bayescal.experiments.shared.stacking import compare_variants
 from bayescal.experiments.shared.trees import write_packed
 from bayescal.experiments.study.calibrated import describe_nominal
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.doubts import find_study_slip
-from bayescal.experiments.study.fit import Arrays, Task, list_tasks, run_task
-from bayescal.experiments.study.held_out import compare_variants, describe_stacking, tabulate_left_out
+from bayescal.experiments.study.fit import Legs, Task, list_tasks, run_task
+from bayescal.experiments.study.held_out import describe_stacking, tabulate_left_out
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.kernels import has_kernels
-from bayescal.experiments.study.prior_widths import list_width_tasks, tabulate_sensitivity, weigh_widths
 from bayescal.experiments.study.schema import StudyConfig
 from bayescal.experiments.study.structured_table import tabulate_structured
 from bayescal.experiments.study.summary import rank_variants, summarise_fit
@@ -41,10 +41,11 @@ from bayescal.experiments.study.tables import (
     tabulate_tau_scale,
 )
 from bayescal.experiments.study.trees import build_study_tree
+from bayescal.inference.importance import ImportanceEvidence
 from bayescal.machines.models.legs import list_dimensions
 from bayescal.numerics.units import MICROMETRE
 
-ONLY_SAVED = ("prior", "prior_misfit", "start_error", "whitening")
+ONLY_SAVED = ("prior", "prior_misfit")
 """Arrays of a posterior that nothing but its tree has."""
 
 
@@ -59,18 +60,19 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
     run : Run
     """
     posteriors = compute_posteriors(inputs, run)
-    await_widths = begin_widths(inputs, posteriors, run)  # while workers compute them, all that needs none
+    free, factors = choose_free(inputs, posteriors), inputs.config.sensitivity.factor
+    await_widths = begin_widths(weigh, inputs, free, factors, run)  # while workers compute them, all that needs none
     identified = run.once("least squares", identify_variants, inputs, (LeastSquaresFit,))
     summary, files = _summarise(inputs, posteriors)
     slip = find_study_slip(inputs)
     if slip is not None:
         summary["slip"] = asdict(slip)
     before = {
-        "ranking": tabulate_ranking(summary, compare_variants(_choose_free(posteriors))),
+        "ranking": tabulate_ranking(summary, compare_variants({name: fit.left_out for name, fit in free.items()})),
         "parameters": tabulate_parameters(summary),
         "predictions": tabulate_predictions(inputs, posteriors),
         "left_out": tabulate_left_out(inputs, posteriors),
-        "power_scaling": tabulate_power_scaling(inputs, posteriors),
+        "power_scaling": tabulate_power_scaling(posteriors),
         "blunders": tabulate_blunders(inputs, posteriors),
     }
     after = {
@@ -86,34 +88,28 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
     if claims is not None:
         after["claims"] = run.once("claims", _judge, (claims, inputs, summary, identified))
         summary["publication"] = claims.describe()
-    sensitivity = {"sensitivity": tabulate_sensitivity(inputs, posteriors, await_widths())}
+    sensitivity = {"sensitivity": tabulate_widths(free, await_widths(), factors)}
     return Results(summary, before | sensitivity | after, {**files, **describe_nominal(inputs)})
 
 
-def compute_posteriors(inputs: StudyInputs, run: Run) -> dict[Task, Arrays]:
-    """Return the arrays of all posteriors."""
+def compute_posteriors(inputs: StudyInputs, run: Run) -> dict[Task, Fit]:
+    """Return all posteriors."""
     tasks = {task.key: task for task in list_tasks(inputs)}
-    found = run.map("sampling", fit_and_pack, inputs, tasks)
-    return {tasks[key]: arrays for key, arrays in found.items()}
+    found = run.map("sampling", fit_and_pack, inputs, tasks, (Fit,))
+    return {tasks[key]: fit for key, fit in found.items()}
 
 
-def fit_and_pack(inputs: StudyInputs, task: Task) -> Arrays:
-    """Return the arrays of a posterior, with its tree's file in place of what only that has."""
-    arrays = run_task(inputs, task)
-    tree = pack_tree(build_study_tree(inputs, task, arrays))
-    return {name: values for name, values in arrays.items() if name not in ONLY_SAVED} | {"tree": tree}
+def fit_and_pack(inputs: StudyInputs, task: Task) -> Fit:
+    """Return a posterior, with its tree's file in place of what only that has."""
+    fit = run_task(inputs, task)
+    return replace(fit.pack(build_study_tree(inputs, task, fit), ONLY_SAVED), y=fit.y[:, :0])
 
 
-def begin_widths(
-    inputs: StudyInputs, posteriors: dict[Task, Arrays], run: Run
-) -> Callable[[], dict[tuple[float, str], Arrays]]:
-    """Begin with every factor on the priors that is not one, and return what waits for the evidence of every variant.
-
-    It is that with model error, by factor and variant.
-    """
-    tasks = {task.key: task for task in list_width_tasks(inputs, posteriors)}
-    wait = run.begin("prior widths", weigh_widths, inputs, tasks)
-    return lambda: {(tasks[key].factor, tasks[key].variant): arrays for key, arrays in wait().items()}
+def weigh(inputs: StudyInputs, task: WidthTask) -> ImportanceEvidence:
+    """Return the evidence of a variant with wider or narrower priors."""
+    own, config = Task(task.variant, with_model_error=True), inputs.config
+    known = Legs(inputs, own).posterior
+    return weigh_widths(Legs(inputs, own, task.factor), known, task, config.seed, config.sampler, config.evidence)
 
 
 def _judge(task: tuple[Claims, StudyInputs, dict[str, Any], dict[str, LeastSquaresFit]]) -> Any:
@@ -121,17 +117,17 @@ def _judge(task: tuple[Claims, StudyInputs, dict[str, Any], dict[str, LeastSquar
     return claims.tabulate(inputs, summary, identified)
 
 
-def _summarise(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> tuple[dict[str, Any], dict[str, Writer]]:
+def _summarise(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> tuple[dict[str, Any], dict[str, Writer]]:
     """Return the summary, and what writes the posteriors' draws."""
     variants: dict[str, dict[str, Any]] = {}
     files: dict[str, Writer] = {}
-    for task, arrays in posteriors.items():
-        fit = summarise_fit(inputs, task.variant, task.with_model_error, arrays)
-        files[f"posterior/{task.stem}.nc"] = partial(write_packed, arrays["tree"])
+    for task, fit in posteriors.items():
+        found = summarise_fit(inputs, task.variant, task.with_model_error, fit)
+        files[f"posterior/{task.stem}.nc"] = partial(write_packed, fit.evaluated[TREE])
         if task.with_model_error:
-            variants[task.variant] = fit
+            variants[task.variant] = found
         else:
-            variants[task.variant]["without_model_error"] = fit
+            variants[task.variant]["without_model_error"] = found
     config, held = inputs.config, inputs.verification
     models = {label_class(variant.model): inputs.machine(variant).model.title for variant in config.variants}
     summary = {
@@ -176,14 +172,14 @@ def _describe_noise(inputs: StudyInputs) -> dict[str, dict[str, float]]:
     return {"measurement_noise_um": found}
 
 
-def _choose_free(posteriors: dict[Task, Arrays]) -> dict[str, Arrays]:
+def choose_free(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> dict[str, Fit]:
     """Return what was found with model error, by variant."""
-    return {task.variant: arrays for task, arrays in posteriors.items() if task.with_model_error}
+    return {one.name: posteriors[Task(one.name, with_model_error=True)] for one in inputs.config.variants}
 
 
-def _stack(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> dict[str, Any]:
+def _stack(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> dict[str, Any]:
     """Return the stacked prediction of the variants that predict alike, if several do."""
-    free = _choose_free(posteriors)
+    free = choose_free(inputs, posteriors)
     stacked = describe_stacking(inputs, free) if len(free) > 1 else None
     return {} if stacked is None else {"stacked": stacked}
 

@@ -2,49 +2,32 @@
 
 from __future__ import annotations
 
-import time
-import zlib
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import cast
 
 import numpy as np
 
+from bayescal.density.exact import ExactDensity
 from bayescal.density.legs import LegPosterior
 from bayescal.density.prediction import Prediction
-from bayescal.experiments.shared.misfit import measure_misfit
-from bayescal.experiments.shared.trees import SAVED_DRAWS, choose_draws, limit_draws, spread
-from bayescal.experiments.study.correct import (
-    correct_draws,
-    list_corrected,
-    move_sample,
-    sample_exactly,
-)
+from bayescal.experiments.shared.chi_square import ChiSquare
+from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
+from bayescal.experiments.shared.soundness import find_misfit
+from bayescal.experiments.shared.trees import SAVED_DRAWS, limit_draws, spread
 from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.leave_one_out import LeftOut, leave_out, refit_doubtful
 from bayescal.experiments.study.pointwise import SomeDraws, evaluate_poses
-from bayescal.experiments.study.power_scaling import measure_sensitivity
 from bayescal.experiments.study.replicates import replicate_prior
 from bayescal.experiments.study.schema import stem_of
-from bayescal.experiments.study.soundness import measure_pulls
 from bayescal.experiments.study.structured import evaluate_structured
-from bayescal.inference.bridge import estimate_by_bridge
-from bayescal.inference.correction import Correction
-from bayescal.inference.diagnostics import measure_longest_stand
-from bayescal.inference.exploration import Exploration, count_walkers
-from bayescal.inference.importance import ImportanceEvidence
-from bayescal.inference.integration import Effort, integrate_posterior, widen_tails
-from bayescal.inference.overdispersed import FarDraws, draw_far_out
-from bayescal.inference.sampling import sample_posterior
-from bayescal.inference.scouts import send_scouts
-from bayescal.inference.tails import compare_tails
-from bayescal.inference.tempered import estimate_by_tempering
+from bayescal.inference.correction import CostlyDensity, pull_back
+from bayescal.inference.exploration import Exploration
+from bayescal.inference.target import Fittable
 from bayescal.limits import BLUNDER
 from bayescal.numerics.geometry import Array
 
 KEPT_DRAWS = 1920  # of each ensemble, for everything after the diagnostics
 POSE_NUMBERS = 6
-
-type Arrays = dict[str, Array]
 
 
 @dataclass(frozen=True)
@@ -71,177 +54,76 @@ def list_tasks(inputs: StudyInputs) -> list[Task]:
     return [Task(name, with_model_error) for with_model_error in (True, False) for name in names]
 
 
-def run_task(inputs: StudyInputs, task: Task) -> Arrays:
+def run_task(inputs: StudyInputs, task: Task) -> Fit:
     """Compute one task; all numbers depend on the inputs, the config's seed and the task's key alone."""
-    began = time.perf_counter()
-    variant = inputs.variant(task.variant)
-    posterior = inputs.posterior(variant, task.with_model_error)
-    seed = np.random.SeedSequence([inputs.config.seed, zlib.crc32(task.key.encode())])
-    explore_seed, importance_seed, ensemble_seed, bridge_seed, predict_seed, correct_seed = seed.spawn(6)
-    effort, walkers = inputs.config.evidence, inputs.config.sampler.walkers
-    price = Effort(effort.draws, effort.target_error, effort.max_draws)
-    exploration, importance = integrate_posterior(posterior, explore_seed, importance_seed, walkers, price)
-    far = draw_far_out(exploration, _seed_for(inputs, task, "tails"))
-    exploration, importance = widen_tails(exploration, importance, far, importance_seed, price)
-    posterior = get_explored(exploration)
-    arrays = {
-        **list_importance(importance),
-        "modes": np.stack([mode.y for mode in exploration.modes]),
-        "modes_converged": np.array(all(mode.converged for mode in exploration.modes), dtype=float),
-    }
-    seeds = (ensemble_seed, bridge_seed, predict_seed, correct_seed)
-    sampled, correction = _sample(inputs, task, posterior, exploration, far, *seeds)
-    arrays |= sampled
-    arrays |= _check(inputs, task, posterior, exploration, arrays, seed)
-    arrays |= list_corrected(arrays, correction)
-    arrays["wall_seconds"] = np.array(time.perf_counter() - began)
-    return arrays
+    config = inputs.config
+    return fit_posterior(Legs(inputs, task), config.seed, task.key, config.sampler, config.evidence)
 
 
-def list_importance(importance: ImportanceEvidence) -> Arrays:
-    """Return an evidence by importance sampling and its quality, to be kept."""
-    return {
-        "importance": np.array([importance.log_evidence, importance.standard_error]),
-        "importance_quality": np.array([importance.efficiency, importance.pareto_k, importance.n_draws]),
-    }
+@dataclass(frozen=True, eq=False)
+class Legs(Subject):
+    """The posterior of a variant of machines on legs.
 
+    Attributes
+    ----------
+    inputs : StudyInputs
+    task : Task
+    factor : float
+        On the widths of the parameters' priors.
+    """
 
-def get_explored(exploration: Exploration) -> LegPosterior:
-    """Return the posterior that was explored: one with a finer density where that makes a difference."""
-    return cast(LegPosterior, exploration.straight.posterior)
+    inputs: StudyInputs
+    task: Task
+    factor: float = 1.0
 
+    @cached_property
+    def posterior(self) -> LegPosterior:
+        """The posterior."""
+        variant = self.inputs.variant(self.task.variant)
+        return self.inputs.posterior(variant, self.task.with_model_error, self.factor)
 
-def _sample(
-    inputs: StudyInputs,
-    task: Task,
-    posterior: LegPosterior,
-    exploration: Exploration,
-    far: FarDraws,
-    ensemble_seed: np.random.SeedSequence,
-    bridge_seed: np.random.SeedSequence,
-    predict_seed: np.random.SeedSequence,
-    correct_seed: np.random.SeedSequence,
-) -> tuple[Arrays, Correction | None]:
-    """Return what draws tell, and the correction that moved them to the exact density where there is one."""
-    sampler, straight = inputs.config.sampler, exploration.straight
-    walkers = count_walkers(posterior.n_parameters, sampler.walkers)
-    sample = sample_posterior(
-        exploration, ensemble_seed, sampler.ensembles, sampler.walkers, sampler.burn_in, sampler.steps
-    )
-    bridge = estimate_by_bridge(
-        straight.log_density,
-        sample.straight,
-        sample.log_density,
-        np.random.default_rng(bridge_seed),
-        inputs.config.evidence.draws,
-        exploration.proposal,
-    )
-    scouts = send_scouts(exploration, sample, far, _seed_for(inputs, task, "scouts"))
-    tails = compare_tails(exploration, sample, far)
-    exact, correction = inputs.exact_density(inputs.variant(task.variant), posterior), None
-    if exact is not None:
-        correction = correct_draws(exact, exploration, sample, correct_seed)
-        if correction.is_trusted:
-            sample = move_sample(sample, exploration, correction)
-        else:
-            seeds = correct_seed.spawn(sampler.ensembles)
-            sample = sample_exactly(exact, exploration, sample, correction.move, seeds)
-    y, natural, density, diagnostics = sample.y, sample.natural, sample.log_density, sample.diagnostics
-    # thin in time, the same steps of every walker, and keep the order walker by walker
-    most = limit_draws(KEPT_DRAWS, sampler.ensembles * len(inputs.verification))
-    keep = max(1, -(-sampler.steps * walkers // most))
-    kept, own = (values[:, :, ::keep].reshape(sampler.ensembles, -1, posterior.n_parameters) for values in (y, natural))
-    low, high = np.quantile(natural, (0.05, 0.95), axis=(0, 1, 2))
-    arrays = {
-        "bridge": np.array([bridge.log_evidence, bridge.standard_error]),
-        "bridge_converged": np.array(bridge.converged, dtype=float),
-        "acceptance": sample.acceptance,
-        "longest_stand": np.array([measure_longest_stand(density), sampler.steps]),
-        "scouts": np.array([scouts.n_apart, scouts.n_walkers, scouts.limit]),
-        "tails": np.array([tails.expected, tails.found, tails.error]),
-        "mean": natural.mean(axis=(0, 1, 2)),
-        "sd": natural.std(axis=(0, 1, 2)),
-        "q05": low,
-        "q95": high,
-        "rhat": diagnostics.rhat,
-        "ess_bulk": diagnostics.ess_bulk,
-        "ess_tail": diagnostics.ess_tail,
-        "draws": own,
-        "log_density": density[:, :, ::keep].reshape(sampler.ensembles, -1),
-        **_evaluate(inputs, task, posterior, kept, predict_seed),
-        **_check_evidence(inputs, task, posterior),
-    }
-    return arrays, correction
+    def choose(self, shape: tuple[int, int, int]) -> np.ndarray:
+        """Thin in time: the same steps of every walker, in order walker by walker."""
+        most = limit_draws(KEPT_DRAWS, shape[0] * len(self.inputs.verification))
+        keep = max(1, -(-shape[1] * shape[2] // most))
+        return np.arange(np.prod(shape)).reshape(shape)[:, :, ::keep].reshape(shape[0], -1)
 
+    def is_used(self, n_rows: int) -> np.ndarray:
+        """Return which poses are for calibration."""
+        del n_rows
+        return ~self.inputs.verification
 
-def _seed_for(inputs: StudyInputs, task: Task, purpose: str) -> np.random.SeedSequence:
-    """Return the seed of what looks at a posterior from outside; its random numbers are its own."""
-    return np.random.SeedSequence([inputs.config.seed, zlib.crc32(f"{task.key}-{purpose}".encode())])
+    def find_costly(self, exploration: Exploration) -> CostlyDensity | None:
+        """Return the exact density of measured poses; None where these are not measured, or may be blunders."""
+        posterior = cast("LegPosterior", exploration.straight.posterior)
+        exact = self.inputs.exact_density(self.inputs.variant(self.task.variant), posterior)
+        return None if exact is None else build_costly(exact, exploration)
 
+    def replicate_prior(self, posterior: Fittable, seed: np.random.SeedSequence) -> Arrays:
+        """Return draws of the prior and what they make of the calibration poses."""
+        return replicate_prior(cast("LegPosterior", posterior), seed)
 
-def _check_evidence(inputs: StudyInputs, task: Task, posterior: LegPosterior) -> Arrays:
-    """Return the evidence by tempering where the config asks for it."""
-    if inputs.config.evidence.check is None:
-        return {}
-    found = estimate_by_tempering(posterior, _seed_for(inputs, task, "tempered"))
-    return {"tempered": np.array([found.log_evidence, found.standard_error, float(found.mixed)])}
+    def measure_misfit(self, posterior: Fittable, mode: Array) -> ChiSquare:
+        """Return χ² at a mode (n,) of the poses that are no blunders there."""
+        legs, clean = cast("LegPosterior", posterior), None
+        if legs.likelihood.structured is not None:
+            return find_misfit(legs, mode, legs.likelihood).chi_square
+        if legs.errors.outliers is not None:
+            at = legs.theta(mode[None]), legs.errors, legs.zeta(mode[None])
+            clean = legs.likelihood.outlier_probabilities(*at)[0] < BLUNDER
+        return find_misfit(legs, mode, *self.inputs.without_shared_errors(self.task.variant), clean).chi_square
 
+    def evaluate(self, posterior: Fittable, y: Array, seed: np.random.SeedSequence) -> Arrays:
+        """Return pointwise densities and predictions of all poses, in the survey's order, from draws (E, S, n).
 
-def _check(
-    inputs: StudyInputs,
-    task: Task,
-    posterior: LegPosterior,
-    exploration: Exploration,
-    arrays: Arrays,
-    seed: np.random.SeedSequence,
-) -> Arrays:
-    """Return what judges a posterior: each pose left out, what prior draws predict, what noise and tolerances say."""
-    prior_seed, refit_seed = seed.spawn(2)
-    left_out = leave_out(arrays["draws"], arrays["log_likelihood"][..., ~inputs.verification])
-    left_out = refit_doubtful(left_out, posterior, exploration, inputs.config.sampler.walkers, refit_seed)
-    return {
-        "misfit_chi2": _measure_misfit(inputs, task, posterior, exploration.modes[0].y),
-        "pulls_chi2": measure_pulls(posterior, arrays["draws"]),
-        "power_scaling": _scale_power(inputs, posterior, arrays),
-        **{f"left_out_{name}": value for name, value in vars(left_out).items()},
-        **replicate_prior(posterior, prior_seed),
-    }
-
-
-def _measure_misfit(inputs: StudyInputs, task: Task, posterior: LegPosterior, mode: Array) -> Array:
-    """Return χ² at a mode (n,) of the poses that are no blunders there, and its degrees of freedom."""
-    clean = None
-    if posterior.likelihood.structured is not None:
-        return measure_misfit(posterior, mode, posterior.likelihood)
-    if posterior.errors.outliers is not None:
-        clean = (
-            posterior.likelihood.outlier_probabilities(
-                posterior.theta(mode[None]), posterior.errors, posterior.zeta(mode[None])
-            )[0]
-            < BLUNDER
-        )
-    return measure_misfit(posterior, mode, *inputs.without_shared_errors(task.variant), clean)
-
-
-def _scale_power(inputs: StudyInputs, posterior: LegPosterior, arrays: Arrays) -> Array:
-    """Return how much each parameter hangs on prior and measurements, shape (n, 2), from some of the draws."""
-    chosen = choose_draws(*arrays["draws"].shape[:2])
-    draws, density = (arrays[name].reshape(-1, arrays[name].shape[-1])[chosen] for name in ("draws", "log_likelihood"))
-    priors = posterior.all_priors().values()
-    log_prior = sum(prior.log_density(draws[..., k]) for k, prior in enumerate(priors))
-    together = density[..., ~inputs.verification].sum(axis=-1)
-    if "calibration_density" in arrays:  # poses that depend on each other: their densities do not add up
-        together = arrays["calibration_density"][chosen]
-    return measure_sensitivity(draws, np.asarray(log_prior), together)
+        They are of the hot path, whose covariance is that of the nominal machine, pose by pose.
+        """
+        return _evaluate(self.inputs, self.task, cast("LegPosterior", posterior), y, seed)
 
 
 def _evaluate(
     inputs: StudyInputs, task: Task, posterior: LegPosterior, kept: Array, seed: np.random.SeedSequence
 ) -> Arrays:
-    """Return pointwise densities and predictions of all poses, in the survey's order, from draws (E, S, n).
-
-    They are of the hot path, whose covariance is that of the nominal machine, pose by pose.
-    """
     variant, flat = inputs.variant(task.variant), kept.reshape(-1, kept.shape[-1])
     theta, errors = posterior.theta(flat), posterior.errors.amplitudes(posterior.zeta(flat))
     chosen = spread(len(flat), limit_draws(SAVED_DRAWS, POSE_NUMBERS * len(inputs.verification)))
@@ -272,11 +154,26 @@ def _evaluate(
     return arrays | together
 
 
-def read_prediction(arrays: Arrays) -> Prediction:
-    """Return the prediction at all poses that a task's arrays hold."""
-    return Prediction(**{field.name: arrays[field.name] for field in fields(Prediction)})
+def build_costly(exact: ExactDensity, exploration: Exploration) -> CostlyDensity:
+    """Return the exact density in straight coordinates, beside the one that was explored."""
+    straight = exploration.straight
+    posterior = cast("LegPosterior", straight.posterior)
+
+    def excess(x: Array) -> Array:
+        y = straight.y_from_x(x)
+        theta, errors = posterior.theta(y), posterior.errors.amplitudes(posterior.zeta(y))
+        with np.errstate(invalid="ignore"):
+            found = exact(theta, errors) - posterior.likelihood(theta, errors)
+        return np.where(np.isfinite(found), found, -np.inf)
+
+    # what the exact density knows of the geometry more; of the model errors it is taken to know the same
+    y = exploration.modes[0].y
+    theta = posterior.theta(y[None])[0]
+    change, amplitudes = posterior.sampling.jacobian(theta), posterior.errors.amplitudes(posterior.zeta(y))
+    more = change.T @ exact.information(theta, amplitudes) @ change - posterior.information(y)[0]
+    return CostlyDensity(straight.log_density, excess, pull_back(straight, y, more))
 
 
-def read_left_out(arrays: Arrays) -> LeftOut:
-    """Return what leaving each calibration pose out found, that a task's arrays hold."""
-    return LeftOut(**{field.name: arrays[f"left_out_{field.name}"] for field in fields(LeftOut)})
+def read_prediction(fit: Fit) -> Prediction:
+    """Return the prediction at all poses that a fit holds."""
+    return Prediction(**{field.name: fit.evaluated[field.name] for field in fields(Prediction)})

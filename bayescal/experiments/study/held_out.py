@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,22 +11,18 @@ from scipy.special import logsumexp
 
 from bayescal.density.batches import POSES
 from bayescal.density.prediction import measure_length, summarise_misfit
+from bayescal.experiments.shared.estimate import Arrays, Fit
+from bayescal.experiments.shared.stacking import compare_variants, find_tied
 from bayescal.experiments.shared.trees import SAVED_DRAWS, spread
-from bayescal.experiments.study.fit import Arrays, Task, read_left_out, read_prediction
+from bayescal.experiments.study.fit import Task, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.summary import summarise_errors
-from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
-if TYPE_CHECKING:
-    from arviz_stats.utils import ELPDDataLOO
-
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
-TIED = 2.0
-"""Standard errors of the difference of elpd within which two variants predict alike."""
 
 
-def tabulate_left_out(inputs: StudyInputs, fits: Mapping[Task, Arrays]) -> pd.DataFrame:
+def tabulate_left_out(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> pd.DataFrame:
     """Return one row per posterior and pose: the density it gives to a pose that it has not seen, and where this lies.
 
     The PIT of a measured pose, 0 to 1, says where in the predictive distribution it lies: by components, and by the
@@ -36,9 +31,9 @@ def tabulate_left_out(inputs: StudyInputs, fits: Mapping[Task, Arrays]) -> pd.Da
     """
     held = inputs.verification
     frames = []
-    for task, arrays in fits.items():
-        left_out, pits = read_left_out(arrays), compute_pits(arrays, held)
-        flat = arrays["log_likelihood"].reshape(-1, len(held))
+    for task, fit in fits.items():
+        left_out, pits = fit.left_out, compute_pits(fit.evaluated, held)
+        flat = fit.evaluated["log_likelihood"].reshape(-1, len(held))
         elpd = logsumexp(flat, axis=0) - np.log(len(flat))
         elpd[~held] = left_out.elpd
         frame = pd.DataFrame(
@@ -93,60 +88,13 @@ def _compute_pits(misfit: Array, flat: Array, held: np.ndarray) -> Array:
     return np.where(known, np.clip(pits, 0.0, 1.0), np.nan)
 
 
-# --- variants against each other -------------------------------------------------------------------------------------
-
-
-def compare_variants(fits: Mapping[str, Arrays]) -> pd.DataFrame:
-    """Return elpd differences from the best variant with standard errors over the poses, and stacking weights.
-
-    The densities of each pose are taken relative to the best variant's there: neither differences nor weights change,
-    and no exponential overflows.
-    """
-    from arviz_stats import compare
-
-    left_out = {name: read_left_out(arrays) for name, arrays in fits.items()}
-    best = np.max([one.elpd for one in left_out.values()], axis=0)
-    data = {name: _as_elpd_data(one.elpd - best, one.pareto_k) for name, one in left_out.items()}
-    with warnings.catch_warnings():
-        # bad poses are refitted or counted, and which variant to choose the evidence says
-        warnings.simplefilter("ignore", UserWarning)
-        return compare(data, method="stacking", round_to="none")
-
-
-def _as_elpd_data(elpd: Array, pareto_k: Array) -> ELPDDataLOO:
-    import xarray as xr
-    from arviz_stats.utils import ELPDDataLOO
-
-    n = len(elpd)
-    pointwise, k = (xr.DataArray(values, dims=["calibration_pose"]) for values in (elpd, pareto_k))
-    se = float(np.sqrt(n * np.var(elpd)))
-    return ELPDDataLOO(
-        elpd=float(elpd.sum()),
-        se=se,
-        p=0.0,
-        n_samples=0,
-        n_data_points=n,
-        scale="log",
-        warning=False,
-        good_k=PARETO_K_LIMIT,
-        elpd_i=pointwise,
-        pareto_k=k,
-    )
-
-
-def find_tied(comparison: pd.DataFrame) -> list[str]:
-    """Return the variants whose elpd is within two standard errors of the best one's, that one first."""
-    tied = comparison["elpd_diff"].abs() <= TIED * comparison["dse"]
-    tied.iloc[0] = True
-    return [str(name) for name in comparison.index[tied]]
-
-
-def describe_stacking(inputs: StudyInputs, fits: Mapping[str, Arrays]) -> dict[str, Any] | None:
+def describe_stacking(inputs: StudyInputs, fits: Mapping[str, Fit]) -> dict[str, Any] | None:
     """Return weights and errors of the stacked prediction of the variants that tie; None where one leads alone."""
-    tied = find_tied(compare_variants(fits))
+    left_out = {name: fit.left_out for name, fit in fits.items()}
+    tied = find_tied(compare_variants(left_out))
     if len(tied) < 2:
         return None
-    weights = compare_variants({name: fits[name] for name in tied})["weight"].to_dict()
+    weights = compare_variants({name: left_out[name] for name in tied})["weight"].to_dict()
     chosen = {str(name): float(weight) for name, weight in weights.items()}
     mean, misfit = _mix(fits, chosen)
     prediction, held = summarise_misfit(mean, misfit), inputs.verification
@@ -160,17 +108,21 @@ def describe_stacking(inputs: StudyInputs, fits: Mapping[str, Arrays]) -> dict[s
 TINY = 1e-300
 
 
-def _mix(fits: Mapping[str, Arrays], weights: Mapping[str, float]) -> tuple[Array, Array]:
+def _mix(fits: Mapping[str, Fit], weights: Mapping[str, float]) -> tuple[Array, Array]:
     """Return the mixture's mean error (P, 6) and replicates (T, P, 6), of each variant as many as its weight says."""
     mean = sum(weight * read_prediction(fits[name]).error for name, weight in weights.items())
     parts = [
-        fits[name]["misfit"][:, spread(fits[name]["misfit"].shape[1], round(weight * SAVED_DRAWS))]
+        _take(fits[name].evaluated["misfit"], round(weight * SAVED_DRAWS))
         for name, weight in weights.items()
         if round(weight * SAVED_DRAWS)
     ]
     return np.asarray(mean), np.concatenate(parts, axis=1).swapaxes(0, 1).astype(np.float64)
 
 
-def _joint_density(arrays: Arrays, held: np.ndarray) -> float:
-    joint = arrays["log_likelihood"][..., held].sum(axis=-1)
+def _take(misfit: Array, n: int) -> Array:
+    return misfit[:, spread(misfit.shape[1], n)]
+
+
+def _joint_density(fit: Fit, held: np.ndarray) -> float:
+    joint = fit.evaluated["log_likelihood"][..., held].sum(axis=-1)
     return float(logsumexp(joint) - np.log(joint.size))

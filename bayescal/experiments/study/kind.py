@@ -21,7 +21,7 @@ from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.frame.terminal import print_text
-from bayescal.experiments.shared.calibrating import Calibrating
+from bayescal.experiments.shared.calibrating import Calibrating, load_same
 from bayescal.experiments.shared.measured import MeasuredVariant, Measuring, VariantChoice
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.inputs import StudyInputs
@@ -154,12 +154,14 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
             for one in config.variants
         }
 
-    def calibrate(self, results: Results, variant: str | None, experiment: Path | None) -> CalibratedMachine:
+    def calibrate(
+        self, results: Results, variant: str | None, experiment: Path | None, trust: bool
+    ) -> CalibratedMachine:
         """Return the machine of a variant of the study."""
-        from bayescal.experiments.study.calibrated import calibrate_study, load_same
+        from bayescal.experiments.study.calibrated import calibrate_study
 
-        config = self.config_of(results) if experiment is None else load_same(results, experiment)
-        return calibrate_study(results, config, variant, experiment)
+        config = self.config_of(results) if experiment is None else load_same(results, experiment, self.schema)
+        return calibrate_study(results, config, variant, experiment, trust)
 
     def show_comparison(self, table: pd.DataFrame, console: Console) -> None:
         """Print variants of several studies ranked together."""

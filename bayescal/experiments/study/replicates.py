@@ -1,8 +1,4 @@
-"""Draws of the prior and what they predict, and one number per pose by which replicates are held against the measured.
-
-That number is how far a pose lies from the one that the machine as expected takes, in units of the stated noise: the
-measured one needs no posterior, and it is the same number for a replicate, since measured minus replicated pose is.
-"""
+"""Draws of the prior, and the poses that they predict."""
 
 from __future__ import annotations
 
@@ -18,25 +14,18 @@ TRIES = 4  # draws of the prior for each that is wanted: some are no machine
 
 
 def replicate_prior(posterior: LegPosterior, seed: np.random.SeedSequence) -> dict[str, Array]:
-    """Return draws of the prior, what they make of the calibration poses, and what these poses are held against.
+    """Return draws of the prior, ``prior`` (T, n) in own units, and what they make of the calibration poses.
 
-    Returns
-    -------
-    dict of str to ndarray
-        ``prior`` (T, n) in own units, ``prior_misfit`` (T, P, 6) measured minus replicated poses, ``start_error``
-        (P, 6) measured minus expected poses, NaN where not measured, ``whitening`` (P, 6, 6) of the stated noise.
+    That is ``prior_misfit`` (T, P, 6), measured minus replicated poses.
     """
     rng, likelihood = np.random.default_rng(seed), posterior.likelihood
     values, theta = _draw(posterior, rng, limit_draws(PRIOR_DRAWS, 6 * likelihood.n_poses))
     tau = posterior.zeta(values)[:, posterior.errors.place(TAU)]
     with np.errstate(all="ignore"):
         made = [replicate(part, theta, _spread(posterior, tau), rng) for _, part in likelihood.parts()]
-    stated = likelihood.pose_covariance(np.zeros(likelihood.n_legs))
     return {
         "prior": values,
         "prior_misfit": np.concatenate([one.misfit.astype(np.float32) for one in made], axis=1),
-        "start_error": likelihood.pose_errors(posterior.sampling.start[None])[0],
-        "whitening": np.linalg.inv(np.linalg.cholesky(stated)),
     }
 
 
@@ -58,10 +47,3 @@ def _spread(posterior: LegPosterior, tau: Array) -> Array:
     """Return model errors (T, N) from free ones (T, 0, 1 or N)."""
     n_legs = posterior.likelihood.n_legs
     return np.broadcast_to(tau, (len(tau), n_legs)) if tau.shape[1] else np.zeros(n_legs)
-
-
-def measure_deviation(error: Array, whitening: Array) -> Array:
-    """Return the size of pose errors (..., P, 6) in units of the stated noise, rms over what was measured, (..., P)."""
-    known = np.isfinite(error)
-    white = np.einsum("pij,...pj->...pi", whitening, np.where(known, error, 0.0))
-    return np.sqrt(np.sum(white**2, axis=-1) / np.maximum(known.sum(axis=-1), 1))

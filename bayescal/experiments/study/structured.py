@@ -12,6 +12,7 @@ from bayescal.density.model_error import LENGTH, LENGTHY, SCALE, is_model_error
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_prediction import pointwise_given, predict_structured
+from bayescal.experiments.shared.estimate import Fit
 from bayescal.experiments.study.kernels import name_kernel
 from bayescal.numerics.geometry import Array
 
@@ -51,14 +52,9 @@ def evaluate_structured(
     return {"log_likelihood": pointwise.T, "misfit": misfit, **vars(made.summarise()), **by_pose}, more
 
 
-def describe_structured(
-    inputs: StudyInputs, names: Sequence[str], variant: str, arrays: dict[str, Array]
-) -> dict[str, Any]:
-    """Return how large the structured error of a variant is, along which motion, and what explains it; µm.
-
-    ``names`` are those of its draws.
-    """
-    used = ~inputs.verification
+def describe_structured(inputs: StudyInputs, variant: str, fit: Fit) -> dict[str, Any]:
+    """Return how large the structured error of a variant is, along which motion, and what explains it; µm."""
+    used, arrays = ~inputs.verification, fit.evaluated
     size = 1e3 * arrays["structured_size"]
     mean = arrays["structured_mean"][used]
     travel, slopes = inputs.displacement[used] / inputs.mechanism.actuator_range, fit_slopes(inputs, arrays)
@@ -71,8 +67,8 @@ def describe_structured(
             "q05": np.quantile(size, 0.05, axis=0).tolist(),
             "q95": np.quantile(size, 0.95, axis=0).tolist(),
         },
-        "scale": _describe_scales(inputs, names, arrays["draws"]),
-        **_describe_length(inputs, variant, names, arrays["draws"]),
+        "scale": _describe_scales(inputs, fit.names, fit.draws),
+        **_describe_length(inputs, variant, fit.names, fit.draws),
         "slope_um": (1e3 * slopes).tolist(),
         "slope_sd_um": (1e3 * sd).tolist(),
         "linear_share": _share(mean, travel @ slopes.T),

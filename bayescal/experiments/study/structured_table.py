@@ -5,18 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.study.fit import Arrays, Task
+from bayescal.experiments.shared.estimate import Fit
+from bayescal.experiments.study.fit import Task
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.structured import find_telling_actuators
 from bayescal.numerics.units import MICROMETRE
 
 
-def tabulate_structured(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.DataFrame:
+def tabulate_structured(inputs: StudyInputs, fits: dict[Task, Fit]) -> pd.DataFrame:
     """Return the error of every leg at every pose, with its 90 % interval, along the actuator that tells most of it."""
     n_poses, n_legs = inputs.displacement.shape
     use = np.where(inputs.verification, "verification", "calibration")
     frames = []
-    for task, arrays in fits.items():
+    for task, fit in fits.items():
+        arrays = fit.evaluated
         if "structured_mean" not in arrays:
             continue
         actuators = find_telling_actuators(inputs, arrays)

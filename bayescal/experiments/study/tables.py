@@ -9,7 +9,8 @@ import pandas as pd
 from scipy.special import logsumexp
 
 from bayescal.density.least_squares import LeastSquaresFit, identify, list_identified
-from bayescal.experiments.study.fit import Arrays, Task, read_prediction
+from bayescal.experiments.shared.estimate import Fit
+from bayescal.experiments.study.fit import Task, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.published import read_published
 from bayescal.files.csv_tables import format_table
@@ -63,7 +64,7 @@ def tabulate_ranking(summary: dict[str, Any], differences: pd.DataFrame) -> pd.D
     return pd.DataFrame(rows)
 
 
-def tabulate_tau_scale(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> pd.DataFrame:
+def tabulate_tau_scale(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> pd.DataFrame:
     """Return the log-evidence of every variant for other scales of the model error's half-normal prior.
 
     Only this prior changes: Z(s) / Z(s0) is the mean of Π p(τ; s) / p(τ; s0) over the posterior's draws. Where the
@@ -71,11 +72,10 @@ def tabulate_tau_scale(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> p
     """
     rows = []
     own = inputs.config.model_error.scale_um
-    for task, arrays in posteriors.items():
+    for task, fit in posteriors.items():
         if not task.with_model_error:
             continue
-        names = inputs.posterior(inputs.variant(task.variant), True).names
-        tau = arrays["draws"][..., [name.startswith("tau") for name in names]]
+        tau = fit.draws[..., [name.startswith("tau") for name in fit.names]]
         square = np.sum((tau / MICROMETRE) ** 2, axis=-1).ravel()
         for scale in inputs.config.sensitivity.tau_scale_um:
             log_weights = tau.shape[-1] * np.log(own / scale) + 0.5 * square * (own**-2 - scale**-2)
@@ -87,7 +87,7 @@ def tabulate_tau_scale(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> p
                 {
                     "variant": task.variant,
                     "tau_scale_um": scale,
-                    "log_evidence": arrays["importance"][0] + gain if trusted else np.nan,
+                    "log_evidence": fit.importance.log_evidence + gain if trusted else np.nan,
                     "efficiency": 1.0 / np.mean(relative**2),
                     "pareto_k": pareto_k,
                 }
@@ -115,13 +115,13 @@ def tabulate_parameters(summary: dict[str, Any]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def tabulate_predictions(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.DataFrame:
+def tabulate_predictions(inputs: StudyInputs, fits: dict[Task, Fit]) -> pd.DataFrame:
     """Return one row per variant, setting and pose: errors, predictive intervals and bounds (mm, degrees)."""
     scale = np.array([1.0, 1.0, 1.0, *[np.degrees(1.0)] * 3])
     units = ("mm", "mm", "mm", "deg", "deg", "deg")
     frames = []
-    for task, arrays in fits.items():
-        prediction = read_prediction(arrays)
+    for task, fit in fits.items():
+        prediction = read_prediction(fit)
         error, low, high = (part * scale for part in (prediction.error, prediction.low, prediction.high))
         frame = pd.DataFrame(
             {
@@ -143,7 +143,7 @@ def tabulate_predictions(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.Da
     return pd.concat(frames, ignore_index=True)
 
 
-def tabulate_blunders(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.DataFrame:
+def tabulate_blunders(inputs: StudyInputs, fits: dict[Task, Fit]) -> pd.DataFrame:
     """Return how probable it is that each pose is a blunder, by variant, setting and pose; no rows if none may be."""
     frames = [
         pd.DataFrame(
@@ -152,25 +152,23 @@ def tabulate_blunders(inputs: StudyInputs, fits: dict[Task, Arrays]) -> pd.DataF
                 "model_error": "free" if task.with_model_error else "zero",
                 "pose": inputs.names,
                 "use": np.where(inputs.verification, "verification", "calibration"),
-                "probability": arrays["blunder_probability"],
+                "probability": fit.evaluated["blunder_probability"],
             }
         )
-        for task, arrays in fits.items()
-        if "blunder_probability" in arrays
+        for task, fit in fits.items()
+        if "blunder_probability" in fit.evaluated
     ]
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()
 
 
-def tabulate_power_scaling(inputs: StudyInputs, posteriors: dict[Task, Arrays]) -> pd.DataFrame:
-    """Return how much each parameter hangs on its prior and on the measurements, model error free."""
+def tabulate_power_scaling(posteriors: dict[Task, Fit]) -> pd.DataFrame:
+    """Return how much each parameter depends on its prior and on the measurements, model error free."""
     frames = []
-    for task, arrays in posteriors.items():
+    for task, fit in posteriors.items():
         if task.with_model_error:
-            names = inputs.posterior(inputs.variant(task.variant), True).names
-            prior, likelihood = arrays["power_scaling"].T
-            frames.append(
-                pd.DataFrame({"variant": task.variant, "parameter": names, "prior": prior, "likelihood": likelihood})
-            )
+            prior, likelihood = fit.power_scaling.T
+            columns = {"variant": task.variant, "parameter": fit.names, "prior": prior, "likelihood": likelihood}
+            frames.append(pd.DataFrame(columns))
     return pd.concat(frames, ignore_index=True)
 
 

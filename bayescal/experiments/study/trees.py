@@ -6,51 +6,50 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayescal.density.legs import LegPosterior
-from bayescal.experiments.shared.trees import Draws, Group, Replicated, build_tree, choose_draws, spread
-from bayescal.experiments.study.fit import Arrays, Task
+from bayescal.experiments.shared.estimate import Fit
+from bayescal.experiments.shared.trees import Draws, Group, Readings, build_tree, choose_draws, spread
+from bayescal.experiments.study.fit import Legs, Task
 from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.replicates import measure_deviation
-from bayescal.numerics.geometry import Array
+from bayescal.numerics.geometry import (
+    Array,
+    matrix_from_rotation_vector,
+    rotation_vector_from_matrix,
+    rotation_vector_of_turn,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
 
-VARIABLE = "measured_pose"
-MEANING = (
-    "how far the measured pose lies from the one of the machine as expected, in standard deviations of the stated noise"
-)
+CHANNELS, UNITS = ("x", "y", "z", "rx", "ry", "rz"), ("mm",) * 3 + ("rad",) * 3
+MEANING = "measured pose, base frame: position and rotation vector"
 NAT = "nat"
 
 
-def build_study_tree(inputs: StudyInputs, task: Task, arrays: Arrays) -> xr.DataTree:
+def build_study_tree(inputs: StudyInputs, task: Task, fit: Fit) -> xr.DataTree:
     """Return one posterior with draws of its prior, what both predict, and the data."""
-    posterior = inputs.posterior(inputs.variant(task.variant), task.with_model_error)
-    (n_chains, n_draws), n_kept = arrays["draws"].shape[:2], arrays["misfit"].shape[1]
+    priors, arrays = Legs(inputs, task).posterior.all_priors().values(), fit.evaluated
+    (n_chains, n_draws), n_kept = fit.draws.shape[:2], arrays["misfit"].shape[1]
     chosen = choose_draws(n_chains, n_draws, n_kept)
-    thin = {name: _take(arrays[name], chosen) for name in ("draws", "log_density", "log_likelihood")}
-    misfit = _take_replicates(arrays["misfit"], arrays["draws"], chosen)
-    held, names = inputs.verification, np.array(inputs.names)
+    draws, log_density, log_likelihood = (
+        _take(one, chosen) for one in (fit.draws, fit.log_density, arrays["log_likelihood"])
+    )
+    held, readings = inputs.verification, _read_poses(inputs)
+    made = _replicate(readings, _take_replicates(arrays["misfit"], n_chains * n_draws, chosen))
+    log_prior = np.stack([prior.log_density(draws[..., k]) for k, prior in enumerate(priors)], axis=-1)
+    names = np.array(inputs.names)
     return build_tree(
-        Draws(
-            posterior.names,
-            _list_units(posterior),
-            thin["draws"],
-            thin["log_density"],
-            _evaluate_priors(posterior, thin["draws"]),
-            arrays["prior"],
-        ),
-        Replicated(
-            VARIABLE,
-            "1",
+        Draws(fit.names, fit.units, draws, log_density, log_prior, arrays["prior"]),
+        Readings(
+            [str(name) for name in names[~held]],
+            CHANNELS,
+            UNITS,
+            readings[~held],
+            made[..., ~held, :],
+            _replicate(readings[~held], arrays["prior_misfit"]),
+            log_likelihood[..., ~held],
             MEANING,
-            measure_deviation(arrays["start_error"], arrays["whitening"]),
-            _deviate(arrays, misfit[..., ~held, :]),
-            _deviate(arrays, arrays["prior_misfit"]),
-            thin["log_likelihood"][..., ~held],
         ),
-        [str(name) for name in names[~held]],
-        _list_groups(inputs, arrays["start_error"], misfit, thin["log_likelihood"]),
+        _list_groups(inputs, readings, made, log_likelihood),
         variant=task.variant,
         model_error="free" if task.with_model_error else "zero",
         length_unit="mm",
@@ -62,68 +61,45 @@ def _take(values: Array, chosen: Array) -> Array:
     return values.reshape(-1, *values.shape[2:])[chosen]
 
 
-def _take_replicates(misfit: Array, draws: Array, chosen: Array) -> Array:
+def _take_replicates(misfit: Array, n_draws: int, chosen: Array) -> Array:
     """Return the replicates (P, T, 6) of the chosen draws, shape (E, S', P, 6); they were made of the same draws."""
-    made = np.searchsorted(spread(draws.shape[0] * draws.shape[1], misfit.shape[1]), chosen)
+    made = np.searchsorted(spread(n_draws, misfit.shape[1]), chosen)
     return misfit.swapaxes(0, 1)[made]
 
 
-def _deviate(arrays: Arrays, misfit: Array) -> Array:
-    """Return how far replicated calibration poses lie from the expected machine's, in units of the noise."""
-    return measure_deviation(arrays["start_error"] - misfit, arrays["whitening"]).astype(np.float32)
+def _read_poses(inputs: StudyInputs) -> Array:
+    """Return the poses as measured, shape (P, 6); NaN where a coordinate is not."""
+    poses = inputs.measured.poses
+    known = np.isfinite(poses.rotation).all(axis=(1, 2))[:, None]
+    turn = rotation_vector_from_matrix(np.where(known[..., None], poses.rotation, np.eye(3)))
+    return np.concatenate([poses.position, np.where(known, turn, np.nan)], axis=-1)
 
 
-def _list_units(posterior: LegPosterior) -> list[str]:
-    layout = posterior.likelihood.layout
-    units = dict(zip(layout.names, layout.units, strict=True))
-    return [units.get(name, "mm") for name in posterior.names]
+def _replicate(measured: Array, misfit: Array) -> Array:
+    """Return replicated poses (..., P, 6) from the measured ones (P, 6) and measured minus replicated (..., P, 6)."""
+    rotation = matrix_from_rotation_vector(np.nan_to_num(measured[:, 3:]))
+    turn = rotation_vector_of_turn(matrix_from_rotation_vector(-np.nan_to_num(misfit[..., 3:])) @ rotation)
+    turn = np.where(np.isfinite(measured[:, 3:] - misfit[..., 3:]), turn, np.nan)
+    return np.concatenate([measured[:, :3] - misfit[..., :3], turn], axis=-1).astype(np.float32)
 
 
-def _evaluate_priors(posterior: LegPosterior, draws: Array) -> Array:
-    priors = posterior.all_priors().values()
-    return np.stack([prior.log_density(draws[..., k]) for k, prior in enumerate(priors)], axis=-1)
-
-
-def _list_groups(inputs: StudyInputs, start: Array, misfit: Array, log_likelihood: Array) -> dict[str, Group]:
-    """Return the poses as they were measured, and what is predicted of their components."""
+def _list_groups(inputs: StudyInputs, readings: Array, made: Array, log_likelihood: Array) -> dict[str, Group]:
+    """Return what is known of the poses besides, and what is predicted of those for verification."""
     poses, held = inputs.measured.poses, inputs.verification
     names = [str(name) for name in inputs.names]
-    own = {
-        use: [name for name, one in zip(names, held, strict=True) if one == (use == "verification_pose")]
-        for use in ("calibration_pose", "verification_pose")
-    }
-    axes, over = {"axis": list("xyz")}, ("chain", "draw")
-    calibration = {"calibration_pose": own["calibration_pose"], **axes}
     constant = {
-        "position": (("pose", "axis"), poses.position, "mm", "measured position, base frame"),
         "rotation": (("pose", "axis", "platform_axis"), poses.rotation, "1", "measured rotation matrix, base frame"),
         "covariance": (("pose", "component", "other_component"), poses.covariance, "mm, rad", "of the measured pose"),
         "actuators": (("pose", "leg"), poses.actuators, "mm", "actuator positions"),
     }
-    groups = {
-        "constant_data": Group(constant, {"pose": names, **axes, "platform_axis": list("xyz")}),
-        "components/observed_data": Group(_name_parts("calibration_pose", (), start, "expected"), calibration),
-        "components/posterior_predictive": Group(
-            _name_parts("calibration_pose", over, (start - misfit[..., ~held, :]).astype(np.float32), "expected"),
-            calibration,
-        ),
-    }
+    groups = {"constant_data": Group(constant, {"pose": names, "axis": list("xyz"), "platform_axis": list("xyz")})}
     if held.any():
-        density = ((*over, "verification_pose"), log_likelihood[..., held], NAT, "log-density of each pose")
-        parts = _name_parts("verification_pose", over, misfit[..., held, :], "replicated")
-        groups["predictions"] = Group(
-            {"verification_log_density": density, **{f"verification_{k}_error": v for k, v in parts.items()}},
-            {"verification_pose": own["verification_pose"], **axes},
-        )
+        own = {"row": [name for name, one in zip(names, held, strict=True) if one], "channel": list(CHANNELS)}
+        both, unit, over = ("row", "channel"), "mm, rad", ("chain", "draw")
+        predicted = {
+            "readings": ((*over, *both), made[..., held, :], unit, "readings that would be measured"),
+            "log_density": ((*over, "row"), log_likelihood[..., held], NAT, "log-density of each row"),
+        }
+        groups["predictions"] = Group(predicted, own)
+        groups["predictions_constant_data"] = Group({"readings": (both, readings[held], unit, MEANING)}, own)
     return groups
-
-
-def _name_parts(
-    dim: str, over: tuple[str, ...], values: Array, other: str
-) -> dict[str, tuple[tuple[str, ...], Array, str, str]]:
-    """Return pose errors (..., P, 6) as a position and an orientation."""
-    text = f"measured minus {other} {{}}, base frame"
-    return {
-        "position": ((*over, dim, "axis"), values[..., :3], "mm", text.format("position")),
-        "orientation": ((*over, dim, "axis"), values[..., 3:], "rad", text.format("orientation, a rotation vector")),
-    }

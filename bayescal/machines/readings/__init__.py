@@ -2,6 +2,7 @@
 
 from bayescal.machines.readings.base import Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.machines.readings.function import FunctionModel, Parameters, ReadingMachine
+from bayescal.machines.readings.legs import LegsModel
 from bayescal.machines.readings.sliding_platform import SlidingPlatform
 from bayescal.machines.readings.spatial import SpatialMachine
 
@@ -17,6 +18,7 @@ __all__ = [
     "Coordinate",
     "FunctionModel",
     "Given",
+    "LegsModel",
     "Parameters",
     "ReadingMachine",
     "ReadingModel",

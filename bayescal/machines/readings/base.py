@@ -18,11 +18,14 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterLayout
+from bayescal.machines.readings.locate import locate_pose
 from bayescal.numerics.geometry import Array
 
 type Given = Mapping[str, Array]
 """What is known of each row of the data, by name, shaped as the poses' leading axes: a temperature, a command."""
 NOTHING: Given = MappingProxyType({})
+SAME = 1e-6  # of the workspace's half width, within which two poses are one
+SLACK = 1e-6  # mm or rad beyond a channel's range, which digits of a table leave
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,11 @@ class Channel:
         """Its name without the number of its leg."""
         return self.name.partition("[")[0]
 
+    @property
+    def stem(self) -> str:
+        """Its name as columns have it: ``motor[2]`` is ``motor_2``."""
+        return stem_of(self.name)
+
 
 @dataclass(frozen=True)
 class Readings:
@@ -96,6 +104,11 @@ class Readings:
     values: Array
     by_pose: Array
     by_parameters: Array = field(default_factory=lambda: np.empty(0))
+
+
+def stem_of(name: str) -> str:
+    """Return a channel's name as columns have it: ``motor[2]`` is ``motor_2``."""
+    return name.replace("[", "_").rstrip("]")
 
 
 class ReadingModel(ABC):
@@ -135,6 +148,31 @@ class ReadingModel(ABC):
     def member(self) -> str:
         """What one of many is called: that ``l[2]`` is of leg, line, joint or belt 2."""
         return "leg"
+
+    @property
+    def command_range(self) -> Array:
+        """Smallest and largest value of each of them, shape (C, 2); infinite where the machine says nothing."""
+        return np.tile([-np.inf, np.inf], (len(self.commanded), 1))
+
+    @property
+    def home_pose(self) -> Array:
+        """The middle of the workspace, shape (q,)."""
+        return np.array([one.home for one in self.coordinates], dtype=np.float64)
+
+    @property
+    def pose_channels(self) -> tuple[Channel, ...]:
+        """The coordinates as what two poses are compared by: a rotation vector as a rotation."""
+        return tuple(Channel(one.name, one.unit) for one in self.coordinates)
+
+    @property
+    def tool_channels(self) -> tuple[Channel, ...]:
+        """Names and units of what has to be accurate, the m numbers of `tool`: the coordinates by default."""
+        return self.pose_channels
+
+    @property
+    def states_tool(self) -> bool:
+        """Whether the machine says what has to be accurate; otherwise its coordinates stand in for it."""
+        return True
 
     def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
         """Raise InputError where what `given` names cannot be so, or does not tell free parameters; by default nowhere.
@@ -190,15 +228,82 @@ class ReadingModel(ABC):
 
     @abstractmethod
     def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
-        """Return where the tool's centre is and what moves it.
+        """Return what has to be accurate, where the tool's centre is for example, and what moves it.
 
         Returns
         -------
         position : ndarray, shape (..., m)
-            mm, base frame.
+            In the units of `tool_channels`.
         by_pose : ndarray, shape (..., m, q)
         by_parameters : ndarray, shape (..., m, D)
         """
+
+    def tool_values(self, theta: Array, pose: Array) -> Array:
+        """Return the tool's m numbers alone; see `tool`."""
+        return self.tool(theta, pose)[0]
+
+    # --- commands --------------------------------------------------------------------------------------------------
+
+    def locate(
+        self,
+        theta: Array,
+        commands: Array,
+        given: Given = NOTHING,
+        start: Array | None = None,
+        weights: Array | None = None,
+    ) -> tuple[Array, np.ndarray]:
+        """Return where machines stand whose commanded channels read what they are told to.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (..., D)
+        commands : ndarray, shape (..., C)
+            Values of `commanded`, in the channels' units; broadcast against the parameters.
+        given : mapping of str to ndarray, shape (...)
+        start : ndarray, shape (..., q), optional
+            Poses nearby; by default the way from home is followed.
+        weights : ndarray, shape (C,), optional
+            One over the noise of each command, where there are more of them than coordinates; alike by default.
+
+        Returns
+        -------
+        pose : ndarray, shape (..., q)
+            Where more channels than coordinates are commanded that of least squares.
+        found : ndarray of bool, shape (...)
+        """
+        return locate_pose(self, theta, commands, given, start, weights)
+
+    def respond(self, theta: Array, mean: Array, pose: Array, commands: Array, given: Given = NOTHING) -> Array:
+        """Return what machines (S, D) near another (D,) read more than commanded (P, C) at poses (P, q), (P, C, S)."""
+        del mean
+        places = self.select(self.commanded)
+        read = self.read(theta[:, None], pose, {name: value[None] for name, value in given.items()})[..., places]
+        return np.moveaxis(read - commands, 0, -1)
+
+    def find_faults(self, theta: Array, pose: Array, commands: Array, given: Given = NOTHING) -> tuple[str, ...]:
+        """Return why a machine (D,) does not come to poses (P, q) by the commands (P, C) that hold them; else nothing.
+
+        A channel has no value there, or one beyond its range, or the way from home leads to another pose.
+        """
+        near = np.ones(len(pose), dtype=bool)
+        if len(self.commanded) >= len(self.coordinates) > 0:
+            back, found = self.locate(theta, np.nan_to_num(commands), given)
+            near = found & (np.abs(back - pose) <= SAME * self.pose_scale).all(axis=-1)
+        return tuple(self._find_fault(one, bool(there)) for one, there in zip(commands, near, strict=True))
+
+    def _find_fault(self, commands: Array, returned: bool) -> str:
+        channels = [self.channels[k] for k in self.select(self.commanded)]
+        for channel, value, (low, high) in zip(channels, commands, self.command_range, strict=True):
+            if not np.isfinite(value):
+                return f"{channel.name} has no value there: the machine does not reach it"
+            if not low - SLACK <= value <= high + SLACK:
+                return f"{channel.name} would be {value:.6g} {channel.unit}, its range is {low:g} to {high:g}"
+        return "" if returned else "only on another assembly branch than home's, or where the machine is singular"
+
+    @property
+    def pose_scale(self) -> Array:
+        """What a step of each coordinate is small against, shape (q,): half the workspace, or one unit."""
+        return np.array([one.reach if one.reach > 0.0 else 1.0 for one in self.coordinates])
 
     def rotation(self, pose: Array) -> Array:
         """Return how the platform is turned at poses (..., q), from its frame to the base's, shape (..., m, m).
@@ -270,6 +375,27 @@ class PickedModel(ReadingModel):
     def member(self) -> str:
         """What the whole machine says."""
         return self.whole.member
+
+    @property
+    def command_range(self) -> Array:
+        """The whole machine's, of the same."""
+        known = [name in self.names for name in self.whole.commanded]
+        return self.whole.command_range[known]
+
+    @property
+    def pose_channels(self) -> tuple[Channel, ...]:
+        """The whole machine's."""
+        return self.whole.pose_channels
+
+    @property
+    def tool_channels(self) -> tuple[Channel, ...]:
+        """The whole machine's."""
+        return self.whole.tool_channels
+
+    @property
+    def states_tool(self) -> bool:
+        """What the whole machine says."""
+        return self.whole.states_tool
 
     def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
         """Check as the whole machine does."""

@@ -41,7 +41,7 @@ def check_members(name: str, machine: ReadingMachine) -> None:
                 raise InputError(f"{where}: {member}: found {one_name!r} twice, expected each name once")
     if not machine.parameters or not machine.channels:
         raise InputError(f"{where}: found no parameter or no channel, expected at least one of each")
-    _check_rotations(where, machine.channels)
+    _check_rotations(f"{where}: channels", machine.channels)
     known = {name for one in machine.channels for name in (one.name, one.kind)}
     for name in machine.commanded:
         if name not in known:
@@ -49,12 +49,38 @@ def check_members(name: str, machine: ReadingMachine) -> None:
             raise InputError(f"{where}: commanded: found {name!r}, expected some of {channels}")
 
 
+def check_tool(model: FunctionModel) -> None:
+    """Raise InputError for a tool without names, or one that is not as many finite numbers at home as it has names."""
+    machine = model.machine
+    where = f"machine {model.name!r}: class {type(machine).__name__}: tool"
+    if model.has_own_tool and not machine.tool_channels:
+        raise InputError(
+            f"{where}: found no tool_channels, expected names and units of what it returns, each a Channel"
+        )
+    for one in machine.tool_channels:
+        if not isinstance(one, Channel):
+            raise InputError(f"{where}_channels: found {one!r}, expected a Channel")
+    _check_rotations(f"{where}_channels", machine.tool_channels)
+    theta, pose, _ = draw_points(model, POINTS)
+    try:
+        with np.errstate(all="ignore"):
+            found, _, _ = model.tool(theta, pose)
+    except Exception as error:  # whatever somebody else's code raises
+        text = " ".join(str(error).split())
+        raise InputError(f"{where}: failed with {type(error).__name__}: {text}, expected numbers") from error
+    names = [one.name for one in machine.tool_channels] or [one.name for one in model.coordinates]
+    if found.shape[-1] != len(names):
+        raise InputError(f"{where}: found {found.shape[-1]} numbers, expected {len(names)}: {', '.join(names)}")
+    for k in np.flatnonzero(~np.isfinite(found[0])):
+        raise InputError(f"{where}: {names[k]}: found {found[0, k]} at home, expected a finite number")
+
+
 def _check_rotations(where: str, channels: Sequence[Channel]) -> None:
     names = [one.rotation for one in channels]
     for name in dict.fromkeys(filter(None, names)):
         places = [k for k, other in enumerate(names) if other == name]
         if places != list(range(places[0], places[0] + 3)):
-            raise InputError(f"{where}: channels: found {len(places)} of rotation {name!r}, expected three in a row")
+            raise InputError(f"{where}: found {len(places)} of rotation {name!r}, expected three in a row")
 
 
 def check_values(model: FunctionModel) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from bayescal.config.sections import Section
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings.base import NOTHING, Channel, Coordinate, Given, ReadingModel, Readings
-from bayescal.machines.readings.check_function import check_derivatives, check_members, check_values
+from bayescal.machines.readings.check_function import check_derivatives, check_members, check_tool, check_values
 from bayescal.machines.readings.colours import colour, find_pattern
 from bayescal.numerics.geometry import Array
 
@@ -44,6 +44,8 @@ class ReadingMachine(ABC):
         Names of parameters that only say where a frame is, such as ``a_x[1]``.
     member : str
         What one of many is called in texts: leg, line, joint, belt.
+    tool_channels : sequence of Channel
+        Names and units of what has to be accurate: what `tool` returns, or the coordinates themselves.
     """
 
     Config: ClassVar[type[Section]] = Section
@@ -51,6 +53,7 @@ class ReadingMachine(ABC):
     commanded: Sequence[str] = ()
     frame_parameters: tuple[str, ...] = ()
     member: str = "leg"
+    tool_channels: Sequence[Channel] = ()
     parameters: Sequence[ParameterBlock]
     coordinates: Sequence[Coordinate]
     channels: Sequence[Channel]
@@ -88,7 +91,10 @@ class ReadingMachine(ABC):
         del poses, given, free
 
     def tool(self, parameters: Parameters, v: Any) -> Any:
-        """Return what has to be accurate, (..., m), in the machine's own coordinates: all of them by default."""
+        """Return what has to be accurate, (..., m), as `tool_channels` names it: the coordinates by default.
+
+        It must take complex numbers, as `read` must.
+        """
         del parameters
         return v
 
@@ -156,6 +162,7 @@ class FunctionModel(ReadingModel):
             return
         check_members(self.name, self.machine)
         check_values(self)
+        check_tool(self)
         check_derivatives(self)
 
     @cached_property
@@ -190,6 +197,27 @@ class FunctionModel(ReadingModel):
     def member(self) -> str:
         """What one of many is called."""
         return self.machine.member
+
+    @cached_property
+    def pose_channels(self) -> tuple[Channel, ...]:
+        """The coordinates; those of the tool where the machine says that they are the tool."""
+        stated = tuple(self.machine.tool_channels)
+        return stated if stated and not self.has_own_tool else super().pose_channels
+
+    @cached_property
+    def tool_channels(self) -> tuple[Channel, ...]:
+        """What the machine says; its coordinates where it says nothing."""
+        return tuple(self.machine.tool_channels) if self.has_own_tool else self.pose_channels
+
+    @property
+    def has_own_tool(self) -> bool:
+        """Whether the tool is something else than the coordinates."""
+        return type(self.machine).tool is not ReadingMachine.tool
+
+    @property
+    def states_tool(self) -> bool:
+        """Whether the machine says what has to be accurate."""
+        return bool(self.machine.tool_channels)
 
     def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
         """Check as the machine does."""
@@ -299,3 +327,8 @@ class FunctionModel(ReadingModel):
         found = np.broadcast_to(found, (n + q, *shape, found.shape[-1]))
         slopes = np.moveaxis(found.imag / STEP, 0, -1)
         return found[0].real, slopes[..., n:], slopes[..., :n]
+
+    def tool_values(self, theta: Array, pose: Array) -> Array:
+        """Return what has to be accurate; see `ReadingModel.tool_values`."""
+        found = np.asarray(self.machine.tool(Parameters(self.layout, theta), pose), dtype=np.float64)
+        return np.broadcast_to(found, (*np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1]), found.shape[-1]))

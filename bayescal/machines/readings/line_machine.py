@@ -110,6 +110,8 @@ class LineMachine(ReadingMachine):
             *(Channel(axis, "mm", external=True) for axis in AXES),
             *(Channel(f"length[{k}]", "mm", external=True) for k in n),
         ]
+        self.tool_channels = [Channel(axis, "mm") for axis in AXES]
+        self.commanded = ["motor"]
         self.given = tuple(f"force_{k}" for k in n) if config.tension == "given" else ()
         self.at_origin = np.array(config.force_at_origin_n or [0.0] * len(config.lines))
 

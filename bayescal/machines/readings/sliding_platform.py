@@ -124,6 +124,11 @@ class SlidingPlatform(ReadingModel):
         return tuple(one.name for one in self.channels if one.kind == "s")
 
     @property
+    def tool_channels(self) -> tuple[Channel, ...]:
+        """X and y of the tool's centre."""
+        return tuple(Channel(name, "mm") for name in TOOL[:2])
+
+    @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """x, y and φ of the platform's frame."""
         kinds = zip(("x", "y", "phi"), ("mm", "mm", "rad"), self.home, strict=True)

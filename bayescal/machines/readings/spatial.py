@@ -94,6 +94,11 @@ class SpatialMachine(ReadingModel):
         """The actuators."""
         return tuple(one.name for one in self.channels if one.kind == "rho")
 
+    @property
+    def tool_channels(self) -> tuple[Channel, ...]:
+        """x, y and z of the tool's centre."""
+        return tuple(Channel(name, "mm") for name in POSE[:3])
+
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """Position and rotation vector of the platform's frame."""

@@ -150,6 +150,8 @@ class StrutMachine(ReadingMachine):
             *(Channel(axis, "rad", external=True, rotation="r") for axis in AXES[3:]),
         ]
 
+        self.tool_channels = self.channels[N_STRUTS:]
+
     def read(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> Any:
         """Return what the six actuators read, then the pose."""
         at = self._stand(parameters, v, given)

@@ -177,15 +177,14 @@ def test_the_expected_curvature_of_scales_and_noise_is_that_of_drawn_rows(rng):
 def test_log_prior_of_parameters_is_finite_where_errors_are_off(rng):
     posterior = structured("smooth", 2.0, 0.3)
     y = posterior.draw_prior(200, rng)
-    found, scales = posterior.log_parameters(y), posterior.natural(y)[:, posterior.n_geometry :][:, :3]
-    m = posterior.n_geometry
+    m, natural, priors = posterior.n_geometry, posterior.natural(y), list(posterior.all_priors().values())
+    scales = natural[:, m : m + 3]
     assert 0.3 < np.mean(scales == 0.0) < 0.7
-    np.testing.assert_allclose(found[:, m : m + 3][scales == 0.0], -np.log(2.0))
     for k in range(3):
-        there = scales[:, k] > 0.0
-        by_coordinate = posterior.log_coordinates(y)[there, m + k] - np.log(0.3 * scales[there, k])
-        np.testing.assert_allclose(found[there, m + k], by_coordinate, rtol=1e-9)
-    np.testing.assert_allclose(posterior.log_coordinates(y).sum(axis=1), posterior.log_prior(y))
+        found, there = priors[m + k].log_density(scales[:, k]), scales[:, k] > 0.0
+        np.testing.assert_allclose(found[~there], -np.log(2.0))
+        by_coordinate = -0.5 * y[there, m + k] ** 2 - np.log(2.0 * np.sqrt(2.0 * np.pi) * 0.3 * scales[there, k])
+        np.testing.assert_allclose(found[there], by_coordinate, rtol=1e-9)
 
 
 def test_a_switched_off_error_is_none_and_a_jump_switches_it(rng):

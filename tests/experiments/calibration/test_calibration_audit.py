@@ -160,8 +160,11 @@ POSE_FILES = {
         "pose 'B': found no reading of s[1], expected",
     ),
     "unit of another kind": ("pose,x_deg,y_mm,z_mm\nA,0,0,20\n", "found column 'x_deg', did you mean"),
-    "missing coordinate": ("pose,x_mm,y_mm\nA,0,0\n", "found no column of z"),
-    "coordinate twice": ("pose,x_mm,x_m,y_mm,z_mm\nA,0,0,0,20\n", "found column 'x_m' besides another of x"),
+    "missing coordinate": ("pose,x_mm,y_mm\nA,0,0\n", "found no column 'z_mm'"),
+    "coordinate twice": (
+        "pose,x_mm,x_m,y_mm,z_mm\nA,0,0,0,20\n",
+        "found columns 'x_mm' and 'x_m', expected one of them",
+    ),
     "pose twice": ("pose,x_mm,y_mm,z_mm\nA,0,0,20\nA,0,0,20\n", "stands already on line 2"),
     "no names": ("x_mm,y_mm,z_mm\n0,0,20\n", "found no column 'pose'"),
 }

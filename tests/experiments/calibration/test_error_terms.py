@@ -11,6 +11,7 @@ import pytest
 
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.inputs import read_inputs
+from bayescal.experiments.calibration.knowledge import _inform, see
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.report.pictures import Picture
@@ -166,6 +167,22 @@ def test_what_does_not_fit_is_refused_in_one_line(tmp_path, old, new, message):
     with pytest.raises(InputError, match=message) as caught:
         read(path)
     assert "\n" not in str(caught.value)
+
+
+def test_verdicts_hold_beside_errors_that_the_geometry_imitates(tmp_path):
+    """Carriages that all may be off by functions of what they read leave less to know of the machine."""
+    path = write(tmp_path, TERMS[TERMS.index("[errors.motors]") : TERMS.index("[errors.drift]")])
+    calibrations.change(path, "scale_um = 20.0", "scale_mm = 1.0")
+    calibrations.change(path, 'name = "one_rod"', 'name = "one_rod"\nerrors = []')
+    calibrations.change(path, 'common = ["l"]', "")
+    inputs = read(path)
+    left = {}
+    for name, variant in inputs.variants.items():
+        posterior = variant.posterior().anchored()
+        y = posterior.approach()
+        left[name] = 1.0 - _inform(posterior, y, see(posterior, y)).contraction
+    assert (left["all"] > (1.0 - 1e-9) * left["one_rod"]).all()
+    assert (left["all"] > 1.2 * left["one_rod"]).any()
 
 
 @pytest.mark.runs

@@ -8,10 +8,10 @@ import pytest
 from scipy.stats import norm
 
 from bayescal.experiments.calibration.audit.outlook import foresee
-from bayescal.experiments.calibration.knowledge import View
 from bayescal.experiments.calibration.page.verdict import format_amount, format_place, shown_in
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
+from bayescal.identifiability.reading_rows import View
 
 
 def view(tool, located):

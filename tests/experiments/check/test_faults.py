@@ -19,7 +19,7 @@ from bayescal.experiments.check.faults.noise import check_noise
 from bayescal.experiments.check.faults.priors import check_priors
 from bayescal.experiments.check.look import look_at_data
 from bayescal.experiments.check.ranks import draw_posterior
-from bayescal.experiments.shared.misfit import find_misfit
+from bayescal.experiments.shared.soundness import find_misfit
 from bayescal.inference.mode import find_modes
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
@@ -92,8 +92,11 @@ def test_the_error_of_a_measured_matrix_is_no_noise_of_single_poses():
     by_pose = find_misfit(posterior, mode.y, posterior.likelihood)
     likelihood = PoseLikelihood(measured.machine, measured.poses, measured.actuator_noise)
     shared = find_misfit(posterior, mode.y, likelihood, measured.shared_errors)
-    assert by_pose.square / by_pose.dof < shared.square / shared.dof
-    assert f"{shared.square / shared.dof:.2f} per degree of freedom ({shared.dof:.0f}," in judge_noise(subject).text
+    assert by_pose.chi_square.value / by_pose.dof < shared.chi_square.value / shared.dof
+    assert (
+        f"{shared.chi_square.value / shared.dof:.2f} per degree of freedom ({shared.dof:.0f},"
+        in judge_noise(subject).text
+    )
 
 
 def test_model_errors_are_no_fault_but_are_said():

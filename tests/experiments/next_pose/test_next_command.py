@@ -136,8 +136,8 @@ def test_a_study_is_told_what_is_missing(question, call):
 def test_the_shipped_question_is_of_the_shipped_study():
     experiment, config = load(studies.EXPERIMENTS / "m2_hexapod" / "next.toml")
     inputs = experiment.read(config, studies.EXPERIMENTS / "m2_hexapod")
-    assert list(inputs.variants) == ["six_ups/none"]
-    assert inputs.variants["six_ups/none"].poses.n_poses == config.first
+    assert list(inputs.subjects) == ["six_ups/none"]
+    assert inputs.subjects["six_ups/none"].n_poses == config.first
 
 
 def test_the_committed_results_are_those_of_the_shipped_question():

@@ -335,7 +335,7 @@ def test_audit_gains_by_i_optimal_poses(design):
     moved = np.abs(plan.actuators - mechanism.initial_actuator_positions)
     assert moved.max() <= mechanism.actuator_range * (1 + 1e-9)
     workspace = compute_sensitivity(inputs.knowledge, inputs.workspace_actuators)
-    limits = find_limits(inputs.requirements, workspace, inputs.knowledge.sd)
+    limits = find_limits(inputs.requirements, workspace.slope * inputs.knowledge.sd)
     before, after = (
         judge_poses(inputs, workspace, limits, actuators, 10, np.random.default_rng(3))
         for actuators in (inputs.plan.actuators, plan.actuators)

@@ -30,9 +30,9 @@ from bayescal.experiments.self_calibration.page.verdict import explains, list_ro
 from bayescal.experiments.self_calibration.tables import rank_models, tabulate
 from bayescal.experiments.self_calibration.tool import assess_tool, predict_tool
 from bayescal.experiments.shared.calibrability import compute_calibrability
-from bayescal.experiments.shared.reading_trees import build_reading_tree
+from bayescal.experiments.shared.estimate import TREE
 from bayescal.experiments.shared.sensor_sets import locate_tool
-from bayescal.experiments.shared.trees import write_tree
+from bayescal.experiments.shared.trees import write_packed
 
 pytestmark = pytest.mark.runs
 
@@ -75,16 +75,16 @@ def fits(some):
 # --- the saved posterior -----------------------------------------------------------------------------------------
 
 
-def test_arviz_judges_a_saved_posterior(some, fits, tmp_path):
-    fit = fits["s8_external"]
-    poses = some.table.poses[: len(fit.square)]
+def test_arviz_judges_a_saved_posterior(fits, tmp_path):
     path = tmp_path / "s8.nc"
-    write_tree(lambda: build_reading_tree(fit.saved, fit.names, ["mm"] * len(fit.names), poses, "s8"))(path)
+    write_packed(fits["s8_external"].evaluated[TREE], path)
     tree = check_tree(path, k_is_good=False)
     near = tree["posterior_predictive/readings"] - tree["observed_data/readings"]
-    assert float(near.std(("chain", "draw")).mean()) < 2.0  # in units of the noise
-    assert float(np.abs(near.mean(("chain", "draw"))).max()) < 4.0
-    assert float(tree["prior_predictive/readings"].std()) > 10.0
+    assert tree["observed_data/unit"].dims == ("channel",)
+    assert float(near.std(("chain", "draw")).max()) < 0.05  # mm
+    assert float(np.abs(near.mean(("chain", "draw"))).max()) < 0.05
+    far = tree["prior_predictive/readings"] - tree["observed_data/readings"]
+    assert float(far.std()) > 10.0 * float(near.std())
 
 
 # --- the whole -------------------------------------------------------------------------------------------------------
@@ -192,7 +192,7 @@ def test_other_legs_and_sensors_find_their_truth(tmp_path, n_legs, sensors):
     variant = inputs.variants["one"]
     fit = fit_variant(inputs, variant)
     places = [model.layout.names.index(name) for name in fit.names]
-    off = (theta[places] - fit.natural.mean(axis=0)) / fit.natural.std(axis=0)
+    off = (theta[places] - fit.mean) / fit.sd
     assert np.sqrt(np.mean(off**2)) < 2.0
     assert np.abs(off).max() < 4.5
 
@@ -204,7 +204,7 @@ def test_the_truth_lies_where_the_posterior_says(some, fits):
     for name, fit in fits.items():
         variant = some.variants[name]
         places = [some.model.layout.names.index(n) for n in fit.names]
-        off = (some.truth.theta[places] - fit.natural.mean(axis=0)) / fit.natural.std(axis=0)
+        off = (some.truth.theta[places] - fit.mean) / fit.sd
         assert np.abs(off).max() < 4.0
         assert 0.3 < np.sqrt(np.mean(off**2)) < 1.7
         assert not fit.list_problems()
@@ -220,9 +220,9 @@ def test_the_instrument_finds_the_tool_on_the_platform(some, fits):
     index = some.model.layout.index
     for symbol in ("xi_V", "eta_V"):
         k = fit.names.index(symbol)
-        assert fit.natural[:, k].std() < 0.02
-        off = some.truth.theta[index[symbol][0]] - fit.natural[:, k].mean()
-        assert abs(off) < 4 * fit.natural[:, k].std()
+        assert fit.sd[k] < 0.02
+        off = some.truth.theta[index[symbol][0]] - fit.mean[k]
+        assert abs(off) < 4 * fit.sd[k]
     assert "xi_V" not in fits["s4"].names
 
 
@@ -291,7 +291,7 @@ def test_predicted_sd_is_that_of_the_posterior(some, fits):
         audit = audit_variant(some, variant)
         predicted = variant.free.scale * np.sqrt(np.diagonal(audit.information.covariance))
         assert audit.names == fit.names
-        np.testing.assert_allclose(fit.natural.std(axis=0), predicted, rtol=0.1)
+        np.testing.assert_allclose(fit.sd, predicted, rtol=0.1)
 
 
 def test_four_sensors_leave_a_ridge_and_eight_none(shipped):

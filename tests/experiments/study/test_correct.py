@@ -10,13 +10,8 @@ import pytest
 
 from bayescal.density.errors import ModelError
 from bayescal.density.legs import build_leg_posterior
-from bayescal.experiments.study.correct import (
-    build_costly,
-    correct_draws,
-    correct_evidence,
-    move_sample,
-    sample_exactly,
-)
+from bayescal.experiments.study.fit import build_costly
+from bayescal.inference.correction import correct_draws, correct_evidence, move_sample, sample_exactly
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
@@ -54,7 +49,7 @@ def test_corrected_evidence_is_that_of_the_exact_density(model, deformation):
     problem = draw_small(model, deformation, 5)
     found = explore(problem.posterior, np.random.SeedSequence(1))
     explored = estimate_by_importance(found.straight.log_density, found.proposal, np.random.default_rng(2), 5000)
-    correction = correct_evidence(problem.exact, found, np.random.SeedSequence(3))
+    correction = correct_evidence(build_costly(problem.exact, found), found, np.random.SeedSequence(3))
     expected, _ = integrate(build_costly(problem.exact, found), found)
     error = np.hypot(explored.standard_error, correction.standard_error)
     assert error < 0.05
@@ -67,7 +62,7 @@ def test_moved_draws_have_the_exact_means():
     problem = draw_small("six_pus", "matrix", 6)
     found = explore(problem.posterior, np.random.SeedSequence(1))
     sample = sample_posterior(found, np.random.SeedSequence(2), 4, 32, 20, 80)
-    correction = correct_draws(problem.exact, found, sample, np.random.SeedSequence(3))
+    correction = correct_draws(build_costly(problem.exact, found), found, sample, np.random.SeedSequence(3))
     moved = move_sample(sample, found, correction)
     _, mean = integrate(build_costly(problem.exact, found), found)
     spread = moved.straight.std(axis=(0, 1, 2))
@@ -84,9 +79,9 @@ def test_ensembles_on_the_exact_density_agree():
     problem = draw_small("six_pus", "linear", 7)
     found = explore(problem.posterior, np.random.SeedSequence(1))
     sample = sample_posterior(found, np.random.SeedSequence(2), 2, 16, 10, 30)
-    correction = correct_draws(problem.exact, found, sample, np.random.SeedSequence(3))
+    correction = correct_draws(build_costly(problem.exact, found), found, sample, np.random.SeedSequence(3))
     seeds = np.random.SeedSequence(4).spawn(2)
-    walked = sample_exactly(problem.exact, found, sample, correction.move, seeds)
+    walked = sample_exactly(build_costly(problem.exact, found), found, sample, correction.move, seeds)
     _, mean = integrate(build_costly(problem.exact, found), found)
     assert walked.straight.shape == sample.straight.shape
     away = (walked.straight.mean(axis=(0, 1, 2)) - mean) / walked.straight.std(axis=(0, 1, 2))

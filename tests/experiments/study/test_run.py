@@ -179,12 +179,12 @@ def test_netcdf_opens_with_the_named_groups(result, summary, name):
             values = parameters[f"l[{leg}]"]
             assert abs(float(stored.mean()) - values["mean"]) < 1e-9 * 500
             assert abs(float(stored.std()) - values["sd"]) < 1e-6 * values["sd"]
-        assert tree["log_likelihood"]["measured_pose"].sizes["calibration_pose"] == studies.N_CALIBRATION
-        assert np.isfinite(tree["log_likelihood"]["measured_pose"]).all()
+        assert tree["log_likelihood"]["readings"].sizes["row"] == studies.N_CALIBRATION
+        assert np.isfinite(tree["log_likelihood"]["readings"]).all()
         assert tree.attrs["variant"] == name
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Estimated shape parameter of Pareto")  # so few draws
-            loo = az.loo(tree, var_name="measured_pose")
+            loo = az.loo(tree)
         fit = summary["variants"][name]
         assert abs(float(loo.elpd) - fit["elpd_loo"]) < (1.0 if fit["elpd_loo_n_refitted"] else 1e-6)
     assert az.from_netcdf(path, engine="h5netcdf")["posterior"]["l"].shape[0] == 4

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,16 +13,10 @@ from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.study.compute import begin_widths, compute_posteriors
+from bayescal.experiments.shared.prior_widths import WidthTask, begin_widths, list_width_tasks, tabulate_widths
+from bayescal.experiments.study.compute import choose_free, compute_posteriors, weigh
 from bayescal.experiments.study.fit import list_tasks, run_task
 from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.prior_widths import (
-    WidthTask,
-    list_width_tasks,
-    move_modes,
-    tabulate_sensitivity,
-    weigh_widths,
-)
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import ImportanceEvidence
 
@@ -67,11 +62,12 @@ def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(tmp_path, 
     inputs = load(tmp_path / "own", ("factor = [1.0]", f"factor = [1.0, {factor}]"), EFFORT)
     scaled = (("sd = 2.0", f"sd = {2.0 * factor}"), ("sd = 0.01", f"sd = {0.01 * factor}"))
     other = load(tmp_path / "other", *scaled, EFFORT)
-    posteriors = compute_posteriors(inputs, Run())
-    widths = begin_widths(inputs, posteriors, Run())()
-    table = tabulate_sensitivity(inputs, posteriors, widths).set_index(["factor", "variant"])
+    free, factors = choose_free(inputs, compute_posteriors(inputs, Run())), inputs.config.sensitivity.factor
+    widths = begin_widths(weigh, inputs, free, factors, Run())()
+    table = tabulate_widths(free, widths, factors).set_index(["factor", "variant"])
     for task in list_tasks(other)[:2]:
-        expected = run_task(other, task)["importance"]
+        importance = run_task(other, task).importance
+        expected = (importance.log_evidence, importance.standard_error)
         found = table.loc[(factor, task.variant)]
         error = np.hypot(found["log_evidence_se"], expected[1])
         assert found["log_evidence"] == pytest.approx(expected[0], abs=4 * error)
@@ -82,8 +78,8 @@ def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(tmp_path, 
 def test_a_factor_of_one_is_the_fit_itself(tmp_path):
     inputs = load(tmp_path, ("factor = [1.0]", "factor = [1.0, 0.5, 1.0000001]"))
     fits = list_tasks(inputs)
-    posteriors = {task: {"modes": np.zeros((1, 2)), "importance": np.array([7.0, 0.1])} for task in fits}
-    widths = list_width_tasks(inputs, posteriors)
+    fit = SimpleNamespace(modes=np.zeros((1, 2)), importance=ImportanceEvidence(7.0, 0.1, 0.5, 0.1, 1000))
+    widths = list_width_tasks({task.variant: fit for task in fits}, inputs.config.sensitivity.factor)
     assert len(fits) == len({task.key for task in fits}) == 4
     assert len(widths) == len({task.key for task in widths}) == 4
     assert {task.factor for task in widths} == {0.5, 1.0000001}
@@ -99,13 +95,13 @@ def test_a_doubtful_evidence_is_mended_where_the_variant_is_in_question(tmp_path
     def note(word):
         return lambda *_, **__: said.append(word) or found
 
-    monkeypatch.setattr("bayescal.experiments.study.prior_widths.explore_near", note("near"))
-    monkeypatch.setattr("bayescal.experiments.study.prior_widths.explore", note("anew"))
+    monkeypatch.setattr("bayescal.experiments.shared.prior_widths.explore_near", note("near"))
+    monkeypatch.setattr("bayescal.experiments.shared.prior_widths.explore", note("anew"))
     doubtful = ImportanceEvidence(1.0, 0.1, 0.01, 0.9, 100)
-    monkeypatch.setattr("bayescal.experiments.study.prior_widths.estimate_by_importance", lambda *_: doubtful)
-    arrays = weigh_widths(inputs, WidthTask(variant, 0.5, np.stack([mode.y for mode in found.modes]), behind))
+    monkeypatch.setattr("bayescal.experiments.shared.prior_widths.estimate_by_importance", lambda *_: doubtful)
+    weighed = weigh(inputs, WidthTask(variant, 0.5, np.stack([mode.y for mode in found.modes]), behind))
     assert said == explored
-    assert arrays["importance_quality"][1] == 0.9  # on the page it is marked
+    assert weighed.pareto_k == 0.9  # on the page it is marked
 
 
 def test_modes_are_the_same_machines_within_narrower_bounds(tmp_path):
@@ -114,7 +110,7 @@ def test_modes_are_the_same_machines_within_narrower_bounds(tmp_path):
     known, narrow = (inputs.posterior(variant, True, factor) for factor in (1.0, 0.25))
     modes = 0.1 * np.random.default_rng(1).standard_normal((3, known.n_parameters))
     modes[2] *= 30.0  # beyond the narrower bounds
-    moved = move_modes(modes, known, narrow)
+    moved = narrow.adopt(known.theta(modes), modes[:, known.n_geometry :])
     np.testing.assert_allclose(narrow.natural(moved[:2]), known.natural(modes[:2]), atol=1e-12)
     assert np.isfinite(narrow.log_density(moved)).all()
 

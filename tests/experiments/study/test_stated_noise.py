@@ -16,11 +16,10 @@ from bayescal.data.simulation import build_twin, format_survey, simulate_survey
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.shared.chi_square import ChiSquare
-from bayescal.experiments.shared.misfit import measure_misfit
+from bayescal.experiments.shared.soundness import find_misfit, measure_pulls
 from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
-from bayescal.experiments.study.soundness import measure_pulls
 from bayescal.inference.exploration import explore
 
 pytestmark = pytest.mark.runs
@@ -57,8 +56,8 @@ def judge(inputs: StudyInputs) -> dict[str, ChiSquare]:
     draws = posterior.natural(found.straight.y_from_x(found.proposal.draw(1000, np.random.default_rng(1))))
     extraction = inputs.targets.extraction
     return {
-        "noise": ChiSquare(*measure_misfit(posterior, found.modes[0].y, *inputs.without_shared_errors(VARIANT))),
-        "tolerances": ChiSquare(*measure_pulls(posterior, draws)),
+        "noise": find_misfit(posterior, found.modes[0].y, *inputs.without_shared_errors(VARIANT)).chi_square,
+        "tolerances": measure_pulls(posterior, draws),
         "targets": ChiSquare(extraction.chi2_per_dof * extraction.dof, extraction.dof),
     }
 

@@ -15,10 +15,11 @@ from bayescal.experiments.calibration.audit.sensor_sets import build_sensor_sets
 from bayescal.experiments.calibration.audit.set_search import FoundSets, search_sets
 from bayescal.experiments.calibration.audit.set_tables import tabulate_sets
 from bayescal.experiments.calibration.audit.tables import Prospect, summarise, tabulate
-from bayescal.experiments.calibration.knowledge import Knowledge, assess, look_around, name_tool, see
+from bayescal.experiments.calibration.knowledge import Knowledge, assess, look_around
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.identifiability.information import information_of_rows
+from bayescal.identifiability.reading_rows import name_tool, see
 
 
 def compute_audit(inputs: AuditInputs, run: Run) -> Results:
@@ -51,7 +52,7 @@ def _search_sets(inputs: AuditInputs) -> FoundSets:
     assert inputs.sensors is not None
     asked, variant = inputs.config.sensor_choice, inputs.sensors
     assert asked is not None
-    names, _ = name_tool(variant.model, variant.model.tool(variant.posterior().centre, variant.start[:1])[0].shape[-1])
+    names, _ = name_tool(variant.model)
     limits = np.array([inputs.limits.get(name, np.inf) for name in names])
     posterior = variant.posterior()
     sets = build_sensor_sets(variant, posterior, inputs.choices, asked.always, limits, inputs.config.seed)

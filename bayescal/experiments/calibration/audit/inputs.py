@@ -18,7 +18,6 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.audit.planned_poses import PlannedPoses, plan_poses
 from bayescal.experiments.calibration.audit.sensor_sets import Choice, list_choices
 from bayescal.experiments.calibration.inputs import Variant
-from bayescal.experiments.calibration.knowledge import name_tool
 from bayescal.experiments.calibration.noise import noise_of_channels
 from bayescal.experiments.calibration.priors import choose_priors
 from bayescal.experiments.calibration.schema import (
@@ -27,6 +26,7 @@ from bayescal.experiments.calibration.schema import (
     CalibrationVariantConfig,
 )
 from bayescal.experiments.calibration.workspace import Workspace, build_workspace, check_told
+from bayescal.identifiability.reading_rows import name_tool
 from bayescal.identifiability.units import Units
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import ReadingModel
@@ -70,7 +70,7 @@ def read_audit(config: CalibrationAuditConfig, folder: Path) -> AuditInputs:
     for one in config.variants:
         with name_faults(f"variant {one.name!r}"):
             variants[one.name] = _build(config, one, model, planned, noise, workspace)
-    limits = _read_limits(config, model, next(iter(variants.values())))
+    limits = _read_limits(config, model)
     name, asked = getattr(model, "name", config.machine), config.sensor_choice
     if asked is None:
         return AuditInputs(config, name, variants, limits)
@@ -84,9 +84,8 @@ def read_audit(config: CalibrationAuditConfig, folder: Path) -> AuditInputs:
     return AuditInputs(config, name, variants, limits, sensors, choices)
 
 
-def _read_limits(config: CalibrationAuditConfig, model: ReadingModel, variant: Variant) -> dict[str, float]:
-    position, _, _ = model.tool(variant.posterior().centre, variant.start[:1])
-    names, units = name_tool(model, position.shape[-1])
+def _read_limits(config: CalibrationAuditConfig, model: ReadingModel) -> dict[str, float]:
+    names, units = name_tool(model)
     section = Units(config.units.length, config.units.angle)
     for name in config.requirements:
         if name not in names:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.experiments.calibration.knowledge import View
+from bayescal.identifiability.reading_rows import View
 from bayescal.identifiability.requirements import DRAWS, draw_errors
 from bayescal.identifiability.sensitivity import root_of
 from bayescal.numerics.geometry import Array

@@ -12,9 +12,11 @@ import numpy as np
 
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.experiments.calibration.inputs import Variant
-from bayescal.experiments.calibration.knowledge import compute_gains, look, look_around, rms, weigh
+from bayescal.experiments.calibration.knowledge import look, look_around, weigh
 from bayescal.experiments.calibration.schema import CalibrationAuditConfig
+from bayescal.identifiability.reading_rows import rms
 from bayescal.numerics.geometry import Array
+from bayescal.pose_selection.next_pose import add_poses, compute_gains, learn_in_turn
 
 RANDOM_SETS = 20  # of as many poses, to compare with
 MOST_ROUNDS = 20  # of exchanges
@@ -71,26 +73,6 @@ def select_poses(config: CalibrationAuditConfig, variant: Variant, posterior: Ca
     return Selection(tried.pose[order], after, best, random)
 
 
-def add_poses(
-    rows: Array, weight: Array, count: int, places: np.ndarray, covariance: Array | None = None
-) -> tuple[list[int], list[Array]]:
-    """Return candidates, among those at some places, in the order in which they lower tr(W C) most, and each C then.
-
-    They start from a covariance C (m, m), that of the priors where none is given.
-    """
-    covariance = np.eye(rows.shape[-1]) if covariance is None else covariance
-    free = np.isin(np.arange(len(rows)), places)
-    chosen, left = [], []
-    for _ in range(count):
-        gains = compute_gains(rows, covariance, weight)
-        best = int(np.where(free, gains, -np.inf).argmax())
-        free[best] = False
-        covariance = learn(covariance, rows[best])
-        chosen.append(best)
-        left.append(covariance)
-    return chosen, left
-
-
 def _exchange_all(rows: Array, weight: Array, count: int) -> tuple[list[int], list[Array]]:
     """Return the best candidates found by adding and exchanging, and what 1 to ``count`` of them leave, C (m, m)."""
     chosen: list[int] = []
@@ -126,19 +108,3 @@ def _know(rows: Array, chosen: list[int]) -> Array:
     """Return (1 + Σ RᵀR)⁻¹ of some candidates."""
     some = rows[chosen].reshape(-1, rows.shape[-1])
     return np.asarray(np.linalg.inv(np.eye(rows.shape[-1]) + some.T @ some))
-
-
-def learn_in_turn(rows: Array, places: np.ndarray, covariance: Array | None = None) -> list[Array]:
-    """Return what remains unknown after each of the candidates at some places, C (m, m), as in `add_poses`."""
-    covariance, left = np.eye(rows.shape[-1]) if covariance is None else covariance, []
-    for place in places:
-        covariance = learn(covariance, rows[place])
-        left.append(covariance)
-    return left
-
-
-def learn(covariance: Array, rows: Array) -> Array:
-    """Return C - C Rᵀ (1 + R C Rᵀ)⁻¹ R C, what remains unknown after the readings of one pose, R (K, m)."""
-    seen = rows @ covariance
-    result = covariance - seen.T @ np.linalg.solve(np.eye(len(rows)) + seen @ rows.T, seen)
-    return np.asarray(0.5 * (result + result.T))

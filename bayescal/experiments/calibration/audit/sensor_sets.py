@@ -16,9 +16,10 @@ import numpy as np
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.inputs import Variant
-from bayescal.experiments.calibration.knowledge import N_WORKSPACE, Slopes, differentiate, rms
+from bayescal.experiments.calibration.knowledge import N_WORKSPACE, differentiate
 from bayescal.experiments.calibration.workspace import SINGULAR
 from bayescal.identifiability.information import information_of_rows
+from bayescal.identifiability.reading_rows import Slopes, rms
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 

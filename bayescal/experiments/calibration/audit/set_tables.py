@@ -11,7 +11,7 @@ import pandas as pd
 from bayescal.experiments.calibration.audit.inputs import AuditInputs
 from bayescal.experiments.calibration.audit.set_search import FoundSets, find_hopeless
 from bayescal.experiments.calibration.inputs import Variant
-from bayescal.experiments.calibration.knowledge import name_tool
+from bayescal.identifiability.reading_rows import name_tool
 
 
 def tabulate_sets(inputs: AuditInputs, found: FoundSets) -> dict[str, pd.DataFrame]:
@@ -41,7 +41,7 @@ def _name_set(inputs: AuditInputs, found: FoundSets, place: int) -> dict[str, An
 def _describe(inputs: AuditInputs, found: FoundSets, place: int) -> dict[str, Any]:
     one, variant = found.accuracy[place], inputs.sensors
     assert variant is not None
-    names = [f"{name}_{unit}" for name, unit in zip(*name_tool(variant.model, len(one.error)), strict=True)]
+    names = [f"{name}_{unit}" for name, unit in zip(*name_tool(variant.model), strict=True)]
     parts = {"error": one.error, "after": one.after, "noise": one.noise}
     per_pose = max(0, one.n_readings - len(variant.model.coordinates))
     return {

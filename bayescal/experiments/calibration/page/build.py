@@ -10,7 +10,6 @@ from bayescal.experiments.calibration.page import figures
 from bayescal.experiments.calibration.page.verdict import (
     Asked,
     Row,
-    choose_best,
     format_place,
     list_rows,
     name_unit,
@@ -18,11 +17,23 @@ from bayescal.experiments.calibration.page.verdict import (
     state_headline,
     state_verdict,
 )
+from bayescal.experiments.calibration.tables import choose_best
 from bayescal.experiments.shared.diagnostics_table import tabulate_diagnostics
 from bayescal.experiments.shared.function_page import judge_functions, show_functions
 from bayescal.experiments.shared.joints import MOST_POSES
+from bayescal.experiments.shared.judgement_page import tabulate_power_scaling, tabulate_widths
 from bayescal.experiments.shared.machine_scene import AXES, build_line_scene
-from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Section, make_section, make_table
+from bayescal.limits import PARETO_K_LIMIT
+from bayescal.report.blocks import (
+    Cell,
+    Column,
+    Figure,
+    Level,
+    Page,
+    Section,
+    make_section,
+    make_table,
+)
 from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant
 from bayescal.report.scene import Triple
 
@@ -33,7 +44,7 @@ STATUS = {"measured": "Measured", "simulated": "Simulated, never measured", "rec
 
 def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page:
     """Return the page of an experiment's tables."""
-    best = choose_best(tables, summary)
+    best = choose_best(summary)
     sections = [
         _show_variants(tables, summary),
         _show_parameters(tables, best),
@@ -42,6 +53,7 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
         show_accuracy(tables),
         *_show_predictions(tables, best),
         _show_poses(tables, best),
+        *_show_judgement(tables, summary, best),
         *show_ridges(tables, best),
         *_show_beside(tables, best),
         *show_next(tables, best),
@@ -167,19 +179,22 @@ def _take_triple(column: pd.Series, names: list[str]) -> Triple:
 
 
 def show_accuracy(tables: dict[str, pd.DataFrame], asked: Asked = None) -> Section:
-    """Return how well each variant knows where the machine stands."""
+    """Return how well each variant knows the tool, or the coordinates where none is stated."""
     titles = dict(zip(tables["variants"]["variant"], tables["variants"]["title"], strict=True))
-    columns = [Column("Variant", kind="text"), Column("Coordinate", kind="text"), Column("Unit", kind="text")]
+    columns = [Column("Variant", kind="text"), Column("Tool", kind="text"), Column("Unit", kind="text")]
     columns += [Column("before", group="rms over the workspace"), Column("after", group="rms over the workspace")]
     columns += [Column("noise of one reading", group="rms over the workspace")]
+    columns += [Column("largest after"), Column("at", kind="text")]
     rows: list[list[str | Cell]] = []
     for row in list_rows(tables["accuracy"]):
         factor, unit = shown_in(row["unit"], asked)
         numbers = (format_significant(factor * row[name]) for name in ("before", "after", "noise"))
-        rows.append([str(titles[row["variant"]]), str(row["coordinate"]), unit, *numbers])
+        worst = (format_significant(factor * row["worst"]), str(row["worst_at"])) if "worst" in row else ("–", "–")
+        rows.append([str(titles[row["variant"]]), str(row["coordinate"]), unit, *numbers, *worst])
     text = (
-        "How well the machine, with its own sensors alone, knows where it stands: by the tolerances before, by the "
-        "posterior after; the noise of one set of readings comes on top. A dash: its own sensors do not tell it.",
+        "Standard uncertainty of the tool as located by the machine's own sensors alone: before the calibration by the "
+        "tolerances, after it by the posterior; the noise of one set of readings comes on top. A dash: its own sensors "
+        "do not determine it.",
     )
     return make_section("How accurate the machine is", text, (make_table("Predicted errors.", columns, rows),))
 
@@ -207,6 +222,55 @@ def _show_predictions(tables: dict[str, pd.DataFrame], best: str) -> list[Sectio
         else (Figure("predictions", f"Held-back readings, “{titles[best]}”.", lambda: figures.draw_predictions(mine)),)
     )
     return [make_section("Held-back readings", text, (make_table("Coverage.", columns, rows),), shown)]
+
+
+def _show_judgement(tables: dict[str, pd.DataFrame], summary: dict[str, Any], best: str) -> list[Section]:
+    """Return what poses left out, and prior and readings raised to powers, say; nothing of results without them."""
+    if "elpd_loo" not in tables["variants"]:
+        return []
+    titles = dict(zip(tables["variants"]["variant"], tables["variants"]["title"], strict=True))
+    rows_of = {str(row["variant"]): row for row in list_rows(tables["variants"])}
+    columns = [Column("Variant", kind="text"), Column("elpd", "nat", "Each pose left out")]
+    columns += [Column("behind the best", "nat", "Each pose left out"), Column("Weight when stacked", "%")]
+    columns += [Column("Largest Pareto k"), Column("Poses sampled again without")]
+    columns += [
+        Column("residuals", "", "χ² per degree of freedom"),
+        Column("deviations", "", "χ² per degree of freedom"),
+    ]
+    rows: list[list[str | Cell]] = []
+    for name in (name for names in summary["rankings"] for name in names):
+        row = rows_of[name]
+        behind = (row["elpd_loo_difference"], row["elpd_loo_difference_se"])
+        k = Cell(format_fixed(row["loo_pareto_k_max"], 2), "warning" if row["loo_unreliable"] else "plain")
+        rows.append(
+            [
+                str(row["title"]),
+                format_estimate(row["elpd_loo"], row["elpd_loo_se"]),
+                format_estimate(*behind) if any(behind) else "–",
+                format_percent(row["stacking_weight"]),
+                k,
+                str(row["loo_refitted"]),
+                *(_per_degree(row[f"{one}_chi2"], row[f"{one}_dof"]) for one in ("misfit", "pulls")),
+            ]
+        )
+    text = (
+        "Each pose is predicted by a posterior that has not seen it: by weights of the draws, or by a run of its own "
+        f"where their Pareto k exceeds {PARETO_K_LIMIT}. Stacked, the variants predict best with these weights. "
+        "Residuals are compared with the stated noise, deviations from nominal with the stated tolerances.",
+    )
+    power = tables["parameters"][tables["parameters"]["variant"] == best]
+    power = power.rename(columns={"prior_sensitivity": "prior", "likelihood_sensitivity": "likelihood"})
+    blocks = [make_table("Poses left out, residuals, tolerances.", columns, rows)]
+    blocks.append(tabulate_power_scaling(power, "entry"))
+    if "sensitivity" in tables:
+        caption = "Log-evidence for wider and narrower priors."
+        labels = {name: str(titles[name]) for names in summary["rankings"] for name in names}
+        blocks.append(tabulate_widths(tables["sensitivity"], labels, Column("Variant", kind="text"), caption))
+    return [make_section("How far this is to be trusted", text, blocks)]
+
+
+def _per_degree(chi2: float, dof: float) -> str:
+    return format_fixed(chi2 / dof, 2) if dof > 0 else "–"
 
 
 def _show_poses(tables: dict[str, pd.DataFrame], best: str) -> Section:

@@ -8,6 +8,9 @@ from typing import Any
 
 import pandas as pd
 
+from bayescal.experiments.calibration.tables import choose_best
+from bayescal.experiments.shared.chi_square import ChiSquare
+from bayescal.experiments.shared.judgement_page import state_misfit, state_pulls
 from bayescal.experiments.shared.slips import state_slip
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 from bayescal.report.blocks import Statement
@@ -21,6 +24,11 @@ from bayescal.report.numbers import (
 )
 
 type Row = dict[str, Any]
+
+NO_TOOL = (
+    "The machine's class states no tool: its coordinates are reported instead. State tool_channels (names and units), "
+    "and tool() where the tool is something else than the coordinates."
+)
 
 DECISIVE = 5.0  # nats
 EQUAL = 1.0  # nats; less tells nothing
@@ -61,37 +69,40 @@ def shown_in(unit: str, asked: Asked = None) -> tuple[float, str]:
     return SHOWN.get(unit, (1.0, "" if unit == "1" else unit))
 
 
-def choose_best(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> str:
-    """Return the variant to use: of those with the most readings the one that explains them best, if it converged."""
-    rows = {str(row["variant"]): row for row in list_rows(tables["variants"])}
-    ranking = max(summary["rankings"], key=lambda names: (rows[names[0]]["n_equations"], len(names)))
-    sound = [name for name in ranking if rows[name]["converged"]]
-    return str((sound or ranking)[0])
-
-
 def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> str:
-    """Return which variant to use and how well it then knows where the machine stands."""
-    best = choose_best(tables, summary)
+    """Return which variant to use and how well it knows the machine's tool, over the workspace and at its worst."""
+    best = choose_best(summary)
     row = _row(tables["variants"], best)
-    accuracy = [
-        f"{one['coordinate']} to {format_amount(one['after'], one['unit'])}"
-        for one in list_rows(tables["accuracy"])
-        if one["variant"] == best and math.isfinite(one["after"])
-    ]
+    known = [one for one in list_rows(tables["accuracy"]) if one["variant"] == best and math.isfinite(one["after"])]
     words = f"Use “{row['title']}”" + (", with care (see the warnings)" if "slip" in summary else "")
-    return (
-        f"{words}: the machine then knows {join_words(accuracy)} rms over its workspace." if accuracy else f"{words}."
-    )
+    if not known:
+        return f"{words}."
+    accuracy = join_words([f"{one['coordinate']} {format_amount(one['after'], one['unit'])}" for one in known])
+    what = "tool" if summary.get("states_tool", True) else "coordinates"
+    said = f"{words}: standard uncertainty of the {what} {accuracy}, root mean square over the workspace"
+    lengths = [one for one in known if one["unit"] == "mm"] or known[:1]
+    worst = max(lengths, key=lambda one: one.get("worst", 0.0))
+    if "worst" not in worst:
+        return f"{said}."
+    largest = format_amount(worst["worst"], worst["unit"])
+    return f"{said}; largest {worst['coordinate']} {largest}, at {worst['worst_at']}."
+
+
+def state_tool(summary: dict[str, Any]) -> list[Statement]:
+    """Return that the machine's class says nothing of its tool, where it does not."""
+    return [] if summary.get("states_tool", True) else [Statement(NO_TOOL, "warning", "Tool")]
 
 
 def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Statement]:
     """Return what was found, the most important first."""
-    best = choose_best(tables, summary)
+    best = choose_best(summary)
     found = [
         *state_slip(summary),
+        *state_tool(summary),
         _state_ranking(tables, summary, best),
         *_state_convergence(tables),
         *_state_data(tables, best),
+        *_state_soundness(tables, best),
     ]
     found += [*_state_coverage(tables, best), *_state_ignorance(tables, best), *_state_doubt(tables, best)]
     return [*found, *_state_beside(tables, best), *state_next(tables, best)]
@@ -175,6 +186,19 @@ def _state_data(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
         else:
             found.append(Statement(f"Besides its noise, {what} errs by {text} {unit}.", "plain", "Model error"))
     return found
+
+
+def _state_soundness(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
+    """Say where residuals contradict the stated noise, or deviations the stated tolerances."""
+    row = _row(tables["variants"], best)
+    if "misfit_chi2" not in row:
+        return []
+    misfit, pulls = (ChiSquare(row[f"{one}_chi2"], row[f"{one}_dof"]) for one in ("misfit", "pulls"))
+    label, too_small = f"“{row['title']}”", "the noise is stated too small, or every variant lacks something real."
+    return [
+        *([state_misfit(label, misfit, "", too_small)] if misfit.is_off else []),
+        *([state_pulls(label, pulls)] if pulls.is_off else []),
+    ]
 
 
 def _state_coverage(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:

@@ -88,7 +88,12 @@ def load_calibration(path: Path) -> CalibrationConfig:
     """Return the config of a calibration; InputError for another kind."""
     _, found = load(path)
     if not isinstance(found, CalibrationConfig):
-        raise InputError(f"{path}: kind: found {found.kind!r}, expected 'calibration', of which a table is made")
+        why = (
+            ", whose legs depend on nothing but the pose: all places have one correction"
+            if found.kind == "study"
+            else ""
+        )
+        raise InputError(f"{path}: kind: found {found.kind!r}{why}, expected 'calibration', of which a table is made")
     return found
 
 
@@ -106,9 +111,14 @@ def _read_calibration(config: LookupTableConfig, path: Path) -> CalibrationInput
 def _check_reference(config: LookupTableConfig, variant: Variant) -> dict[str, float]:
     """Return the reference, for what the machine has to know in the machine's order."""
     known = variant.whole.given
+    if not known:
+        raise InputError(
+            f"axes: found {', '.join(config.axes)}, but what this machine reads depends on its pose alone: all places "
+            "have one correction, expected a machine that names what is given"
+        )
     for name in (*config.axes, *config.reference):
         if name not in known:
-            raise InputError(f"axes: found {name!r}, expected some of {', '.join(known) or 'none, for this machine'}")
+            raise InputError(f"axes: found {name!r}, expected some of {', '.join(known)}")
     for name in known:
         if name not in config.reference:
             raise InputError(f"reference: found no {name}, expected it, for the machine has to know it")

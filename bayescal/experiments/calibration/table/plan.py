@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.density.calibration.posterior import CalibrationPosterior
-from bayescal.experiments.calibration.audit.selection import add_poses, learn_in_turn
 from bayescal.experiments.calibration.knowledge import look
 from bayescal.experiments.calibration.table.inputs import TableInputs
 from bayescal.experiments.calibration.table.responses import differentiate_correction
 from bayescal.numerics.geometry import Array
+from bayescal.pose_selection.next_pose import add_poses, learn_in_turn
 
 RANDOM_SETS = 20  # of as many measurements, to compare with
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.calibration.reading_tables import stem_of
 from bayescal.experiments.calibration.table.inputs import TableInputs
 from bayescal.experiments.calibration.table.plan import Plan
 from bayescal.experiments.calibration.table.polynomial import Polynomial
 from bayescal.experiments.calibration.table.responses import Responses
+from bayescal.machines.readings.base import stem_of
 from bayescal.numerics.geometry import Array
 
 INTERVAL = (0.05, 0.95)

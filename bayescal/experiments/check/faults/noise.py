@@ -13,7 +13,7 @@ from bayescal.density.likelihood import Likelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.experiments.check.faults.finding import Finding
 from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
-from bayescal.experiments.shared.misfit import find_misfit
+from bayescal.experiments.shared.soundness import find_misfit
 from bayescal.inference.mode import Mode
 from bayescal.numerics.geometry import Array
 
@@ -43,7 +43,7 @@ def check_noise(subject: LegSubject, mode: Mode) -> Finding:
     likelihood = PoseLikelihood(measured.machine, measured.poses, measured.actuator_noise)
     known = likelihood.error_covariance(np.zeros(likelihood.n_legs))
     misfit = find_misfit(posterior, mode.y, likelihood, measured.shared_errors)
-    found = ChiSquare(misfit.square, max(misfit.dof, 1.0))
+    found = ChiSquare(misfit.chi_square.value, max(misfit.dof, 1.0))
     errors = (np.linalg.cholesky(known) @ misfit.left[..., None])[..., 0]
     errors *= np.sqrt(errors.size / found.dof)  # what was fitted away is missing in them
     error = subject.posterior.errors.model_error

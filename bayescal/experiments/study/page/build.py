@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.judgement_page import tabulate_widths
 from bayescal.experiments.study.page import illustrations as show
 from bayescal.experiments.study.page.advice import state_headline
 from bayescal.experiments.study.page.blunders import show_blunders
@@ -11,7 +12,7 @@ from bayescal.experiments.study.page.claims import show_claims
 from bayescal.experiments.study.page.coverage import tabulate_coverage
 from bayescal.experiments.study.page.data import tabulate_data
 from bayescal.experiments.study.page.deformation import tabulate_deformation
-from bayescal.experiments.study.page.evidence import tabulate_diagnostics, tabulate_evidence, tabulate_sensitivity
+from bayescal.experiments.study.page.evidence import tabulate_diagnostics, tabulate_evidence
 from bayescal.experiments.study.page.frames import show_frames
 from bayescal.experiments.study.page.model_error import tabulate_model_error
 from bayescal.experiments.study.page.notation import show_notation
@@ -25,6 +26,7 @@ from bayescal.experiments.study.page.ridges import state_ridges, tabulate_ridges
 from bayescal.experiments.study.page.soundness import has_doubts
 from bayescal.experiments.study.page.structured import show_structured
 from bayescal.experiments.study.page.tau_scale import show_tau_scale
+from bayescal.experiments.study.page.variants import VARIANT, label_variant
 from bayescal.experiments.study.page.verdict import state_verdict
 from bayescal.report.blocks import Block, Fold, Heading, Page, Section
 
@@ -162,7 +164,10 @@ def _show_model_error(study: StudyResults) -> Section:
 
 def _show_evidence(study: StudyResults) -> Section:
     both = Fold("Both estimators of every log-evidence", (tabulate_evidence(study),))
-    blocks = (show.illustrate_sensitivity(study), tabulate_sensitivity(study), *show_tau_scale(study), both)
+    labels = {name: label_variant(study, name) for name in study.ranking}
+    caption = "Log-evidence with model error for wider and narrower priors."
+    widths = tabulate_widths(study.sensitivity, labels, VARIANT, caption)
+    blocks = (show.illustrate_sensitivity(study), widths, *show_tau_scale(study), both)
     return Section("Evidence", blocks, anchor="evidence")
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from bayescal.experiments.shared.judgement_page import format_factor
 from bayescal.experiments.study.page.results import SETTINGS, StudyResults
 from bayescal.experiments.study.page.soundness import choose_setting, describe_bounds, has_doubts, state_soundness
 from bayescal.experiments.study.page.variants import (
@@ -97,11 +98,6 @@ def state_convergence(results: StudyResults) -> Statement:
 
 
 # --- stability -------------------------------------------------------------------------------------------------------
-
-
-def format_factor(factor: float) -> str:
-    """Return a factor on the widths of the priors: ``0.5 ×``."""
-    return f"{format_plain(factor)} ×"
 
 
 def state_stability(results: StudyResults) -> list[Statement]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bayescal.experiments.study.page.checks import format_factor, measure_gap
+from bayescal.experiments.study.page.checks import measure_gap
 from bayescal.experiments.study.page.results import SHORT_SETTINGS, StudyResults
 from bayescal.experiments.study.page.variants import VARIANT, label_variant
 from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, MOVED_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
-from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
+from bayescal.report.blocks import Cell, Column, Table, make_table
 from bayescal.report.numbers import NOTHING, count_decimals, format_count, format_estimate, format_fixed
 
 EXACT = (
@@ -81,32 +81,6 @@ def _format_check(check: Mapping[str, Any] | None) -> str:
 
 def _limited(value: float, fine: bool, decimals: int) -> Cell:
     return Cell(format_fixed(value, decimals), "plain" if fine else "bad")
-
-
-def tabulate_sensitivity(results: StudyResults) -> Table:
-    """Return the log-evidence and rank of every variant at every factor on the priors."""
-    wide = results.sensitivity_grid
-    ranks = wide.rank(axis=1, ascending=False, method="min")
-    columns = [
-        VARIANT,
-        *(Column(format_factor(factor), "nat (rank)", "Widths of all priors") for factor in wide.index),
-    ]
-    doubtful = results.sensitivity.pivot(index="factor", columns="variant", values="pareto_k") > PARETO_K_LIMIT
-    rows: list[list[str | Cell]] = []
-    for name in results.ranking:
-        texts = [
-            f"{format_fixed(x, 1)} ({format_fixed(rank, 0)})" for x, rank in zip(wide[name], ranks[name], strict=True)
-        ]
-        marks = doubtful.sort_index()[name]
-        rows.append(
-            [
-                label_variant(results, name),
-                *(Cell(t, "warning" if bad else "plain") for t, bad in zip(texts, marks, strict=True)),
-            ]
-        )
-    note = Statement(f"Marked where Pareto k exceeds {PARETO_K_LIMIT}.", "warning")
-    notes = [note] if doubtful.to_numpy().any() else []
-    return make_table("Log-evidence with model error for wider and narrower priors.", columns, rows, notes)
 
 
 def tabulate_diagnostics(results: StudyResults) -> Table:

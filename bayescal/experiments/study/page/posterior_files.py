@@ -11,6 +11,7 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.experiments.study.schema import stem_of
+from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_of_turn
 from bayescal.report.symbols import OF_KERNELS
 
 if TYPE_CHECKING:
@@ -62,11 +63,13 @@ def read_replicates(folder: Path, variant: str) -> Replicates | None:
         return None
     try:
         with h5py.File(path, "r") as file:
-            if "components" not in file:
-                return None
-            groups = file["components/observed_data"], file["components/posterior_predictive"]
-            parts = [groups[0][name][()] - groups[1][name][()] for name in ("position", "orientation")]
+            if "observed_data/readings" not in file:
+                return None  # of an earlier version
+            measured, made = (file[f"{group}/readings"][()] for group in ("observed_data", "posterior_predictive"))
     except (OSError, KeyError) as error:
         raise InputError(f"{path}: cannot be read as a posterior ({error})") from error
-    misfit = np.concatenate(parts, axis=-1)
+    measured, known = np.broadcast_to(measured, made.shape), np.isfinite(measured[..., 3:]).all(axis=-1)
+    turned, seen = (matrix_from_rotation_vector(np.nan_to_num(one[..., 3:])) for one in (made, measured))
+    turn = rotation_vector_of_turn(seen @ np.swapaxes(turned, -1, -2))
+    misfit = np.concatenate([measured[..., :3] - made[..., :3], np.where(known[..., None], turn, np.nan)], axis=-1)
     return Replicates(misfit.shape[0], misfit.reshape(-1, *misfit.shape[2:]))

@@ -6,17 +6,14 @@ from functools import partial
 
 import pandas as pd
 
+from bayescal.experiments.shared.judgement_page import tabulate_power_scaling
 from bayescal.experiments.study.page.figures.judgement import draw_pareto_k, draw_pits, draw_ranks, draw_replicates
 from bayescal.experiments.study.page.results import SETTINGS, StudyResults
 from bayescal.experiments.study.page.styles import assign_styles
 from bayescal.experiments.study.page.variants import label_variant
 from bayescal.limits import PARETO_K_LIMIT
-from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Statement, Table, make_table
-from bayescal.report.numbers import format_fixed, join_words
-from bayescal.report.symbols import split_name
+from bayescal.report.blocks import Block, Figure, Fold
 
-SENSITIVE = 0.05
-"""Change of a posterior per doubling of a power, as a distance of distributions, from which on it counts."""
 COMPONENT_PITS = ("x_pit", "y_pit", "z_pit", "rx_pit", "ry_pit", "rz_pit")
 
 
@@ -32,8 +29,9 @@ def fold_checks(results: StudyResults) -> list[Block]:
         Fold("Pareto k of every pose left out", (_illustrate_pareto_k(results),)),
         Fold(f"Chains of {best} (rank plot)", (_illustrate_ranks(results),)),
     ]
-    table = tabulate_power_scaling(results)
-    if table is not None:
+    if results.power_scaling is not None:
+        own = results.power_scaling[results.power_scaling["variant"] == results.ranking[0]]
+        table = tabulate_power_scaling(own)
         folds.append(Fold(f"What prior and measurements do to {best} (power scaling)", (table,)))
     return folds
 
@@ -97,43 +95,3 @@ def _illustrate_pareto_k(results: StudyResults) -> Figure:
     chosen = table[(table["model_error"] == "free") & (table["use"] == "calibration")]
     draw = partial(draw_pareto_k, chosen, results.ranking, assign_styles(results))
     return Figure("pareto_k", caption, draw)
-
-
-def tabulate_power_scaling(results: StudyResults) -> Table | None:
-    """Return by symbol how much the best variant's posterior hangs on prior and measurements; None without any."""
-    if results.power_scaling is None:
-        return None
-    own = results.power_scaling[results.power_scaling["variant"] == results.ranking[0]].copy()
-    own["symbol"] = [split_name(name)[0] for name in own["parameter"]]
-    own["legs"] = [split_name(name)[1] for name in own["parameter"]]
-    columns = [
-        Column("Parameter", kind="symbol"),
-        Column("Prior", "smallest to largest", "Sensitivity to"),
-        Column("measurements", "smallest to largest", "Sensitivity to"),
-        Column("What it means", kind="text"),
-    ]
-    rows: list[list[str | Cell]] = [
-        [str(symbol), _format_range(group["prior"]), _format_range(group["likelihood"]), _diagnose(group)]
-        for symbol, group in own.groupby("symbol", sort=False)
-    ]
-    note = (
-        "How far the distribution of a parameter moves when the prior, or the density of the measurements, is raised "
-        f"to a power near one; it counts from {SENSITIVE} on. Sensitive to the prior alone: the measurements say "
-        "little. Sensitive to both: they pull apart."
-    )
-    caption = "Sensitivity to prior and measurements by power scaling, over the entries of each symbol."
-    return make_table(caption, columns, rows, [Statement(note)])
-
-
-def _format_range(values: pd.Series) -> str:
-    return " to ".join(dict.fromkeys(format_fixed(float(x), 3) for x in (values.min(), values.max())))
-
-
-def _diagnose(group: pd.DataFrame) -> Cell:
-    prior, data = group["prior"] >= SENSITIVE, group["likelihood"] >= SENSITIVE
-    words = []
-    for chosen, text in ((prior & data, "prior and measurements pull apart"), (prior & ~data, "the prior decides")):
-        legs = [str(leg) for leg in group.loc[chosen, "legs"] if leg]
-        if chosen.any():
-            words.append(text + ("" if chosen.all() or not legs else f" in leg {join_words(legs)}"))
-    return Cell("; ".join(words) or "the measurements decide", "warning" if (prior & data).any() else "plain")

@@ -11,14 +11,14 @@ import numpy as np
 from scipy import stats
 
 from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
+from bayescal.experiments.shared.judgement_page import rate, state_misfit, state_pulls
 from bayescal.experiments.shared.slips import state_slip
 from bayescal.experiments.study.page.results import SETTINGS, StudyResults, get_number
 from bayescal.experiments.study.page.variants import label_variant
-from bayescal.report.blocks import Level, Statement
+from bayescal.report.blocks import Statement
 from bayescal.report.numbers import format_fixed, format_percent, format_significant
 from bayescal.report.symbols import split_name
 
-SERIOUS = 1.5
 REJECTED_SHARE = 0.01
 """Of targets that normal noise leaves alone, robust fits reject fewer."""
 BOUND = 0.95
@@ -42,10 +42,6 @@ def state_soundness(results: StudyResults) -> list[Statement]:
         *_state_tolerances(results),
         *_state_bounds(results),
     ]
-
-
-def _level(factor: float) -> Level:
-    return "bad" if max(factor, 1 / factor) >= SERIOUS else "warning"
 
 
 # --- noise -----------------------------------------------------------------------------------------------------------
@@ -78,7 +74,7 @@ def _state_target_noise(results: StudyResults) -> list[Statement]:
         f"stated noise (χ² per degree of freedom {format_significant(per_dof, 3)}, {format_chance(found.chance)}): "
         f"the target noise is stated too {size}, or targets moved on their bodies."
     )
-    return [Statement(text, _level(found.factor), "Noise")]
+    return [Statement(text, rate(found.factor), "Noise")]
 
 
 def _state_rejected(results: StudyResults) -> list[Statement]:
@@ -99,20 +95,11 @@ def _state_misfit(results: StudyResults) -> list[Statement]:
     best, found = results.ranking[0], find_noise_fault(results)
     if found is None:
         return []
-    per_dof = format_significant(found.value / found.dof, 3)
-    text = (
-        f"{label_variant(results, best)} leaves residuals {format_significant(found.factor, 2)} times as large as the "
-        f"stated noise (χ² per degree of freedom {per_dof} without model error, {format_fixed(found.dof, 0)} degrees, "
-        f"{format_chance(found.chance)}): "
+    too_small = (
+        "the noise is stated too small, or every variant lacks something real. With model error τ the intervals "
+        "are widened accordingly, without it they are too narrow."
     )
-    if found.factor < 1:
-        text += "the noise is stated too large, and all intervals are wider than they need be."
-    else:
-        text += (
-            "the noise is stated too small, or every variant lacks something real. With model error τ the intervals "
-            "are widened accordingly, without it they are too narrow."
-        )
-    return [Statement(text, _level(found.factor), "Noise")]
+    return [state_misfit(label_variant(results, best), found, " without model error", too_small)]
 
 
 # --- tolerances ------------------------------------------------------------------------------------------------------
@@ -130,18 +117,7 @@ def _state_tolerances(results: StudyResults) -> list[Statement]:
     found, far = read_pulls(results, best), _describe_farthest(results, best)
     if not found.is_off:
         return []
-    where = (
-        f"{label_variant(results, best)} puts the machine {format_significant(found.factor, 2)} prior standard "
-        f"deviations (rms over the {format_fixed(found.dof, 0)} directions that were measured) from nominal"
-    )
-    if found.factor > 1:
-        why = "the tolerances are stated too tight, a nominal value is wrong, or the model makes up for what it lacks"
-    else:
-        why = "the tolerances are wider than this machine needs"
-    text = f"{where}{far} ({format_chance(found.chance)}): {why}."
-    if found.factor <= 1:
-        return [Statement(text, "plain", "Tolerances")]
-    return [Statement(f"{text}{_name_held(results, best)}", _level(found.factor), "Tolerances")]
+    return [state_pulls(label_variant(results, best), found, far, _name_held(results, best))]
 
 
 def _name_held(results: StudyResults, name: str) -> str:

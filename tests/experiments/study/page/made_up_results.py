@@ -238,10 +238,9 @@ def write_draws(path: Path) -> None:
         for symbol, values in draws.items():
             file[f"posterior/{symbol}"] = values
         file["posterior/leg"] = np.array(LEGS)
-        for name, size in (("position", 0.004), ("orientation", 1e-5)):
-            file[f"components/observed_data/{name}"] = np.ones((USES["calibration"], 3))
-            replicated = 1.0 + size * rng.standard_normal((4, 50, USES["calibration"], 3))
-            file[f"components/posterior_predictive/{name}"] = replicated
+        replicated = 1.0 + np.repeat([0.004, 1e-5], 3) * rng.standard_normal((4, 50, USES["calibration"], 6))
+        file["observed_data/readings"] = np.ones((USES["calibration"], 6))
+        file["posterior_predictive/readings"] = replicated
 
 
 def describe_config(variants: dict[str, tuple[float, float]], published: bool) -> dict:

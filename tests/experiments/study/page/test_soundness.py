@@ -12,7 +12,7 @@ from rich.console import Console
 from scipy import stats
 
 from bayescal.experiments.shared.chi_square import ChiSquare
-from bayescal.experiments.study.page.predictive_checks import tabulate_power_scaling
+from bayescal.experiments.shared.judgement_page import tabulate_power_scaling
 from bayescal.experiments.study.page.soundness import has_doubts, judge_bounds, state_soundness
 from bayescal.experiments.study.page.verdict import state_verdict
 from bayescal.experiments.study.terminal import show_doubts
@@ -175,7 +175,8 @@ def test_chi_squares_raise_false_alarms_as_rarely_as_they_claim(dof):
 
 
 def test_power_scaling_says_what_decides(make_results):
-    table = tabulate_power_scaling(read_study(make_results()))
+    results = read_study(make_results())
+    table = tabulate_power_scaling(results.power_scaling[results.power_scaling["variant"] == results.ranking[0]])
     said = {row[0].text: (row[3].text, row[3].level) for row in table.rows}
     assert said["a_x"] == ("the prior decides", "plain")
     assert said["b_x"] == ("prior and measurements pull apart in leg 2", "warning")

@@ -10,8 +10,11 @@ import studies
 
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.study.correct import draw_to_correct
-from bayescal.experiments.study.leave_one_out import (
+from bayescal.experiments.study.load import load_inputs
+from bayescal.inference.correction import draw_to_correct
+from bayescal.inference.exploration import explore
+from bayescal.inference.importance import estimate_by_importance
+from bayescal.inference.leave_one_out import (
     MAX_REFITS,
     LeftOut,
     leave_out,
@@ -19,9 +22,6 @@ from bayescal.experiments.study.leave_one_out import (
     refit_doubtful,
     refit_without,
 )
-from bayescal.experiments.study.load import load_inputs
-from bayescal.inference.exploration import explore
-from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
 
 POSE = 12  # the worst one of a variant that misfits
@@ -65,7 +65,7 @@ def test_a_run_without_a_pose_gives_the_difference_of_evidences(inputs, posterio
 
 def test_where_moved_draws_are_not_enough_a_run_is(posterior, found, monkeypatch):
     enough = refit_doubtful(make_left_out(1), posterior, found, 64, np.random.SeedSequence(9)).refitted[0]
-    monkeypatch.setattr("bayescal.experiments.study.leave_one_out.ENOUGH", 0.0)
+    monkeypatch.setattr("bayescal.inference.leave_one_out.ENOUGH", 0.0)
     run = refit_doubtful(make_left_out(1), posterior, found, 64, np.random.SeedSequence(9)).refitted[0]
     assert run != enough
     assert run == pytest.approx(enough, abs=0.15)

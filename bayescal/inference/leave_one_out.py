@@ -13,20 +13,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from bayescal.density.legs import LegPosterior
 from bayescal.errors import NumericalError
-from bayescal.experiments.study.correct import draw_to_correct, pull_back
-from bayescal.inference.correction import Correction, CostlyDensity, correct
+from bayescal.inference.correction import Correction, CostlyDensity, correct, draw_to_correct, pull_back
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import Exploration, count_walkers
 from bayescal.inference.proposal import MixtureProposal
-from bayescal.inference.target import Target
+from bayescal.inference.target import Fittable
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
 MAX_REFITS = 10
-HOPELESS_K = 10.0  # stands for a tail too heavy for its shape to be found
 """Poses of one posterior that are left out anew; where more are bad, the posterior is, and none is."""
+HOPELESS_K = 10.0  # stands for a tail too heavy for its shape to be found
+CONSTANT = 1e-9  # nats between the largest and the smallest density of a pose that tells nothing
 MOVED, WEIGHED = 1024, 256  # draws that are moved at most, and those that are weighed in a round
 ENOUGH = 0.1  # nats, standard error of a pose's density from moved draws; beyond it a run is worth its time
 REFIT_BURN_IN, REFIT_STEPS = 30, 30
@@ -82,13 +81,18 @@ def leave_out(draws: Array, log_likelihood: Array) -> LeftOut:
     n_draws = log_likelihood.shape[0] * log_likelihood.shape[1]
     by_parameter = np.moveaxis(draws, -1, 0)
     size = float(np.mean(array_stats.ess(by_parameter, method="mean"))) / n_draws if len(draws) > 1 else 1.0
-    elpd, pareto_k, effective = array_stats.loo(np.moveaxis(log_likelihood, -1, 0), r_eff=size)
+    told = np.ptp(log_likelihood, axis=(0, 1)) > CONSTANT  # not of a row without redundancy: all weights are the same
+    elpd, pareto_k, effective = log_likelihood.mean(axis=(0, 1)), *np.zeros((2, log_likelihood.shape[-1]))
+    if told.any():
+        elpd[told], pareto_k[told], effective[told] = array_stats.loo(
+            np.moveaxis(log_likelihood[..., told], -1, 0), r_eff=size
+        )
     pareto_k = np.where(np.isfinite(pareto_k), pareto_k, HOPELESS_K)
     return LeftOut(elpd, pareto_k, effective, np.full(len(elpd), np.nan))
 
 
 def refit_doubtful(
-    found: LeftOut, posterior: LegPosterior, exploration: Exploration, n_walkers: int, seed: np.random.SeedSequence
+    found: LeftOut, posterior: Fittable, exploration: Exploration, n_walkers: int, seed: np.random.SeedSequence
 ) -> LeftOut:
     """Return the same with doubtful poses left out anew, at most `MAX_REFITS` of them."""
     doubtful = np.flatnonzero(found.is_doubtful)
@@ -112,14 +116,14 @@ def refit_doubtful(
 
 
 def move_without(
-    pose: int, posterior: LegPosterior, exploration: Exploration, draws: Array, modes: np.ndarray, covariance: Array
+    pose: int, posterior: Fittable, exploration: Exploration, draws: Array, modes: np.ndarray, covariance: Array
 ) -> Correction:
     """Return what leads from the posterior to that without a pose: minus its log-ratio is the pose's elpd.
 
     Parameters
     ----------
     pose : int
-    posterior : LegPosterior
+    posterior : Fittable
     exploration : Exploration
     draws, modes, covariance : ndarray
         As of `draw_to_correct`.
@@ -128,7 +132,7 @@ def move_without(
 
     def gain(x: Array) -> Array:
         with np.errstate(all="ignore"):
-            return -np.asarray(posterior.pointwise(straight.y_from_x(x))[:, pose])
+            return -np.asarray(posterior.pointwise_of(straight.y_from_x(x), pose))
 
     y = exploration.modes[0].y
     information = -pull_back(straight, y, posterior.row_information(y, pose))
@@ -137,7 +141,7 @@ def move_without(
 
 def refit_without(
     pose: int,
-    posterior: Target,
+    posterior: Fittable,
     exploration: Exploration,
     proposal: MixtureProposal,
     n_walkers: int,
@@ -147,7 +151,7 @@ def refit_without(
     straight, n = exploration.straight, posterior.n_parameters
 
     def own(x: Array) -> Array:
-        return np.asarray(posterior.pointwise(straight.y_from_x(x))[:, pose])
+        return np.asarray(posterior.pointwise_of(straight.y_from_x(x), pose))
 
     def without(x: Array) -> Array:
         with np.errstate(all="ignore"):

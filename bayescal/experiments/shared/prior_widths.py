@@ -1,0 +1,166 @@
+"""How evidences hang on the widths of the priors: each variant's again, all priors wider or narrower by a factor.
+
+Only evidences are wanted, to a few hundredths of a nat: a proposal need not be sharp. Narrower priors have no modes
+that wider ones about the same centres lack, so that these start where the study's own priors have theirs.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from bayescal.errors import NumericalError
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.shared.estimate import Fit, Subject, shift_evidence
+from bayescal.inference.correction import correct_evidence
+from bayescal.inference.exploration import ACCEPTABLE, GOOD_ENOUGH, Exploration, explore, explore_near
+from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
+from bayescal.inference.schema import EvidenceConfig, SamplerConfig
+from bayescal.inference.target import Fittable
+from bayescal.limits import OUT_OF_QUESTION
+from bayescal.numerics.geometry import Array
+
+DRAWS = 2000
+"""Draws of a proposal, a block."""
+ERROR = 0.03
+"""Standard error in nats that is enough."""
+
+
+@dataclass(frozen=True, eq=False)
+class WidthTask:
+    """A unit of work: the evidence of a variant with all priors wider or narrower by a factor.
+
+    Attributes
+    ----------
+    variant : str
+    factor : float
+    modes : ndarray, shape (M, n)
+        Those with the study's own priors, in sampling coordinates.
+    behind : float
+        Nats of log-evidence, with the study's own priors, behind the best variant.
+    """
+
+    variant: str
+    factor: float
+    modes: Array
+    behind: float = 0.0
+
+    @property
+    def key(self) -> str:
+        """A name that is also a file name."""
+        return f"{self.variant.replace('/', '-').replace(' ', '_')}-factor-{self.factor!r}"
+
+
+def list_width_tasks(fits: Mapping[str, Fit], factors: Sequence[float]) -> list[WidthTask]:
+    """Return a task for every variant and every factor that is not one, whose evidence the fit has.
+
+    The long ones, of many modes and wide priors, come first: a worker that begins one last keeps all others waiting.
+    """
+    best = max(fit.importance.log_evidence for fit in fits.values())
+    tasks = [
+        WidthTask(name, factor, fit.modes, best - fit.importance.log_evidence)
+        for factor in factors
+        for name, fit in fits.items()
+        if factor != 1.0
+    ]
+    return sorted(tasks, key=lambda task: (-len(task.modes), -task.factor))
+
+
+def begin_widths[S](
+    weigh: Callable[[S, WidthTask], ImportanceEvidence],
+    inputs: S,
+    fits: Mapping[str, Fit],
+    factors: Sequence[float],
+    run: Run,
+) -> Callable[[], dict[tuple[float, str], ImportanceEvidence]]:
+    """Begin with every factor on the priors that is not one, and return what waits for the evidence of every variant.
+
+    It is by factor and variant; ``weigh`` computes one task by `weigh_widths`.
+    """
+    tasks = {task.key: task for task in list_width_tasks(fits, factors)}
+    wait = run.begin("prior widths", weigh, inputs, tasks, (ImportanceEvidence,))
+    return lambda: {(tasks[key].factor, tasks[key].variant): found for key, found in wait().items()}
+
+
+def weigh_widths(
+    subject: Subject, known: Fittable, task: WidthTask, seed: int, sampler: SamplerConfig, effort: EvidenceConfig
+) -> ImportanceEvidence:
+    """Compute one task; all numbers depend on posteriors, seed and task alone.
+
+    Parameters
+    ----------
+    subject : Subject
+        With the wider or narrower priors.
+    known : Fittable
+        The posterior with the priors as stated, in whose coordinates the task has its modes.
+    task : WidthTask
+    seed : int
+    sampler : SamplerConfig
+    effort : EvidenceConfig
+    """
+    seeds = np.random.SeedSequence([seed, zlib.crc32(task.key.encode())]).spawn(3)
+    posterior, n = subject.posterior, subject.posterior.n_geometry
+    starts = posterior.adopt(known.theta(task.modes), task.modes[:, n:])
+    exploration, importance = _weigh(task, posterior, starts, seeds[0], seeds[1], sampler.walkers, effort)
+    costly = subject.find_costly(exploration)
+    return shift_evidence(importance, None if costly is None else correct_evidence(costly, exploration, seeds[2]))
+
+
+def _weigh(
+    task: WidthTask,
+    posterior: Fittable,
+    starts: Array,
+    explore_seed: np.random.SeedSequence,
+    importance_seed: np.random.SeedSequence,
+    walkers: int,
+    effort: EvidenceConfig,
+) -> tuple[Exploration, ImportanceEvidence]:
+    """Return what a proposal that is good enough finds, or a better one if it is not and the variant is in question."""
+    search = task.factor > 1.0
+    try:
+        for enough in (ACCEPTABLE, GOOD_ENOUGH):
+            exploration = explore_near(posterior, starts, explore_seed, walkers, search=search, enough=enough)
+            importance = _estimate(exploration, importance_seed, effort)
+            if not importance.is_doubtful or task.behind > OUT_OF_QUESTION:
+                return exploration, importance
+            starts, search = np.stack([mode.y for mode in exploration.modes]), False
+    except NumericalError:
+        pass  # no start led to a mode: the search from the beginning finds one, or says why not
+    exploration = explore(posterior, explore_seed, walkers, anew=True)
+    return exploration, _estimate(exploration, importance_seed, effort)
+
+
+def _estimate(exploration: Exploration, seed: np.random.SeedSequence, effort: EvidenceConfig) -> ImportanceEvidence:
+    return estimate_by_importance(
+        exploration.straight.log_density,
+        exploration.proposal,
+        np.random.default_rng(seed),
+        min(DRAWS, effort.draws),
+        max(ERROR, effort.target_error),
+        effort.max_draws,
+    )
+
+
+def tabulate_widths(
+    fits: Mapping[str, Fit], widths: Mapping[tuple[float, str], ImportanceEvidence], factors: Sequence[float]
+) -> pd.DataFrame:
+    """Return the log-evidence of every variant for every factor on the widths of the priors."""
+    rows = []
+    for factor in factors:
+        for name, fit in fits.items():
+            found = widths[factor, name] if factor != 1.0 else fit.importance
+            rows.append(
+                {
+                    "variant": name,
+                    "factor": factor,
+                    "log_evidence": found.log_evidence,
+                    "log_evidence_se": found.standard_error,
+                    "efficiency": found.efficiency,
+                    "pareto_k": found.pareto_k,
+                }
+            )
+    return pd.DataFrame(rows).sort_values(["factor", "log_evidence"], ascending=[True, False], ignore_index=True)

@@ -1,0 +1,27 @@
+#!/bin/sh
+# Every use of a calibrated machine of one's own class, from readings to files for a controller:
+#
+#     sh uses.sh
+#
+# Results keep the machine: what follows the run needs the folder `results` alone. Code of the class that they keep is run
+# because --trust-code says so; without it, it is not.
+set -e
+
+# Calibrate, then write the report again from the results alone.
+bayescal run study.toml --out results/study --workers 1
+bayescal report results/study
+
+# Where is the tool at these carriages, and which carriages hold it there? Both with their uncertainty.
+bayescal predict results/study commands.csv --trust-code --out results/poses.csv
+bayescal command results/study results/poses.csv --trust-code --out results/commands.csv
+
+# How well is the tool known over the workspace, and where does the uncertainty come from?
+bayescal certificate results/study --trust-code --poses 64 --out results/certificate.html
+
+# Which few readings show later whether the calibration still holds? Which pose should be measured next?
+bayescal recheck results/study --trust-code --out results/recheck.csv
+bayescal next next.toml --out results/next --workers 1
+
+# The machine for the next tool: parameters with their covariance, as TOML, JSON and CSV; every command takes it again.
+bayescal export results/study --trust-code --out results/machine
+bayescal predict results/machine commands.csv --trust-code --out results/poses_again.csv

@@ -1,0 +1,107 @@
+"""The documented script of all uses of a calibrated machine of one's own class; then the same from elsewhere."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import calibrations
+import numpy as np
+import pandas as pd
+import pytest
+import studies
+
+from bayescal import load_calibrated, predict_poses
+from bayescal.files.csv_tables import read_table
+
+pytestmark = [pytest.mark.runs, pytest.mark.skipif(shutil.which("sh") is None, reason="no shell")]
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory) -> Path:
+    """Return what the script has written, moved away from the experiment, which is gone."""
+    folder = tmp_path_factory.mktemp("uses")
+    path = calibrations.write_delta(folder)
+    command = folder / "bin" / "bayescal"
+    command.parent.mkdir()
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m bayescal.cli "$@"\n')
+    command.chmod(0o755)
+    surroundings = {**os.environ, "PATH": f"{command.parent}{os.pathsep}{os.environ['PATH']}"}
+    done = subprocess.run(
+        ["sh", "uses.sh"], cwd=path.parent, env=surroundings, capture_output=True, text=True, timeout=900, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "standard uncertainty of the tool x" in done.stdout
+    shutil.move(path.parent / "results", folder / "moved")
+    shutil.rmtree(path.parent)
+    return folder / "moved"
+
+
+def read(path: Path) -> pd.DataFrame:
+    return pd.read_csv(path, comment="#").set_index("pose")
+
+
+def test_the_script_leaves_what_it_says(results):
+    for name in ("study/report.html", "certificate.html", "recheck.csv", "next/report.html", "machine/calibrated.toml"):
+        assert (results / name).is_file(), name
+    poses, again = read(results / "poses.csv"), read(results / "poses_again.csv")
+    pd.testing.assert_frame_equal(poses, again, rtol=1e-6)
+    told = read(calibrations.OWN_MACHINE / "commands.csv")
+    found = read(results / "commands.csv")
+    np.testing.assert_allclose(found[told.columns], told, rtol=0, atol=1e-6)
+    assert (found["reached"] == "yes").all()
+
+
+def test_results_alone_are_enough_from_python(results):
+    machine = load_calibrated(str(results / "study"), trust=True)
+    told = read(calibrations.OWN_MACHINE / "commands.csv")
+    found = predict_poses(machine, told.to_numpy())
+    np.testing.assert_allclose(found.tool, read(results / "poses.csv")[["x_mm", "y_mm", "z_mm"]], rtol=0, atol=1e-8)
+    assert machine.covariance.shape == (len(machine.names), len(machine.names))
+    assert len(machine.measured) == len(read_table(results / "study" / "machine" / "commands_all.csv", None).rows)
+
+
+@pytest.mark.parametrize("what", ["study", "machine"])
+def test_the_kept_code_is_run_only_where_somebody_says_so(what, results, call):
+    table = calibrations.OWN_MACHINE / "commands.csv"
+    before = studies.snapshot(results)
+    code, out, err = call("predict", results / what, table)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "found a machine of its own class 'linear_delta.py:LinearDelta', whose code would be run" in err
+    assert "expected --trust-code" in err
+    assert studies.snapshot(results) == before
+
+
+def test_kept_code_that_was_changed_is_refused(results, call, tmp_path):
+    folder = tmp_path / "study"
+    shutil.copytree(results / "study", folder)
+    source = folder / "machine" / "linear_delta.py"
+    source.write_text(source.read_text() + "\nraise SystemExit\n")
+    code, out, err = call("export", folder, "--trust-code", "--out", tmp_path / "out")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "linear_delta.py: found another file than the results were computed with" in err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("export", "study", "--format", "urdf"), "found a machine of functions, expected a mechanism on legs"),
+        (("export", "study", "--variant", "none"), "--variant: found 'none', expected one of all, one_rod"),
+        (("predict", "study", "poses.csv"), "poses.csv: found column 'x_mm', expected pose, s_1_mm, s_2_mm, s_3_mm"),
+        (("command", "study", "far.csv"), "s[1] has no value there: the machine does not reach it"),
+        (("certificate", "study", "--position-mm", 1, 1, 1, "--rotation-deg", 1, 1, 1), "--rotation-deg: found three"),
+    ],
+)
+def test_refusals_are_one_line(arguments, expected, results, call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("far.csv").write_text("pose,x_mm,y_mm,z_mm\nA,0,0,20\nB,900,0,20\n")
+    named = {"study": results / "study", "poses.csv": results / "poses.csv"}
+    before = studies.snapshot(tmp_path)
+    code, out, err = call(*(named.get(one, one) for one in arguments), "--trust-code")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert expected in err
+    assert studies.snapshot(tmp_path) == before
