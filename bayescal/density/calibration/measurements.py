@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from bayescal.machines.readings import Channel
 from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian
