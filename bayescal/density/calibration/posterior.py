@@ -422,10 +422,13 @@ class CalibrationPosterior:
         with np.errstate(all="ignore"):
             _, slope, by_parameters = self.rows(y, white, pose[None])
             rows = project_out(slope) @ by_parameters
-        hessian = np.eye(self.n_geometry) + np.einsum("pki,pkj->ij", rows, rows, optimize=True)
+        # by orthogonal steps: of readings that are far off, squares of the rows have lost what the prior adds
+        stacked = np.concatenate([np.nan_to_num(rows).reshape(-1, self.n_geometry), np.eye(self.n_geometry)])
+        root = np.linalg.qr(stacked, mode="r")
+        root *= np.sign(np.diag(root))[:, None]
         normal = np.random.default_rng(1777).standard_normal((self.n_geometry, NEARBY))
         some = np.repeat(y[None], NEARBY, axis=0)
-        some[:, : self.n_geometry] += FAR * np.linalg.solve(np.linalg.cholesky(hessian).T, normal).T
+        some[:, : self.n_geometry] += FAR * np.linalg.solve(root, normal).T
         return some
 
     def fit(self, y: Array, pose: Array) -> tuple[Array, Array]:

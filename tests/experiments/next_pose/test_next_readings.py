@@ -52,7 +52,8 @@ def test_a_step_is_the_posterior_with_the_pose_added(state):
             np.concatenate([likelihood.data.values, read]),
             np.concatenate([likelihood.data.sd, likelihood.data.sd[:1]]),
         )
-        more = replace(likelihood, data=data, start=np.concatenate([likelihood.start, pose[None]]))
+        start = np.concatenate([likelihood.start, pose[None]])
+        more = replace(likelihood, data=data, start=start, expansion=None)
         after = np.linalg.inv(-replace(posterior, likelihood=more).gradient(y)[1])
         costs.append(np.trace(state.weight @ after))
         if k == best.candidate:

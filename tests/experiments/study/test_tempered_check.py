@@ -15,7 +15,7 @@ from bayescal.inference.tempered import estimate_by_tempering
 def checked(tmp_path, monkeypatch):
     """Return the config of a tiny study of two lengths that asks for the check, with little effort."""
     little = partial(estimate_by_tempering, n_chains=16, n_runs=2)
-    monkeypatch.setattr("bayescal.experiments.study.fit.estimate_by_tempering", little)
+    monkeypatch.setattr("bayescal.experiments.shared.estimate.estimate_by_tempering", little)
     path = studies.write_tiny_study(tmp_path)
     text = path.read_text().replace("max_draws = 1000", 'max_draws = 1000\ncheck = "tempered"')
     first, second = text.split('[[variants]]\nmodel = "six_pus"\ndeformation = "matrix"')
