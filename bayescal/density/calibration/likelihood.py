@@ -364,7 +364,8 @@ class CalibrationLikelihood:
             return self
         square, known, limit = self.expansion.measure(theta), np.isfinite(error), -np.inf
         if known.any():
-            limit = NATS / max(float(np.max(np.abs(error[known]) / square[known])), NATS / LARGEST_CHANGE)
+            per_change = np.divide(np.abs(error), square, out=np.zeros_like(square), where=known & (square > 0.0))
+            limit = NATS / max(float(per_change.max()), NATS / LARGEST_CHANGE)
         return replace(self, expansion=replace(self.expansion, limit=limit))
 
     def is_near(self, theta: Array) -> np.ndarray:

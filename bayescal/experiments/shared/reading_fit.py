@@ -98,8 +98,9 @@ class ReadingSubject(Subject):
         """Return χ² of what no pose explains at the mode (n,)."""
         own = cast("CalibrationPosterior", posterior)
         white, slope = own.reduced_rows(mode)
-        m = own.n_geometry
-        return fit_rows(white, slope, mode[:m], np.eye(m), int(own.likelihood.n_spare.sum())).chi_square
+        n = slope.shape[-1]  # the geometry, then coefficients of errors common to all rows, whose prior is N(0, 1)
+        held = np.concatenate([mode[: own.n_geometry], np.zeros(n - own.n_geometry)])
+        return fit_rows(white, slope, held, np.eye(n), int(own.likelihood.n_spare.sum())).chi_square
 
     def build_tree(self, fit: Fit, variant: str) -> xr.DataTree:
         """Return the fit with draws of its prior, what both predict, and the data."""

@@ -91,7 +91,7 @@ def test_kept_code_that_was_changed_is_refused(results, call, tmp_path):
     [
         (("export", "study", "--format", "urdf"), "found a machine of functions, expected a mechanism on legs"),
         (("export", "study", "--variant", "none"), "--variant: found 'none', expected one of all, one_rod"),
-        (("predict", "study", "poses.csv"), "poses.csv: found column 'x_mm', expected pose, s_1_mm, s_2_mm, s_3_mm"),
+        (("predict", "study", "poses.csv"), "expected pose, s_1_mm, s_2_mm, s_3_mm"),
         (("command", "study", "far.csv"), "s[1] has no value there: the machine does not reach it"),
         (("certificate", "study", "--position-mm", 1, 1, 1, "--rotation-deg", 1, 1, 1), "--rotation-deg: found three"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pandas as pd
 import pytest
 import studies
@@ -73,11 +74,20 @@ def test_impossible_shares_are_refused(tmp_path, share):
         load_experiment(path)
 
 
-def test_poses_measured_in_part_are_refused(tmp_path):
+def test_poses_measured_in_part_may_be_outliers_too(tmp_path):
     folder = studies.EXPERIMENTS / "camera_hexapod"
     path = studies.copy_small(folder / "study.toml", tmp_path / "camera")
     studies.edit(path, "../audit", str(studies.EXPERIMENTS / "audit"))
-    config = load_experiment(allow_blunders(path))
-    with pytest.raises(InputError, match="blunders: found poses measured in part or in unknown frames"):
-        studies.load_study(path)
-    assert config.blunders.expected_share == 0.02
+    allow_blunders(path)
+    inputs = studies.load_study(path)
+    posterior = inputs.posterior(inputs.config.variants[0], with_model_error=True)
+    y = posterior.approach()
+    square = posterior.likelihood.evaluate(
+        posterior.theta(y[None]), posterior.errors.amplitudes(posterior.zeta(y[None]))
+    )[1]
+    found = posterior.likelihood.outlier_probabilities(
+        posterior.theta(y[None]), posterior.errors, posterior.zeta(y[None])
+    )
+    assert posterior.names[-1] == "epsilon"
+    assert np.argmax(found) == np.argmax(square)
+    assert found.min() > 0.0
