@@ -24,6 +24,8 @@ class ThreeRpsConfig(Section):
 class _Platform(ReadingMachine):
     """Parameters and sensors of both: encoders, angles of the joints at the base, three points that a tracker sees."""
 
+    tool_channels = (Channel("x", "mm"), Channel("y", "mm"), Channel("z", "mm"))
+
     Config = ThreeRpsConfig
 
     def __init__(self, config: ThreeRpsConfig) -> None:

@@ -82,6 +82,8 @@ def begin_widths[S](
     It is by factor and variant; ``weigh`` computes one task by `weigh_widths`.
     """
     tasks = {task.key: task for task in list_width_tasks(fits, factors)}
+    if not tasks:
+        return dict
     wait = run.begin("prior widths", weigh, inputs, tasks, (ImportanceEvidence,))
     return lambda: {(tasks[key].factor, tasks[key].variant): found for key, found in wait().items()}
 
