@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from calibration_problems import fit_jointly
 from function_machines import point_on_lines, star_function
 
 from bayescal.calibrated.machine import CalibratedMachine, Errors, Source, build_calibrated
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.terms import NO_ERRORS
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import ReadingModel
@@ -84,13 +86,13 @@ def calibrate(planned: Planned, n_poses: int, rng: np.random.Generator, n_draws:
     names, every = tuple(f"C{i}" for i in range(n_poses)), np.tile(np.where(np.isfinite(sd), sd, 1.0), (n_poses, 1))
     data = Measurements(names, np.zeros((n_poses, k)), every, given)
 
-    blank = CalibrationPosterior(CalibrationLikelihood(model, data, 1.0, pose), priors)
+    blank = Posterior(CalibrationLikelihood(model, data, 1.0, pose), priors, NO_ERRORS)
     theta = blank.theta(rng.standard_normal((1, blank.n_parameters)))[0]
     values = model.read(theta, pose, given) + every * rng.standard_normal((n_poses, k))
     values[:, ~np.isfinite(sd)] = np.nan
     data = Measurements(names, values, every, given)
-    posterior = CalibrationPosterior(CalibrationLikelihood(model, data, 1.0, pose), priors)
-    y, _ = posterior.fit(np.zeros(posterior.n_parameters), pose)
+    posterior = Posterior(CalibrationLikelihood(model, data, 1.0, pose), priors, NO_ERRORS)
+    y, _ = fit_jointly(posterior, np.zeros(posterior.n_parameters), pose)
     covariance = np.linalg.inv(-posterior.gradient(y)[1])
     draws = posterior.theta(rng.multivariate_normal(y, covariance, n_draws, method="cholesky"))
     own = model.select(model.commanded)

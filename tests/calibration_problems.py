@@ -9,12 +9,13 @@ from function_machines import point_on_lines
 from reading_machines import WORKSPACE, LinearModel, sliding_star
 
 from bayescal.density.calibration.functions import FunctionErrors, Travel
-from bayescal.density.calibration.likelihood import CalibrationLikelihood
+from bayescal.density.calibration.joint_fit import JointFit
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.outliers import Outliers
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.outliers import NORMAL, Outliers
 from bayescal.density.calibration.terms import Errors, ErrorTerm, ModelErrorTerm, NoiseFactor
 from bayescal.density.model_error import LengthPrior
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.experiments.shared.reading_machine import draw_poses
 from bayescal.machines.readings import ReadingModel
@@ -38,7 +39,17 @@ def density(
 def pointwise(likelihood: CalibrationLikelihood, theta: np.ndarray, tau: float = 0.0, nu: float = np.inf) -> np.ndarray:
     """Return the log-densities (C, P) with the noise as stated, a model error τ beside it."""
     own = np.broadcast_to(likelihood.sd, (len(theta), *likelihood.sd.shape))
-    return likelihood.pointwise(theta, own, np.full((len(theta), 1, own.shape[-1]), tau), Outliers(nu))
+    return evaluate_rows(likelihood, theta, own, np.full((len(theta), 1, own.shape[-1]), tau), Outliers(nu))
+
+
+def evaluate_rows(
+    likelihood: CalibrationLikelihood, theta: np.ndarray, own: np.ndarray, tau: np.ndarray, outliers: Outliers = NORMAL
+) -> np.ndarray:
+    """Return the log-densities (C, P) with deviations (C, P, K) and model errors (C, 1, K) that each machine has."""
+    white = likelihood.whiten(own, tau)
+    at = likelihood.stand(theta, white)
+    found = outliers.weigh(at.square, likelihood.n_spare) + likelihood.offset(white, at)
+    return np.where(np.isfinite(found), found, -np.inf)
 
 
 def unknown_noise(n: int, factors: bool = True, errors: bool = False, scale: float = 1.0) -> tuple[ErrorTerm, ...]:
@@ -105,7 +116,7 @@ def lines_posterior(
         priors[name] = NormalPrior(0.0, LINE_WIDTH)
     pose = rng.uniform(-150.0, 150.0, (n_poses, 2))
     empty = measurements(np.zeros((n_poses, k)), sd, correlation)
-    blank = CalibrationPosterior(density(model, empty, pose, 9e4), priors, Errors(terms, Outliers(nu)), {}, shared)
+    blank = Posterior(density(model, empty, pose, 9e4), priors, Errors(terms, Outliers(nu)), {}, shared)
     y = rng.standard_normal(blank.n_parameters)
     values = simulate(blank, y, pose, rng)
     lack = rng.random(n_poses) < missing  # one reading each: three lines left still tell where the point is
@@ -119,7 +130,7 @@ def lines_posterior(
 def simulate(posterior: CalibrationPosterior, y: np.ndarray, pose: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return readings (P, K) of the machine y (n,) at poses, as its density says."""
     likelihood, freedom = posterior.likelihood, posterior.errors.outliers.freedom
-    own, tau = posterior.deviations(y[None])
+    own, tau = posterior.likelihood.noise(posterior.errors, posterior.zeta(y[None]))
     covariance = own[0][:, :, None] * likelihood.correlation * own[0][:, None]
     covariance = covariance + np.einsum("pk,kl->pkl", np.broadcast_to(tau[0] ** 2, own[0].shape), np.eye(own.shape[-1]))
     noise = (np.linalg.cholesky(covariance) @ rng.standard_normal((*own[0].shape, 1)))[..., 0]
@@ -139,3 +150,10 @@ def star_problem(seed: int = 3, n_poses: int = 10) -> tuple[CalibrationLikelihoo
     data = measurements(model.read(theta, pose) + sd * rng.standard_normal((n_poses, 8)), sd)
     near = theta + np.where(np.array(whole.layout.units) == "mm", 1e-2, 1e-5) * rng.standard_normal((4, 34))
     return density(model, data, pose, 200.0), near
+
+
+def fit_jointly(posterior: CalibrationPosterior, y: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return coordinates (n,) and poses (P, q) of least squares at the noise of y, from poses (P, q)."""
+    m = posterior.n_geometry
+    found, stood = JointFit(posterior.likelihood, posterior.sampling, posterior.errors, y[m:]).run(y[:m], pose)
+    return np.append(found, y[m:]), stood

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from calibration_problems import evaluate_rows
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
@@ -35,7 +36,7 @@ def eliminate_legs(machine: Machine, poses: MeasuredPoses, noise: float, theta: 
     )
     every = whole.layout.nominal.copy()
     every[: len(theta)] = theta
-    return CalibrationLikelihood(model, data, 1.0, pose).anchored(pose, every)
+    return CalibrationLikelihood(model, data, 1.0, pose).anchored_at(pose, every)
 
 
 def evaluate_legs(likelihood: CalibrationLikelihood, theta: Array, tau: Array) -> Array:
@@ -45,4 +46,4 @@ def evaluate_legs(likelihood: CalibrationLikelihood, theta: Array, tau: Array) -
     error = np.zeros((n_machines, 1, len(likelihood.model.channels)))
     error[:, 0, :n_legs] = tau
     own = np.broadcast_to(likelihood.sd, (n_machines, *likelihood.sd.shape))
-    return likelihood.pointwise(np.concatenate([theta, zeros], axis=1), own, error)
+    return evaluate_rows(likelihood, np.concatenate([theta, zeros], axis=1), own, error)

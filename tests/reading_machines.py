@@ -11,10 +11,10 @@ from scipy.linalg import null_space
 from scipy.optimize import least_squares
 from scipy.stats import multivariate_normal
 
-from bayescal.density.calibration.likelihood import CalibrationLikelihood
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.calibration.terms import Errors, ErrorTerm
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters, workspace_volume
 from bayescal.experiments.shared.sensor_sets import SensorSet
@@ -78,7 +78,7 @@ def small_posterior(
     for place, scale in zip(free.places, free.scale, strict=True):
         name = model.layout.names[place]
         priors.setdefault(shared.get(name, name), NormalPrior(float(free.centre[place]), float(scale)))
-    return CalibrationPosterior(likelihood, priors, Errors(terms), common=tied)
+    return Posterior(likelihood, priors, Errors(terms), common=tied)
 
 
 def star_density(
@@ -113,8 +113,8 @@ class JointTarget:
         self.posterior = posterior
         likelihood = posterior.likelihood
         self.sensors, self.measured = sensors_of(likelihood), likelihood.data.values
-        self.start = find_poses_of(likelihood, posterior.centre[None])[0]
-        slope = self.sensors.linearise(posterior.centre, self.start, with_parameters=False).by_pose
+        self.start = find_poses_of(likelihood, posterior.sampling.start[None])[0]
+        slope = self.sensors.linearise(posterior.sampling.start, self.start, with_parameters=False).by_pose
         self.unit = np.linalg.cholesky(np.linalg.inv(np.swapaxes(slope, 1, 2) @ slope))
         self.n_poses = len(self.measured)
         k = len(self.sensors.chosen)
@@ -164,7 +164,7 @@ class JointTarget:
         here = self.sensors.linearise(theta, pose)
         own = self.posterior.n_parameters
         result = np.zeros((self.n_poses, len(self.sensors.chosen), len(y)))
-        result[..., :own] = -here.by_parameters @ self.posterior.moves(y).T
+        result[..., :own] = -here.by_parameters @ self.posterior.around(y)[1].T.T
         for p in range(self.n_poses):
             result[p, :, own + 3 * p : own + 3 * p + 3] = -here.by_pose[p] @ self.unit[p]
         return result.reshape(-1, len(y))

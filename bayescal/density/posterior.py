@@ -95,6 +95,10 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: ErrorCoordinates]:
         """Return the coordinates of the errors, (..., n) to (..., k)."""
         return y[..., self.n_geometry :]
 
+    def at(self, y: Array) -> tuple[Array, E, Array]:
+        """Return what a likelihood takes of coordinates (B, n): θ (B, D), the errors and their coordinates (B, k)."""
+        return self.theta(y), self.errors, self.zeta(y)
+
     def natural(self, y: Array) -> Array:
         """Return everything that is free in its own unit, (..., n)."""
         return np.concatenate([self.sampling.natural(self.theta(y)), self.errors.natural(self.zeta(y))], axis=-1)
@@ -134,15 +138,19 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: ErrorCoordinates]:
 
     def pointwise(self, y: Array) -> Array:
         """Return the log-likelihood of each row of the data given all others, (B, n) to (B, P)."""
-        return self.evaluate_rows(self.likelihood, y)
+        return self.likelihood.density_by_row(*self.at(y))
 
     def pointwise_of(self, y: Array, row: int) -> Array:
         """Return the log-likelihood of one row given all others, (B, n) to (B,)."""
-        return np.asarray(self.pointwise(y)[:, row])
+        return self.likelihood.density_of_row(*self.at(y), row)
 
-    def evaluate_rows(self, likelihood: L, y: Array) -> Array:
-        """Return the log-likelihood of each row, of these or of others, shape (B, P), for coordinates (B, n)."""
-        return likelihood.density_by_row(self.theta(y), self.errors, self.zeta(y))
+    def predict_density(self, other: L, y: Array) -> Array:
+        """Return the log-density of each of Q other rows given these, (B, n) to (B, Q)."""
+        return self.likelihood.density_of_others(other, *self.at(y))
+
+    def anchored(self) -> Posterior[L, S, E]:
+        """Return the same posterior, prepared for machines that explain the data."""
+        return replace(self, likelihood=self.likelihood.anchored(self.sampling, self.errors))
 
     def finer(self) -> Posterior[L, S, E] | None:
         """Return the same posterior by a density that leaves nothing out; None where there is none."""
@@ -153,15 +161,15 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: ErrorCoordinates]:
 
     def information(self, y: Array) -> tuple[Array, Array]:
         """Return the information of the data and the precision of the prior on the geometry at y, shapes (m, m)."""
-        theta, change = self._around(y)
+        theta, change = self.around(y)
         rows = self.sampling.prior_slope(change)
         return self.likelihood.inform(theta, change, self.errors, self.zeta(y)), rows.T @ rows
 
     def row_information(self, y: Array, row: int) -> Array:
         """Return what one row tells of the geometry at y beyond all others, shape (m, m); see `pointwise`."""
-        return self.likelihood.inform_row(*self._around(y), self.errors, self.zeta(y), row)
+        return self.likelihood.inform_row(*self.around(y), self.errors, self.zeta(y), row)
 
-    def _around(self, y: Array) -> tuple[Array, Array]:
+    def around(self, y: Array) -> tuple[Array, Array]:
         """Return θ (D,) and dθ/dy (D, m) at y, shape (n,)."""
         theta = self.theta(y[None])[0]
         return theta, self.sampling.jacobian(theta)
@@ -175,7 +183,7 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: ErrorCoordinates]:
         return self._differentiate(y, newton=True)
 
     def _differentiate(self, y: Array, newton: bool) -> tuple[Array, Array]:
-        m, zeta, (theta, change) = self.n_geometry, self.zeta(y), self._around(y)
+        m, zeta, (theta, change) = self.n_geometry, self.zeta(y), self.around(y)
         gradient, hessian = self.likelihood.differentiate(theta, change, self.errors, zeta, newton)
         rows = self.sampling.prior_slope(change)
         gradient[:m] -= self.sampling.prior_residual(y[:m], theta) @ rows

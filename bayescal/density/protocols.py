@@ -176,6 +176,19 @@ class Elimination[S: Sampling, E: ErrorCoordinates](ABC):
     def density_by_row(self, theta: Array, errors: E, zeta: Array) -> Array:
         """Return the log-likelihood of each of P rows given all others, shape (B, P)."""
 
+    def density_of_row(self, theta: Array, errors: E, zeta: Array, row: int) -> Array:
+        """Return the log-likelihood of one row given all others, shape (B,)."""
+        return np.asarray(self.density_by_row(theta, errors, zeta)[:, row])
+
+    def density_of_others(self, other: Self, theta: Array, errors: E, zeta: Array) -> Array:
+        """Return the log-density of each of Q other rows given these, shape (B, Q); by default these say nothing."""
+        return other.density_by_row(theta, errors, zeta)
+
+    def anchored(self, sampling: S, errors: E) -> Self:
+        """Return the same density, prepared for machines that explain the data; by default as it is."""
+        del sampling, errors
+        return self
+
     @abstractmethod
     def differentiate(self, theta: Array, change: Array, errors: E, zeta: Array, newton: bool) -> tuple[Array, Array]:
         """Return gradient (m + k,) and Hessian (m + k, m + k) of the log-likelihood at θ (D,), ζ (k,), dθ/dy (D, m).

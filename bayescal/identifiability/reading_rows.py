@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison
-from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.machines.readings import Given, ReadingModel, Readings
 from bayescal.numerics.geometry import Array
 
@@ -86,7 +86,7 @@ def differentiate_poses(posterior: CalibrationPosterior, half: Array, y: Array, 
     _, by_pose, direct = model.tool(theta, pose)
     white = typical_white(posterior, y)
     here = Readings(here.values[good], here.by_pose[good], here.by_parameters[good])
-    moves, places = posterior.moves(y), np.flatnonzero(good)
+    moves, places = posterior.around(y)[1].T, np.flatnonzero(good)
     return Slopes(pose, white, here.by_pose, here.by_parameters, by_pose, direct, moves, half, places)
 
 
@@ -107,7 +107,7 @@ def typical_white(posterior: CalibrationPosterior, y: Array) -> Array:
 
 def typical_noise(posterior: CalibrationPosterior, y: Array) -> Array:
     """Return the noise of each channel, the median of its readings, (S, n) to (S, K); NaN where it has none."""
-    own, tau = posterior.deviations(y)
+    own, tau = posterior.likelihood.noise(posterior.errors, posterior.zeta(y))
     present = posterior.likelihood.data.present
     result = np.full((len(y), present.shape[1]), np.nan)
     for k in np.flatnonzero(present.any(axis=0)):
@@ -132,7 +132,7 @@ def name_tool(model: ReadingModel) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 def see(posterior: CalibrationPosterior, y: Array) -> Array:
     """Return the white derivative of the readings by the parameters' coordinates, poses eliminated, (P, K, m)."""
-    white, stand = posterior.stand(y[None])
-    error, slope, by_parameters = posterior.rows(y, white, stand.pose)
+    white, stand = posterior.likelihood.explain(*posterior.at(y[None]))
+    error, slope, by_parameters = posterior.likelihood.rows(*posterior.around(y), white, stand.pose)
     del error
     return np.asarray(by_parameters - slope @ (np.linalg.pinv(slope) @ by_parameters))

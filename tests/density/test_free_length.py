@@ -150,7 +150,7 @@ def test_curvature_by_length_is_expected_curvature(poses, free, start):
     (posterior, y), n = start, 1000
     errors, rng = posterior.errors.amplitudes(posterior.zeta(y)), np.random.default_rng(5)
     likelihood = posterior.likelihood.nearest(errors)
-    local = likelihood.linearise(*posterior._around(y), posterior.errors, posterior.zeta(y))
+    local = likelihood.linearise(*posterior.around(y), posterior.errors, posterior.zeta(y))
     root = np.linalg.cholesky(np.linalg.inv(local.precision))
     scores = []
     for _ in range(n):

@@ -299,7 +299,7 @@ def test_information_of_a_pose_is_what_is_lost_without_it(wrong):
     """Against all poses' covariance written out, and without the pose's rows and columns."""
     posterior, y = wrong
     likelihood, u = posterior.likelihood, posterior.likelihood.combination
-    local = likelihood.linearise(*posterior._around(y), posterior.errors, posterior.zeta(y))
+    local = likelihood.linearise(*posterior.around(y), posterior.errors, posterior.zeta(y))
     covariance = np.einsum("pk,qk,kij->piqj", u, u, np.linalg.inv(local.precision)).reshape(24 * 6, 24 * 6)
     slope = np.einsum("pk,kim->pim", u, local.slope).reshape(24 * 6, -1)
     rest = np.delete(np.arange(24 * 6), np.arange(6 * 5, 6 * 6))

@@ -1,473 +1,399 @@
-"""The density of readings, some of them not taken, the poses at which they were taken unknown and eliminated.
-
-With a pose that may lie anywhere in a workspace of volume V, n readings of covariance Σ have to first order about the
-pose v̂ that explains them best the density
-
-    p(s | d) = (2π)^(-m/2) |Σ|^(-1/2) |HᵀΣ⁻¹H|^(-1/2) exp(-½ r²) / V,   r² = r̂ᵀ Σ⁻¹ r̂,   r̂ = s - h(v̂, d),
-
-with m = n - q, and where single rows may be wrong that of `outliers.Outliers` in place of the normal one of r̂.
-
-Where the data say which channels c the machine was commanded by, the pose is uniformly distributed in these and not in
-its coordinates: |∂h_c/∂v| takes the place of 1/V, sqrt |JᵀJ| with J = ∂h_c/∂v where they are more than the
-coordinates. That is p(s | d) over the density of the commanded positions, which is uniform then: p(other readings |
-commanded positions, d), in which no workspace appears.
-"""
+"""The density of readings with the poses eliminated, for every machine: rows free of the poses, errors afterwards."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from typing import Self
 
 import numpy as np
 
-from bayescal.density.calibration.expansion import LARGEST, Expansion
-from bayescal.density.calibration.measurements import CONSTRAINT, Comparison, Measurements
-from bayescal.density.calibration.outliers import NORMAL, Outliers
+from bayescal.density.affine_sampling import AffineSampling
+from bayescal.density.calibration.joint_fit import JointFit
+from bayescal.density.calibration.poses import PoseElimination, Stand
+from bayescal.density.calibration.terms import CommonDraws, Errors
 from bayescal.density.calibration.whitening import Whitening
-from bayescal.density.elimination import (
-    factorise,
-    find_step,
-    half_log_volume,
-    invert,
-    log_root,
-    solve_step,
-    subtract_step,
-    whiten_covariance,
-)
-from bayescal.machines.readings import Given, ReadingModel
+from bayescal.density.elimination import invert, left_of, orthonormalise, project_out
+from bayescal.density.local import Funnel
+from bayescal.density.low_rank_columns import Coefficients, find_coefficients, split
+from bayescal.density.posterior import Posterior
+from bayescal.density.priors import Prior
+from bayescal.density.protocols import Elimination
+from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.threads import map_in_threads
 
-ROWS = 4096  # poses of machines that are looked at together
-CLOSE = 0.03  # deviations of a reading, below which a step is taken to first order: what that leaves enters squared
-NEAR = 0.3  # deviations of a reading, within which H is taken for constant
-CHORD, ASTRAY = 0.1, 1.0  # length of white readings that a chord moves by, where chords end and where they are lost
-LEFT = 1e-5  # deviations of a reading that a step taken to first order may leave out
-STEP = 0.01  # of what a parameter's machines deviate, for the derivative of H: it has to hold where many compensate
-NATS, LARGEST_CHANGE = 1e-3, 0.1  # of the log-density that an expansion may be wrong by; square of the change of H
-TRIALS = 4  # directions in which poses are moved to see how straight the readings are
-MAX_STEPS, MAX_CHORDS, MAX_SEARCH, PATIENCE = 30, 8, 60, 4
+STEP = 1e-4  # of a coordinate, for the slope of the logarithms of volumes
+NEARBY, FAR = 8, 3.0  # machines by which the density is tried about its anchor, and how many deviations they are off
+LEAST_SHARE = 1e-3  # of a variance, that an unknown noise is taken to have
 
 
 @dataclass(frozen=True, eq=False)
-class Stand:
-    """C machines where they explain the readings best.
-
-    Attributes
-    ----------
-    pose : ndarray, shape (C, P, q)
-    error : ndarray, shape (C, P, K)
-        What is left, white.
-    slope : ndarray, shape (C, P, K, q)
-        H, white.
-    known_volume : ndarray, shape (C, P), or None
-        ½ log |HᵀΣ⁻¹H| where it has been computed.
-    known_prior : ndarray, shape (C, P), or None
-        Log-density of the poses before anything is read, the same.
-    """
-
-    pose: Array
-    error: Array
-    slope: Array
-    known_volume: Array | None = None
-    known_prior: Array | None = None
+class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]):
+    """Log-density of the readings of P poses under machines θ (B, D) and errors with coordinates ζ (B, k)."""
 
     @property
-    def square(self) -> Array:
-        """r², shape (C, P)."""
-        return np.einsum("...k,...k->...", self.error, self.error)
+    def layout(self) -> ParameterLayout:  # type: ignore[override]
+        """Of θ."""
+        return self.model.layout
 
-    @property
-    def volume(self) -> Array:
-        """½ log |HᵀΣ⁻¹H|, shape (C, P)."""
-        return half_log_volume(self.slope) if self.known_volume is None else self.known_volume
+    def sampling(
+        self, priors: Mapping[str, Prior], fixed: Mapping[str, float], common: Mapping[str, tuple[str, ...]]
+    ) -> AffineSampling:
+        """Return each parameter by itself; see `Elimination.sampling`."""
+        return AffineSampling.build(self.layout, priors, fixed, common)
 
+    def noise(self, errors: Errors, zeta: Array) -> tuple[Array, Array]:
+        """Return f σ (B, P, K) and the root of the variances beside (B, 1 or P, K)."""
+        return errors.noise(zeta, self.data, self.sd)
 
-@dataclass(frozen=True, eq=False)
-class CalibrationLikelihood:
-    """Log-density of the readings of P poses for batches of machines and of deviations.
-
-    Attributes
-    ----------
-    model : ReadingModel
-    data : Measurements
-    volume : float
-        V, in the units of the coordinates.
-    start : ndarray, shape (P, q)
-        Poses from which the best ones are looked for.
-    expansion : Expansion or None
-        About a machine near those that are asked for, which explains the readings at ``start``.
-    """
-
-    model: ReadingModel
-    data: Measurements
-    volume: float
-    start: Array
-    expansion: Expansion | None = None
-
-    @cached_property
-    def n_readings(self) -> np.ndarray:
-        """Number n of readings at each pose, shape (P,)."""
-        return np.asarray(self.data.present.sum(axis=1))
-
-    @property
-    def n_spare(self) -> np.ndarray:
-        """How many of them m are more than the pose has coordinates, shape (P,)."""
-        return self.n_readings - len(self.model.coordinates)
-
-    @cached_property
-    def comparison(self) -> Comparison:
-        """How readings are compared."""
-        return Comparison(self.model.channels)
-
-    @cached_property
-    def _known(self) -> Measurements:
-        return self.data.with_constraints(tuple(one.unit for one in self.model.channels))
-
-    @cached_property
-    def sd(self) -> Array:
-        """Stated deviations, shape (P, K), a constraint's being tiny, those of no reading one."""
-        return np.where(self.data.present, self._known.sd, 1.0)
-
-    @cached_property
-    def correlation(self) -> Array:
-        """Of the noise, (P, K, K) or (1, K, K), readings not taken being nobody's."""
-        n, there = len(self.model.channels), self.data.present
-        if self.data.correlation is None:
-            return np.eye(n)[None]
-        both = there[:, :, None] & there[:, None, :]
-        return np.where(both, self.data.correlation, np.eye(n))
-
-    @cached_property
-    def error_gain(self) -> Array | None:
-        """How model errors show in the readings, (P, K, K); None where each shows in its own channel alone.
-
-        That of one machine where it starts: the gain hardly changes with the machine.
-        """
-        theta, there = self.model.layout.nominal, self.data.present
-        theta = theta if self.expansion is None else self.expansion.anchor
-        gain = self.model.error_gain(theta, self.start, self.data.given)
-        if gain is None:
-            return None
-        known = np.isfinite(gain).all(axis=(-1, -2), keepdims=True) & there[:, :, None] & there[:, None, :]
-        return np.where(known, gain, np.eye(gain.shape[-1]))
-
-    @cached_property
-    def _given(self) -> Given:
-        return {name: value[None] for name, value in self.data.given.items()}
-
-    def pick(self, which: np.ndarray) -> CalibrationLikelihood:
-        """Return the density of the readings of some poses."""
-        near = None if self.expansion is None else self.expansion.pick(which)
-        return replace(self, data=self.data.pick(which), start=self.start[which], expansion=near)
-
-    def anchored(
-        self, pose: Array, theta: Array, spread: Array | None = None, reference: Whitening | None = None
-    ) -> CalibrationLikelihood:
-        """Return the same density that starts at those poses (P, q) which a machine (D,) explains readings with.
-
-        With others (n, D) H is expanded for machines like these, whatever their change, at a noise (1, P) or as stated.
-        """
-        moved = replace(self, start=pose, expansion=None)
-        return replace(moved, expansion=moved._expand(theta, spread, reference) if pose.shape[-1] else None)
-
-    # --- poses ---------------------------------------------------------------------------------------------------
-
-    def whiten(self, own: Array, tau: Array) -> Whitening:
-        """Return the whitening for deviations s σ (C, P, K) and τ (C, 1, K)."""
-        there = self.data.present
-        if self.data.correlation is None and self.error_gain is None:
-            weight = np.where(there, 1.0 / np.sqrt(own**2 + tau**2), 0.0)
-            return Whitening(weight, None, np.log(np.where(there, weight, 1.0)).sum(axis=-1))
-        if len(own) > 1 and (own == own[:1]).all() and (tau == tau[:1]).all():  # noise that is known
-            one = self.whiten(own[:1], tau[:1])
-            assert one.matrix is not None
-            many = np.broadcast_to(one.matrix, (len(own), *one.matrix.shape[1:]))
-            return Whitening(None, many, np.broadcast_to(one.log_det, many.shape[:2]))
-        own, tau = np.where(there, own, 1.0), np.where(there, tau, 0.0)
-        covariance = own[..., :, None] * self.correlation * own[..., None, :]
-        spread = tau[..., None, :] * (np.eye(own.shape[-1]) if self.error_gain is None else self.error_gain)
-        return Whitening(None, *whiten_covariance(covariance + spread @ np.swapaxes(spread, -1, -2)))
-
-    def linearise(
-        self, theta: Array, pose: Array, white: Whitening, with_parameters: bool = False
-    ) -> tuple[Array, Array, Array]:
-        """Return white errors (C, P, K), H (C, P, K, q) and A (C, P, K, D) of machines (C, D) at poses (C, P, q)."""
-        here = self.model.linearise(theta[:, None], pose, with_parameters, self._given)
-        error = self.comparison.subtract(self.data.values, here.values)
-        there = self.data.present
-        by_pose = self._pull_back(error, here.values, here.by_pose)
-        rows = white.rows(by_pose)
-        left = white.vector(np.where(there, error, 0.0))
-        if not with_parameters:
-            return left, rows, here.by_parameters
-        return left, rows, white.rows(self._pull_back(error, here.values, here.by_parameters))
-
-    def _pull_back(self, error: Array, values: Array, slope: Array) -> Array:
-        result = np.array(self.comparison.pull_back(error, values, slope))
-        result[:, ~self.data.present] = 0.0
-        return result
-
-    def stand(self, theta: Array, white: Whitening, start: Array | None = None) -> Stand:
-        """Return machines (C, D) where they explain the readings best, by Gauss and Newton's method.
-
-        Where the density is anchored it starts with chords, whose H is that of `Expansion`, without a derivative; where
-        the expansion is good enough it ends there. The last step is taken to first order.
-        """
-        pose = np.broadcast_to(self.start if start is None else start, (len(theta), *self.start.shape)).copy()
-        if not pose.shape[-1]:
-            error, slope, _ = self.linearise(theta, pose, white)
-            return Stand(pose, error, slope)
-        shape, n, q = pose.shape[:2], len(self.model.channels), pose.shape[-1]
-        found = Stand(pose, *(np.empty((*shape, *own)) for own in ((n,), (n, q), (), ())))
-        going = np.arange(len(theta))
-        if start is None and self.expansion is not None:
-            going = self._follow_chords(found, theta, white, self.expansion)
-        for _ in range(MAX_STEPS):
-            if not len(going):
-                return found
-            size = self._improve(found, going, theta, white)
-            still = np.any(size > NEAR, axis=1)  # where it is not a number the machine cannot stand
-            going, size = going[still], size[still]
-        found.error[going] = np.where((size > NEAR)[..., None], np.nan, found.error[going])  # wandering: no pose
-        return found
-
-    def _improve(self, found: Stand, going: np.ndarray, theta: Array, white: Whitening) -> Array:
-        """Move some of the machines by a step, or two where H is as good as that of the next pose; return the sizes."""
-        theta, white = theta[going], white.pick(going)
-        error, slope, _ = self.linearise(theta, found.pose[going], white)
-        with np.errstate(all="ignore"):
-            factor = factorise(slope)
-            step, _ = solve_step(slope, factor, error)
-            left = subtract_step(slope, step, error)
-        assert found.known_volume is not None
-        assert found.known_prior is not None
-        found.known_volume[going], found.known_prior[going] = log_root(factor), self._weigh_poses(slope, white)
-        pose, size = found.pose[going] + step, np.abs(error - left).max(axis=-1)
-        largest = np.nanmax(size, axis=1, initial=0.0)
-        near = np.flatnonzero((largest > CLOSE) & (largest <= NEAR))
-        if len(near):
-            again = self._errors(theta[near], pose[near], white.pick(near))
-            step, left[near] = find_step(slope[near], again)
-            pose[near] += step
-        found.pose[going], found.error[going], found.slope[going] = pose, left, slope
-        return np.asarray(size)
-
-    def _errors(self, theta: Array, pose: Array, white: Whitening) -> Array:
-        """Return white errors (C, P, K) of machines (C, D) at poses (C, P, q)."""
-        read = self.model.read(theta[:, None], pose, self._given)
-        error = self.comparison.subtract(self.data.values, read)
-        return white.vector(np.where(self.data.present, error, 0.0))
-
-    def _follow_chords(self, found: Stand, theta: Array, white: Whitening, near: Expansion) -> np.ndarray:
-        """Move machines by chords, each by itself; return which of them have no H that is good enough.
-
-        Where chords go astray a machine stays where it starts.
-        """
-        good = near.measure(theta) <= near.limit
-        close = np.where(good, near.close, CHORD)
-        pose, raw = near.predict(theta)
-        slope = white.rows(raw)
-        size, going = np.full(pose.shape[:2], np.inf), np.arange(len(theta))
-        with np.errstate(all="ignore"):
-            factor = factorise(slope)
-            for _ in range(MAX_CHORDS):
-                every = len(going) == len(theta)
-                own = (theta, pose, white) if every else (theta[going], pose[going], white.pick(going))
-                part = (slope, factor) if every else (slope[going], [[one[going] for one in row] for row in factor])
-                error = self._errors(*own)
-                step, size[going] = solve_step(*part, error)
-                pose[going] += step
-                ended = np.all(size[going] <= close[going, None], axis=1)
-                found.error[going] = subtract_step(part[0], step, error)
-                going = going[~ended]
-                if not len(going):
-                    break
-            good[going] = False
-            assert found.known_volume is not None
-            assert found.known_prior is not None
-            found.known_volume[:], found.known_prior[:] = log_root(factor), self._weigh_poses(raw)
-        astray = ~(np.isfinite(pose).all(axis=-1) & (size < ASTRAY))[..., None]
-        np.copyto(found.pose, pose, where=~astray)
-        found.slope[:] = slope
-        return np.flatnonzero(~good)
-
-    def _expand(self, anchor: Array, spread: Array | None, reference: Whitening | None) -> Expansion:
-        """Return what machines near an anchor (D,) at the start have in common."""
-        white = reference or self.whiten(self.sd[None], np.zeros((1, 1, len(self.model.channels))))
-        with np.errstate(all="ignore"):
-            here = self.model.linearise(anchor[None, None], self.start[None], True, self._given)
-            error = self.comparison.subtract(self.data.values, here.values)
-            slope = self._pull_back(error, here.values, here.by_pose)
-            inverse = invert(white.rows(slope)[0], 0.0)
-            moves = -inverse @ white.rows(self._pull_back(error, here.values, here.by_parameters))[0]
-            first = Expansion(
-                anchor,
-                self.start,
-                np.moveaxis(slope[0], -1, 0),
-                np.moveaxis(moves, -1, 0),
-                self._measure_straightness(anchor, white, slope),
-                np.arange(len(anchor)),
-                None,
-                np.zeros((len(anchor),) * 2),
-                -np.inf,
-            )
-            return first if spread is None else self._bend(first, spread)
-
-    def _measure_straightness(self, anchor: Array, white: Whitening, slope: Array) -> float:
-        """Return how many white readings a pose may move by, to first order, by the readings' curvature there."""
-        rng, rows = np.random.default_rng(1907), white.rows(slope)
-        wanted = rng.standard_normal((TRIALS, *rows.shape[1:3]))
-        step, _ = find_step(rows, wanted)
-        size = np.linalg.norm(subtract_step(rows, step, np.zeros_like(wanted)), axis=-1, keepdims=True)
-        step /= size
-        theta = np.broadcast_to(anchor, (TRIALS, len(anchor)))
-        up, down, here = (self._errors(theta, self.start + sign * step, white) for sign in (1.0, -1.0, 0.0))
-        curvature = 0.5 * np.nan_to_num(np.abs(up + down - 2.0 * here)).max(initial=0.0)
-        return float(np.clip(np.sqrt(LEFT / max(curvature, LEFT)), CLOSE, 1.0))
-
-    def _bend(self, first: Expansion, spread: Array) -> Expansion:
-        """Return an expansion with derivatives of H by what differs among machines (n, D)."""
-        free = np.flatnonzero((spread != spread[:1]).any(axis=0))
-        if not len(free) or len(free) * first.slope.size > LARGEST:
-            return first
-        change = np.zeros((len(free), len(first.anchor)))
-        change[np.arange(len(free)), free] = STEP * spread[:, free].std(axis=0)
-        pose = np.tensordot(change, first.moves, 1)
-        bends = np.empty((len(free), *first.slope.shape))
-        for part in self.batches(len(free)):
-            up, down = (
-                self._raw_slopes(first.anchor + sign * change[part], first.pose + sign * pose[part])
-                for sign in (1.0, -1.0)
-            )
-            width = 2.0 * change[part].sum(axis=1)
-            bends[part] = np.moveaxis(up - down, -1, 1) / width[:, None, None, None]
-        bent = replace(first, free=free, bends=bends, limit=np.inf)
-        # constraints as readings of their unit's usual noise: beside their own all else would be no change
-        loose = np.where(self.data.present & (self.data.sd == 0.0), self.sd / CONSTRAINT, self.sd)
-        white = self.whiten(loose[None], np.zeros((1, 1, loose.shape[-1])))
-        inverse = invert(white.rows(np.moveaxis(first.slope, 0, -1)[None])[0], 0.0)
-        rows, metric = white.rows(bent.by_parameter), np.zeros((len(free), len(free)))
-        for p in range(self.data.n_poses):
-            turned = (rows[:, p] @ inverse[p]).reshape(len(free), -1)
-            metric += turned @ turned.T
-        return replace(bent, metric=metric) if np.isfinite(metric).all() else first
-
-    def limited(self, theta: Array, error: Array) -> CalibrationLikelihood:
-        """Return the same density that uses its expansion as far as it is good enough.
-
-        The error of the log-density grows with the square of the change of H.
-        """
-        if self.expansion is None or self.expansion.bends is None:
-            return self
-        square, known, limit = self.expansion.measure(theta), np.isfinite(error), -np.inf
-        if known.any():
-            per_change = np.divide(np.abs(error), square, out=np.zeros_like(square), where=known & (square > 0.0))
-            limit = NATS / max(float(per_change.max()), NATS / LARGEST_CHANGE)
-        return replace(self, expansion=replace(self.expansion, limit=limit))
-
-    def is_near(self, theta: Array) -> np.ndarray:
-        """Return of which machines (C, D) the density takes H from the expansion, shape (C,)."""
-        near = self.expansion
-        return np.zeros(len(theta), dtype=bool) if near is None else near.measure(theta) <= near.limit
-
-    def differentiate_volume(self, theta: Array, white: Whitening, slope: Array) -> Array | None:
-        """Return the derivative of Σ `log_volume` by the parameters, (D,), for a machine (D,) of white H (P, K, q).
-
-        None where H is not taken from the expansion.
-        """
-        near = self.expansion
-        if not self.start.shape[-1]:
-            return np.zeros(len(theta))
-        if near is None or not self.is_near(theta[None]).all():
-            return None
-        result, bends, commanded = np.zeros(len(theta)), near.by_parameter, self.data.commanded
-        result[near.free] = -np.einsum("pik,fpki->f", invert(slope, 0.0), white.rows(bends), optimize=True)
-        if commanded is not None:
-            own = np.where(commanded[..., None], near.predict(theta[None])[1][0], 0.0)
-            result[near.free] += np.einsum("pik,fpki->f", invert(own, 0.0), bends, optimize=True)
-        return result
-
-    def _raw_slopes(self, theta: Array, pose: Array) -> Array:
-        here = self.model.linearise(theta[:, None], pose, False, self._given)
-        return self._pull_back(self.comparison.subtract(self.data.values, here.values), here.values, here.by_pose)
+    def explain(self, theta: Array, errors: Errors, zeta: Array) -> tuple[Whitening, Stand]:
+        """Return the whitening, and where machines explain the readings best."""
+        white = self.whiten(*self.noise(errors, zeta))
+        return white, self.stand(theta, white)
 
     # --- density -------------------------------------------------------------------------------------------------
 
-    def batches(self, n: int) -> Iterator[slice]:
-        """Yield slices of n machines that are looked at together."""
-        count = -(-n // max(1, ROWS // self.data.n_poses))
-        ends = np.arange(count + 1) * n // max(1, count)
-        yield from (slice(int(one), int(other)) for one, other in pairwise(ends))
+    def density(self, theta: Array, errors: Errors, zeta: Array) -> Array:
+        """Return the log-likelihood, shape (B,); see `Elimination.density`."""
+        if not errors.has_columns:
+            return np.asarray(self.density_by_row(theta, errors, zeta).sum(axis=1))
+        total = np.empty(len(theta))
+        for part, white, at in self._explain_in_parts(theta, errors, zeta):
+            rest = self.offset(white, at)
+            for some, found in self._absorb(errors, zeta[part], white, at):
+                weighed = errors.outliers.weigh(found.square, self.n_spare) + rest[some]
+                total[part][some] = weighed.sum(axis=1) + found.penalty
+        return total
 
-    def pointwise(self, theta: Array, own: Array, tau: Array, outliers: Outliers = NORMAL) -> Array:
-        """Return the log-density of each pose's readings, (C, P), -inf where a machine cannot stand.
-
-        Parameters
-        ----------
-        theta : ndarray, shape (C, D)
-        own : ndarray, shape (C, P, K)
-            s σ.
-        tau : ndarray, shape (C, 1, K)
-        outliers : Outliers, optional
-        """
+    def density_by_row(self, theta: Array, errors: Errors, zeta: Array) -> Array:
+        """Return the log-likelihood of each pose's readings given all others, shape (B, P)."""
         result = np.empty((len(theta), self.data.n_poses))
 
         def weigh(part: slice) -> None:
-            white = self.whiten(own[part], tau[part])
-            at = self.stand(theta[part], white)
-            result[part] = outliers.weigh(at.square, self.n_spare) + self.offset(white, at)
+            white, at = self.explain(theta[part], errors, zeta[part])
+            rest = self.offset(white, at)
+            if not errors.has_columns:
+                result[part] = errors.outliers.weigh(at.square, self.n_spare) + rest
+                return
+            for some, found in self._absorb(errors, zeta[part], white, at):
+                result[part][some] = rest[some] + found.condition_each(errors.outliers, self.n_spare)
 
         map_in_threads(weigh, list(self.batches(len(theta))))
-        result[~np.isfinite(result)] = -np.inf
-        return result
+        return np.where(np.isfinite(result), result, -np.inf)
 
-    def offset(self, white: Whitening, at: Stand) -> Array:
-        """Return what the log-density of each pose has beside that of the white residual, (C, P)."""
-        return np.asarray(white.log_det + self.log_volume(at, white))
+    @cached_property
+    def _alone(self) -> dict[int, Self]:
+        return {}
 
-    def log_volume(self, at: Stand, white: Whitening) -> Array:
-        """Return the log of what white readings leave of the pose's volume, times its prior density there, (C, P)."""
-        prior = self._weigh_poses(at.slope, white) if at.known_prior is None else at.known_prior
-        return np.asarray(prior - at.volume)
+    def density_of_row(self, theta: Array, errors: Errors, zeta: Array, row: int) -> Array:
+        """Return the log-likelihood of one pose's readings given all others, shape (B,)."""
+        if errors.has_columns:
+            return super().density_of_row(theta, errors, zeta, row)
+        if row not in self._alone:
+            self._alone[row] = self.pick(np.array([row]))
+        return self._alone[row].density_by_row(theta, errors, zeta)[:, 0]
 
-    def _weigh_poses(self, slope: Array, white: Whitening | None = None) -> Array:
-        """Return the log-density of poses before anything is read, (C, P), from H (C, P, K, q), white by ``white``."""
-        commanded = self.data.commanded
-        if commanded is None or not slope.shape[-1]:
-            return np.full(slope.shape[:2], -np.log(self.volume))
-        if white is not None:
-            slope = np.stack([white.colour(slope[..., i]) for i in range(slope.shape[-1])], axis=-1)
-        some = commanded.any(axis=0)
-        measure = half_log_volume(np.where(commanded[:, some, None], slope[:, :, some], 0.0))
-        return np.where(commanded.any(axis=1), measure, -np.log(self.volume))
+    def density_of_others(self, other: Self, theta: Array, errors: Errors, zeta: Array) -> Array:
+        """Return the log-density of each of Q other poses' readings given these, shape (B, Q)."""
+        if not errors.has_columns:
+            return other.density_by_row(theta, errors, zeta)
+        result = np.empty((len(theta), other.data.n_poses))
+        for part, white, at in self._explain_in_parts(theta, errors, zeta):
+            for some, found in self._absorb(errors, zeta[part], white, at):
+                own = zeta[part][some]
+                beyond = other.whiten(*other.noise(errors, own))
+                there = other.stand(theta[part][some], beyond)
+                columns = other.columns(errors, own, beyond, there.slope)
+                given = found.condition_others(there.error, columns, errors.outliers, other.n_spare)
+                result[part][some] = other.offset(beyond, there) + given
+        return np.where(np.isfinite(result), result, -np.inf)
+
+    def residuals(self, theta: Array, errors: Errors, zeta: Array) -> Array:
+        """Return white residuals of the best poses and of the mean errors common to all rows, shape (B, P, K)."""
+        white, at = self.explain(theta, errors, zeta)
+        if not errors.has_columns:
+            return at.error
+        return np.concatenate([found.residual for _, found in self._absorb(errors, zeta, white, at)])
+
+    def finer(self) -> None:
+        """Return None: the density leaves nothing out."""
+
+    def _explain_in_parts(self, theta: Array, errors: Errors, zeta: Array) -> Iterator[tuple[slice, Whitening, Stand]]:
+        """Yield machines that are looked at together, with whitening and where they explain readings best."""
+        for part in self.batches(len(theta)):
+            yield part, *self.explain(theta[part], errors, zeta[part])
+
+    # --- errors common to all rows -------------------------------------------------------------------------------
+
+    def columns(self, errors: Errors, zeta: Array, white: Whitening, slope: Array) -> Array:
+        """Return what coefficients do to white readings that are free of the poses, (B, P, K, N), for slopes H."""
+        acted = self.white_columns(errors, zeta, white)
+        with np.errstate(all="ignore"):
+            axes = orthonormalise(slope)
+            return np.asarray(acted - axes @ (np.swapaxes(axes, -1, -2) @ acted))
+
+    def white_columns(self, errors: Errors, zeta: Array, white: Whitening) -> Array:
+        """Return what coefficients do to white readings at poses that stay, (B, P, K, N)."""
+        return white.rows(np.where(self.data.present[..., None], errors.columns(zeta, self.data), 0.0))
+
+    def draw_common(self, theta: Array, errors: Errors, zeta: Array, rng: np.random.Generator) -> CommonDraws:
+        """Return draws of the errors common to all rows, one for each machine."""
+        if not errors.has_columns:
+            return CommonDraws(errors, ())
+        white, at = self.explain(theta, errors, zeta)
+        parts = [(zeta[some], found.draw(rng)) for some, found in self._absorb(errors, zeta, white, at)]
+        return CommonDraws(errors, tuple(parts))
+
+    def _absorb(self, errors: Errors, zeta: Array, white: Whitening, at: Stand) -> Iterator[tuple[slice, Coefficients]]:
+        """Yield the coefficients of errors common to all rows given the readings, of machines worked on together."""
+        n_columns = errors.columns(zeta[:1], self.data).shape[-1]
+        n_machines, n_poses, n_channels = at.error.shape
+        for some in split(n_machines, n_poses, n_channels, n_columns):
+            columns = self.columns(errors, zeta[some], white.pick(some), at.slope[some])
+            yield some, self._find(errors, columns, at.error[some])
+
+    def _find(self, errors: Errors, columns: Array, error: Array) -> Coefficients:
+        return find_coefficients(error, columns, errors.outliers, self.n_spare)
+
+    # --- derivatives ---------------------------------------------------------------------------------------------
+
+    def rows(self, theta: Array, change: Array, white: Whitening, pose: Array) -> tuple[Array, Array, Array]:
+        """Return white errors (P, K), H (P, K, q) and derivatives of readings by coordinates (P, K, m) at θ (D,)."""
+        error, slope, by_parameters = self.linearise(theta[None], pose, white, with_parameters=True)
+        return error[0], slope[0], by_parameters[0] @ change
+
+    def reduced_rows(self, theta: Array, change: Array, errors: Errors, zeta: Array) -> tuple[Array, Array]:
+        """Return white residuals that no pose explains (P, K), and their derivatives (P, K, m + N), at θ (D,), ζ (k,).
+
+        The derivatives are by the geometry, then by coefficients of errors common to all rows, which are standard
+        normal under the prior. Poses that the density trusts less count less.
+        """
+        at_one = (theta[None], errors, zeta[None])
+        with np.errstate(all="ignore"):
+            white, at = self.explain(*at_one)
+            error, slope, by_parameters = self.rows(theta, change, white, at.pose)
+            residual = self.residuals(*at_one)
+            trust = np.sqrt(errors.outliers.trust(np.einsum("cpk,cpk->cp", residual, residual), self.n_spare)[0])
+            left, common = project_out(slope), self.white_columns(errors, zeta[None], white)[0]
+        rows = left @ np.concatenate([by_parameters, common], axis=-1)
+        return trust[:, None] * left_of(left, error), trust[:, None, None] * rows
+
+    def inform(self, theta: Array, change: Array, errors: Errors, zeta: Array) -> Array:
+        """Return the information of the data on the geometry's coordinates, shape (m, m)."""
+        m, rows = change.shape[1], self.reduced_rows(theta, change, errors, zeta)[1]
+        whole = np.einsum("pki,pkj->ij", rows, rows, optimize=True)
+        across, inner = whole[m:, :m], whole[m:, m:]
+        return np.asarray(whole[:m, :m] - across.T @ np.linalg.solve(np.eye(len(inner)) + inner, across))
+
+    def inform_row(self, theta: Array, change: Array, errors: Errors, zeta: Array, row: int) -> Array:
+        """Return what one pose's readings tell of the geometry, shape (m, m)."""
+        rows = self.reduced_rows(theta, change, errors, zeta)[1][row, :, : change.shape[1]]
+        return np.asarray(rows.T @ rows)
+
+    def differentiate(
+        self, theta: Array, change: Array, errors: Errors, zeta: Array, newton: bool
+    ) -> tuple[Array, Array]:
+        """Return gradient and Gauss and Newton's Hessian of the log-likelihood; see `Elimination.differentiate`.
+
+        Exact but for differences of logarithms of volumes, and of how H turns.
+        """
+        del newton
+        with np.errstate(all="ignore"):
+            white, at = self.explain(theta[None], errors, zeta[None])
+            error, slope, by_parameters = self.rows(theta, change, white, at.pose)
+            trust = errors.outliers.trust(at.square, self.n_spare)[0]
+            left = project_out(slope)
+            rows, error = left @ by_parameters, left_of(left, error)
+            weighed, found, turn = trust[:, None, None] * rows, None, None
+            if errors.has_columns:
+                acted = self.white_columns(errors, zeta[None], white)[0]
+                found = self._find(errors, (left @ acted)[None], error[None])
+                error, trust, weighed = found.residual[0], found.trust[0], found.reduce(rows[None])[0]
+                follow = left_of(invert(slope, 0.0), acted @ found.mean[0])  # what coefficients make of the poses
+                turn = (trust[:, None] * error)[..., None] * follow[:, None]
+            m, n = change.shape[1], change.shape[1] + len(zeta)
+            gradient, hessian = np.zeros(n), np.zeros((n, n))
+            gradient[:m] = np.einsum("p,pki,pk->i", trust, rows, error)
+            gradient[: n if found is not None else m] += self._volume_slope(
+                theta, change, errors, zeta, white, slope, turn
+            )
+            hessian[:m, :m] = -np.einsum("pki,pkj->ij", rows, weighed, optimize=True)
+            if n > m:
+                by_errors, curvature = self._differentiate_by_errors(errors, zeta, white, left, error, trust, found)
+                gradient[m:] += by_errors
+                hessian[m:, m:] = -curvature
+        return gradient, hessian
+
+    def _differentiate_by_errors(
+        self,
+        errors: Errors,
+        zeta: Array,
+        white: Whitening,
+        left: Array,
+        error: Array,
+        trust: Array,
+        found: Coefficients | None,
+    ) -> tuple[Array, Array]:
+        """Return gradient (k,) and expected curvature (k, k) by what is unknown of the errors.
+
+        Without logarithms of volumes where there are coefficients, ``found``.
+        """
+        there = self.data.present
+        slopes = errors.covariance_slopes(zeta, self.data, self.sd, self.correlation, self.error_gain)
+        slopes = np.where(there[:, :, None] & there[:, None, :], slopes, 0.0)
+        both = white.rows(np.swapaxes(white.rows(slopes), -1, -2))
+        seen = left @ both
+        gradient = 0.5 * np.einsum("p,pk,npkl,pl->n", trust, error, both, error, optimize=True)
+        curvature = 0.5 * np.einsum("npkl,oplk->no", seen, seen, optimize=True)
+        if found is None:
+            return gradient - 0.5 * np.trace(seen, axis1=-2, axis2=-1).sum(axis=-1), curvature
+        acted = errors.column_slopes(zeta, self.data)
+        moved = left @ white.rows(np.where(there[..., None], acted, 0.0))
+        gradient += np.einsum("p,pk,npku,u->n", trust, error, moved, found.mean[0], optimize=True)
+        return gradient, curvature + found.inform(both, trust[:, None, None] * left @ both, moved)
+
+    def _volume_slope(
+        self,
+        theta: Array,
+        change: Array,
+        errors: Errors,
+        zeta: Array,
+        white: Whitening,
+        slope: Array,
+        turn: Array | None,
+    ) -> Array:
+        """Return the derivative of log-volumes by the coordinates at a white H, (m,); (m + k,) with coefficients.
+
+        By the expansion where the density takes H from there, else by central differences. Coefficients move the poses
+        by δ, to first order; residuals r change with H by -r dH δ, ``turn`` being r δ, (P, K, q).
+        """
+        m, k = change.shape[1], 0 if turn is None else len(zeta)
+        if turn is None:
+            by_parameters = self.differentiate_volume(theta, white, slope)
+            if by_parameters is not None:
+                return np.asarray(by_parameters @ change)
+        n, moves = m + k, STEP * np.eye(m + k)
+        both = np.concatenate([moves, -moves])
+        machines = theta + both[:, :m] @ change.T
+        noises = np.repeat(zeta[None], 2 * n, axis=0)
+        noises[:, :k] += both[:, m:]
+        parts = [self._log_volume(machines[part], errors, noises[part], turn) for part in self.batches(2 * n)]
+        volume, turned = (np.concatenate(one) for one in zip(*parts, strict=True))
+        turned[np.arange(2 * n) % n >= m] = 0.0  # by noise H is scaled alone, which is no turn
+        values = volume + turned
+        return np.asarray((values[:n] - values[n:]) / (2.0 * STEP))
+
+    def _log_volume(self, theta: Array, errors: Errors, zeta: Array, turn: Array | None) -> tuple[Array, Array]:
+        """Return log-volumes of machines right where they stand, with that of coefficients; and -r H δ."""
+        white, at = self.explain(theta, errors, zeta)
+        slope = at.slope  # that of a pose close by, the same for machines that are much alike
+        if not self.is_near(theta).all():
+            slope = self.linearise(theta, at.pose, white)[1]
+        there = Stand(at.pose, at.error, slope)
+        volume = self.log_volume(there, white).sum(axis=1)
+        if turn is None:
+            return volume, np.zeros(len(theta))
+        volume += white.log_det.sum(axis=1)
+        for some, found in self._absorb(errors, zeta, white, there):
+            volume[some] += found.log_volume
+        return volume, -np.einsum("bpkq,pkq->b", slope, turn)
+
+    # --- search for the mode -------------------------------------------------------------------------------------
+
+    def approach(self, sampling: AffineSampling, errors: Errors) -> Array:
+        """Return the least-squares solution from the machine as expected, shape (n,)."""
+        return self._fit(sampling, errors)[0]
+
+    def polish(self, sampling: AffineSampling, errors: Errors, y: Array) -> Array:
+        """Return y with the geometry that is best, by least squares, at its noise."""
+        m = sampling.size
+        theta, zeta = sampling.theta_from_y(y[None, :m]), y[None, m:]
+        pose = self.explain(theta, errors, zeta)[1].pose[0]
+        return np.append(JointFit(self, sampling, errors, y[m:]).run(y[:m], pose)[0], y[m:])
+
+    def _fit(self, sampling: AffineSampling, errors: Errors) -> tuple[Array, Array]:
+        """Return coordinates (n,) and poses (P, q) of least squares, from the machine as expected."""
+        zeta = np.zeros(errors.n_parameters)
+        y, pose = JointFit(self, sampling, errors, zeta).run(np.zeros(sampling.size), self.start)
+        return np.append(y, zeta), pose
+
+    def anchored(self, sampling: AffineSampling, errors: Errors) -> Self:
+        """Return the same density that looks for poses from those of the least-squares solution."""
+        (y, pose), m = self._fit(sampling, errors), sampling.size
+        theta, zeta = sampling.theta_from_y(y[None, :m])[0], np.zeros((NEARBY, errors.n_parameters))
+        white = self.whiten(*self.noise(errors, zeta[:1]))
+        every = sampling.theta_from_y(self._draw_near(sampling, y[:m], pose, white))
+        near, exact = (self.anchored_at(pose, theta, spread, white) for spread in (every, None))
+        with np.errstate(all="ignore"):  # one of them may be no machine
+            error = near.density(every, errors, zeta) - exact.density(every, errors, zeta)
+        return near.limited(every, np.where(self.layout.inside(every), error, np.nan))
+
+    def _draw_near(self, sampling: AffineSampling, y: Array, pose: Array, white: Whitening) -> Array:
+        """Return coordinates (N, m) thrice as far off the best ones (m,) as the posterior's, always the same."""
+        theta = sampling.theta_from_y(y[None])[0]
+        with np.errstate(all="ignore"):
+            _, slope, by_parameters = self.rows(theta, sampling.jacobian(theta), white, pose[None])
+            rows = project_out(slope) @ by_parameters
+        # by orthogonal steps: of readings that are far off, squares of the rows have lost what the prior adds
+        stacked = np.concatenate([np.nan_to_num(rows).reshape(-1, len(y)), np.eye(len(y))])
+        root = np.linalg.qr(stacked, mode="r")
+        root *= np.sign(np.diag(root))[:, None]
+        normal = np.random.default_rng(1777).standard_normal((len(y), NEARBY))
+        return np.asarray(y + FAR * np.linalg.solve(root, normal).T)
+
+    # --- straightening -------------------------------------------------------------------------------------------
+
+    def funnel_errors(self, errors: Errors, zeta: Array) -> Array:
+        """Return the noise of each group of channels over the stated one, (B, k) to (B, N), rms of its readings."""
+        own, tau = self.noise(errors, zeta)
+        there, square = self.data.present, (own**2 + tau**2) / self.sd**2
+        mine = there * errors.groups(there.shape[1])[:, None]
+        return np.sqrt(np.einsum("bpk,gpk->bg", square, mine) / np.maximum(mine.sum(axis=(1, 2)), 1))
+
+    def funnel(self, sampling: AffineSampling, errors: Errors, y: Array) -> Funnel | None:
+        """Return how the geometry depends on the noise at y, shape (n,); None where that is known."""
+        if not errors.has_noise:
+            return None
+        m, zeta = sampling.size, y[None, sampling.size :]
+        theta = sampling.theta_from_y(y[None, :m])
+        with np.errstate(all="ignore"):
+            white, at = self.explain(theta, errors, zeta)
+            _, slope, by_parameters = self.rows(theta[0], sampling.jacobian(theta[0]), white, at.pose)
+        left, prior = project_out(slope), np.eye(m)
+        trust = errors.outliers.trust(at.square, self.n_spare)[0]
+        rows = left @ by_parameters
+        if errors.has_columns:  # JᵀS⁻¹J = Gᵀ(W⁻¹ + AAᵀ)G with G = S⁻¹J; the part with A does not hang on the noise
+            columns = (left @ self.white_columns(errors, zeta, white)[0])[None]
+            found = self._find(errors, columns, at.error)
+            reduced, trust = found.reduce(rows[None])[0], found.trust[0]
+            acted = np.einsum("pku,pki->ui", found.columns[0], reduced, optimize=True)
+            rows, prior = reduced / trust[:, None, None], prior + acted.T @ acted
+        rows = np.sqrt(trust)[:, None, None] * rows
+        # information is a sum over white readings, homogeneous in their precisions: each group's share is its readings'
+        groups = errors.groups(rows.shape[1])
+        parts = np.einsum("gk,pki,pkj->gij", groups, rows, rows, optimize=True)
+        information, tau = parts.sum(axis=0), self.funnel_errors(errors, zeta)[0]
+        share = self._share_of_unknown(errors, left, groups)
+        parts /= share[:, None, None]
+        known = (groups * errors.is_known(rows.shape[1])).any(axis=1)
+        parts[known] = information - parts[~known].sum(axis=0)
+        return Funnel(information, prior, np.maximum(tau**2 * (1.0 / share - 1.0), 1e-12), tau, parts)
+
+    def _share_of_unknown(self, errors: Errors, left: Array, groups: Array) -> Array:
+        """Return how much of what groups of channels (N, K) are compared with has noise that is not known, shape (N,).
+
+        What poses leave of reading k, Σ_l Π_kl r_l by a projection (P, K, K), has Π_kl² of its variance from reading l.
+        Where readings are compared with some whose noise is known, their information does not grow beyond all bounds
+        as their own noise vanishes.
+        """
+        there = self.data.present
+        is_known = errors.is_known(there.shape[1])
+        from_known = np.einsum("gk,pkl,pl->g", groups * ~is_known, left**2, there * is_known)
+        every = np.einsum("gk,pkk,pk->g", groups, left, there.astype(np.float64))
+        return np.maximum(1.0 - from_known / np.where(every > 0.0, every, 1.0), LEAST_SHARE)
 
 
-def search_poses(
-    likelihood: CalibrationLikelihood, theta: Array, white: Whitening, start: Array
-) -> tuple[Array, Array]:
-    """Return poses (C, P, q) that explain readings better, and what they leave, r² (C, P), by damped steps.
-
-    Slower than `CalibrationLikelihood.stand`, it finds the way from starts (C, P, q) that are far off.
-    """
-    pose, damping, idle = start.copy(), np.full(start.shape[:2], 1e-3), 0
-    error, slope, _ = likelihood.linearise(theta, pose, white)
-    square = np.einsum("cpk,cpk->cp", error, error)
-    for _ in range(MAX_SEARCH):
-        # damping as further readings, of each coordinate by itself, that say it stays
-        size = np.sqrt(damping)[..., None] * np.linalg.norm(slope, axis=-2)
-        rows = np.concatenate([slope, size[..., None] * np.eye(slope.shape[-1])], axis=-2)
-        step, _ = find_step(rows, np.concatenate([error, np.zeros_like(size)], axis=-1))
-        moved = np.where(np.isfinite(step), pose + step, pose)
-        other, there, _ = likelihood.linearise(theta, moved, white)
-        found = np.einsum("cpk,cpk->cp", other, other)
-        better = (found < square) | (np.isnan(square) & np.isfinite(found))
-        idle = 0 if np.any(better & ~(square - found < 1e-4 * square)) else idle + 1
-        damping = np.where(better, damping / 10.0, damping * 10.0)
-        pose, error = (np.where(better[..., None], new, old) for new, old in ((moved, pose), (other, error)))
-        slope, square = np.where(better[..., None, None], there, slope), np.where(better, found, square)
-        if idle == PATIENCE:
-            break
-    return pose, square
+type CalibrationPosterior = Posterior[CalibrationLikelihood, AffineSampling, Errors]
+"""The posterior of any machine, from its readings."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayescal.density.calibration.likelihood import CalibrationLikelihood, Stand
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
+from bayescal.density.calibration.poses import Stand
 from bayescal.density.elimination import find_step
 from bayescal.numerics.geometry import Array
 
@@ -86,7 +86,7 @@ def replicate_readings(
     made = np.full((len(y), *data.values.shape), np.nan)
     for part in likelihood.batches(len(y)):
         theta, own, common = posterior.theta(y[part]), y[part], np.zeros((1, 1, 1))
-        white = likelihood.whiten(*posterior.deviations(own))
+        white = likelihood.whiten(*posterior.likelihood.noise(posterior.errors, posterior.zeta(own)))
         wider = np.ones((len(theta), data.n_poses, 1))
         if errors.outliers.expected:
             wider = np.sqrt(nu / rng.chisquare(nu, wider.shape))
@@ -94,7 +94,7 @@ def replicate_readings(
             at = likelihood.stand(theta, white)
             places = at.pose + wider * _draw_poses(at.slope, rng)
             if errors.has_columns:
-                common = posterior.draw_common(own, rng).at(data)
+                common = posterior.likelihood.draw_common(*posterior.at(own), rng).at(data)
                 places -= find_step(at.slope, white.vector(np.where(data.present, common, 0.0)))[0]
         else:
             places = np.broadcast_to(pose, (len(theta), *pose.shape))
@@ -132,7 +132,7 @@ def _predict(
     """Return predicted means and noisy values of a channel, both (T, P)."""
     rest = replace(held, data=held.data.only(others), expansion=None)
     theta, outliers = posterior.theta(y), posterior.errors.outliers
-    own, tau = posterior.deviations(y, held)
+    own, tau = held.noise(posterior.errors, posterior.zeta(y))
     mean, spread = (np.empty((len(y), held.data.n_poses)) for _ in range(2))
     given = {name: value[None] for name, value in held.data.given.items()}
     for part in rest.batches(len(y)):
@@ -143,7 +143,7 @@ def _predict(
         slope = held.comparison.pull_back(error, here.values, here.by_pose)[..., channel, :]
         error_left, shift = at.error, np.zeros(error.shape[:-1])
         if posterior.errors.has_columns:  # what errors common to all rows make of the pose, to first order
-            common = posterior.draw_common(y[part], rng).at(held.data)
+            common = posterior.likelihood.draw_common(*posterior.at(y[part]), rng).at(held.data)
             moved, left = find_step(at.slope, white.vector(np.where(rest.data.present, common, 0.0)))
             error_left = at.error - left
             shift = common[..., channel] - np.einsum("tpq,tpq->tp", slope, moved)
@@ -200,7 +200,7 @@ def draw_readings(posterior: CalibrationPosterior, y: Array, pose: Array, rng: n
     rng : Generator
     """
     likelihood = posterior.likelihood
-    own, tau = (one[0] for one in posterior.deviations(y[None]))
+    own, tau = (one[0] for one in posterior.likelihood.noise(posterior.errors, posterior.zeta(y[None])))
     exact = likelihood.model.read(posterior.theta(y[None])[0], pose, likelihood.data.given)
     factor = np.linalg.cholesky(np.broadcast_to(likelihood.correlation, (len(pose), *own.shape[-1:] * 2)))
     noise = own * (factor @ rng.standard_normal((*own.shape, 1)))[..., 0]

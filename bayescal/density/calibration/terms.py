@@ -30,6 +30,7 @@ from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.outliers import NORMAL, Outliers
 from bayescal.density.model_error import LengthPrior
 from bayescal.density.priors import HalfNormalPrior, Prior
+from bayescal.density.protocols import ErrorCoordinates
 from bayescal.errors import BayescalError, InputError
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
@@ -273,7 +274,7 @@ class ModelErrorTerm(ErrorTerm):
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class Errors(ErrorCoordinates):
     """All terms together, and what rows are like that are wrong as a whole; coordinates in the terms' order.
 
     Attributes
@@ -293,21 +294,16 @@ class Errors:
         return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     @property
-    def n_parameters(self) -> int:
-        """Number n of coordinates of all terms."""
-        return sum(len(term.names) for term in self.terms)
-
-    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of all that is unknown."""
         return tuple(name for term in self.terms for name in term.names)
 
-    @cached_property
+    @property
     def units(self) -> tuple[str, ...]:
         """Units of all."""
         return tuple(unit for term in self.terms for unit in term.units)
 
-    @cached_property
+    @property
     def priors(self) -> tuple[Prior, ...]:
         """Priors of all."""
         return tuple(prior for term in self.terms for prior in term.priors)
@@ -326,33 +322,37 @@ class Errors:
         """Return all that is unknown in its own units, (..., n)."""
         return np.concatenate([zeta[..., :0], *(term.natural(own) for term, own in self.of(zeta))], axis=-1)
 
-    def deviation(self, zeta: Array) -> Array:
+    def deviations(self, zeta: Array) -> Array:
         """Return coordinates less their places, standard normal under the prior, (..., n)."""
         found = zeta.copy()
         for k, place in self.switches.items():
             found[..., k] -= np.where(zeta[..., k] > 0.5 * place, 0.0, place)
         return found
 
-    def draw_prior(self, y: Array, first: int, rng: np.random.Generator) -> Array:
-        """Return draws (S, m) of standard normals with half of the switches, from coordinate ``first`` on, off."""
-        found = y.copy()
-        places = [first + k for k in self.switches]
-        off = rng.random((len(y), len(places))) < 0.5 if places else np.zeros((len(y), 0), dtype=bool)
+    @property
+    def log_mass(self) -> float:
+        """Half for each place of a switch."""
+        return -len(self.switches) * float(np.log(2.0))
+
+    def draw(self, standard: Array, rng: np.random.Generator) -> Array:
+        """Return coordinates of the prior from standard normal numbers (S, n), half of the switches off."""
+        found, places = standard.copy(), list(self.switches)
+        off = rng.random((len(found), len(places))) < 0.5 if places else np.zeros((len(found), 0), dtype=bool)
         found[:, places] += np.where(off, list(self.switches.values()), 0.0)
         return found
 
     def jumps(self, zeta: Array) -> list[tuple[int, Array]]:
         """Return each error switched on or off, from ζ, shape (n,)."""
         found = []
-        for jump, (k, place) in enumerate(self.switches.items()):
+        for k, place in self.switches.items():
             image = zeta.copy()
             image[k] = place if zeta[k] > 0.5 * place else 0.0
-            found.append((jump, image))
+            found.append((k, image))
         return found
 
     # --- what they do ------------------------------------------------------------------------------------------------
 
-    def deviations(self, zeta: Array, data: Measurements, sd: Array) -> tuple[Array, Array]:
+    def noise(self, zeta: Array, data: Measurements, sd: Array) -> tuple[Array, Array]:
         """Return f σ and the root of all variances beside, (B, P, K) and (B, 1 or P, K), at (B, n) and σ (P, K)."""
         own, beside = np.broadcast_to(sd, (len(zeta), *sd.shape)), np.zeros((len(zeta), 1, sd.shape[1]))
         for term, part in self.of(zeta):
@@ -445,7 +445,7 @@ class Errors:
         gain : ndarray, shape (P, K, K), optional
             How model errors show in the readings; each in its own where it is None.
         """
-        own = self.deviations(zeta[None], data, sd)[0][0]
+        own = self.noise(zeta[None], data, sd)[0][0]
         stated = own[:, :, None] * correlation * own[:, None, :]
         result = np.zeros((len(zeta), *stated.shape))
         for k, one in enumerate(self.slopes(zeta, data)):

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayescal.density.calibration.likelihood import Stand
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.poses import Stand
 from bayescal.density.errors import ModelError
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.numerics.geometry import Array
@@ -145,15 +145,10 @@ class ReadingRows(SessionRows):
         """Return the coordinates as they are: the posterior has them."""
         return zeta
 
-    def _deviate(self, zeta: Array) -> tuple[Array, Array]:
-        """Return deviations of readings and model errors for coordinates (B, n)."""
-        still = np.zeros((len(zeta), self.posterior.n_geometry))
-        return self.posterior.deviations(np.concatenate([still, zeta], axis=1))
-
     def linearise(self, theta: Array) -> LinearRows:
         """Return what no pose explains of the readings, white by the stated noise."""
         likelihood = self.posterior.likelihood
-        own, tau = self._deviate(np.zeros((1, self.n_errors)))
+        own, tau = likelihood.noise(self.posterior.errors, np.zeros((1, self.n_errors)))
         white = likelihood.whiten(np.broadcast_to(likelihood.sd, own.shape), np.zeros_like(tau))
         with np.errstate(all="ignore"):
             at = likelihood.stand(theta[None], white)
@@ -167,7 +162,7 @@ class ReadingRows(SessionRows):
         there, gain = likelihood.data.present, likelihood.error_gain
 
         def covariance(zeta: Array) -> Array:
-            own, tau = (one[0] for one in self._deviate(zeta[None]))
+            own, tau = (one[0] for one in likelihood.noise(self.posterior.errors, zeta[None]))
             full = own[:, :, None] * likelihood.correlation * own[:, None, :]
             spread = np.broadcast_to(tau, own.shape)[:, None, :] * (np.eye(own.shape[-1]) if gain is None else gain)
             full = full + spread @ np.swapaxes(spread, 1, 2)
@@ -180,6 +175,5 @@ class ReadingRows(SessionRows):
 
     def evaluate(self, theta: Array, errors: Array) -> Array:
         """Return the density of the readings, poses eliminated."""
-        own, tau = self._deviate(errors)
         with np.errstate(all="ignore"):
-            return np.asarray(self.posterior.likelihood.pointwise(theta, own, tau).sum(axis=1))
+            return self.posterior.likelihood.density(theta, self.posterior.errors, errors)

@@ -86,10 +86,10 @@ def tabulate_errors(config: CalibrationConfig, variant: Variant, kept: Array) ->
     """
     whole, names, posterior = variant.whole, variant.model.names, variant.posterior().anchored()
     y = kept[np.linspace(0, len(kept) - 1, min(ERROR_DRAWS, len(kept))).astype(int)]
-    own, beside = posterior.deviations(y)
+    own, beside = posterior.likelihood.noise(posterior.errors, posterior.zeta(y))
     square = np.broadcast_to(beside**2, own.shape)
     if posterior.errors.has_columns:
-        common = posterior.draw_common(y, np.random.default_rng([config.seed, 12]))
+        common = posterior.likelihood.draw_common(*posterior.at(y), np.random.default_rng([config.seed, 12]))
         square = square + common.at(posterior.likelihood.data) ** 2
     present = posterior.likelihood.data.present
     stated = np.nan_to_num(noise_of_channels(config.sensors, whole))

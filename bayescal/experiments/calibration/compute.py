@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.experiments.calibration.calibrated import ERRORS, keep_machine, tabulate_errors
 from bayescal.experiments.calibration.inputs import CalibrationInputs
 from bayescal.experiments.calibration.knowledge import Knowledge, assess
@@ -103,12 +103,12 @@ def _weigh(inputs: CalibrationInputs, task: WidthTask) -> ImportanceEvidence:
 
 def _explain(posterior: CalibrationPosterior, fit: Fit) -> Residuals:
     """Return the residuals of the best machine at the calibration poses."""
-    white, stand = posterior.stand(fit.mode[None])
-    own, tau = posterior.deviations(fit.mode[None])
+    white, stand = posterior.likelihood.explain(*posterior.at(fit.mode[None]))
+    own, tau = posterior.likelihood.noise(posterior.errors, posterior.zeta(fit.mode[None]))
     likelihood, outliers = posterior.likelihood, posterior.errors.outliers
     given = {key: value[None] for key, value in likelihood.data.given.items()}
     read = likelihood.model.read(posterior.theta(fit.mode[None])[:, None], stand.pose, given)
-    residual = posterior.residuals(fit.mode[None])
+    residual = posterior.likelihood.residuals(*posterior.at(fit.mode[None]))
     common = white.colour(stand.error - residual)  # what errors common to all rows explain beyond the pose
     left = (likelihood.comparison.subtract(likelihood.data.values, read) - common)[0]
     square = np.einsum("pk,pk->p", residual[0], residual[0])

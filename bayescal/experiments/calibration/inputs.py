@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.calibrated.kept import keep_machines
-from bayescal.density.calibration.likelihood import CalibrationLikelihood
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.outliers import Outliers
-from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.elimination import project_out
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.beside import Beside, read_beside
@@ -80,7 +80,7 @@ class Variant:
         """Return the posterior of some poses, those for calibration by default; ``factor`` widens all priors."""
         likelihood = self.likelihood(~self.verification if which is None else which)
         priors = self.priors if factor == 1.0 else {k: widen(one, factor) for k, one in self.priors.items()}
-        return CalibrationPosterior(likelihood, priors, self.errors, self.fixed, self.common)
+        return Posterior(likelihood, priors, self.errors, self.fixed, self.common)
 
     def suspicion(self, which: np.ndarray | None = None) -> Suspicion:
         """Return the same for slips to be looked for in."""
@@ -92,11 +92,11 @@ class Variant:
         data, q, m = posterior.likelihood.data, len(self.model.coordinates), posterior.n_geometry
         y = np.zeros(posterior.n_parameters)
         with np.errstate(all="ignore"):
-            white, at = posterior.stand(y[None])
-            _, slope, by_parameters = posterior.rows(y, white, at.pose)
+            white, at = posterior.likelihood.explain(*posterior.at(y[None]))
+            _, slope, by_parameters = posterior.likelihood.rows(*posterior.around(y), white, at.pose)
         rows = np.nan_to_num(project_out(np.nan_to_num(slope)) @ by_parameters)
         counted = f"{int(data.present.sum())} readings in {data.n_poses} rows for {m} + {q * data.n_poses} unknowns"
-        return tell_outlook(f"{counted} of machine and poses", rows, posterior.geometry_names)
+        return tell_outlook(f"{counted} of machine and poses", rows, posterior.sampling.names)
 
     @property
     def internal(self) -> np.ndarray:

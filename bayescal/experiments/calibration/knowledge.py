@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.experiments.calibration.inputs import Variant
 from bayescal.experiments.calibration.schema import NextConfig
 from bayescal.experiments.shared.schema import UnitsConfig
@@ -182,8 +182,8 @@ def _inform(posterior: CalibrationPosterior, y: Array, rows: Array) -> Informati
         return information_of_rows(rows, np.ones(posterior.n_geometry))
     y = y.copy()
     y[[posterior.n_geometry + k for k in posterior.errors.switches]] = 0.0
-    white, stand = posterior.stand(y[None])
-    others = posterior.columns(y[None], white, stand.slope)[0]
+    white, stand = posterior.likelihood.explain(*posterior.at(y[None]))
+    others = posterior.likelihood.columns(posterior.errors, posterior.zeta(y[None]), white, stand.slope)[0]
     return marginalise(rows.reshape(-1, rows.shape[-1]), others.reshape(-1, others.shape[-1]))
 
 
@@ -204,8 +204,8 @@ def _judge(
         largest = scale[pivot] * min(1.0, abs(direction.vector[pivot]) / np.abs(direction.vector).max())
         size = factor * round_below(largest / factor) / (direction.vector[pivot] * scale[pivot])
         move = direction.vector * scale * size
-        text = describe_move(posterior.geometry_names, kinds, direction, move, units, posterior.likelihood.model.member)
+        text = describe_move(posterior.sampling.names, kinds, direction, move, units, posterior.likelihood.model.member)
         left = float(np.abs(rows @ (direction.vector * size)).max())
         sentence = f"{text} changes no reading by more than {left:.2g} of its noise."
-        ridges.append((posterior.geometry_names[pivot], direction.contraction, sentence))
+        ridges.append((posterior.sampling.names[pivot], direction.contraction, sentence))
     return judge_parameters(information, nothing), ridges

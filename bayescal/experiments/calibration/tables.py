@@ -116,8 +116,7 @@ def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dic
 
 def _list_parameters(variant: Variant, one: Findings) -> pd.DataFrame:
     fit, posterior = one.fit, variant.posterior()
-    layout = variant.model.layout
-    start = [float(layout.nominal[posterior.places(name)[0]]) for name in posterior.geometry_names]
+    start = list(variant.model.layout.nominal[posterior.sampling.free])
     medians = posterior.errors.natural(np.zeros(posterior.errors.n_parameters))
     start += [float(x) if unit == "1" else 0.0 for unit, x in zip(posterior.errors.units, medians, strict=True)]
     verdicts = [*one.knowledge.verdicts, *["noise"] * posterior.errors.n_parameters]

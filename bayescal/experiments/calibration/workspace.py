@@ -10,8 +10,8 @@ from itertools import product
 import numpy as np
 
 from bayescal.data.truth import round_as_written
-from bayescal.density.calibration.likelihood import search_poses
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.poses import search_poses
 from bayescal.errors import InputError
 from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.identifiability.units import Units
@@ -118,8 +118,10 @@ def find_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: int
     """
     likelihood = posterior.likelihood
     starts, n = workspace.starts(seed), likelihood.data.n_poses
-    white = likelihood.whiten(*posterior.deviations(np.zeros((len(starts), posterior.n_parameters))))
-    theta = np.tile(posterior.centre, (len(starts), 1))
+    white = likelihood.whiten(
+        *posterior.likelihood.noise(posterior.errors, posterior.zeta(np.zeros((len(starts), posterior.n_parameters))))
+    )
+    theta = np.tile(posterior.sampling.start, (len(starts), 1))
     every = np.broadcast_to(starts[:, None], (len(starts), n, starts.shape[1]))
     pose = np.array(every)
     if pose.shape[-1]:
@@ -143,8 +145,10 @@ def check_told(posterior: CalibrationPosterior, pose: Array, workspace: Workspac
         )
     if not q:
         return
-    white = likelihood.whiten(*posterior.deviations(np.zeros((1, posterior.n_parameters))))
-    error, slope, _ = likelihood.linearise(posterior.centre[None], pose[None], white)
+    white = likelihood.whiten(
+        *posterior.likelihood.noise(posterior.errors, posterior.zeta(np.zeros((1, posterior.n_parameters))))
+    )
+    error, slope, _ = likelihood.linearise(posterior.sampling.start[None], pose[None], white)
     somewhere = np.flatnonzero(np.isfinite(error[0]).all(axis=1) & np.isfinite(slope[0]).all(axis=(1, 2)))
     values = np.linalg.svd(slope[0, somewhere] * workspace.half, compute_uv=False)
     for k in somewhere[values[:, -1] <= SINGULAR * values[:, 0]][:1]:

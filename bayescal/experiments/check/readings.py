@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayescal.density.calibration.likelihood import CalibrationLikelihood
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.prediction import draw_readings
 from bayescal.density.elimination import project_out
 from bayescal.errors import NumericalError
@@ -121,8 +120,10 @@ class ReadingSubject(Subject):
         model, given, pose = likelihood.model, likelihood.data.given, likelihood.start
         theta = posterior.theta(y[None])[0]
         here = model.linearise(theta, pose, True, given)
-        known = [here.by_parameters @ move for move in posterior.moves(y)] + list(np.moveaxis(here.by_pose, -1, 0))
-        names = [*posterior.geometry_names, *(one.name for one in model.coordinates)]
+        known = [here.by_parameters @ move for move in posterior.around(y)[1].T] + list(
+            np.moveaxis(here.by_pose, -1, 0)
+        )
+        names = [*posterior.sampling.names, *(one.name for one in model.coordinates)]
         half = 0.5 * (self.measured.high - self.measured.low)
         found = {}
         for k, (name, slope) in enumerate(zip(names, known, strict=True)):
@@ -160,9 +161,11 @@ class ReadingSubject(Subject):
         posterior, likelihood, m = self.posterior, self._likelihood, self.posterior.n_geometry
         known, y = np.zeros(posterior.n_parameters), mode.y.copy()
         with np.errstate(all="ignore"):
-            stated = likelihood.whiten(likelihood.sd[None], 0.0 * posterior.deviations(known[None])[1])
+            stated = likelihood.whiten(
+                likelihood.sd[None], 0.0 * posterior.likelihood.noise(posterior.errors, posterior.zeta(known[None]))[1]
+            )
             at = likelihood.stand(posterior.theta(y[None]), stated)
-            _, slope, by_parameters = posterior.rows(y, stated, at.pose)
+            _, slope, by_parameters = posterior.likelihood.rows(*posterior.around(y), stated, at.pose)
         rows = (project_out(slope) @ by_parameters).reshape(-1, m)
         values = np.linalg.svd(rows, compute_uv=False) ** 2
         dof = float(likelihood.n_spare.sum() - np.sum(values / (1.0 + values)))

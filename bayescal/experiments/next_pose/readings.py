@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison
-from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.errors import NumericalError
 from bayescal.experiments.next_pose.state import Shown, State, Subject
 from bayescal.experiments.shared.measured import MeasuredReadings
@@ -198,7 +198,7 @@ class ReadingsState(State):
         free = basis[..., there.by_pose.shape[-1] :] * white[read, None]  # (C, K, K - q)
         across = np.swapaxes(free, 1, 2)
         apart = Comparison(model.channels).subtract(here.values, there.values)[:, read]
-        rows = across @ np.nan_to_num(here.by_parameters[:, read]) @ self._posterior.moves(self._y).T
+        rows = across @ np.nan_to_num(here.by_parameters[:, read]) @ self._posterior.around(self._y)[1].T.T
         covariance = rows @ self.covariance @ np.swapaxes(rows, 1, 2) + across @ (variance[read, None] * free)
         return np.einsum("ckd,ck->cd", free, np.nan_to_num(apart)), covariance
 

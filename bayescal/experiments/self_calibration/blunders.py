@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from bayescal.density.calibration.likelihood import CalibrationLikelihood
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.self_calibration.inputs import ReadingInputs, Variant, find_cause, list_starts
 from bayescal.experiments.shared.sensor_sets import null_basis
@@ -92,14 +91,17 @@ def _complain(where: Path, variant: Variant, name: str, off: float, limit: float
 def _is_explained(posterior: CalibrationPosterior, mode: Array) -> bool:
     """Whether readings and priors together leave no more than their number lets one expect."""
     count = int(posterior.likelihood.n_spare.sum())
-    square = float((posterior.residuals(mode[None]) ** 2).sum() + mode @ mode)
+    square = float((posterior.likelihood.residuals(*posterior.at(mode[None])) ** 2).sum() + mode @ mode)
     return square <= count + DOUBT * np.sqrt(2.0 * count)
 
 
 def _find_suspect(posterior: CalibrationPosterior, mode: Array) -> tuple[int, float] | None:
     """Return a pose without which all others are explained, and how far its readings are off then."""
     likelihood = posterior.likelihood
-    square, n_poses = (posterior.residuals(mode[None])[0] ** 2).sum(axis=1), likelihood.data.n_poses
+    square, n_poses = (
+        (posterior.likelihood.residuals(*posterior.at(mode[None]))[0] ** 2).sum(axis=1),
+        likelihood.data.n_poses,
+    )
     if (n_poses - 1) * _redundancy(posterior) < posterior.n_parameters:
         return None
     for suspect in np.argsort(-square)[:SUSPECTS]:
@@ -116,12 +118,12 @@ def _find_suspect(posterior: CalibrationPosterior, mode: Array) -> tuple[int, fl
 def measure_misfits(posterior: CalibrationPosterior, mode: Array, other: CalibrationLikelihood) -> Array:
     """Return what no pose explains of other readings, rms by what noise and posterior let one expect, shape (P,)."""
     theta, redundancy = posterior.theta(mode[None]), _redundancy(posterior)
-    white = other.whiten(*posterior.deviations(mode[None], other))
+    white = other.whiten(*other.noise(posterior.errors, posterior.zeta(mode[None])))
     at = other.stand(theta, white)
     _, slope, by_parameters = other.linearise(theta, at.pose, white, with_parameters=True)
     basis = null_basis(slope[0])
     rest = np.einsum("pzk,pk->pz", basis, at.error[0])
-    moved = basis @ by_parameters[0] @ posterior.moves(mode).T
+    moved = basis @ by_parameters[0] @ posterior.around(mode)[1].T.T
     covariance = moved @ np.linalg.inv(-posterior.gradient(mode)[1]) @ np.swapaxes(moved, -1, -2) + np.eye(redundancy)
     square = np.einsum("pz,pz->p", rest, np.linalg.solve(covariance, rest[..., None])[..., 0])
     return np.sqrt(square / redundancy)

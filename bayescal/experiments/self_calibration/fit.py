@@ -38,6 +38,6 @@ def fit_variant(inputs: ReadingInputs, variant: Variant) -> VariantFit:
     if inputs.table.verification.any():
         held = inputs.likelihood(variant, verification=True)
         elpd = compute_elpd(posterior.predict_density(held, found.kept))
-    error = posterior.residuals(found.mode[None])[0]
+    error = posterior.likelihood.residuals(*posterior.at(found.mode[None]))[0]
     square = np.einsum("pk,pk->p", error, error)
     return VariantFit(**vars(found), theta=posterior.theta(found.kept), elpd=elpd, square=square)

@@ -95,9 +95,9 @@ def _inform(inputs: ReadingInputs, variant: Variant, pose: Array, rows: Array) -
         return information_of_rows(rows, variant.free.scale)
     posterior = inputs.posterior(variant)
     y = np.zeros((1, posterior.n_parameters))
-    white = posterior.likelihood.whiten(*posterior.deviations(y))
+    white = posterior.likelihood.whiten(*posterior.likelihood.noise(posterior.errors, posterior.zeta(y)))
     slope = variant.sensors.linearise(variant.free.centre, pose, with_parameters=False).by_pose
-    others = posterior.columns(y, white, slope[None])[0]
+    others = posterior.likelihood.columns(posterior.errors, posterior.zeta(y), white, slope[None])[0]
     return marginalise(rows.reshape(-1, rows.shape[-1]) * variant.free.scale, others.reshape(-1, others.shape[-1]))
 
 

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.density.calibration.functions import FunctionErrors
-from bayescal.density.calibration.likelihood import CalibrationLikelihood
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.model_error import INDEPENDENT
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.errors import InputError
 from bayescal.experiments.self_calibration.functions import build_functions
@@ -153,7 +153,7 @@ class ReadingInputs:
             name = names[place]
             priors.setdefault(shared.get(name, name), NormalPrior(float(free.centre[place]), float(scale)))
         errors = Errors() if variant.functions is None else Errors((variant.functions,))
-        return CalibrationPosterior(self.likelihood(variant), priors, errors, common=variant.common)
+        return Posterior(self.likelihood(variant), priors, errors, common=variant.common)
 
     @cached_property
     def workspace(self) -> Array:

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.density.calibration.likelihood import CalibrationLikelihood
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.terms import NO_ERRORS
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.errors import NumericalError
 from bayescal.experiments.sensor_placement.alignment import alignment_basis, take_away
@@ -74,7 +75,7 @@ def _calibrate(sensors: SensorSet, free: FreeParameters, measured: Array, pose: 
         layout.names[k]: NormalPrior(float(free.centre[k]), float(scale))
         for k, scale in zip(free.places, free.scale, strict=True)
     }
-    posterior = CalibrationPosterior(likelihood, priors)
+    posterior: CalibrationPosterior = Posterior(likelihood, priors, NO_ERRORS)
     try:
         return posterior.theta(posterior.approach()[None])[0]
     except NumericalError:

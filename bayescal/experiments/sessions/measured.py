@@ -208,7 +208,7 @@ class ReadingSession(Session):
     @property
     def names(self) -> tuple[str, ...]:
         """Of the posterior's geometry."""
-        return self.measured.posterior.geometry_names
+        return self.measured.posterior.sampling.names
 
     @cached_property
     def _anchored(self) -> Any:
@@ -228,9 +228,9 @@ class ReadingSession(Session):
 
     def _spread(self) -> tuple[Array, Array, Sequence[Prior]]:
         posterior = self.measured.posterior
-        moves = posterior.moves(np.zeros(posterior.n_parameters))
+        moves = posterior.around(np.zeros(posterior.n_parameters))[1].T
         priors = [posterior.priors[name] for name in self.names]
-        return posterior.centre, np.where(moves != 0.0, 1.0, 0.0), priors
+        return posterior.sampling.start, np.where(moves != 0.0, 1.0, 0.0), priors
 
     def move(self, theta: Array, model_moves: Array) -> Motions:
         """Return what parameters do to the readings of the machine's own channels at home, its pose as it is."""

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from bayescal.density.calibration.functions import FunctionErrors
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.calibration.terms import CommonDraws
 from bayescal.density.low_rank_columns import BUDGET
 from bayescal.density.model_error import BORDER

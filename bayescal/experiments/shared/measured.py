@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.legs import LegPosterior
 from bayescal.density.priors import Prior
 from bayescal.machines.kinematics import Machine

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.prediction import replicate_readings
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
@@ -48,7 +48,9 @@ def fit_readings(
     """Return a posterior's fit and its tree's file; its random numbers depend on the seed and the name alone."""
     subject = ReadingSubject(posterior)
     fit = fit_posterior(subject, seed, name, sampler, effort)
-    common = posterior.draw_common(fit.kept, np.random.default_rng([seed, 9, zlib.crc32(name.encode())]))
+    common = posterior.likelihood.draw_common(
+        *posterior.at(fit.kept), np.random.default_rng([seed, 9, zlib.crc32(name.encode())])
+    )
     functions = find_functions(posterior, fit.kept, common)
     packed = fit.pack(subject.build_tree(fit, name), ONLY_SAVED)
     return ReadingFit(**vars(packed), functions=functions, common=common.parts)
@@ -97,7 +99,7 @@ class ReadingSubject(Subject):
     def measure_misfit(self, posterior: Fittable, mode: Array) -> ChiSquare:
         """Return χ² of what no pose explains at the mode (n,)."""
         own = cast("CalibrationPosterior", posterior)
-        white, slope = own.reduced_rows(mode)
+        white, slope = own.likelihood.reduced_rows(*own.around(mode), own.errors, own.zeta(mode))
         n = slope.shape[-1]  # the geometry, then coefficients of errors common to all rows, whose prior is N(0, 1)
         held = np.concatenate([mode[: own.n_geometry], np.zeros(n - own.n_geometry)])
         return fit_rows(white, slope, held, np.eye(n), int(own.likelihood.n_spare.sum())).chi_square

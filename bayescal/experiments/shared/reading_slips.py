@@ -12,8 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from bayescal.density.calibration.likelihood import CalibrationLikelihood, search_poses
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
+from bayescal.density.calibration.poses import search_poses
 from bayescal.density.elimination import find_step, project_out
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.shared.slips import (
@@ -113,9 +113,9 @@ class Suspicion:
         moved = self._with(data, rows)
         posterior = replace(self.posterior, likelihood=moved)
         y = np.zeros(posterior.n_parameters)
-        white = moved.whiten(*posterior.deviations(y[None]))
+        white = moved.whiten(*posterior.likelihood.noise(posterior.errors, posterior.zeta(y[None])))
         pose = self._locate(posterior, rows)
-        error, slope, by_coordinates = posterior.rows(y, white, pose[None])
+        error, slope, by_coordinates = posterior.likelihood.rows(*posterior.around(y), white, pose[None])
         found = np.isfinite(error).all(axis=1) & (moved.n_spare > 0)
         beside, n_spare = project_out(slope[found]), moved.n_spare[found]
         rest, moves = np.einsum("pij,pj->pi", beside, error[found]), beside @ by_coordinates[found]
@@ -142,7 +142,7 @@ class Suspicion:
         likelihood = posterior.likelihood
         y = np.zeros((1, posterior.n_parameters))
         with np.errstate(all="ignore"):
-            _, at = posterior.stand(y)
+            _, at = posterior.likelihood.explain(*posterior.at(y))
         pose, lost = at.pose[0], ~np.isfinite(at.error[0]).all(axis=1) | (at.square[0] > self._usual[rows])
         if not lost.any() or not pose.shape[1]:
             return np.asarray(pose)
@@ -151,9 +151,9 @@ class Suspicion:
         middle, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
         elsewhere = middle + SPREAD * half * np.vstack([0.0 * half, rng.uniform(-1.0, 1.0, (STARTS - 1, len(half)))])
         starts = np.concatenate([some.start[None], np.repeat(elsewhere[:, None], len(which), axis=1)])
-        white = some.whiten(*posterior.deviations(np.repeat(y, len(starts), axis=0), some))
+        white = some.whiten(*some.noise(posterior.errors, posterior.zeta(np.repeat(y, len(starts), axis=0))))
         with np.errstate(all="ignore"):
-            found, square = search_poses(some, np.tile(posterior.centre, (len(starts), 1)), white, starts)
+            found, square = search_poses(some, np.tile(posterior.sampling.start, (len(starts), 1)), white, starts)
         square = np.where(np.isfinite(square), square, np.inf)
         best = square.argmin(axis=0)
         before = np.where(np.isfinite(at.square[0]), at.square[0], np.inf)[which]
@@ -168,8 +168,8 @@ class Suspicion:
         posterior = self.posterior
         y = np.zeros(posterior.n_parameters)
         with np.errstate(all="ignore"):
-            white, at = posterior.stand(y[None])
-            _, slope, by_coordinates = posterior.rows(y, white, at.pose)
+            white, at = posterior.likelihood.explain(*posterior.at(y[None]))
+            _, slope, by_coordinates = posterior.likelihood.rows(*posterior.around(y), white, at.pose)
             moved = project_out(slope) @ by_coordinates
         size = np.einsum("pkm,pkm->p", moved, moved) + posterior.likelihood.n_spare
         return np.where(np.isfinite(size), 4.0 * size, np.nanmedian(4.0 * size) if np.isfinite(size).any() else 0.0)
@@ -226,7 +226,7 @@ class Suspicion:
         values[:, k] = np.nan
         rows = np.arange(len(values))
         pose = self._locate(replace(self.posterior, likelihood=self._with(Columns(values), rows)), rows)
-        return np.asarray(likelihood.model.read(self.posterior.centre, pose, likelihood.data.given)[:, k])
+        return np.asarray(likelihood.model.read(self.posterior.sampling.start, pose, likelihood.data.given)[:, k])
 
 
 def find_calibration_slip(variants: Iterable[Suspicion]) -> FoundSlip | None:
@@ -278,7 +278,7 @@ def check_reach(suspicion: Suspicion) -> None:
 def _find_lost(posterior: CalibrationPosterior) -> np.ndarray:
     """Return which rows the nominal machine has no pose of, (P,)."""
     with np.errstate(all="ignore"):
-        _, at = posterior.stand(np.zeros((1, posterior.n_parameters)))
+        _, at = posterior.likelihood.explain(*posterior.at(np.zeros((1, posterior.n_parameters))))
     return np.asarray(~np.isfinite(at.error[0]).all(axis=1))
 
 
@@ -295,8 +295,10 @@ def _is_fitted(posterior: CalibrationPosterior) -> bool:
 def _name_channels(posterior: CalibrationPosterior, row: int) -> str:
     """Return which channels have no reading where a row's readings lead, and where that is."""
     likelihood = posterior.likelihood.pick(np.array([row]))
-    white = likelihood.whiten(*posterior.deviations(np.zeros((1, posterior.n_parameters)), likelihood))
-    model, pose, theta = likelihood.model, likelihood.start[None].copy(), posterior.centre[None]
+    white = likelihood.whiten(
+        *likelihood.noise(posterior.errors, posterior.zeta(np.zeros((1, posterior.n_parameters))))
+    )
+    model, pose, theta = likelihood.model, likelihood.start[None].copy(), posterior.sampling.start[None]
     given = {name: value[None] for name, value in likelihood.data.given.items()}
     best = pose
     with np.errstate(all="ignore"):

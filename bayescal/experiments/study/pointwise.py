@@ -71,7 +71,7 @@ def _evaluate(
     if posterior.errors.outliers is None:
         density = likelihood.pointwise(every.theta, every.model_error)
     else:
-        density = posterior.evaluate_rows(likelihood, y)
+        density = posterior.predict_density(likelihood, y)
     made = replicate(likelihood, some.theta, some.model_error, rng)
     misfit = made.misfit.astype(np.float32).swapaxes(0, 1)
     found = {"log_likelihood": density.T, **vars(made.summarise()), "misfit": misfit}

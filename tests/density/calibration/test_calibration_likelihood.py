@@ -23,9 +23,9 @@ from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 from scipy.stats import gamma, multivariate_normal
 
-from bayescal.density.calibration.likelihood import search_poses
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.density.calibration.outliers import Outliers
+from bayescal.density.calibration.poses import search_poses
 from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.machines.readings import Channel
 
@@ -294,7 +294,7 @@ def test_batches_change_nothing(anchored, coarse, rng):
     likelihood = replace(likelihood, data=replace(data, values=noisy, sd=coarse * data.sd))
     if anchored:
         white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, 8)))
-        likelihood = likelihood.anchored(likelihood.stand(near[:1], white).pose[0], near[0])
+        likelihood = likelihood.anchored_at(likelihood.stand(near[:1], white).pose[0], near[0])
     spread = 10.0 ** rng.uniform(-4.0, 0.5, (40, 1))
     many = near[0] + spread * (near[rng.integers(1, 4, 40)] - near[0])
     many[7, 12] = 50.0  # a leg too short for anything
@@ -310,7 +310,7 @@ def test_batches_change_nothing(anchored, coarse, rng):
 def test_chords_end_where_newtons_steps_do():
     likelihood, near = star_problem()
     white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, 8)))
-    anchored = likelihood.anchored(likelihood.stand(near[:1], white).pose[0], near[0])
+    anchored = likelihood.anchored_at(likelihood.stand(near[:1], white).pose[0], near[0])
     np.testing.assert_allclose(pointwise(anchored, near), pointwise(likelihood, near), rtol=0, atol=1e-4)
 
 
@@ -318,7 +318,7 @@ def test_chords_start_where_the_parameters_take_the_poses():
     likelihood, near = star_problem()
     white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, 8)))
     start, pose = (likelihood.stand(near[k : k + 1], white).pose[0] for k in (0, 1))
-    moved, _ = likelihood.anchored(start, near[0]).expansion.predict(near[1:2])
+    moved, _ = likelihood.anchored_at(start, near[0]).expansion.predict(near[1:2])
     # what is left is of second order, and of first in what no pose explains
     assert np.abs(moved[0] - pose).max() < 1e-3 * np.abs(pose - start).max()
 
@@ -355,7 +355,7 @@ def test_machines_near_the_anchor_need_no_derivatives_and_others_are_exact(case,
 def test_an_expansion_that_was_not_tried_is_not_used():
     likelihood, near = star_problem()
     white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, 8)))
-    expansion = likelihood.anchored(likelihood.stand(near[:1], white).pose[0], near[0]).expansion
+    expansion = likelihood.anchored_at(likelihood.stand(near[:1], white).pose[0], near[0]).expansion
     assert not (expansion.measure(near) <= expansion.limit).any()
 
 

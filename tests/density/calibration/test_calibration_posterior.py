@@ -7,14 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_problems import correlation_of, density, line_functions, lines_posterior, measurements, unknown_noise
+from calibration_problems import (
+    correlation_of,
+    density,
+    fit_jointly,
+    line_functions,
+    lines_posterior,
+    measurements,
+    unknown_noise,
+)
 from scipy.linalg import null_space
 from scipy.optimize import least_squares
 from scipy.stats import halfnorm, lognorm, norm, uniform
 
-from bayescal.density.calibration.posterior import CalibrationPosterior
-from bayescal.density.calibration.terms import Errors, ModelErrorTerm
+from bayescal.density.calibration.terms import NO_ERRORS, Errors, ModelErrorTerm
 from bayescal.density.elimination import project_out
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError, NumericalError
 
@@ -83,15 +91,17 @@ def test_the_slope_of_the_volume_follows_the_poses(rng):
     likelihood = posterior.likelihood
     coarse = replace(likelihood, data=replace(likelihood.data, sd=np.full((8, 4), 20.0)))
     posterior = replace(posterior, likelihood=coarse)
-    y, pose = posterior.fit(np.zeros_like(y), coarse.start)
+    y, pose = fit_jointly(posterior, np.zeros_like(y), coarse.start)
     posterior = replace(posterior, likelihood=replace(coarse, start=pose))
-    white, at = posterior.stand(y[None])
-    slope = posterior._volume_slope(y, white, at.slope[0])  # machines close by stand within a part of their deviations
+    white, at = posterior.likelihood.explain(*posterior.at(y[None]))
+    slope = posterior.likelihood._volume_slope(
+        *posterior.around(y), posterior.errors, posterior.zeta(y), white, at.slope[0], None
+    )
 
     def volume(at):
         """Return -½ Σ log |HᵀΣ⁻¹H| where the machine explains the readings best, by many steps."""
         theta = posterior.theta(at[None])
-        white = coarse.whiten(*posterior.deviations(at[None]))
+        white = coarse.whiten(*posterior.likelihood.noise(posterior.errors, posterior.zeta(at[None])))
         pose = coarse.start[None]
         for _ in range(20):
             error, rows, _ = coarse.linearise(theta, pose, white)
@@ -114,7 +124,7 @@ def test_fit_is_least_squares_over_parameters_and_poses_together(case, rng):
     likelihood, n, errors = posterior.likelihood, posterior.n_parameters, posterior.errors
     columns = errors.columns(np.zeros((1, errors.n_parameters)), likelihood.data)
     poses = n + 24
-    white = likelihood.whiten(*posterior.deviations(np.zeros((1, n))))
+    white = likelihood.whiten(*posterior.likelihood.noise(posterior.errors, posterior.zeta(np.zeros((1, n)))))
     freedom, spare = posterior.errors.outliers.freedom, likelihood.n_readings - 2
 
     def residual(x):
@@ -128,7 +138,7 @@ def test_fit_is_least_squares_over_parameters_and_poses_together(case, rng):
 
     start = np.concatenate([np.zeros(n), pose.ravel(), np.zeros(columns.shape[-1])])
     joint = least_squares(residual, start, "3-point", x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
-    y, at = posterior.fit(np.zeros(n), likelihood.start)
+    y, at = fit_jointly(posterior, np.zeros(n), likelihood.start)
     np.testing.assert_allclose(y, joint[:n], rtol=0, atol=1e-6)
     np.testing.assert_allclose(at, joint[n:poses].reshape(-1, 2), rtol=0, atol=1e-6)
     away = y + np.where(np.arange(n) < posterior.n_geometry, 0.1, 0.0)
@@ -146,8 +156,8 @@ def test_fit_finds_poses_beside_a_constraint(rng):
         replace(posterior, likelihood=replace(likelihood, data=replace(likelihood.data, sd=one)))
         for one in (exact, near)
     )
-    y, at = found.fit(np.zeros(found.n_parameters), pose)
-    other, _ = limit.fit(np.zeros(found.n_parameters), pose)
+    y, at = fit_jointly(found, np.zeros(found.n_parameters), pose)
+    other, _ = fit_jointly(limit, np.zeros(found.n_parameters), pose)
     np.testing.assert_allclose(y, other, rtol=0, atol=1e-3)
     left = likelihood.model.read(found.theta(y[None])[0], at)[:, 0] - likelihood.data.values[:, 0]
     assert np.abs(left).max() < 1e-6
@@ -165,7 +175,7 @@ def test_fit_goes_on_where_a_constraint_makes_the_valley_narrow(rng):
         likelihood=replace(likelihood, data=replace(likelihood.data, sd=sd)),
         priors={name: NormalPrior(value, 10.0) for name, value in zip(layout.names, layout.nominal, strict=True)},
     )
-    y, _ = found.fit(np.zeros(found.n_parameters), pose)
+    y, _ = fit_jointly(found, np.zeros(found.n_parameters), pose)
     gradient, hessian = found.gradient(y)
     assert gradient @ np.linalg.solve(-hessian, gradient) < 1e-4
 
@@ -184,7 +194,7 @@ def test_projections_hold_beside_constraints(weight, rng):
 def test_fit_says_where_there_is_no_machine(rng):
     posterior, _, pose = lines_posterior(rng)
     with pytest.raises(NumericalError, match="no reading of the machine as expected"):
-        posterior.fit(np.zeros(posterior.n_parameters), np.full_like(pose, np.nan))
+        fit_jointly(posterior, np.zeros(posterior.n_parameters), np.full_like(pose, np.nan))
 
 
 @pytest.mark.parametrize("correlation", [None, MIXED], ids=["independent", "correlated"])
@@ -227,7 +237,7 @@ def test_coordinates_are_standard_normal_under_the_priors(rng):
     y = np.linspace(-3.0, 3.0, 25)
     natural = posterior.natural(np.repeat(y[:, None], posterior.n_parameters, axis=1))
     quantile = norm.cdf(y)
-    for k, name in enumerate(posterior.geometry_names):
+    for k, name in enumerate(posterior.sampling.names):
         prior = posterior.priors[name]
         if isinstance(prior, UniformPrior):
             expected = uniform.ppf(quantile, prior.lower, prior.upper - prior.lower)
@@ -258,7 +268,7 @@ def test_slopes_of_the_covariance(rng):
     data = measurements(np.zeros((3, 4)), sd)
 
     def covariance(zeta):
-        own, tau = (one[0] for one in noise.deviations(zeta[None], data, sd))
+        own, tau = (one[0] for one in noise.noise(zeta[None], data, sd))
         return own[:, :, None] * correlation * own[:, None] + tau[..., None] ** 2 * np.eye(4)
 
     zeta, step = np.array([0.3, -0.8]), 1e-5
@@ -289,7 +299,7 @@ def test_outside_its_bounds_there_is_no_machine(rng):
     machine.parameters = blocks
     bounded = replace(model, machine=machine)
     likelihood = density(bounded, posterior.likelihood.data, pose)
-    limited = CalibrationPosterior(likelihood, posterior.priors)
+    limited = Posterior(likelihood, posterior.priors, NO_ERRORS)
     k = limited.names.index("zero[1]")
     beyond = np.tile(0.0 * y, (2, 1))
     beyond[:, k] = [-0.9, -1.1]

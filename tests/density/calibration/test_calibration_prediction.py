@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
 from bayescal.density.calibration.outliers import Outliers
-from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.calibration.prediction import predict_readings
-from bayescal.density.calibration.terms import Errors
+from bayescal.density.calibration.terms import NO_ERRORS, Errors
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.inference.importance import resample
 from bayescal.inference.proposal import MixtureProposal
@@ -38,7 +38,7 @@ def linear_problem(rng, correlation, nu=np.inf):
     data = measurements(rng.standard_normal((3, 6)), sd, correlation)
     likelihood = density(model, data)
     priors = {"d[1]": NormalPrior(0.0, 1e-9)}
-    return CalibrationPosterior(likelihood, priors, Errors((), Outliers(nu))), sd
+    return Posterior(likelihood, priors, Errors((), Outliers(nu))), sd
 
 
 @pytest.mark.parametrize("nu", [np.inf, 4.0])
@@ -74,7 +74,7 @@ def test_a_linear_reading_has_the_closed_form(rng, correlated, nu):
 def test_a_reading_that_tells_the_pose_is_not_predicted(rng):
     model = LinearModel(np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.ones((3, 1)))
     likelihood = density(model, measurements(rng.standard_normal((2, 3)), 1.0))
-    posterior = CalibrationPosterior(likelihood, {"d[1]": NormalPrior(0.0, 1.0)})
+    posterior = Posterior(likelihood, {"d[1]": NormalPrior(0.0, 1.0)}, NO_ERRORS)
     found = predict_readings(posterior, likelihood, np.zeros((50, 1)), rng)
     assert set(found.channel) == {0, 1}
     alone = replace(likelihood, data=likelihood.data.only(np.array([True, False, True])))
@@ -99,7 +99,7 @@ def test_rotations_are_predicted_near_half_a_turn(rng):
     values = np.concatenate([(one * Rotation.from_rotvec(pose)).as_rotvec() for one in small], axis=1)
     assert (np.abs(values[:, :3] - values[:, 3:]).max(axis=1) > 1.0).any()  # some lie beyond
     likelihood = density(model, measurements(values, sd), pose)
-    posterior = CalibrationPosterior(likelihood, {"d[1]": NormalPrior(0.0, 1.0)})
+    posterior = Posterior(likelihood, {"d[1]": NormalPrior(0.0, 1.0)}, NO_ERRORS)
     found = predict_readings(posterior, likelihood, np.zeros((1000, 1)), rng)
     assert len(found.measured) == 120
     assert np.abs(found.measured - found.mean).max() < 6.0 * np.sqrt(2.0) * sd

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from calibration_problems import evaluate_rows
 from numpy.polynomial.hermite_e import hermegauss
 from reading_machines import (
     SENSORS,
@@ -20,7 +21,8 @@ from reading_machines import (
     star_of,
 )
 
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.terms import NO_ERRORS
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError
 from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters, workspace_volume
@@ -113,9 +115,9 @@ def test_evidence_has_the_closed_form_where_tolerances_are_tiny(names):
     n_poses = 20 if names == SETS[4] else 10  # just enough equations
     posterior = small_posterior(names, n_poses, 7, tolerances=TINY)
     likelihood = posterior.likelihood
-    pose = find_poses_of(likelihood, posterior.centre[None])[0]
+    pose = find_poses_of(likelihood, posterior.sampling.start[None])[0]
     expected = gaussian_log_evidence(
-        sensors_of(likelihood), likelihood.data.values, pose, posterior.moves(posterior.approach()), VOLUME
+        sensors_of(likelihood), likelihood.data.values, pose, posterior.around(posterior.approach())[1].T, VOLUME
     )
     _, importance, bridge = sample(posterior, 3, steps=25)
     assert importance == pytest.approx(expected, abs=0.02)
@@ -174,7 +176,7 @@ def test_parameters_that_deviate_alike_are_one_coordinate(rng):
     assert spread.shape == (1, 22)
     same = posterior.log_density(y) - posterior.log_prior(y)
     np.testing.assert_allclose(
-        same, every.likelihood.pointwise(posterior.theta(y), *every.deviations(y)).sum(axis=1), rtol=1e-12
+        same, every.likelihood.density(posterior.theta(y), every.errors, every.zeta(y)), rtol=1e-12
     )
 
 
@@ -197,14 +199,14 @@ def test_prior_is_normal_about_the_machine_as_expected():
 def test_unknown_parameters_are_refused(priors, fixed, common):
     likelihood = small_posterior(SETS[8], 20, 11).likelihood
     with pytest.raises(InputError, match="unknown here, expected one of x_P, y_P"):
-        CalibrationPosterior(
-            likelihood, {k: NormalPrior(0.0, v) for k, v in priors.items()}, fixed=fixed, common=common
+        Posterior(
+            likelihood, {k: NormalPrior(0.0, v) for k, v in priors.items()}, NO_ERRORS, fixed=fixed, common=common
         )
 
 
 def test_a_fixed_value_stays():
     likelihood = small_posterior(SETS[8], 20, 11).likelihood
-    posterior = CalibrationPosterior(likelihood, {"l[1]": NormalPrior(801.0, 0.5)}, fixed={"l[2]": 799.5})
+    posterior = Posterior(likelihood, {"l[1]": NormalPrior(801.0, 0.5)}, NO_ERRORS, fixed={"l[2]": 799.5})
     assert likelihood.model.layout.take(posterior.theta(np.ones((1, 1))), "l")[0].tolist() == [
         801.5,
         799.5,
@@ -232,7 +234,7 @@ def make(names, seed=2, model=None):
 def evaluate(likelihood, theta):
     """Return the log-density (C, P) with the noise as stated."""
     own = np.broadcast_to(likelihood.sd, (len(theta), *likelihood.sd.shape))
-    return likelihood.pointwise(theta, own, np.zeros((len(theta), 1, own.shape[-1])))
+    return evaluate_rows(likelihood, theta, own, np.zeros((len(theta), 1, own.shape[-1])))
 
 
 @pytest.mark.parametrize("names", [*SETS.values(), ("s", "phi[2]")])

@@ -108,7 +108,7 @@ def test_the_terms_are_the_table(inputs, found):
 
 def test_the_derivative_of_corrections_is_that_of_differences(inputs, gaussian):
     posterior, mode, _, _ = gaussian
-    exact = differentiate_correction(inputs, posterior.theta(mode[None])[0], posterior.moves(mode))
+    exact = differentiate_correction(inputs, posterior.theta(mode[None])[0], posterior.around(mode)[1].T)
     step = 1e-4 * np.eye(len(mode))
     both = (respond(inputs, posterior.theta(mode + sign * step), inputs.cells).correction for sign in (1.0, -1.0))
     above, below = both
@@ -120,7 +120,7 @@ def test_the_first_measurement_is_the_best_of_all_candidates(inputs, gaussian, f
     posterior, mode, covariance, _ = gaussian
     plan = plan_measurements(inputs, posterior, mode, covariance)
     theta = posterior.theta(mode[None])[0]
-    flat = differentiate_correction(inputs, theta, posterior.moves(mode)).reshape(-1, len(mode))
+    flat = differentiate_correction(inputs, theta, posterior.around(mode)[1].T).reshape(-1, len(mode))
     rng, poses = np.random.default_rng([inputs.config.seed, 21]), inputs.config.plan.poses
     cell = np.repeat(inputs.cells, poses, axis=0)
     pose = inputs.variant.workspace.draw(len(cell), rng)
@@ -128,7 +128,7 @@ def test_the_first_measurement_is_the_best_of_all_candidates(inputs, gaussian, f
     here = inputs.variant.model.linearise(theta, pose, True, inputs.given_at(cell))
     left = []
     for slope, by in zip(here.by_pose, here.by_parameters, strict=True):
-        rows = np.concatenate([by @ posterior.moves(mode).T, slope], axis=1) / sd[:, None]
+        rows = np.concatenate([by @ posterior.around(mode)[1].T.T, slope], axis=1) / sd[:, None]
         information = rows.T @ rows
         information[: len(mode), : len(mode)] += np.linalg.inv(covariance)
         after = np.linalg.inv(information)[: len(mode), : len(mode)]

@@ -324,7 +324,7 @@ def test_calibrability_is_the_condition_of_the_free_parameters(shipped):
         found = compute_calibrability(variant.sensors, variant.free, pose, variant.together)
         rows = compute_rows(variant.sensors, variant.free.centre, pose)
         posterior = shipped.posterior(variant)
-        moves = posterior.moves(np.zeros(posterior.n_parameters))
+        moves = posterior.around(np.zeros(posterior.n_parameters))[1].T
         values = np.linalg.svd((rows @ moves.T).reshape(-1, len(moves)), compute_uv=False)
         assert found.scaled == pytest.approx((values[0] / values[-1]) ** 2, rel=1e-6)
 

@@ -10,9 +10,9 @@ from calibration_problems import correlation_of, density, linear_model, measurem
 from scipy import stats
 
 from bayescal.density.calibration.outliers import Outliers
-from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.calibration.prediction import replicate_readings
 from bayescal.density.calibration.terms import Errors
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.experiments.shared.reading_fit import ReadingSubject
 from bayescal.experiments.shared.soundness import measure_pulls
@@ -35,7 +35,7 @@ def make_posterior(rng, truth, noise=1.0, correlated=False, robust=np.inf, n_pos
     data = measurements(values, SD, correlation if correlated else None)
     names = model.layout.names
     priors = {names[0]: NormalPrior(0.0, 1.0), names[1]: UniformPrior(-2.0, 2.0), names[2]: NormalPrior(0.0, 0.5)}
-    return CalibrationPosterior(density(model, data), priors, Errors(outliers=Outliers(robust))), pose
+    return Posterior(density(model, data), priors, Errors(outliers=Outliers(robust))), pose
 
 
 def draw_truth(rng):
@@ -65,7 +65,7 @@ def test_poses_are_drawn_given_the_readings(case):
     posterior, _ = make_posterior(rng, draw_truth(rng), **case)
     y, likelihood = np.zeros((1, 3)), posterior.likelihood
     made = replicate_readings(posterior, np.repeat(y, 20_000, axis=0), rng)[:, 1]
-    white, at = posterior.stand(y)
+    white, at = posterior.likelihood.explain(*posterior.at(y))
     slope = white.colour(np.moveaxis(at.slope[0], -1, 0))[:, 1].T
     noise = SD**2 * likelihood.correlation[min(1, len(likelihood.correlation) - 1)]
     covariance = noise + slope @ np.linalg.inv(at.slope[0, 1].T @ at.slope[0, 1]) @ slope.T

@@ -125,7 +125,7 @@ def _build(
         planned.pose,
         workspace,
     )
-    values = _read(model, variant.posterior().centre, planned)
+    values = _read(model, variant.posterior().sampling.start, planned)
     variant = replace(variant, data=replace(data, values=values))
     check_told(variant.posterior(), planned.pose, workspace)
     return variant

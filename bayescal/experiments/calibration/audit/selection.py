@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.experiments.calibration.inputs import Variant
 from bayescal.experiments.calibration.knowledge import look, look_around, weigh
 from bayescal.experiments.calibration.schema import CalibrationAuditConfig

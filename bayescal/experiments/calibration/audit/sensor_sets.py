@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.inputs import Variant
 from bayescal.experiments.calibration.knowledge import N_WORKSPACE, differentiate
@@ -131,8 +131,8 @@ def build_sensor_sets(
 ) -> SensorSets:
     """Return the derivatives at the planned poses and over the workspace, of the machine as expected."""
     expected, model = np.zeros(posterior.n_parameters), variant.model
-    white, stand = posterior.stand(expected[None])
-    _, by_pose, by_parameters = posterior.rows(expected, white, stand.pose)
+    white, stand = posterior.likelihood.explain(*posterior.at(expected[None]))
+    _, by_pose, by_parameters = posterior.likelihood.rows(*posterior.around(expected), white, stand.pose)
     pose = variant.workspace.draw(N_WORKSPACE, np.random.default_rng([seed, 5]))
     return SensorSets(
         by_pose,

@@ -66,6 +66,6 @@ def _list_parameters(inputs: AuditInputs, found: FoundSets, number: int, place: 
     assert variant is not None
     posterior = variant.posterior()
     for name, unit, prior, share in zip(
-        posterior.geometry_names, posterior.units, posterior.prior_sd, found.accuracy[place].sd, strict=True
+        posterior.sampling.names, posterior.units, posterior.prior_sd, found.accuracy[place].sd, strict=True
     ):
         yield {"n_sensors": number, "parameter": name, "unit": unit, "prior_sd": prior, "sd": share * prior}

@@ -88,13 +88,12 @@ def _worst(margin: float) -> float:
 
 def _list_parameters(variant: Variant, one: Prospect) -> pd.DataFrame:
     posterior = variant.posterior()
-    centre = posterior.centre
     return pd.DataFrame(
         {
             "variant": variant.name,
-            "parameter": posterior.geometry_names,
+            "parameter": posterior.sampling.names,
             "unit": posterior.units,
-            "expected": [float(centre[posterior.places(name)[0]]) for name in posterior.geometry_names],
+            "expected": posterior.sampling.start[posterior.sampling.free],
             "prior_sd": posterior.prior_sd,
             "sd": one.sd,
             "contraction": 1.0 - (one.sd / posterior.prior_sd) ** 2,

@@ -147,7 +147,7 @@ def _check_places(found: TableInputs) -> None:
         given = found.given_at(rows)
         with name_faults(field):
             found.variant.whole.check_given(labels, given, ())
-        read = found.variant.model.read(found.variant.posterior().centre, found.pose, given)
+        read = found.variant.model.read(found.variant.posterior().sampling.start, found.pose, given)
         for k in np.flatnonzero(~np.isfinite(read).all(axis=-1))[:1]:
             raise InputError(f"{field}: found {labels[k]}, where the machine does not stand, expected where it does")
 
@@ -155,7 +155,7 @@ def _check_places(found: TableInputs) -> None:
 def _check_told(found: TableInputs) -> None:
     """Raise InputError where the actuators alone do not hold the platform."""
     given = {name: np.array(value) for name, value in found.reference.items()}
-    at = found.actuators.linearise(found.variant.posterior().centre, found.pose, False, given)
+    at = found.actuators.linearise(found.variant.posterior().sampling.start, found.pose, False, given)
     slope = at.by_pose * found.variant.workspace.half
     values = np.linalg.svd(slope, compute_uv=False) if len(slope) else np.zeros(1)
     if len(slope) < len(found.pose) or values[-1] <= RANK * values[0]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.density.calibration.posterior import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.experiments.calibration.knowledge import look
 from bayescal.experiments.calibration.table.inputs import TableInputs
 from bayescal.experiments.calibration.table.responses import differentiate_correction
@@ -63,7 +63,7 @@ def plan_measurements(inputs: TableInputs, posterior: CalibrationPosterior, y: A
         C by the data, of the geometry's coordinates.
     """
     asked, rng = inputs.config.plan, np.random.default_rng([inputs.config.seed, 21])
-    slopes = differentiate_correction(inputs, posterior.theta(y[None])[0], posterior.moves(y))
+    slopes = differentiate_correction(inputs, posterior.theta(y[None])[0], posterior.around(y)[1].T)
     flat = slopes.reshape(-1, slopes.shape[-1])
     start = covariance if asked.beside_data else np.eye(len(covariance))
     pose, cell = _list_candidates(inputs, rng)
@@ -89,7 +89,9 @@ def _list_candidates(inputs: TableInputs, rng: np.random.Generator) -> tuple[Arr
     n, cells = inputs.config.plan.poses, inputs.cells
     cell = np.repeat(cells, n, axis=0)
     pose = inputs.variant.workspace.draw(len(cell), rng)
-    stands = np.isfinite(inputs.variant.model.read(inputs.variant.posterior().centre, pose, inputs.given_at(cell)))
+    stands = np.isfinite(
+        inputs.variant.model.read(inputs.variant.posterior().sampling.start, pose, inputs.given_at(cell))
+    )
     return pose[stands.all(axis=-1)], cell[stands.all(axis=-1)]
 
 

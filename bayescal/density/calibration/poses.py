@@ -1,0 +1,448 @@
+"""The density of readings, some of them not taken, the poses at which they were taken unknown and eliminated.
+
+With a pose that may lie anywhere in a workspace of volume V, n readings of covariance Σ have to first order about the
+pose v̂ that explains them best the density
+
+    p(s | d) = (2π)^(-m/2) |Σ|^(-1/2) |HᵀΣ⁻¹H|^(-1/2) exp(-½ r²) / V,   r² = r̂ᵀ Σ⁻¹ r̂,   r̂ = s - h(v̂, d),
+
+with m = n - q, and where single rows may be wrong that of `outliers.Outliers` in place of the normal one of r̂.
+
+Where the data say which channels c the machine was commanded by, the pose is uniformly distributed in these and not in
+its coordinates: |∂h_c/∂v| takes the place of 1/V, sqrt |JᵀJ| with J = ∂h_c/∂v where they are more than the
+coordinates. That is p(s | d) over the density of the commanded positions, which is uniform then: p(other readings |
+commanded positions, d), in which no workspace appears.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Self
+
+import numpy as np
+
+from bayescal.density.calibration.expansion import LARGEST, Expansion
+from bayescal.density.calibration.measurements import CONSTRAINT, Comparison, Measurements
+from bayescal.density.calibration.whitening import Whitening
+from bayescal.density.elimination import (
+    factorise,
+    find_step,
+    half_log_volume,
+    invert,
+    log_root,
+    solve_step,
+    subtract_step,
+    whiten_covariance,
+)
+from bayescal.machines.readings import Given, ReadingModel
+from bayescal.numerics.geometry import Array
+
+ROWS = 4096  # poses of machines that are looked at together
+CLOSE = 0.03  # deviations of a reading, below which a step is taken to first order: what that leaves enters squared
+NEAR = 0.3  # deviations of a reading, within which H is taken for constant
+CHORD, ASTRAY = 0.1, 1.0  # length of white readings that a chord moves by, where chords end and where they are lost
+LEFT = 1e-5  # deviations of a reading that a step taken to first order may leave out
+STEP = 0.01  # of what a parameter's machines deviate, for the derivative of H: it has to hold where many compensate
+NATS, LARGEST_CHANGE = 1e-3, 0.1  # of the log-density that an expansion may be wrong by; square of the change of H
+TRIALS = 4  # directions in which poses are moved to see how straight the readings are
+MAX_STEPS, MAX_CHORDS, MAX_SEARCH, PATIENCE = 30, 8, 60, 4
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """C machines where they explain the readings best.
+
+    Attributes
+    ----------
+    pose : ndarray, shape (C, P, q)
+    error : ndarray, shape (C, P, K)
+        What is left, white.
+    slope : ndarray, shape (C, P, K, q)
+        H, white.
+    known_volume : ndarray, shape (C, P), or None
+        ½ log |HᵀΣ⁻¹H| where it has been computed.
+    known_prior : ndarray, shape (C, P), or None
+        Log-density of the poses before anything is read, the same.
+    """
+
+    pose: Array
+    error: Array
+    slope: Array
+    known_volume: Array | None = None
+    known_prior: Array | None = None
+
+    @property
+    def square(self) -> Array:
+        """r², shape (C, P)."""
+        return np.einsum("...k,...k->...", self.error, self.error)
+
+    @property
+    def volume(self) -> Array:
+        """½ log |HᵀΣ⁻¹H|, shape (C, P)."""
+        return half_log_volume(self.slope) if self.known_volume is None else self.known_volume
+
+
+@dataclass(frozen=True, eq=False)
+class PoseElimination:
+    """Readings of P poses for batches of machines and of deviations: their white rows free of the poses, and volumes.
+
+    Attributes
+    ----------
+    model : ReadingModel
+    data : Measurements
+    volume : float
+        V, in the units of the coordinates.
+    start : ndarray, shape (P, q)
+        Poses from which the best ones are looked for.
+    expansion : Expansion or None
+        About a machine near those that are asked for, which explains the readings at ``start``.
+    """
+
+    model: ReadingModel
+    data: Measurements
+    volume: float
+    start: Array
+    expansion: Expansion | None = None
+
+    @cached_property
+    def n_readings(self) -> np.ndarray:
+        """Number n of readings at each pose, shape (P,)."""
+        return np.asarray(self.data.present.sum(axis=1))
+
+    @property
+    def n_spare(self) -> np.ndarray:
+        """How many of them m are more than the pose has coordinates, shape (P,)."""
+        return self.n_readings - len(self.model.coordinates)
+
+    @cached_property
+    def comparison(self) -> Comparison:
+        """How readings are compared."""
+        return Comparison(self.model.channels)
+
+    @cached_property
+    def _known(self) -> Measurements:
+        return self.data.with_constraints(tuple(one.unit for one in self.model.channels))
+
+    @cached_property
+    def sd(self) -> Array:
+        """Stated deviations, shape (P, K), a constraint's being tiny, those of no reading one."""
+        return np.where(self.data.present, self._known.sd, 1.0)
+
+    @cached_property
+    def correlation(self) -> Array:
+        """Of the noise, (P, K, K) or (1, K, K), readings not taken being nobody's."""
+        n, there = len(self.model.channels), self.data.present
+        if self.data.correlation is None:
+            return np.eye(n)[None]
+        both = there[:, :, None] & there[:, None, :]
+        return np.where(both, self.data.correlation, np.eye(n))
+
+    @cached_property
+    def error_gain(self) -> Array | None:
+        """How model errors show in the readings, (P, K, K); None where each shows in its own channel alone.
+
+        That of one machine where it starts: the gain hardly changes with the machine.
+        """
+        theta, there = self.model.layout.nominal, self.data.present
+        theta = theta if self.expansion is None else self.expansion.anchor
+        gain = self.model.error_gain(theta, self.start, self.data.given)
+        if gain is None:
+            return None
+        known = np.isfinite(gain).all(axis=(-1, -2), keepdims=True) & there[:, :, None] & there[:, None, :]
+        return np.where(known, gain, np.eye(gain.shape[-1]))
+
+    @cached_property
+    def _given(self) -> Given:
+        return {name: value[None] for name, value in self.data.given.items()}
+
+    def pick(self, which: np.ndarray) -> Self:
+        """Return the density of the readings of some poses."""
+        near = None if self.expansion is None else self.expansion.pick(which)
+        return replace(self, data=self.data.pick(which), start=self.start[which], expansion=near)
+
+    def anchored_at(
+        self, pose: Array, theta: Array, spread: Array | None = None, reference: Whitening | None = None
+    ) -> Self:
+        """Return the same density that starts at those poses (P, q) which a machine (D,) explains readings with.
+
+        With others (n, D) H is expanded for machines like these, whatever their change, at a noise (1, P) or as stated.
+        """
+        moved = replace(self, start=pose, expansion=None)
+        return replace(moved, expansion=moved._expand(theta, spread, reference) if pose.shape[-1] else None)
+
+    # --- poses ---------------------------------------------------------------------------------------------------
+
+    def whiten(self, own: Array, tau: Array) -> Whitening:
+        """Return the whitening for deviations s σ (C, P, K) and τ (C, 1, K)."""
+        there = self.data.present
+        if self.data.correlation is None and self.error_gain is None:
+            weight = np.where(there, 1.0 / np.sqrt(own**2 + tau**2), 0.0)
+            return Whitening(weight, None, np.log(np.where(there, weight, 1.0)).sum(axis=-1))
+        if len(own) > 1 and (own == own[:1]).all() and (tau == tau[:1]).all():  # noise that is known
+            one = self.whiten(own[:1], tau[:1])
+            assert one.matrix is not None
+            many = np.broadcast_to(one.matrix, (len(own), *one.matrix.shape[1:]))
+            return Whitening(None, many, np.broadcast_to(one.log_det, many.shape[:2]))
+        own, tau = np.where(there, own, 1.0), np.where(there, tau, 0.0)
+        covariance = own[..., :, None] * self.correlation * own[..., None, :]
+        spread = tau[..., None, :] * (np.eye(own.shape[-1]) if self.error_gain is None else self.error_gain)
+        return Whitening(None, *whiten_covariance(covariance + spread @ np.swapaxes(spread, -1, -2)))
+
+    def linearise(
+        self, theta: Array, pose: Array, white: Whitening, with_parameters: bool = False
+    ) -> tuple[Array, Array, Array]:
+        """Return white errors (C, P, K), H (C, P, K, q) and A (C, P, K, D) of machines (C, D) at poses (C, P, q)."""
+        here = self.model.linearise(theta[:, None], pose, with_parameters, self._given)
+        error = self.comparison.subtract(self.data.values, here.values)
+        there = self.data.present
+        by_pose = self._pull_back(error, here.values, here.by_pose)
+        rows = white.rows(by_pose)
+        left = white.vector(np.where(there, error, 0.0))
+        if not with_parameters:
+            return left, rows, here.by_parameters
+        return left, rows, white.rows(self._pull_back(error, here.values, here.by_parameters))
+
+    def _pull_back(self, error: Array, values: Array, slope: Array) -> Array:
+        result = np.array(self.comparison.pull_back(error, values, slope))
+        result[:, ~self.data.present] = 0.0
+        return result
+
+    def stand(self, theta: Array, white: Whitening, start: Array | None = None) -> Stand:
+        """Return machines (C, D) where they explain the readings best, by Gauss and Newton's method.
+
+        Where the density is anchored it starts with chords, whose H is that of `Expansion`, without a derivative; where
+        the expansion is good enough it ends there. The last step is taken to first order.
+        """
+        pose = np.broadcast_to(self.start if start is None else start, (len(theta), *self.start.shape)).copy()
+        if not pose.shape[-1]:
+            error, slope, _ = self.linearise(theta, pose, white)
+            return Stand(pose, error, slope)
+        shape, n, q = pose.shape[:2], len(self.model.channels), pose.shape[-1]
+        found = Stand(pose, *(np.empty((*shape, *own)) for own in ((n,), (n, q), (), ())))
+        going = np.arange(len(theta))
+        if start is None and self.expansion is not None:
+            going = self._follow_chords(found, theta, white, self.expansion)
+        for _ in range(MAX_STEPS):
+            if not len(going):
+                return found
+            size = self._improve(found, going, theta, white)
+            still = np.any(size > NEAR, axis=1)  # where it is not a number the machine cannot stand
+            going, size = going[still], size[still]
+        found.error[going] = np.where((size > NEAR)[..., None], np.nan, found.error[going])  # wandering: no pose
+        return found
+
+    def _improve(self, found: Stand, going: np.ndarray, theta: Array, white: Whitening) -> Array:
+        """Move some of the machines by a step, or two where H is as good as that of the next pose; return the sizes."""
+        theta, white = theta[going], white.pick(going)
+        error, slope, _ = self.linearise(theta, found.pose[going], white)
+        with np.errstate(all="ignore"):
+            factor = factorise(slope)
+            step, _ = solve_step(slope, factor, error)
+            left = subtract_step(slope, step, error)
+        assert found.known_volume is not None
+        assert found.known_prior is not None
+        found.known_volume[going], found.known_prior[going] = log_root(factor), self._weigh_poses(slope, white)
+        pose, size = found.pose[going] + step, np.abs(error - left).max(axis=-1)
+        largest = np.nanmax(size, axis=1, initial=0.0)
+        near = np.flatnonzero((largest > CLOSE) & (largest <= NEAR))
+        if len(near):
+            again = self._errors(theta[near], pose[near], white.pick(near))
+            step, left[near] = find_step(slope[near], again)
+            pose[near] += step
+        found.pose[going], found.error[going], found.slope[going] = pose, left, slope
+        return np.asarray(size)
+
+    def _errors(self, theta: Array, pose: Array, white: Whitening) -> Array:
+        """Return white errors (C, P, K) of machines (C, D) at poses (C, P, q)."""
+        read = self.model.read(theta[:, None], pose, self._given)
+        error = self.comparison.subtract(self.data.values, read)
+        return white.vector(np.where(self.data.present, error, 0.0))
+
+    def _follow_chords(self, found: Stand, theta: Array, white: Whitening, near: Expansion) -> np.ndarray:
+        """Move machines by chords, each by itself; return which of them have no H that is good enough.
+
+        Where chords go astray a machine stays where it starts.
+        """
+        good = near.measure(theta) <= near.limit
+        close = np.where(good, near.close, CHORD)
+        pose, raw = near.predict(theta)
+        slope = white.rows(raw)
+        size, going = np.full(pose.shape[:2], np.inf), np.arange(len(theta))
+        with np.errstate(all="ignore"):
+            factor = factorise(slope)
+            for _ in range(MAX_CHORDS):
+                every = len(going) == len(theta)
+                own = (theta, pose, white) if every else (theta[going], pose[going], white.pick(going))
+                part = (slope, factor) if every else (slope[going], [[one[going] for one in row] for row in factor])
+                error = self._errors(*own)
+                step, size[going] = solve_step(*part, error)
+                pose[going] += step
+                ended = np.all(size[going] <= close[going, None], axis=1)
+                found.error[going] = subtract_step(part[0], step, error)
+                going = going[~ended]
+                if not len(going):
+                    break
+            good[going] = False
+            assert found.known_volume is not None
+            assert found.known_prior is not None
+            found.known_volume[:], found.known_prior[:] = log_root(factor), self._weigh_poses(raw)
+        astray = ~(np.isfinite(pose).all(axis=-1) & (size < ASTRAY))[..., None]
+        np.copyto(found.pose, pose, where=~astray)
+        found.slope[:] = slope
+        return np.flatnonzero(~good)
+
+    def _expand(self, anchor: Array, spread: Array | None, reference: Whitening | None) -> Expansion:
+        """Return what machines near an anchor (D,) at the start have in common."""
+        white = reference or self.whiten(self.sd[None], np.zeros((1, 1, len(self.model.channels))))
+        with np.errstate(all="ignore"):
+            here = self.model.linearise(anchor[None, None], self.start[None], True, self._given)
+            error = self.comparison.subtract(self.data.values, here.values)
+            slope = self._pull_back(error, here.values, here.by_pose)
+            inverse = invert(white.rows(slope)[0], 0.0)
+            moves = -inverse @ white.rows(self._pull_back(error, here.values, here.by_parameters))[0]
+            first = Expansion(
+                anchor,
+                self.start,
+                np.moveaxis(slope[0], -1, 0),
+                np.moveaxis(moves, -1, 0),
+                self._measure_straightness(anchor, white, slope),
+                np.arange(len(anchor)),
+                None,
+                np.zeros((len(anchor),) * 2),
+                -np.inf,
+            )
+            return first if spread is None else self._bend(first, spread)
+
+    def _measure_straightness(self, anchor: Array, white: Whitening, slope: Array) -> float:
+        """Return how many white readings a pose may move by, to first order, by the readings' curvature there."""
+        rng, rows = np.random.default_rng(1907), white.rows(slope)
+        wanted = rng.standard_normal((TRIALS, *rows.shape[1:3]))
+        step, _ = find_step(rows, wanted)
+        size = np.linalg.norm(subtract_step(rows, step, np.zeros_like(wanted)), axis=-1, keepdims=True)
+        step /= size
+        theta = np.broadcast_to(anchor, (TRIALS, len(anchor)))
+        up, down, here = (self._errors(theta, self.start + sign * step, white) for sign in (1.0, -1.0, 0.0))
+        curvature = 0.5 * np.nan_to_num(np.abs(up + down - 2.0 * here)).max(initial=0.0)
+        return float(np.clip(np.sqrt(LEFT / max(curvature, LEFT)), CLOSE, 1.0))
+
+    def _bend(self, first: Expansion, spread: Array) -> Expansion:
+        """Return an expansion with derivatives of H by what differs among machines (n, D)."""
+        free = np.flatnonzero((spread != spread[:1]).any(axis=0))
+        if not len(free) or len(free) * first.slope.size > LARGEST:
+            return first
+        change = np.zeros((len(free), len(first.anchor)))
+        change[np.arange(len(free)), free] = STEP * spread[:, free].std(axis=0)
+        pose = np.tensordot(change, first.moves, 1)
+        bends = np.empty((len(free), *first.slope.shape))
+        for part in self.batches(len(free)):
+            up, down = (
+                self._raw_slopes(first.anchor + sign * change[part], first.pose + sign * pose[part])
+                for sign in (1.0, -1.0)
+            )
+            width = 2.0 * change[part].sum(axis=1)
+            bends[part] = np.moveaxis(up - down, -1, 1) / width[:, None, None, None]
+        bent = replace(first, free=free, bends=bends, limit=np.inf)
+        # constraints as readings of their unit's usual noise: beside their own all else would be no change
+        loose = np.where(self.data.present & (self.data.sd == 0.0), self.sd / CONSTRAINT, self.sd)
+        white = self.whiten(loose[None], np.zeros((1, 1, loose.shape[-1])))
+        inverse = invert(white.rows(np.moveaxis(first.slope, 0, -1)[None])[0], 0.0)
+        rows, metric = white.rows(bent.by_parameter), np.zeros((len(free), len(free)))
+        for p in range(self.data.n_poses):
+            turned = (rows[:, p] @ inverse[p]).reshape(len(free), -1)
+            metric += turned @ turned.T
+        return replace(bent, metric=metric) if np.isfinite(metric).all() else first
+
+    def limited(self, theta: Array, error: Array) -> Self:
+        """Return the same density that uses its expansion as far as it is good enough.
+
+        The error of the log-density grows with the square of the change of H.
+        """
+        if self.expansion is None or self.expansion.bends is None:
+            return self
+        square, known, limit = self.expansion.measure(theta), np.isfinite(error), -np.inf
+        if known.any():
+            per_change = np.divide(np.abs(error), square, out=np.zeros_like(square), where=known & (square > 0.0))
+            limit = NATS / max(float(per_change.max()), NATS / LARGEST_CHANGE)
+        return replace(self, expansion=replace(self.expansion, limit=limit))
+
+    def is_near(self, theta: Array) -> np.ndarray:
+        """Return of which machines (C, D) the density takes H from the expansion, shape (C,)."""
+        near = self.expansion
+        return np.zeros(len(theta), dtype=bool) if near is None else near.measure(theta) <= near.limit
+
+    def differentiate_volume(self, theta: Array, white: Whitening, slope: Array) -> Array | None:
+        """Return the derivative of Σ `log_volume` by the parameters, (D,), for a machine (D,) of white H (P, K, q).
+
+        None where H is not taken from the expansion.
+        """
+        near = self.expansion
+        if not self.start.shape[-1]:
+            return np.zeros(len(theta))
+        if near is None or not self.is_near(theta[None]).all():
+            return None
+        result, bends, commanded = np.zeros(len(theta)), near.by_parameter, self.data.commanded
+        result[near.free] = -np.einsum("pik,fpki->f", invert(slope, 0.0), white.rows(bends), optimize=True)
+        if commanded is not None:
+            own = np.where(commanded[..., None], near.predict(theta[None])[1][0], 0.0)
+            result[near.free] += np.einsum("pik,fpki->f", invert(own, 0.0), bends, optimize=True)
+        return result
+
+    def _raw_slopes(self, theta: Array, pose: Array) -> Array:
+        here = self.model.linearise(theta[:, None], pose, False, self._given)
+        return self._pull_back(self.comparison.subtract(self.data.values, here.values), here.values, here.by_pose)
+
+    # --- density -------------------------------------------------------------------------------------------------
+
+    def batches(self, n: int) -> Iterator[slice]:
+        """Yield slices of n machines that are looked at together."""
+        count = -(-n // max(1, ROWS // self.data.n_poses))
+        ends = np.arange(count + 1) * n // max(1, count)
+        yield from (slice(int(one), int(other)) for one, other in pairwise(ends))
+
+    def offset(self, white: Whitening, at: Stand) -> Array:
+        """Return what the log-density of each pose has beside that of the white residual, (C, P)."""
+        return np.asarray(white.log_det + self.log_volume(at, white))
+
+    def log_volume(self, at: Stand, white: Whitening) -> Array:
+        """Return the log of what white readings leave of the pose's volume, times its prior density there, (C, P)."""
+        prior = self._weigh_poses(at.slope, white) if at.known_prior is None else at.known_prior
+        return np.asarray(prior - at.volume)
+
+    def _weigh_poses(self, slope: Array, white: Whitening | None = None) -> Array:
+        """Return the log-density of poses before anything is read, (C, P), from H (C, P, K, q), white by ``white``."""
+        commanded = self.data.commanded
+        if commanded is None or not slope.shape[-1]:
+            return np.full(slope.shape[:2], -np.log(self.volume))
+        if white is not None:
+            slope = np.stack([white.colour(slope[..., i]) for i in range(slope.shape[-1])], axis=-1)
+        some = commanded.any(axis=0)
+        measure = half_log_volume(np.where(commanded[:, some, None], slope[:, :, some], 0.0))
+        return np.where(commanded.any(axis=1), measure, -np.log(self.volume))
+
+
+def search_poses(likelihood: PoseElimination, theta: Array, white: Whitening, start: Array) -> tuple[Array, Array]:
+    """Return poses (C, P, q) that explain readings better, and what they leave, r² (C, P), by damped steps.
+
+    Slower than `PoseElimination.stand`, it finds the way from starts (C, P, q) that are far off.
+    """
+    pose, damping, idle = start.copy(), np.full(start.shape[:2], 1e-3), 0
+    error, slope, _ = likelihood.linearise(theta, pose, white)
+    square = np.einsum("cpk,cpk->cp", error, error)
+    for _ in range(MAX_SEARCH):
+        # damping as further readings, of each coordinate by itself, that say it stays
+        size = np.sqrt(damping)[..., None] * np.linalg.norm(slope, axis=-2)
+        rows = np.concatenate([slope, size[..., None] * np.eye(slope.shape[-1])], axis=-2)
+        step, _ = find_step(rows, np.concatenate([error, np.zeros_like(size)], axis=-1))
+        moved = np.where(np.isfinite(step), pose + step, pose)
+        other, there, _ = likelihood.linearise(theta, moved, white)
+        found = np.einsum("cpk,cpk->cp", other, other)
+        better = (found < square) | (np.isnan(square) & np.isfinite(found))
+        idle = 0 if np.any(better & ~(square - found < 1e-4 * square)) else idle + 1
+        damping = np.where(better, damping / 10.0, damping * 10.0)
+        pose, error = (np.where(better[..., None], new, old) for new, old in ((moved, pose), (other, error)))
+        slope, square = np.where(better[..., None, None], there, slope), np.where(better, found, square)
+        if idle == PATIENCE:
+            break
+    return pose, square
