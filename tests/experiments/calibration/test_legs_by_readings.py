@@ -141,7 +141,7 @@ def test_density_of_the_same_parameters_is_the_same(fast, general):
 
 def to_general(fast, general, y):
     """Return coordinates of the general posterior where parameters and model errors are those of the other at y."""
-    lengths = general.centre[general.likelihood.model.layout.index["l"]]
+    lengths = general.sampling.start[general.likelihood.model.layout.index["l"]]
     return np.concatenate([fast.natural(y)[:, :6] - lengths, y[:, 6:]], axis=1)
 
 
