@@ -32,10 +32,10 @@ from bayescal.density.free_length import FreeLengthLikelihood
 from bayescal.density.batches import BATCH
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.errors import KernelLength, KernelScale
-from bayescal.density.model_error import LengthPrior, build_kernel
+from bayescal.density.model_error import build_kernel
 from bayescal.density.errors import ModelError
 from bayescal.density.legs import LegPosterior, build_leg_posterior
-from bayescal.density.priors import NormalPrior
+from bayescal.density.priors import LogNormalPrior, NormalPrior
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import estimate_by_importance, resample
@@ -75,7 +75,7 @@ class Twin:
         likelihood = StructuredLikelihood(self.likelihood, build_kernel(kernel, length), travel)
         return build_leg_posterior(likelihood, self.priors(), ModelError(MODEL_ERROR_SCALE), terms=(SCALE,))
 
-    def free(self, kernel: str, lengths: LengthPrior) -> LegPosterior:
+    def free(self, kernel: str, lengths: LogNormalPrior) -> LegPosterior:
         """Return the posterior with a length that is not."""
         likelihood = FreeLengthLikelihood(
             self.likelihood, kernel, lengths, self.likelihood.machine.mechanism.actuator_range
@@ -84,7 +84,7 @@ class Twin:
         return build_leg_posterior(likelihood, self.priors(), error, terms=(SCALE, KernelLength(lengths)))
 
 
-def simulate(kernel: str, lengths: LengthPrior, seed: int) -> Twin:
+def simulate(kernel: str, lengths: LogNormalPrior, seed: int) -> Twin:
     """Return a machine drawn from the priors that errs by a function drawn from its own, and by τ at every pose."""
     rng = np.random.default_rng([seed, 4])
     machine = Machine(load_mechanism(TELESCOPE / "mechanism.toml"), SixPus(), NoDeformation())
@@ -112,7 +112,7 @@ def simulate(kernel: str, lengths: LengthPrior, seed: int) -> Twin:
     return Twin(PoseLikelihood(machine, poses, ACTUATOR_NOISE), theta, length)
 
 
-def judge(twin: Twin, kernel: str, lengths: LengthPrior, seed: int) -> dict[str, float]:
+def judge(twin: Twin, kernel: str, lengths: LogNormalPrior, seed: int) -> dict[str, float]:
     """Return what the posterior of a twin says of its length and of its geometry."""
     posterior = twin.free(kernel, lengths)
     found = explore(posterior, np.random.SeedSequence(seed), max_pilots=0)
@@ -134,10 +134,10 @@ def judge(twin: Twin, kernel: str, lengths: LengthPrior, seed: int) -> dict[str,
     }
 
 
-def compare_evidences(twin: Twin, kernel: str, lengths: LengthPrior, seed: int) -> dict[str, float]:
+def compare_evidences(twin: Twin, kernel: str, lengths: LogNormalPrior, seed: int) -> dict[str, float]:
     """Return the log-evidence with the length free, and integrated over posteriors with the length fixed."""
     free = evaluate_evidence(twin.free(kernel, lengths), seed, 20000)
-    fixed = [evaluate_evidence(twin.fixed(kernel, float(lengths.length(c))), seed, 3000) for c in QUADRATURE]
+    fixed = [evaluate_evidence(twin.fixed(kernel, float(lengths.value(c))), seed, 3000) for c in QUADRATURE]
     weight = -0.5 * QUADRATURE**2 - 0.5 * np.log(2.0 * np.pi) + np.log(QUADRATURE[1] - QUADRATURE[0])
     parts = np.array([value for value, _ in fixed]) + weight
     total = float(logsumexp(parts))
@@ -153,7 +153,7 @@ def evaluate_evidence(posterior: LegPosterior, seed: int, n_draws: int) -> tuple
     return evidence.log_evidence, evidence.standard_error
 
 
-def compare_densities(kernel: str, lengths: LengthPrior, n_draws: int = 400) -> None:
+def compare_densities(kernel: str, lengths: LogNormalPrior, n_draws: int = 400) -> None:
     """Print by how much the log-density differs from that of the dense kernel at each length."""
     twin, rng = simulate(kernel, lengths, 0), np.random.default_rng(1)
     posterior = twin.free(kernel, lengths)
@@ -171,7 +171,7 @@ def compare_densities(kernel: str, lengths: LengthPrior, n_draws: int = 400) -> 
     print(f"{kernel}: largest difference {off.max():.1e}, rms {np.sqrt(np.mean(off**2)):.1e}, of {np.ptp(dense):.0f}")
 
 
-def time_density(kernel: str, lengths: LengthPrior, repeats: int = 40) -> None:
+def time_density(kernel: str, lengths: LogNormalPrior, repeats: int = 40) -> None:
     """Print the time of the posterior density over that with τ per leg alone."""
     twin, rng = simulate(kernel, lengths, 0), np.random.default_rng(0)
     plain, fixed = (
@@ -203,7 +203,7 @@ def main() -> None:
     for flag in ("--density", "--speed", "--evidence"):
         parser.add_argument(flag, action="store_true")
     arguments = parser.parse_args()
-    kernel, lengths = arguments.kernel, LengthPrior(arguments.median, arguments.spread)
+    kernel, lengths = arguments.kernel, LogNormalPrior(arguments.median, arguments.spread)
     if arguments.density:
         compare_densities(kernel, lengths)
     if arguments.speed:

@@ -149,7 +149,7 @@ def check_same_density(posterior: LegPosterior, density: PlainDensity) -> None:
     bounded = posterior.sampling.coordinates.bounded
     volume = volume - 0.5 * np.sum(y[:, : posterior.n_geometry][:, bounded] ** 2, axis=1)
     zeta, tau = y[:, posterior.n_geometry :], natural[:, posterior.n_geometry :]
-    volume = volume + np.log(posterior.errors.model_error.slope(zeta, tau)).sum(axis=1)
+    volume = volume + np.log(posterior.errors.model_error.prior.slope(zeta)).sum(axis=1)
     plain = density(density.from_natural(natural)) - np.log(tau).sum(axis=1)
     difference = posterior.log_density(y) - volume - plain
     if np.ptp(difference) > AGREEMENT * np.abs(plain).max():

@@ -14,9 +14,8 @@ from bayescal.density.calibration.likelihood import CalibrationLikelihood, Calib
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.outliers import NORMAL, Outliers
 from bayescal.density.calibration.terms import Errors, ErrorTerm, ModelErrorTerm, NoiseFactor
-from bayescal.density.model_error import LengthPrior
 from bayescal.density.posterior import Posterior
-from bayescal.density.priors import NormalPrior, Prior, UniformPrior
+from bayescal.density.priors import LogNormalPrior, NormalPrior, Prior, UniformPrior
 from bayescal.experiments.shared.reading_machine import draw_poses
 from bayescal.machines.readings import ReadingModel
 
@@ -65,7 +64,7 @@ def unknown_noise(n: int, factors: bool = True, errors: bool = False, scale: flo
 
 def line_functions(kernel: str = "smooth", spread: float | None = None, scale: float = 0.1) -> FunctionErrors:
     """Return errors of the first two lines that are functions of their readings, with a scale each."""
-    places, lengths = np.array([0, 1]), None if spread is None else LengthPrior(1.5, spread)
+    places, lengths = np.array([0, 1]), None if spread is None else LogNormalPrior(1.5, spread)
     travel = Travel("reading", places, np.full(2, 500.0), np.full(2, 200.0))
     group, labels = np.arange(2), ("d[1]", "d[2]")
     return FunctionErrors(

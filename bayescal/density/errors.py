@@ -15,10 +15,10 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import erfcinv, erfinv, gammaln, ndtr
+from scipy.special import gammaln
 
-from bayescal.density.model_error import BORDER, LENGTH, OFF, SCALE, KernelScalePrior, LengthPrior
-from bayescal.density.priors import HalfNormalPrior, Prior, SharePrior
+from bayescal.density.model_error import LENGTH, SCALE, KernelScalePrior
+from bayescal.density.priors import HalfNormalPrior, LogNormalPrior, Prior, SharePrior
 from bayescal.density.protocols import ErrorCoordinates
 from bayescal.numerics.geometry import Array
 
@@ -26,13 +26,11 @@ TAU, SHARE = "tau", "epsilon"
 FREEDOM, WIDER = 1.0, 3.0  # ν and κ of an outlier
 
 
-class ErrorTerm(ABC):
-    """A term of the errors: amplitudes of each leg, or of all alike where it is ``shared``."""
+class LegTerm(ABC):
+    """A term of the legs' errors: amplitudes of each leg, or of all alike where it is ``shared``."""
 
     label: str
     shared: bool
-    log_mass: float = 0.0
-    """What the log-prior has of each coordinate beside the normal density of its deviation."""
 
     @property
     @abstractmethod
@@ -48,43 +46,14 @@ class ErrorTerm(ABC):
         count = self.n_parameters(n_legs)
         return (self.label,) if self.shared else tuple(f"{self.label}[{leg}]" for leg in range(1, count + 1))
 
-    @abstractmethod
-    def value(self, zeta: Array) -> Array:
-        """Return the amplitudes of coordinates (..., k)."""
-
-    @abstractmethod
-    def slope(self, zeta: Array) -> Array:
-        """Return the derivative of the amplitudes by their coordinates, (..., k)."""
-
-    @abstractmethod
-    def curvature(self, zeta: Array) -> Array:
-        """Return the second derivative, (..., k)."""
-
     def at_legs(self, values: Array, n_legs: int) -> Array:
         """Return something of the coordinates (..., k) at all amplitudes of the term, (..., N)."""
         return np.broadcast_to(values, (*values.shape[:-1], n_legs))
 
-    def deviation(self, zeta: Array) -> Array:
-        """Return what is standard normal under the prior, (..., k)."""
-        return zeta
-
-    def draw(self, standard: Array, rng: np.random.Generator) -> Array:
-        """Return coordinates (S, k) of standard normal numbers."""
-        del rng
-        return standard
-
-    def flip(self, zeta: float) -> float | None:
-        """Return where another mode of a coordinate may be; None where none is expected."""
-        del zeta
-        return None
-
 
 @dataclass(frozen=True)
-class ModelError(ErrorTerm):
-    """The model error τ, drawn anew at every pose: half-normal with the given scale in mm, or none (scale None).
-
-    Φ(ζ) is the prior probability of a smaller τ.
-    """
+class ModelError(LegTerm):
+    """The model error τ, drawn anew at every pose: half-normal with the given scale in mm, or none (scale None)."""
 
     scale: float | None
     shared: bool = False
@@ -92,9 +61,8 @@ class ModelError(ErrorTerm):
 
     @property
     def prior(self) -> Prior:
-        """Half-normal."""
-        assert self.scale is not None
-        return HalfNormalPrior(self.scale)
+        """Half-normal; of no width where there is none."""
+        return HalfNormalPrior(self.scale or 0.0)
 
     def n_parameters(self, n_legs: int) -> int:
         """Return the number of free model errors."""
@@ -108,38 +76,17 @@ class ModelError(ErrorTerm):
         """Return something of the coordinates at each leg: zeros without a model error."""
         return np.zeros((*values.shape[:-1], n_legs)) if self.scale is None else super().at_legs(values, n_legs)
 
-    def value(self, zeta: Array) -> Array:
-        """Return τ in mm."""
-        if self.scale is None:
-            return zeta
-        tail = ndtr(-np.abs(zeta))
-        return self.scale * np.sqrt(2.0) * np.where(zeta > 0, erfcinv(tail), erfinv(tail))
-
-    def slope(self, zeta: Array) -> Array:
-        """Return dτ/dζ in mm."""
-        if self.scale is None:
-            return zeta
-        return 0.5 * self.scale * np.exp(0.5 * ((self.value(zeta) / self.scale) ** 2 - zeta**2))
-
-    def curvature(self, zeta: Array) -> Array:
-        """Return d²τ/dζ² in mm."""
-        if self.scale is None:
-            return zeta
-        slope = self.slope(zeta)
-        return slope * (self.value(zeta) * slope / self.scale**2 - zeta)
-
 
 NO_MODEL_ERROR = ModelError(None)
 
 
 @dataclass(frozen=True)
-class KernelScale(ErrorTerm):
+class KernelScale(LegTerm):
     """The scale s of an error that is a function of the pose (`bayescal.density.model_error`), of each leg or of all.
 
     How large it is in directions that the geometry imitates cannot be learnt from those that it does not: the scale is
     a tolerance, stated by whoever knows the machine, within a factor exp(spread). Whether there is such an error at all
-    is for the data to say. The sampling coordinate c is a switch and a magnitude in one: about `OFF` s is zero, about
-    zero it is scale · exp(spread · c); either way c is standard normal about its place.
+    is for the data to say.
 
     Attributes
     ----------
@@ -155,43 +102,18 @@ class KernelScale(ErrorTerm):
     spread: float
     shared: bool = True
     label = SCALE
-    log_mass = -float(np.log(2.0))  # on or off with probability one half
 
     @property
     def prior(self) -> Prior:
         """Zero with probability one half, else log-normal."""
         return KernelScalePrior(self.scale, self.spread)
 
-    def value(self, zeta: Array) -> Array:
-        """Return s in mm."""
-        return np.where(zeta > BORDER, self.scale * np.exp(self.spread * np.maximum(zeta, BORDER)), 0.0)
-
-    def slope(self, zeta: Array) -> Array:
-        """Return ds/dc in mm."""
-        return self.spread * self.value(zeta)
-
-    def curvature(self, zeta: Array) -> Array:
-        """Return d²s/dc² in mm."""
-        return self.spread * self.slope(zeta)
-
-    def deviation(self, zeta: Array) -> Array:
-        """Return c less its place."""
-        return np.where(zeta > BORDER, zeta, zeta - OFF)
-
-    def draw(self, standard: Array, rng: np.random.Generator) -> Array:
-        """Return coordinates, half of them switched off."""
-        return standard + np.where(rng.random(standard.shape) < 0.5, OFF, 0.0)
-
-    def flip(self, zeta: float) -> float:
-        """Return the coordinate switched on, or off."""
-        return OFF if zeta > BORDER else 0.0
-
 
 @dataclass(frozen=True)
-class KernelLength(ErrorTerm):
+class KernelLength(LegTerm):
     """The length of a kernel, in ranges of the actuators: log-normal, one amplitude for all legs."""
 
-    lengths: LengthPrior
+    lengths: LogNormalPrior
     label = LENGTH
     shared = True
 
@@ -203,18 +125,6 @@ class KernelLength(ErrorTerm):
     def at_legs(self, values: Array, n_legs: int) -> Array:
         """Return the one value there is."""
         return values
-
-    def value(self, zeta: Array) -> Array:
-        """Return L."""
-        return self.lengths.length(zeta)
-
-    def slope(self, zeta: Array) -> Array:
-        """Return dL/dc."""
-        return self.lengths.spread * self.value(zeta)
-
-    def curvature(self, zeta: Array) -> Array:
-        """Return d²L/dc²."""
-        return self.lengths.spread * self.slope(zeta)
 
 
 @dataclass(frozen=True)
@@ -241,7 +151,7 @@ class Outliers:
 
     def shares(self, zeta: Array) -> Array:
         """Return ε of coordinates (...)."""
-        return self.share.share_from_zeta(zeta)
+        return self.share.value(zeta)
 
     def add(self, square: Array, n_rows: np.ndarray, share: Array) -> Array:
         """Return log p(e_n) - log N(e_n; 0, C_n) from eᵀ C⁻¹ e (..., P) of poses with rows (P,) and ε (..., 1)."""
@@ -274,13 +184,13 @@ class LegErrors(ErrorCoordinates):
     ----------
     n_legs : int
         N.
-    terms : sequence of ErrorTerm
+    terms : sequence of LegTerm
         The model error τ first, even where there is none.
     outliers : Outliers or None
     """
 
     n_legs: int
-    terms: Sequence[ErrorTerm]
+    terms: Sequence[LegTerm]
     outliers: Outliers | None = None
 
     @cached_property
@@ -298,11 +208,6 @@ class LegErrors(ErrorCoordinates):
     def n_amplitudes(self) -> int:
         """Number of coordinates that amplitudes have."""
         return int(self._places[-1].stop)
-
-    @property
-    def n_parameters(self) -> int:
-        """Number k of coordinates ζ."""
-        return self.n_amplitudes + (self.outliers is not None)
 
     @property
     def model_error(self) -> ModelError:
@@ -328,24 +233,20 @@ class LegErrors(ErrorCoordinates):
         found = [term.prior for term in self.terms for _ in term.names(self.n_legs)]
         return tuple(found if self.outliers is None else [*found, self.outliers.share])
 
-    def _each(self, zeta: Array) -> list[tuple[ErrorTerm, Array]]:
+    def _each(self, zeta: Array) -> list[tuple[LegTerm, Array]]:
         return [(term, zeta[..., place]) for term, place in zip(self.terms, self._places, strict=True)]
-
-    def natural(self, zeta: Array) -> Array:
-        """Return what is free in its own unit, (..., k)."""
-        found = [term.value(own) for term, own in self._each(zeta)]
-        return np.concatenate(found if self.outliers is None else [*found, self.shares(zeta)[..., None]], axis=-1)
 
     def amplitudes(self, zeta: Array) -> Array:
         """Return the amplitudes of all terms, (..., K), or (K,) for any ζ where none is free."""
         if not self.n_amplitudes:
             zeta = np.zeros(0)
-        return np.concatenate([term.at_legs(term.value(own), self.n_legs) for term, own in self._each(zeta)], axis=-1)
+        found = [term.at_legs(term.prior.value(own), self.n_legs) for term, own in self._each(zeta)]
+        return np.concatenate(found, axis=-1)
 
     def uniform(self, size: float) -> Array:
         """Return amplitudes (K,) that are alike for all legs, mm, with which a search for the mode begins."""
-        alike = [np.full(self.n_legs, size) if term.label != LENGTH else term.value(np.zeros(1)) for term in self.terms]
-        return np.concatenate(alike)
+        middle, every = np.zeros(1), np.full(self.n_legs, size)
+        return np.concatenate([term.prior.value(middle) if term.label == LENGTH else every for term in self.terms])
 
     def tau(self, zeta: Array) -> Array:
         """Return the model error of each leg, mm: the first of the amplitudes."""
@@ -358,11 +259,11 @@ class LegErrors(ErrorCoordinates):
 
     def slopes(self, zeta: Array) -> Array:
         """Return the derivative of the amplitudes by their coordinates at ζ (k,), shape (k', K)."""
-        return self._spread([term.slope(own) for term, own in self._each(zeta)])
+        return self._spread([term.prior.slope(own) for term, own in self._each(zeta)])
 
     def curvatures(self, zeta: Array) -> Array:
         """Return the second derivative, shape (k', K)."""
-        return self._spread([term.curvature(own) for term, own in self._each(zeta)])
+        return self._spread([term.prior.curvature(own) for term, own in self._each(zeta)])
 
     def _spread(self, values: list[Array]) -> Array:
         own = [
@@ -375,35 +276,6 @@ class LegErrors(ErrorCoordinates):
             result[place, column : column + one.shape[1]] = one
             column += one.shape[1]
         return result
-
-    # --- prior ---------------------------------------------------------------------------------------------------
-
-    def deviations(self, zeta: Array) -> Array:
-        """Return what is standard normal under the prior, (..., k)."""
-        found = [term.deviation(own) for term, own in self._each(zeta)]
-        return np.concatenate([*found, zeta[..., self.n_amplitudes :]], axis=-1)
-
-    @property
-    def log_mass(self) -> float:
-        """What the log-prior has beside the normal density of the deviations."""
-        return float(sum(term.log_mass * term.n_parameters(self.n_legs) for term in self.terms))
-
-    def draw(self, standard: Array, rng: np.random.Generator) -> Array:
-        """Return coordinates of the prior from standard normal numbers (S, k)."""
-        found = [term.draw(own, rng) for term, own in self._each(standard)]
-        return np.concatenate([*found, standard[..., self.n_amplitudes :]], axis=-1)
-
-    def jumps(self, zeta: Array) -> list[tuple[int, Array]]:
-        """Return coordinates (k,) where other modes may be, seen from ζ (k,), and which of them is another there."""
-        found = []
-        for term, place in zip(self.terms, self._places, strict=True):
-            for k in range(place.start, place.stop):
-                other = term.flip(float(zeta[k]))
-                if other is not None:
-                    image = zeta.copy()
-                    image[k] = other
-                    found.append((k, image))
-        return found
 
     def mean_square_tau(self, natural: Array) -> float:
         """Return the mean of τ² over draws in natural units (..., k) and over legs, mm²; zero without model error."""

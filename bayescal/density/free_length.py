@@ -15,8 +15,9 @@ import numpy as np
 
 from bayescal.density.columns import factor_by_columns
 from bayescal.density.likelihood import Likelihood
-from bayescal.density.model_error import Kernel, LengthPrior, build_kernel
+from bayescal.density.model_error import Kernel, build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.priors import LogNormalPrior
 from bayescal.density.structured import StructuredLikelihood, factor_kernel
 from bayescal.numerics.geometry import Array
 
@@ -43,7 +44,7 @@ class FreeLengthLikelihood(StructuredLikelihood):
         Density of the calibration poses without structured error.
     name : str
         Of the kernel.
-    lengths : LengthPrior
+    lengths : LogNormalPrior
         Prior of the length: where the nodes are.
     travel : float
         What the actuators' displacements are divided by, mm.
@@ -54,7 +55,7 @@ class FreeLengthLikelihood(StructuredLikelihood):
         For poses that are not measured alike, or too few.
     """
 
-    def __init__(self, poses: PoseLikelihood, name: str, lengths: LengthPrior, travel: float) -> None:
+    def __init__(self, poses: PoseLikelihood, name: str, lengths: LogNormalPrior, travel: float) -> None:
         kernel = build_kernel(name, lengths.median)
         super().__init__(poses, kernel, travel)
         self._median, self._name = StructuredLikelihood(poses, kernel, travel), name

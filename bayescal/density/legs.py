@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bayescal.density.errors import NO_MODEL_ERROR, ErrorTerm, LegErrors, ModelError, Outliers
+from bayescal.density.errors import NO_MODEL_ERROR, LegErrors, LegTerm, ModelError, Outliers
 from bayescal.density.leg_sampling import LegSampling, check_bounds
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.model_error import LENGTH, SCALE, Kernel
@@ -24,7 +24,7 @@ def build_leg_posterior(
     priors: Mapping[str, Prior],
     model_error: ModelError = NO_MODEL_ERROR,
     fixed: Mapping[str, float] | None = None,
-    terms: Sequence[ErrorTerm] = (),
+    terms: Sequence[LegTerm] = (),
     outliers: Outliers | None = None,
 ) -> LegPosterior:
     """Return the posterior of a machine on legs.
@@ -39,7 +39,7 @@ def build_leg_posterior(
         The model error τ, or none.
     fixed : mapping of parameter name to float, optional
         Values of fixed parameters that are not nominal.
-    terms : sequence of ErrorTerm
+    terms : sequence of LegTerm
         What else the likelihood takes: scale and length of an error that is a function of the pose.
     outliers : Outliers, optional
         Where poses may be outliers.

@@ -124,52 +124,15 @@ def build_kernel(name: str, length: float | Array) -> Kernel:
 
 
 @dataclass(frozen=True)
-class LengthPrior(Prior):
-    """Of a kernel's length: log-normal, in units of the actuators' range.
-
-    Its sampling coordinate c is standard normal under the prior.
-    """
-
-    median: float
-    spread: float
-
-    def log_density(self, value: Array) -> Array:
-        """Return the log-normal log-density."""
-        return np.asarray(-0.5 * self.standardise(value) ** 2 - np.log(value * self.spread) - 0.5 * np.log(2.0 * np.pi))
-
-    def draw(self, n: int, rng: np.random.Generator) -> Array:
-        """Return n draws."""
-        return self.length(rng.standard_normal(n))
-
-    def standardise(self, value: Array) -> Array:
-        """Return c."""
-        return np.asarray(np.log(value / self.median) / self.spread)
-
-    def length(self, c: Array) -> Array:
-        """Return lengths of coordinates."""
-        return np.asarray(self.median * np.exp(self.spread * c))
-
-    def at_quantile(self, share: Array) -> Array:
-        """Return lengths by the prior's mass below them."""
-        return self.length(ndtri(share))
-
-    @property
-    def mean(self) -> float:
-        """Of the log-normal."""
-        return self.median * float(np.exp(0.5 * self.spread**2))
-
-    @property
-    def sd(self) -> float:
-        """Standard deviation."""
-        return self.mean * float(np.sqrt(np.expm1(self.spread**2)))
-
-
-@dataclass(frozen=True)
 class KernelScalePrior(Prior):
-    """With probability one half there is no structured error, s = 0; else s is log-normal."""
+    """With probability one half there is no structured error, s = 0; else s is log-normal.
+
+    The coordinate is a switch and a magnitude in one: about `OFF` s is zero, about zero it is scale · exp(spread · c).
+    """
 
     scale: float
     spread: float
+    off = OFF
 
     def log_density(self, value: Array) -> Array:
         """Return the log-density of a scale that is not zero, probability one half included; that half where it is."""
@@ -194,6 +157,18 @@ class KernelScalePrior(Prior):
         """Return scales by the prior's mass below them, zero up to one half."""
         inside = np.maximum(2.0 * np.asarray(share) - 1.0, 0.0)
         return np.asarray(np.where(inside > 0.0, self.scale * np.exp(self.spread * ndtri(inside)), 0.0))
+
+    def value(self, zeta: Array) -> Array:
+        """Return scales of coordinates."""
+        return np.where(zeta > BORDER, self.scale * np.exp(self.spread * np.maximum(zeta, BORDER)), 0.0)
+
+    def slope(self, zeta: Array) -> Array:
+        """Return the derivative of the scale."""
+        return self.spread * self.value(zeta)
+
+    def curvature(self, zeta: Array) -> Array:
+        """Return the second derivative."""
+        return self.spread * self.slope(zeta)
 
     @property
     def mean(self) -> float:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
-from scipy.special import erf, log_ndtr, ndtri, ndtri_exp
+from scipy.special import erf, erfcinv, erfinv, log_ndtr, ndtr, ndtri, ndtri_exp
 
 from bayescal.numerics.geometry import Array
+
+HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
+STEP = 1e-4  # of a coordinate, for curvatures by differences
 
 
 class Prior(ABC):
@@ -29,6 +33,25 @@ class Prior(ABC):
     @abstractmethod
     def at_quantile(self, share: Array) -> Array:
         """Return the values below which the prior has given shares of its mass."""
+
+    # --- the coordinate that is sampled: standard normal about its place ------------------------------------------
+
+    off: ClassVar[float | None] = None
+    """A second place of the coordinate, as probable as zero, about which the value is zero: a switch."""
+
+    def value(self, zeta: Array) -> Array:
+        """Return values of coordinates."""
+        return self.at_quantile(ndtr(zeta))
+
+    def slope(self, zeta: Array) -> Array:
+        """Return the derivative of the value by its coordinate."""
+        return np.exp(-0.5 * zeta**2 - HALF_LOG_TWO_PI - self.log_density(self.value(zeta)))
+
+    def curvature(self, zeta: Array) -> Array:
+        """Return the second derivative, by differences where a prior does not know it."""
+        return np.asarray((self.slope(zeta + STEP) - self.slope(zeta - STEP)) / (2.0 * STEP))
+
+    # --- moments -----------------------------------------------------------------------------------------------------
 
     @property
     @abstractmethod
@@ -129,6 +152,20 @@ class HalfNormalPrior(Prior):
         """Return the normal quantile of the prior probability of a smaller value."""
         return ndtri(erf(value / self.scale / np.sqrt(2.0)))
 
+    def value(self, zeta: Array) -> Array:
+        """Return values of coordinates, without loss where Φ(ζ) is close to one."""
+        tail = ndtr(-np.abs(zeta))
+        return self.scale * np.sqrt(2.0) * np.where(zeta > 0, erfcinv(tail), erfinv(tail))
+
+    def slope(self, zeta: Array) -> Array:
+        """Return the derivative of the value."""
+        return 0.5 * self.scale * np.exp(0.5 * ((self.value(zeta) / self.scale) ** 2 - zeta**2))
+
+    def curvature(self, zeta: Array) -> Array:
+        """Return the second derivative."""
+        slope = self.slope(zeta)
+        return slope * (self.value(zeta) * slope / self.scale**2 - zeta)
+
     def at_quantile(self, share: Array) -> Array:
         """Return the half-normal quantiles."""
         from scipy import stats  # a second to import, for those who scale priors
@@ -150,10 +187,7 @@ class HalfNormalPrior(Prior):
 
 @dataclass(frozen=True)
 class SharePrior(Prior):
-    """The share of outliers, Beta(1, b) with b = 1 / m - 1: the fewer the likelier.
-
-    Its sampling coordinate ζ is standard normal under the prior.
-    """
+    """The share of outliers, Beta(1, b) with b = 1 / m - 1: the fewer the likelier."""
 
     expected: float
 
@@ -170,7 +204,7 @@ class SharePrior(Prior):
 
     def draw(self, n: int, rng: np.random.Generator) -> Array:
         """Return n draws."""
-        return self.share_from_zeta(rng.standard_normal(n))
+        return self.value(rng.standard_normal(n))
 
     def standardise(self, value: Array) -> Array:
         """Return ζ."""
@@ -191,11 +225,57 @@ class SharePrior(Prior):
         b = self.exponent
         return float(np.sqrt(b / ((1.0 + b) ** 2 * (2.0 + b))))
 
-    def share_from_zeta(self, zeta: Array) -> Array:
-        """Return ε."""
+    def value(self, zeta: Array) -> Array:
+        """Return shares of coordinates."""
         return np.asarray(-np.expm1(log_ndtr(-zeta) / self.exponent))
 
     def slope(self, zeta: Array) -> Array:
-        """Return dε/dζ."""
+        """Return the derivative of the share."""
         hazard = np.exp(-0.5 * zeta**2 - 0.5 * np.log(2.0 * np.pi) - log_ndtr(-zeta))
-        return np.asarray((1.0 - self.share_from_zeta(zeta)) / self.exponent * hazard)
+        return np.asarray((1.0 - self.value(zeta)) / self.exponent * hazard)
+
+
+@dataclass(frozen=True)
+class LogNormalPrior(Prior):
+    """A factor or a length: its logarithm is normal about that of ``median``, with standard deviation ``spread``."""
+
+    median: float
+    spread: float
+
+    def log_density(self, value: Array) -> Array:
+        """Return the log-normal log-density."""
+        return np.asarray(-0.5 * self.standardise(value) ** 2 - np.log(value * self.spread) - 0.5 * np.log(2.0 * np.pi))
+
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """Return n draws."""
+        return self.value(rng.standard_normal(n))
+
+    def standardise(self, value: Array) -> Array:
+        """Return coordinates."""
+        return np.asarray(np.log(value / self.median) / self.spread)
+
+    def value(self, zeta: Array) -> Array:
+        """Return values of coordinates."""
+        return np.asarray(self.median * np.exp(self.spread * zeta))
+
+    def slope(self, zeta: Array) -> Array:
+        """Return the derivative of the value."""
+        return self.spread * self.value(zeta)
+
+    def curvature(self, zeta: Array) -> Array:
+        """Return the second derivative."""
+        return self.spread * self.slope(zeta)
+
+    def at_quantile(self, share: Array) -> Array:
+        """Return values by the prior's mass below them."""
+        return self.value(ndtri(share))
+
+    @property
+    def mean(self) -> float:
+        """Of the log-normal."""
+        return self.median * float(np.exp(0.5 * self.spread**2))
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation."""
+        return self.mean * float(np.sqrt(np.expm1(self.spread**2)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -94,21 +95,12 @@ class Sampling(ABC):
 
 
 class ErrorCoordinates(ABC):
-    """Coordinates ζ of what is unknown of the errors; deviations from their places are standard normal a priori.
-
-    Attributes
-    ----------
-    names, units : tuple of str, length k
-    priors : tuple of Prior, length k
-        Of what is unknown in its own unit.
-    log_mass : float
-        What the log-prior has beside the normal density of the deviations.
-    """
+    """Coordinates ζ of what is unknown of the errors, as their priors say: standard normal about their places."""
 
     @property
     @abstractmethod
     def names(self) -> tuple[str, ...]:
-        """Names of what is unknown."""
+        """Names of the k unknowns."""
 
     @property
     @abstractmethod
@@ -118,33 +110,50 @@ class ErrorCoordinates(ABC):
     @property
     @abstractmethod
     def priors(self) -> tuple[Prior, ...]:
-        """Priors of the same."""
+        """Priors of the same, in these units."""
 
-    @property
+    @cached_property
     def n_parameters(self) -> int:
         """Number k of coordinates."""
         return len(self.names)
 
+    @cached_property
+    def switches(self) -> dict[int, float]:
+        """Coordinates with a second place, at which there is no such error, each with that place."""
+        return {k: prior.off for k, prior in enumerate(self.priors) if prior.off is not None}
+
     @property
     def log_mass(self) -> float:
-        """What the log-prior has beside the normal density of the deviations; by default nothing."""
-        return 0.0
+        """What the log-prior has beside the normal density of the deviations: half for each place of a switch."""
+        return -len(self.switches) * float(np.log(2.0))
 
-    @abstractmethod
     def natural(self, zeta: Array) -> Array:
-        """Return what is unknown in its own unit, (..., k)."""
+        """Return what is unknown in its own units, (..., k)."""
+        found = [prior.value(zeta[..., k]) for k, prior in enumerate(self.priors)]
+        return np.stack(found, axis=-1) if found else np.zeros(zeta.shape)
 
-    @abstractmethod
     def deviations(self, zeta: Array) -> Array:
-        """Return what is standard normal under the prior, (..., k)."""
+        """Return coordinates less their places, standard normal under the prior, (..., k)."""
+        found = zeta.copy()
+        for k, place in self.switches.items():
+            found[..., k] -= np.where(zeta[..., k] > 0.5 * place, 0.0, place)
+        return found
 
-    @abstractmethod
     def draw(self, standard: Array, rng: np.random.Generator) -> Array:
-        """Return coordinates of the prior from standard normal numbers (S, k)."""
+        """Return coordinates of the prior from standard normal numbers (S, k), half of the switches off."""
+        found, places = standard.copy(), list(self.switches)
+        off = rng.random((len(found), len(places))) < 0.5 if places else np.zeros((len(found), 0), dtype=bool)
+        found[:, places] += np.where(off, list(self.switches.values()), 0.0)
+        return found
 
-    @abstractmethod
     def jumps(self, zeta: Array) -> list[tuple[int, Array]]:
-        """Return where other modes may be, seen from ζ (k,), each with the number of the coordinate that jumps."""
+        """Return each error switched on or off, seen from ζ (k,), with the number of its coordinate."""
+        found = []
+        for k, place in self.switches.items():
+            image = zeta.copy()
+            image[k] = place if zeta[k] > 0.5 * place else 0.0
+            found.append((k, image))
+        return found
 
 
 class Elimination[S: Sampling, E: ErrorCoordinates](ABC):

@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from bayescal.config.sections import PerLeg, Positive, PositivePerLeg, Section
-from bayescal.density.model_error import INDEPENDENT, LENGTHY, KernelName, LengthPrior
+from bayescal.density.model_error import INDEPENDENT, LENGTHY, KernelName
+from bayescal.density.priors import LogNormalPrior
 
 
 class NormalConfig(Section):
@@ -86,14 +87,14 @@ class KernelConfig(Section):
         """Return the length of a variant's kernel, or the median of its prior, in ranges of the actuators."""
         return choice.kernel_length or self.kernel_length
 
-    def lengths_for(self, choice: KernelChoiceConfig) -> LengthPrior | None:
+    def lengths_for(self, choice: KernelChoiceConfig) -> LogNormalPrior | None:
         """Return the prior of the length of a variant's kernel; None where there is none, or it is known."""
         spread = choice.kernel_length_spread
         if spread is None and choice.kernel_length is None:
             spread = self.kernel_length_spread
         if spread is None or self.name_for(choice) not in LENGTHY:
             return None
-        return LengthPrior(self.length_for(choice), spread)
+        return LogNormalPrior(self.length_for(choice), spread)
 
 
 class ModelErrorConfig(KernelConfig):

@@ -8,16 +8,16 @@ from bayescal.density.errors import KernelLength, KernelScale, ModelError
 from bayescal.density.exact import ExactDensity
 from bayescal.density.free_length import REACH, FreeLengthLikelihood, count_nodes
 from bayescal.density.legs import build_leg_posterior
-from bayescal.density.model_error import LENGTH, LengthPrior, QuadraticKernel, SmoothKernel, build_kernel
+from bayescal.density.model_error import LENGTH, QuadraticKernel, SmoothKernel, build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import NormalPrior
+from bayescal.density.priors import LogNormalPrior, NormalPrior
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_prediction import pointwise_given
 from bayescal.inference.mode import Mode
 from bayescal.inference.straightening import straighten
 
 KERNELS = ("quadratic", "smooth")
-LENGTHS = LengthPrior(1.5, 0.6)
+LENGTHS = LogNormalPrior(1.5, 0.6)
 TOLERANCE = 5e-3  # nats
 
 
@@ -136,7 +136,7 @@ def test_gradient_is_that_of_the_dense_kernel(poses, free, start):
     assert off[posterior.n_geometry : -1].max() < 1e-6
 
     def dense(c):
-        known = build_posterior(poses, fix(poses, name, float(LENGTHS.length(c[0]))))
+        known = build_posterior(poses, fix(poses, name, float(LENGTHS.value(c[0]))))
         return known.log_density(y[None, :-1]) - 0.5 * c[:1] ** 2
 
     step = 1e-3

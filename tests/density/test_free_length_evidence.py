@@ -8,16 +8,16 @@ from scipy.special import logsumexp
 from bayescal.density.errors import KernelLength, KernelScale, ModelError
 from bayescal.density.free_length import FreeLengthLikelihood
 from bayescal.density.legs import build_leg_posterior
-from bayescal.density.model_error import LengthPrior, build_kernel
+from bayescal.density.model_error import build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import NormalPrior
+from bayescal.density.priors import LogNormalPrior, NormalPrior
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import estimate_by_importance, resample
 
 pytestmark = pytest.mark.slow
 
-LENGTHS = LengthPrior(1.5, 0.6)
+LENGTHS = LogNormalPrior(1.5, 0.6)
 SCALE, TAU = KernelScale(0.02, 0.3), 2e-3
 QUADRATURE = np.linspace(-4.0, 4.0, 25)
 
@@ -59,7 +59,7 @@ def evaluate(posterior, n_draws):
 def test_evidence_is_that_of_all_lengths_by_their_prior(kernel):
     poses, _ = simulate(kernel, 0)
     free = evaluate(build(poses, kernel), 8000)
-    fixed = [evaluate(build(poses, kernel, float(LENGTHS.length(c))), 2000).log_evidence for c in QUADRATURE]
+    fixed = [evaluate(build(poses, kernel, float(LENGTHS.value(c))), 2000).log_evidence for c in QUADRATURE]
     weight = -0.5 * QUADRATURE**2 - 0.5 * np.log(2.0 * np.pi) + np.log(np.diff(QUADRATURE)[0])
     assert np.ptp(fixed) > 10.0
     assert free.log_evidence == pytest.approx(float(logsumexp(fixed + weight)), abs=0.05)

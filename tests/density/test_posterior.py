@@ -170,7 +170,7 @@ def test_prior_matches_scipy(prior, reference, values):
 
 def test_model_error_quantiles_are_half_normal():
     zeta = np.linspace(-8, 8, 161)
-    found = ModelError(SCALE).value(zeta)
+    found = HalfNormalPrior(SCALE).value(zeta)
     lower, upper = stats.halfnorm.ppf(stats.norm.cdf(zeta)), stats.halfnorm.isf(stats.norm.sf(zeta))
     expected = SCALE * np.where(zeta > 0, upper, lower)
     assert found[zeta == 0] == pytest.approx(SCALE * stats.halfnorm.median())
@@ -181,7 +181,7 @@ def test_model_error_quantiles_are_half_normal():
 
 
 def test_slope_of_the_model_error():
-    model_error, zeta = ModelError(SCALE), np.linspace(-5, 7, 49)
+    model_error, zeta = HalfNormalPrior(SCALE), np.linspace(-5, 7, 49)
     step = 1e-5
     expected = (model_error.value(zeta + step) - model_error.value(zeta - step)) / (2 * step)
     np.testing.assert_allclose(model_error.slope(zeta), expected, rtol=1e-6, atol=1e-10 * SCALE)

@@ -70,7 +70,7 @@ def suspect(posterior, rng):
 def test_share_is_beta_distributed(expected):
     prior, zeta = SharePrior(expected), np.linspace(-6, 6, 41)
     beta = stats.beta(1.0, 1.0 / expected - 1.0)
-    share = prior.share_from_zeta(zeta)
+    share = prior.value(zeta)
     np.testing.assert_allclose(beta.cdf(share), stats.norm.cdf(zeta), rtol=1e-9)
     np.testing.assert_allclose(prior.log_density(share[:-5]), beta.logpdf(share[:-5]), rtol=1e-9)
     np.testing.assert_allclose(prior.standardise(share), zeta, rtol=1e-6, atol=1e-9)
@@ -79,7 +79,7 @@ def test_share_is_beta_distributed(expected):
     assert prior.sd == pytest.approx(beta.std())
     assert prior.log_density(np.array([-0.1, 1.0])).tolist() == [-np.inf, -np.inf]
     step = 1e-5
-    slope = (prior.share_from_zeta(zeta + step) - prior.share_from_zeta(zeta - step)) / (2 * step)
+    slope = (prior.value(zeta + step) - prior.value(zeta - step)) / (2 * step)
     np.testing.assert_allclose(prior.slope(zeta), slope, rtol=1e-5)
 
 

@@ -5,11 +5,10 @@ import pytest
 import telescope_machines as machines
 from scipy.stats import multivariate_normal
 
-from bayescal.density.errors import KernelScale, ModelError
+from bayescal.density.errors import NO_MODEL_ERROR, KernelScale, LegErrors, ModelError
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.model_error import (
     OFF,
-    KernelScalePrior,
     LinearKernel,
     QuadraticKernel,
     SmoothKernel,
@@ -212,17 +211,20 @@ def test_lengths_follow_the_joints(poses):
 
 
 def test_switch_has_the_probability_of_its_prior():
-    scale, prior = KernelScale(0.02, 0.3), KernelScalePrior(0.02, 0.3)
+    errors = LegErrors(6, (NO_MODEL_ERROR, KernelScale(0.02, 0.3)))
+    (prior,) = errors.priors
     c = np.concatenate([np.random.default_rng(5).standard_normal(100_000) + place for place in (0.0, OFF)])
-    values = scale.value(c)
+    values = prior.value(c)
     assert (values == 0.0).mean() == pytest.approx(0.5, abs=1e-3)
     assert values.mean() == pytest.approx(prior.mean, rel=0.01)
     assert values.std() == pytest.approx(prior.sd, rel=0.01)
     grid = np.geomspace(1e-3, 0.2, 20_000)
     assert np.trapezoid(np.exp(prior.log_density(grid)), grid) == pytest.approx(0.5, abs=1e-3)
-    assert scale.value(np.array(scale.flip(0.3))) == 0.0
-    assert scale.value(np.array(scale.flip(OFF))) == pytest.approx(0.02)
-    assert scale.deviation(np.array([0.5, OFF + 0.5])) == pytest.approx([0.5, 0.5])
+    for start, flipped in ((0.3, 0.0), (OFF, 0.02)):
+        ((place, image),) = errors.jumps(np.array([start]))
+        assert place == 0
+        assert errors.natural(image) == pytest.approx([flipped])
+    assert errors.deviations(np.array([[0.5], [OFF + 0.5]])) == pytest.approx(0.5)
 
 
 def test_log_prior_is_normalised_over_the_switch(poses):

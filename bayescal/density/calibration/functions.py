@@ -30,19 +30,16 @@ from pydantic import Field, model_validator
 from bayescal.config.sections import Names, Positive, Section
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import ErrorTerm, Slopes, TermRows
-from bayescal.density.errors import KernelScale
 from bayescal.density.model_error import (
     BORDER,
     LENGTH,
     LENGTHY,
-    OFF,
     SCALE,
     Kernel,
     KernelScalePrior,
-    LengthPrior,
     build_kernel,
 )
-from bayescal.density.priors import Prior
+from bayescal.density.priors import LogNormalPrior, Prior
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import SCALES
@@ -151,8 +148,7 @@ class Travel:
 class FunctionErrors(ErrorTerm):
     """Functions of F channels, which share G scales and a length.
 
-    Coordinates are those of the scales, each a switch and a magnitude in one (`KernelScale`), then the length's if that
-    is free.
+    Coordinates are those of the scales, each a switch and a magnitude in one, then the length's if that is free.
 
     Attributes
     ----------
@@ -160,7 +156,7 @@ class FunctionErrors(ErrorTerm):
         ``linear``, ``quadratic`` or ``smooth``.
     length : float
         In units of z; the median where it is free.
-    lengths : LengthPrior or None
+    lengths : LogNormalPrior or None
         Of a length that is free.
     places : ndarray of int, shape (F,)
         The channels that err.
@@ -182,7 +178,7 @@ class FunctionErrors(ErrorTerm):
 
     kernel: str
     length: float
-    lengths: LengthPrior | None
+    lengths: LogNormalPrior | None
     places: np.ndarray
     travel: Travel
     reach: float
@@ -215,7 +211,7 @@ class FunctionErrors(ErrorTerm):
         return cls(
             kernel=config.kernel,
             length=config.length,
-            lengths=LengthPrior(config.length, config.length_spread) if free and config.length_spread else None,
+            lengths=LogNormalPrior(config.length, config.length_spread) if free and config.length_spread else None,
             places=places,
             travel=travel,
             reach=MARGIN * max(1.0, float(np.abs(z).max())),
@@ -251,25 +247,15 @@ class FunctionErrors(ErrorTerm):
         scales = tuple(KernelScalePrior(float(scale), self.spread) for scale in self.scale)
         return scales if self.lengths is None else (*scales, self.lengths)
 
-    @property
-    def switches(self) -> dict[int, float]:
-        """Each scale's: off, there is no error."""
-        return dict.fromkeys(range(len(self.scale)), OFF)
-
     def scales(self, zeta: Array) -> Array:
         """Return the scales (..., G), in the channels' units."""
-        return np.asarray(KernelScale(1.0, self.spread).value(zeta[..., : len(self.scale)]) * self.scale)
+        return np.asarray(KernelScalePrior(1.0, self.spread).value(zeta[..., : len(self.scale)]) * self.scale)
 
     def _length(self, zeta: Array) -> Array:
         """Return the length (...,)."""
         if self.lengths is None:
             return np.full(zeta.shape[:-1], self.length)
-        return self.lengths.length(zeta[..., -1])
-
-    def natural(self, zeta: Array) -> Array:
-        """Return scales, and a length that is free."""
-        scales = self.scales(zeta)
-        return scales if self.lengths is None else np.concatenate([scales, self._length(zeta)[..., None]], axis=-1)
+        return self.lengths.value(zeta[..., -1])
 
     # --- coefficients ------------------------------------------------------------------------------------------------
 

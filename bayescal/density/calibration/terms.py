@@ -23,19 +23,16 @@ from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
-from scipy.special import erfcinv, erfinv, ndtr
 
 from bayescal.config.sections import Section
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.outliers import NORMAL, Outliers
-from bayescal.density.model_error import LengthPrior
-from bayescal.density.priors import HalfNormalPrior, Prior
+from bayescal.density.priors import HalfNormalPrior, LogNormalPrior, Prior
 from bayescal.density.protocols import ErrorCoordinates
 from bayescal.errors import BayescalError, InputError
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
-HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
 STEP = 1e-5  # of a coordinate, for slopes of a term that states none
 
 
@@ -121,6 +118,10 @@ class ErrorTerm(ABC):
         """Which channels' noise it changes, by a factor or a variance, shape (K,), bool; None for all."""
         return None
 
+    def natural(self, zeta: Array) -> Array:
+        """Return what is unknown in its own units, (..., n)."""
+        return np.stack([prior.value(zeta[..., k]) for k, prior in enumerate(self.priors)], axis=-1)
+
     # --- what it does: one of three ----------------------------------------------------------------------------------
 
     def factor(self, zeta: Array) -> Array | None:
@@ -147,18 +148,6 @@ class ErrorTerm(ABC):
             None if variance is None else np.broadcast_to(_differ(variance), (len(zeta), *data.sd.shape)),
             None if columns is None or len(columns) == 1 else _differ(columns),
         )
-
-    # --- coordinates -------------------------------------------------------------------------------------------------
-
-    def natural(self, zeta: Array) -> Array:
-        """Return what is unknown in its own units, (..., n) to (..., n); by default by the priors' quantiles."""
-        share = ndtr(zeta)
-        return np.stack([prior.at_quantile(share[..., k]) for k, prior in enumerate(self.priors)], axis=-1)
-
-    @property
-    def switches(self) -> dict[int, float]:
-        """Coordinates that have a second place, at which there is no error, each with that place."""
-        return {}
 
 
 def _differ(values: Array) -> Array:
@@ -201,15 +190,11 @@ class NoiseFactor(ErrorTerm):
     @property
     def priors(self) -> tuple[Prior, ...]:  # type: ignore[override]
         """Log-normal."""
-        return (LengthPrior(1.0, self.log_sd),)
-
-    def natural(self, zeta: Array) -> Array:
-        """Return the factor."""
-        return np.asarray(np.exp(self.log_sd * zeta))
+        return (LogNormalPrior(1.0, self.log_sd),)
 
     def factor(self, zeta: Array) -> Array:
         """Return it for its channels, one for the others."""
-        return np.where(self.channels, self.natural(zeta), 1.0)
+        return np.where(self.channels, self.priors[0].value(zeta), 1.0)
 
     def slopes(self, zeta: Array, data: Measurements) -> Slopes:
         """Return that of its logarithm."""
@@ -256,20 +241,15 @@ class ModelErrorTerm(ErrorTerm):
         """Half normal."""
         return (HalfNormalPrior(self.scale),)
 
-    def natural(self, zeta: Array) -> Array:
-        """Return τ; without loss where Φ(ζ) is close to one."""
-        return np.asarray(np.sqrt(2.0) * self.scale * np.where(zeta > 0, erfcinv(ndtr(-zeta)), erfinv(ndtr(zeta))))
-
     def variance(self, zeta: Array, data: Measurements) -> Array:
         """Return τ² for its channels, zero for the others."""
         del data
-        return np.where(self.channels, self.natural(zeta) ** 2, 0.0)[:, None]
+        return np.where(self.channels, self.priors[0].value(zeta) ** 2, 0.0)[:, None]
 
     def slopes(self, zeta: Array, data: Measurements) -> Slopes:
         """Return 2 τ dτ/dζ."""
-        size = self.natural(zeta)
-        speed = 0.5 * self.scale * np.exp(0.5 * ((size / self.scale) ** 2 - zeta**2))
-        slope = np.where(self.channels, 2.0 * size * speed, 0.0)
+        prior = self.priors[0]
+        slope = np.where(self.channels, 2.0 * prior.value(zeta) * prior.slope(zeta), 0.0)
         return Slopes(variance=np.broadcast_to(slope, (1, *data.sd.shape)))
 
 
@@ -308,47 +288,9 @@ class Errors(ErrorCoordinates):
         """Priors of all."""
         return tuple(prior for term in self.terms for prior in term.priors)
 
-    @cached_property
-    def switches(self) -> dict[int, float]:
-        """Coordinates with a second place, at which there is no such error, each with that place."""
-        found = zip(self._slices, self.terms, strict=True)
-        return {part.start + k: place for part, term in found for k, place in term.switches.items()}
-
     def of(self, zeta: Array) -> Sequence[tuple[ErrorTerm, Array]]:
         """Return each term with its coordinates (..., n_t) of all of them (..., n)."""
         return [(term, zeta[..., part]) for term, part in zip(self.terms, self._slices, strict=True)]
-
-    def natural(self, zeta: Array) -> Array:
-        """Return all that is unknown in its own units, (..., n)."""
-        return np.concatenate([zeta[..., :0], *(term.natural(own) for term, own in self.of(zeta))], axis=-1)
-
-    def deviations(self, zeta: Array) -> Array:
-        """Return coordinates less their places, standard normal under the prior, (..., n)."""
-        found = zeta.copy()
-        for k, place in self.switches.items():
-            found[..., k] -= np.where(zeta[..., k] > 0.5 * place, 0.0, place)
-        return found
-
-    @property
-    def log_mass(self) -> float:
-        """Half for each place of a switch."""
-        return -len(self.switches) * float(np.log(2.0))
-
-    def draw(self, standard: Array, rng: np.random.Generator) -> Array:
-        """Return coordinates of the prior from standard normal numbers (S, n), half of the switches off."""
-        found, places = standard.copy(), list(self.switches)
-        off = rng.random((len(found), len(places))) < 0.5 if places else np.zeros((len(found), 0), dtype=bool)
-        found[:, places] += np.where(off, list(self.switches.values()), 0.0)
-        return found
-
-    def jumps(self, zeta: Array) -> list[tuple[int, Array]]:
-        """Return each error switched on or off, from ζ, shape (n,)."""
-        found = []
-        for k, place in self.switches.items():
-            image = zeta.copy()
-            image[k] = place if zeta[k] > 0.5 * place else 0.0
-            found.append((k, image))
-        return found
 
     # --- what they do ------------------------------------------------------------------------------------------------
 

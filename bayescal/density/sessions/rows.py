@@ -96,7 +96,7 @@ class LegRows(SessionRows):
     def read_errors(self, zeta: Array) -> Array:
         """Return τ of every leg, (..., N), mm."""
         tau = np.zeros((*zeta.shape[:-1], self.width))
-        return np.broadcast_to(self.model_error.value(zeta), tau.shape) if self.n_errors else tau
+        return np.broadcast_to(self.model_error.prior.value(zeta), tau.shape) if self.n_errors else tau
 
     def linearise(self, theta: Array) -> LinearRows:
         """Return the legs' closures."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import JointDeflection, KappaEstimate, MatrixEstimate
-from bayescal.density.errors import ErrorTerm, ModelError, Outliers
+from bayescal.density.errors import LegTerm, ModelError, Outliers
 from bayescal.density.exact import CommonErrors, ExactDensity
 from bayescal.density.legs import LegPosterior, build_leg_posterior
 from bayescal.density.likelihood import Likelihood
@@ -197,7 +197,7 @@ class StudyInputs:
         if with_model_error:
             scale = self.config.model_error.scale_um * MICROMETRE
             error = ModelError(scale, shared=not self.config.model_error.per_leg)
-        likelihood, terms = self.likelihood(variant, verification=False), list[ErrorTerm]()
+        likelihood, terms = self.likelihood(variant, verification=False), list[LegTerm]()
         if with_model_error and name_kernel(self.config, variant) != INDEPENDENT:
             likelihood, terms = give_kernel(likelihood, self.config, variant, self.mechanism.actuator_range)
         blunders = self.config.blunders

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bayescal.density.batches import BATCH
-from bayescal.density.errors import ErrorTerm, KernelLength, KernelScale
+from bayescal.density.errors import KernelLength, KernelScale, LegTerm
 from bayescal.density.free_length import FreeLengthLikelihood, count_nodes
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.model_error import INDEPENDENT, build_kernel
@@ -26,7 +26,7 @@ def has_kernels(config: StudyConfig) -> bool:
 
 def give_kernel(
     likelihood: Likelihood, config: StudyConfig, variant: VariantConfig, travel: float
-) -> tuple[Likelihood, list[ErrorTerm]]:
+) -> tuple[Likelihood, list[LegTerm]]:
     """Return the density of poses with the structured model error of a variant, and the terms that it takes beside τ.
 
     Raises

@@ -14,7 +14,8 @@ from bayescal.density.calibration.functions import FunctionErrors, Travel
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.terms import Errors, NoiseFactor
 from bayescal.density.elimination import project_out
-from bayescal.density.model_error import OFF, LengthPrior, build_kernel
+from bayescal.density.model_error import OFF, build_kernel
+from bayescal.density.priors import LogNormalPrior
 from bayescal.errors import InputError
 from bayescal.experiments.shared.sensor_sets import null_basis
 
@@ -38,7 +39,7 @@ def functions_of(likelihood, kernel, length, spread, of="reading") -> FunctionEr
     return FunctionErrors(
         kernel=kernel,
         length=length,
-        lengths=None if spread is None else LengthPrior(length, spread),
+        lengths=None if spread is None else LogNormalPrior(length, spread),
         places=places,
         travel=travel,
         reach=float(np.abs(travel.of_rows(data)).max()),
