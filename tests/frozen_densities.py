@@ -93,7 +93,11 @@ def access_study(config, path, names):
         exact = inputs.exact_density(variant, posterior)
         if exact is None:
             return posterior, None
-        return posterior, lambda y: exact(posterior.theta(y), posterior.model_errors(y)) + posterior.log_prior(y)
+
+        def density(y):
+            return exact(posterior.theta(y), posterior.errors.amplitudes(posterior.zeta(y))) + posterior.log_prior(y)
+
+        return posterior, density
 
     both = (True,) if "model_error" in path.name or "ridges" in path.name else (True, False)
     return {

@@ -26,6 +26,10 @@ def posteriors():
     return frozen.list_posteriors()
 
 
+def choose_tolerances(name):
+    return ELIMINATED if any(one in name for one in READINGS) else MOVED
+
+
 def compare(known, posteriors, name, points):
     entry = known[name]
     posterior, exact = posteriors[name]()
@@ -33,7 +37,7 @@ def compare(known, posteriors, name, points):
     exact = exact if len(points) > frozen.N_EXACT else None
     found = frozen.measure(name, posterior, exact, y, entry["scale"])
     found["density"][~np.isfinite(found["density"])] = np.nan
-    tolerances = ELIMINATED if any(one in name for one in READINGS) else MOVED
+    tolerances = choose_tolerances(name)
     for key, values in found.items():
         expected = entry[key] if key == "exact" else entry[key][points]
         relative, absolute = tolerances[key]
@@ -75,4 +79,5 @@ def test_mode_is_found_again(known, posteriors, name):
     entry, posterior = known[name], posteriors[name]()[0]
     mode, _ = frozen.find_mode(posterior)
     gained = posterior.log_density(mode[None])[0] - entry["density"][0]
-    assert abs(gained) < 2e-3
+    relative = choose_tolerances(name)["density"][0]  # of a model that misfits by 10⁶ nats, too
+    assert abs(gained) < 2e-3 + relative * abs(entry["density"][0])
