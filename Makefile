@@ -57,7 +57,7 @@ check: $(STAMP)
 	$(BIN)/lint-imports --no-cache
 
 data: $(STAMP)
-	@for folder in telescope m2_hexapod m2_hexapod_table hexaglide camera_hexapod sliding_star; do \
+	@for folder in telescope m2_hexapod m2_hexapod_table hexaglide camera_hexapod; do \
 	  $(BIN)/bayescal simulate experiments/$$folder/simulate.toml --out experiments/$$folder/data || exit $$?; \
 	done
 	@for month in january february march april may june; do \

@@ -1,6 +1,6 @@
 """How time and memory grow with poses, legs, parameters and candidates: each point a process of its own.
 
-    python benchmarks/growth.py [--what poses audit legs parameters candidates calibration self_calibration]
+    python benchmarks/growth.py [--what poses audit legs parameters candidates calibration sliding_platform]
                                 [--most 10000] [--write FILE]
 
 - ``poses``: a study of six struts (42 parameters, poses by a tracker, one model error), from reading to its page;
@@ -9,7 +9,7 @@
 - ``parameters``: 50 struts with one to six parameters each, 80 poses;
 - ``candidates``: exchange and O1 out of as many candidates, 42 parameters;
 - ``calibration``: a hexapod under its weight by its encoders and a tracker's poses, one variant of 30 parameters;
-- ``self_calibration``: a planar platform by its own readings at as many poses, four variants of 18 to 28 parameters.
+- ``sliding_platform``: a planar platform by its own readings at as many poses, four variants of 18 to 28 parameters.
 
 Seconds are CPU of the process, reading of Python's modules left out; memory is the largest resident size, with and
 without what an empty process takes. An exponent is the slope of log over log between the two largest sizes, and a
@@ -39,7 +39,7 @@ SIZES = {
     "parameters": (20, 50, 100, 200, 300),
     "candidates": (2000, 20_000, 200_000),
     "calibration": (30, 100, 300, 1000),
-    "self_calibration": (64, 128, 256, 512),
+    "sliding_platform": (64, 128, 256, 512),
 }
 SYMBOLS = ("l", "a_x", "a_y", "b_x", "b_y", "b_z", "a_z")
 SAMPLING = """
@@ -204,8 +204,8 @@ def write_point(folder: Path, what: str, size: int) -> Path:
         return write_audit(folder, size)
     if what == "calibration":
         return memory.write_calibration(folder, size, SAMPLING)
-    if what == "self_calibration":
-        return memory.write_self_calibration(folder, size, SAMPLING)
+    if what == "sliding_platform":
+        return memory.write_sliding_platform(folder, size, SAMPLING)
     if what == "legs":
         return write_study(folder, size, 40, SYMBOLS[:3])
     if what == "parameters":

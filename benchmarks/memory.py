@@ -84,26 +84,15 @@ def write_calibration(folder: Path, n_poses: int, effort: str = EFFORT) -> Path:
     return path
 
 
-def write_self_calibration(folder: Path, n_poses: int, effort: str = EFFORT) -> Path:
+def write_sliding_platform(folder: Path, n_poses: int, effort: str = EFFORT) -> Path:
     """Write the calibration of a planar platform by its own readings at so many poses."""
     copy("sliding_star/machine.toml", folder)
+    (folder / "data").mkdir()
+    copy("sliding_star/data/true_parameters.csv", folder / "data")
     simulate(copy("sliding_star/simulate.toml", folder, ("n_poses = 60", f"n_poses = {n_poses}")), folder / "data")
     path = copy("sliding_star/study.toml", folder, cut='[[variants]]\nname = "s8_one_length"')
     path.write_text(path.read_text() + effort)
     return path
-
-
-def write_placement(folder: Path, n_poses: int, n_machines: int, n_workspace: int) -> Path:
-    """Write a choice of sensors that are tried at so many poses, by so many machines."""
-    copy("sliding_star/machine.toml", folder)
-    return copy(
-        "sliding_star/sensors.toml",
-        folder,
-        ("n_poses = 100", f"n_poses = {n_poses}"),
-        ("machines = 100", f"machines = {n_machines}"),
-        ("workspace_poses = 64", f"workspace_poses = {n_workspace}"),
-        ("simulated_sets = 12", "simulated_sets = 1"),
-    )
 
 
 def write_sessions(folder: Path, n_sessions: int, n_poses: int, n_draws: int) -> Path:
@@ -158,8 +147,7 @@ def write_sweep(folder: Path, n_poses: int) -> Path:
 
 CASES: dict[str, tuple[Callable[..., Path], tuple[tuple[int, ...], ...]]] = {
     "calibration": (write_calibration, ((100,), (400,))),
-    "self_calibration": (write_self_calibration, ((500,), (3000,))),
-    "sensor_placement": (write_placement, ((1000, 100, 64), (5000, 100, 64), (100, 1000, 300))),
+    "sliding_platform": (write_sliding_platform, ((500,), (3000,))),
     "sessions": (write_sessions, ((6, 200, 3000), (24, 50, 3000), (6, 40, 60_000))),
     "check": (write_check, ((316, 4000), (1000, 4000), (40, 100_000))),
     "sweep": (write_sweep, ((300,), (3000,))),

@@ -19,7 +19,7 @@ from telescope_problem import write_results
 
 import numpy as np
 
-from bayescal.experiments.shared.reading_machine import draw_poses
+from bayescal.reproductions.sika2008.reading_machine import draw_poses
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 

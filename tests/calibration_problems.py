@@ -16,8 +16,8 @@ from bayescal.density.calibration.outliers import NORMAL, Outliers
 from bayescal.density.calibration.terms import Errors, ErrorTerm, ModelErrorTerm, NoiseFactor
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import LogNormalPrior, NormalPrior, Prior, UniformPrior
-from bayescal.experiments.shared.reading_machine import draw_poses
 from bayescal.machines.readings import ReadingModel
+from bayescal.reproductions.sika2008.reading_machine import draw_poses
 
 
 def measurements(values: np.ndarray, sd: np.ndarray | float, correlation: np.ndarray | None = None) -> Measurements:

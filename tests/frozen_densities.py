@@ -14,16 +14,20 @@ from __future__ import annotations
 
 import json
 import zlib
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
+from bayescal.density.calibration.functions import FunctionErrors, Travel
+from bayescal.density.calibration.terms import Errors
 from bayescal.density.schema import BlundersConfig
 from bayescal.experiments.calibration.inputs import read_inputs as read_calibration
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.self_calibration.inputs import read_inputs as read_self_calibration
 from bayescal.experiments.study.load import load_inputs as load_study
 from bayescal.inference.mode import find_modes
+from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
 ROOT = Path(__file__).parents[1]
 FILE = Path(__file__).parent / "frozen" / "densities.json"
@@ -75,11 +79,9 @@ def list_posteriors():
         names = ["none with smooth errors" if label == "free length" else "six_pus/none"]
         found |= {f"{label}: {name}": one for name, one in access_study(config, path, names).items()}
     path = ROOT / "experiments/sliding_star/study.toml"
+    variant = read_calibration(load(path)[1], path.parent).variants["s8"]
     for kernel in ("linear", "smooth"):
-        config = load(path)[1]
-        error = config.model_error.model_copy(update={"kernel": kernel})
-        config = config.model_copy(update={"model_error": error})
-        found |= {f"{kernel}: {name}": one for name, one in access_self_calibration(config, path, ["s8"]).items()}
+        found[f"{kernel}: s8"] = lambda kernel=kernel: (build_with_functions(variant, kernel), None)
     return found
 
 
@@ -113,13 +115,31 @@ def access_calibration(config, path, names):
     return {name: (lambda name=name: (inputs.variants[name].posterior().anchored(), None)) for name in names}
 
 
-def access_self_calibration(config, path, names):
-    """Return how to get at the posteriors of a self-calibration's variants."""
-    inputs = read_self_calibration(config, path.parent)
-    return {name: (lambda name=name: (inputs.posterior(inputs.variants[name]), None)) for name in names}
+def build_with_functions(variant, kernel):
+    """Return the posterior of Sliding Star whose sensors err by functions of what they read, 20 µm and 20 arcsec large.
+
+    Travels are those of the tool's centre within 200 mm and 30 degrees of home.
+    """
+    model, places = variant.model, np.arange(len(variant.model.channels))
+    machine, origin = variant.whole, np.array(variant.whole.home)
+    half = np.array([200.0, 200.0, np.radians(30.0)])
+    ends = half * np.array(list(product([-1.0, 0.0, 1.0], repeat=3)))
+    angle, tool = origin[2] + ends[:, 2], machine.tool(machine.layout.nominal, origin[None])[0]
+    arm = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], axis=1).reshape(-1, 2, 2)
+    pose = np.concatenate([tool + ends[:, :2] - arm @ machine.tool_point, angle[:, None]], axis=1)
+    home = model.read(model.layout.nominal, origin)
+    travel = np.nanmax(np.abs(model.read(model.layout.nominal, pose) - home), axis=0)
+    reach = 1.05 * max(1.0, float(np.abs((variant.data.values - home) / travel).max()))
+    length = np.array([channel.unit == "mm" for channel in model.channels])
+    scale, units = np.array([20.0 * MICROMETRE, 20.0 * ARCSECOND]), ("mm", "rad")
+    functions = FunctionErrors(
+        kernel, 5.0, None, places, Travel("reading", places, home, travel), reach, 1 - length.astype(int), scale, 0.05,
+        ("s", "phi"), units,
+    )  # fmt: skip
+    return replace(variant.posterior(), errors=Errors((functions,)))
 
 
-ACCESS = {"study": access_study, "calibration": access_calibration, "self_calibration": access_self_calibration}
+ACCESS = {"study": access_study, "calibration": access_calibration}
 
 
 def draw_points(name, mode, scale):

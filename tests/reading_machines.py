@@ -16,13 +16,13 @@ from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import Errors, ErrorTerm
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, Prior
-from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters, workspace_volume
-from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings import Channel, Coordinate, Given, ReadingModel, Readings, SlidingPlatform
 from bayescal.machines.readings.base import NOTHING
 from bayescal.machines.readings.schema import PlanarPosesConfig, ReadingSensorConfig, ReadingTolerancesConfig
+from bayescal.reproductions.sika2008.reading_machine import build_sensors, draw_poses, free_parameters
+from bayescal.reproductions.sika2008.sensor_sets import SensorSet
 
 EXPERIMENT = Path(__file__).parents[1] / "experiments" / "sliding_star"
 TOLERANCES = ReadingTolerancesConfig(length_mm=0.3, angle_deg=0.05, zero_deg=2.0)
@@ -33,6 +33,11 @@ SENSORS = {
 }
 WORKSPACE = PlanarPosesConfig(n_poses=12, position_mm=200.0, angle_deg=30.0)
 SETS = {4: ("s",), 8: ("s", "phi"), 12: ("s", "phi", "psi")}
+
+
+def workspace_volume(config: PlanarPosesConfig) -> float:
+    """Return the volume that poses may lie in, mm² rad."""
+    return float((2 * config.position_mm) ** 2 * 2 * np.radians(config.angle_deg))
 
 
 def sliding_star() -> SlidingPlatform:

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import studies
 
-from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters
 from bayescal.machines.read import build_sliding_platform, read_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
 from bayescal.machines.readings.schema import (
@@ -18,6 +17,7 @@ from bayescal.machines.readings.schema import (
     ReadingTolerancesConfig,
     SlidingPlatformConfig,
 )
+from bayescal.reproductions.sika2008.reading_machine import build_sensors, draw_poses, free_parameters
 
 STAR = studies.EXPERIMENTS / "sliding_star"
 NOISE = {

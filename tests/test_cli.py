@@ -15,7 +15,6 @@ from pathlib import Path
 import audit_problems
 import hexapod_settings
 import numpy as np
-import placement_problems
 import pytest
 import studies
 
@@ -561,6 +560,9 @@ def test_shipped_study_runs_tiny(call, tmp_path, quick, search_little, name, n_v
     assert all(variant.name in out for variant in config.variants)
 
 
+SLIDING_STAR = ("machine", "m2_hexapod_machine", "m2_hexapod_sensors", "sensors", "simulate", "study")
+
+
 def test_every_shipped_experiment_is_run_here():
     found = {str(p.relative_to(studies.EXPERIMENTS)) for p in studies.EXPERIMENTS.rglob("*.toml")}
     names = [getattr(study, "values", study)[0] for study in STUDIES]
@@ -571,9 +573,8 @@ def test_every_shipped_experiment_is_run_here():
         *(f"hexapod/{name}.toml" for name in (*hexapod_settings.SHIPPED, "small_mechanism")),  # in calibration_study
         "pose_extraction/figure5.toml",
         *(f"pose_selection/{name}.toml" for name in ("hexapod_i_optimal", "rr8096_figure14", "yu2023_table1")),
-        *(f"sliding_star/{name}.toml" for name in placement_problems.SHIPPED),  # in sensor_placement
-        "sliding_star/calibrations.toml",  # in self_calibration_study
-        *(f"sliding_star/{name}.toml" for name in ("machine", "simulate", "study")),  # in reading_study
+        "sliding_star/calibrations.toml",  # in test_self_calibrations
+        *(f"sliding_star/{name}.toml" for name in SLIDING_STAR),  # in calibration/test_sliding_star.py
         *(f"hangprinter/{name}.toml" for name in ("machine", "hanging", "forces", "study")),  # in test_hangprinter
         *(
             f"m2_hexapod_table/{name}.toml" for name in ("machine", "simulate", "study", "table")

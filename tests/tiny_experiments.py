@@ -21,12 +21,11 @@ SMALL = {
         **{"repeats": "2", "iterations": "5", "n_sets": "20", "max_iterations": "5", "list_length": "10"},
         **{"count": "150", "poses": "14", "machines": "4"},
     },
-    "self_calibration": {"walkers": "56", "burn_in": "5", "steps": "12", "draws": "1000", "max_draws": "1000"},
     "self_calibrations": {
         **{"calibrations": "6", "verification_poses": "5", "n_poses": "20", "count": "3"},
         "angle_noise_arcsec": "[0.5, 2.0]",
     },
-    "sensor_placement": {"workspace_poses": "8", "machines": "4", "simulated_sets": "3", "n_poses": "20"},
+    "calibration_audit": {"count": "12", "exhaustive": "0"},
     "calibration": {"walkers": "24", "burn_in": "3", "steps": "6", "max_draws": "2000", "folds": "2"}
     | {"draws": "1000"},
     "sessions": {"draws": "500", "per_leg": "false"},
@@ -37,10 +36,6 @@ SMALL = {
 REPLACED: dict[str, tuple[tuple[str, str], ...]] = {
     "pose_selection": ((r"(?m)^n_poses = \[(\d+).*$", r"n_poses = [\1]"),),
     "hexapod_calibrations": ((r"(?m)^poses = \[.*$", "poses = [12, 24]"),),
-    "sensor_placement": (
-        (r"(?m)^(tilt_[ab]) = {", r'"\1[1]" = {'),
-        (r'"tilt_a", "tilt_b"', '"tilt_a[1]"'),
-    ),
 }
 """What is replaced besides, as regular expressions."""
 

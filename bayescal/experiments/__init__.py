@@ -9,11 +9,15 @@ KINDS = {
     "lookup_table": "bayescal.experiments.calibration.table.kind:LookupTable",
     "next_pose": "bayescal.experiments.next_pose.kind:NextPose",
     "pose_selection": "bayescal.experiments.pose_selection.kind:PoseSelection",
-    "reading_simulation": "bayescal.experiments.self_calibration.simulation_kind:ReadingSimulation",
-    "self_calibration": "bayescal.experiments.self_calibration.kind:SelfCalibration",
-    "sensor_placement": "bayescal.experiments.sensor_placement.kind:SensorPlacement",
     "sessions": "bayescal.experiments.sessions.kind:Sessions",
     "simulation": "bayescal.experiments.simulation.kind:Simulation",
     "study": "bayescal.experiments.study.kind:Study",
     "sweep": "bayescal.experiments.sweep.kind:Sweep",
 }
+
+GONE = {
+    "reading_simulation": "calibration_simulation",
+    "self_calibration": "calibration",
+    "sensor_placement": "calibration_audit",
+}
+"""Kinds that are no more, and what does the same."""

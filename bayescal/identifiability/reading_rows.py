@@ -8,6 +8,7 @@ is located by these channels errs by its own derivative less that which the esti
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -52,15 +53,25 @@ class Slopes:
     half: Array
     places: np.ndarray
 
+    @cached_property
+    def seen(self) -> Array:
+        """Derivatives of the readings by the posterior's coordinates, (W, K, m)."""
+        return self.by_parameters @ self.moves.T
+
+    @cached_property
+    def tool_seen(self) -> Array:
+        """Derivatives of the tool by the same, (W, t, m)."""
+        return self.tool_by_parameters @ self.moves.T
+
     def seen_by(self, some: np.ndarray) -> View:
         """Return the poses seen by the channels of a mask (K,)."""
         white = np.where(some, self.white, 0.0)[:, None]
-        slope, seen = white * self.by_pose, (white * self.by_parameters) @ self.moves.T
+        slope, seen = white * self.by_pose, white * self.seen
         gain = np.linalg.pinv(slope)
         told = np.linalg.matrix_rank(slope * self.half) == slope.shape[-1]
         rows = seen - slope @ (gain @ seen)
         located = self.tool_by_pose @ gain
-        tool = self.tool_by_parameters @ self.moves.T - self.tool_by_pose @ (gain @ seen)
+        tool = self.tool_seen - self.tool_by_pose @ (gain @ seen)
         unknown = ~told[:, None]
         noise = np.where(unknown, np.nan, (located**2).sum(axis=-1))
         return View(self.pose, rows, np.where(unknown[..., None], np.nan, tool), noise, located)

@@ -75,7 +75,7 @@ NEWEST: dict[str, Callable[[Path], Path]] = {
 SHORT: dict[str, dict[str, Any]] = {
     "telescope": {"sensitivity": {"factor": [1.0]}},
     "m2_hexapod": {"sensitivity": {"factor": [1.0]}},
-    "sliding_star": {"workspace": {"n_poses": 12, "position_mm": 200.0, "angle_deg": 30.0}},
+    "sliding_star": {"next": {"candidates": 20}},
 }
 CHECK = (
     'kind = "check"\nname = "check"\ntitle = "A check"\nseed = 1\nstudy = "short.toml"\nvariants = ["six_pus/none"]\n'

@@ -15,6 +15,7 @@ from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
 COLUMNS = ("quantity", "unit", "value")
+OF_TRUTH = "parameter"  # in place of the first, in true parameters as a simulation writes them
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,16 +54,17 @@ def read_beside(section: BesideConfig, folder: Path, model: ReadingModel) -> Bes
     """Return the values of a file; InputError for an unknown quantity or a unit of another kind."""
     path = folder / section.file
     table = read_table(path, None)
+    columns = (OF_TRUTH, *COLUMNS[1:]) if OF_TRUTH in table.columns else COLUMNS
     for name in table.columns:
-        if name not in (*COLUMNS, "sd"):
+        if name not in (*columns, "sd"):
             raise InputError(f"{path}: found column {name!r}, expected {', '.join(COLUMNS)}, sd")
-    for name in COLUMNS:
+    for name in columns:
         if name not in table.columns:
             raise InputError(f"{path}: found no column {name!r}, expected {', '.join(COLUMNS)}")
     own = dict(zip(model.layout.names, model.layout.units, strict=True))
     own |= {one.name: one.unit for one in model.channels}
     factors, units = [], []
-    for row, (name, unit) in enumerate(zip(table.text("quantity"), table.text("unit"), strict=True)):
+    for row, (name, unit) in enumerate(zip(table.text(columns[0]), table.text("unit"), strict=True)):
         if name not in own:
             raise InputError(f"{table.where(row)}: quantity: found {name!r}, expected some of {', '.join(own)}")
         if unit not in units_like(own[name]):
@@ -71,4 +73,4 @@ def read_beside(section: BesideConfig, folder: Path, model: ReadingModel) -> Bes
         units.append(own[name])
     values = table.numbers(("value",))[:, 0] * factors
     sd = table.numbers(("sd",), gaps=True)[:, 0] * factors if "sd" in table.columns else np.full(len(values), np.nan)
-    return Beside(section.title, section.source, tuple(table.text("quantity")), tuple(units), values, sd)
+    return Beside(section.title, section.source, tuple(table.text(columns[0])), tuple(units), values, sd)

@@ -194,7 +194,7 @@ def _read_posterior(
 ) -> tuple[Array, Array | None]:
     """Return the posterior's mean as a parameter vector (D,) and its draws (S, D); None where the results have none."""
     layout = model.layout
-    priors, fixed, common = choose_priors(config, variant.free, variant.common, model)
+    priors, fixed, common = choose_priors(config, variant, model)
     start = layout.nominal.copy()
     for name, value in fixed.items():
         start[layout.names.index(name)] = value

@@ -169,7 +169,7 @@ def _build(
     if not len(chosen):
         raise InputError("sensors: found no reading of any, expected some")
     whole, model = model, model.pick(chosen)
-    priors, fixed, common = choose_priors(config, section.free, section.common, model)
+    priors, fixed, common = choose_priors(config, section, model)
     data = Measurements(
         readings.poses,
         readings.values[:, chosen],

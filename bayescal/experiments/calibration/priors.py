@@ -11,6 +11,7 @@ from bayescal.experiments.calibration.schema import (
     CalibrationAuditConfig,
     CalibrationConfig,
     CalibrationSimulationConfig,
+    FreeConfig,
 )
 from bayescal.experiments.shared.per_leg import spread_over_legs, spread_widths
 from bayescal.identifiability.units import Units
@@ -22,8 +23,7 @@ type Chosen = tuple[dict[str, Prior], dict[str, float], dict[str, tuple[str, ...
 
 def choose_priors(
     config: CalibrationConfig | CalibrationSimulationConfig | CalibrationAuditConfig,
-    wanted: list[str] | None,
-    alike: list[str | list[str]],
+    choice: FreeConfig,
     model: ReadingModel,
 ) -> Chosen:
     """Return the priors of the free parameters, the values of fixed ones, and what deviates alike.
@@ -31,10 +31,8 @@ def choose_priors(
     Parameters
     ----------
     config : CalibrationConfig, CalibrationSimulationConfig or CalibrationAuditConfig
-    wanted : list of str or None
-        Symbols or parameters that are free; None for all with a prior.
-    alike : list of str or list of str
-        What deviates alike, each entry by itself.
+    choice : FreeConfig
+        What of it is free, and what deviates alike.
     model : ReadingModel
 
     Raises
@@ -47,7 +45,7 @@ def choose_priors(
     for symbol in config.parameters:
         if symbol not in layout.symbols:
             raise InputError(f"parameters: found {symbol!r}, expected some of {', '.join(layout.symbols)}")
-    free = _choose_free(config.parameters, wanted, layout)
+    free = _choose_free(config.parameters, choice, layout)
     priors: dict[str, Prior] = {}
     fixed: dict[str, float] = {}
     for block in layout.blocks:
@@ -62,26 +60,24 @@ def choose_priors(
             priors |= {name: one for name, one in _priors_of(block, prior, factor).items() if name in free}
     for name, one in priors.items():
         _check_range(name, one, layout)
-    common = _list_common(alike, priors, layout)
+    common = _list_common(choice.common, priors, layout)
     return _join(priors, common), fixed, common
 
 
-def _choose_free(parameters: Mapping[str, PriorConfig], wanted: list[str] | None, layout: ParameterLayout) -> set[str]:
+def _choose_free(parameters: Mapping[str, PriorConfig], choice: FreeConfig, layout: ParameterLayout) -> set[str]:
     with_prior = {
         name
         for block in layout.blocks
         if not isinstance(parameters.get(block.symbol, FixedConfig(prior="fixed")), FixedConfig)
         for name in block.names
     }
-    if wanted is None:
-        return with_prior
-    free: set[str] = set()
-    for entry in wanted:
+    free = with_prior if choice.free is None else set()
+    for entry in choice.free or ():
         named = set(expand(entry, layout, "free"))
         if not named <= with_prior:
             raise InputError(f"free: found {entry!r} without a prior in [parameters], expected a normal or uniform one")
         free |= named
-    return free
+    return free.difference(*(expand(entry, layout, "fixed") for entry in choice.fixed))
 
 
 def expand(entry: str, layout: ParameterLayout, field: str) -> tuple[str, ...]:

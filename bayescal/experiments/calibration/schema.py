@@ -111,29 +111,43 @@ class ErrorTermConfig(OwnSection):
     """`"function"`, or `file.py:Class` of one's own; its options stand beside it."""
 
 
-class CalibrationVariantConfig(Section):
+class FreeConfig(Section):
+    """What is free: symbols or parameters with a prior, all of them or those in ``free``, but for those in ``fixed``.
+
+    Those of an entry of ``common`` deviate alike, a symbol or a list of parameters. Sensors inside a machine tell
+    nothing of where its frames are: ``fixed`` are then the parameters that define these.
+    """
+
+    free: Annotated[Names, Field(min_length=1)] | None = None
+    """Symbols or parameters that are free; all with a prior where nothing is said."""
+    fixed: Names = Field(default=[], exclude_if=lambda value: not value)
+    """Symbols or parameters of these that stay nominal all the same."""
+    common: list[str | Names] = Field(default=[])
+    """Symbols, or lists of parameters, that deviate alike."""
+
+
+class SensorSetConfig(Section):
+    """Channels that a variant takes in, and what it is called."""
+
+    name: Name
+    """What tables call the variant."""
+    title: str
+    """What the page calls it."""
+    sensors: Annotated[Names, Field(min_length=1)] | None = None
+    """Channels that it takes in; all where nothing is said."""
+
+
+class CalibrationVariantConfig(FreeConfig, SensorSetConfig):
     """A model of the readings.
 
-    ``sensors`` are the channels it takes in, all by default; ``free`` the symbols or parameters that are free, by
-    default all with a prior; those of an entry of ``common`` deviate alike, a symbol or a list of parameters.
     ``noise`` says whether the noise is as stated or unknown as far as [unknown_noise] and [model_error] allow,
     ``errors`` which further errors it has;
     ``robust`` is the degree of freedom ν of a density that lets single poses be wrong; ``poses_with`` keeps to poses
     for which these columns are known; ``machine`` is another file for this variant.
     """
 
-    name: Name
-    """What tables call the variant."""
-    title: str
-    """What the page calls it."""
     machine: InputFile | None = None
     """Another machine's file for this variant."""
-    sensors: Annotated[Names, Field(min_length=1)] | None = None
-    """Channels that it takes in; all where nothing is said."""
-    free: Annotated[Names, Field(min_length=1)] | None = None
-    """Symbols or parameters that are free; all with a prior where nothing is said."""
-    common: list[str | Names] = Field(default=[])
-    """Symbols, or lists of parameters, that deviate alike."""
     noise: Literal["unknown", "stated"] = "unknown"
     """Noise as `stated`, or `unknown` as far as [unknown_noise] and [model_error] allow."""
     errors: Names | None = Field(default=None, exclude_if=lambda value: value is None)
@@ -172,7 +186,7 @@ class BesideConfig(Section):
     title: str
     """What the page calls the values."""
     file: InputFile
-    """CSV file: quantity, unit, value, and sd where it is known."""
+    """CSV file: quantity, unit, value, and sd where it is known; or the true parameters that a simulation wrote."""
     source: str = ""
     """Where they come from."""
 
@@ -254,8 +268,8 @@ class TrueParametersConfig(Section):
     """CSV file of true parameters, as a simulation writes it."""
 
 
-class CalibrationSimulationConfig(ExperimentConfig):
-    """Readings of any machine drawn within its priors; those of an entry of ``common`` deviate alike.
+class CalibrationSimulationConfig(FreeConfig, ExperimentConfig):
+    """Readings of any machine drawn within the priors of what is free.
 
     ``given`` are the smallest and the largest value of what the machine has to know of each row. A truth from a file
     stands in for what is drawn.
@@ -273,8 +287,6 @@ class CalibrationSimulationConfig(ExperimentConfig):
     """Units of tolerances, requirements and results."""
     parameters: dict[str, PriorConfig] = Field(default={})
     """Tolerance of each symbol, within which the true machine is drawn."""
-    common: list[str | Names] = Field(default=[])
-    """Symbols, or lists of parameters, that deviate alike."""
     truth: TrueParametersConfig | None = None
     """A given true machine in place of a drawn one."""
     workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
@@ -305,19 +317,8 @@ class PlannedPosesConfig(Section):
         return self
 
 
-class AuditVariantConfig(Section):
+class AuditVariantConfig(FreeConfig, SensorSetConfig):
     """A set of sensors and what is free with it; as in variants of a calibration."""
-
-    name: Name
-    """What tables call the variant."""
-    title: str
-    """What the page calls it."""
-    sensors: Annotated[Names, Field(min_length=1)] | None = None
-    """Channels that it takes in; all where nothing is said."""
-    free: Annotated[Names, Field(min_length=1)] | None = None
-    """Symbols or parameters that are free; all with a prior where nothing is said."""
-    common: list[str | Names] = Field(default=[])
-    """Symbols, or lists of parameters, that deviate alike."""
 
 
 class SelectionConfig(Section):
@@ -340,7 +341,7 @@ class SelectionConfig(Section):
         return self
 
 
-class SensorChoiceConfig(Section):
+class SensorChoiceConfig(FreeConfig):
     """Sensors to choose from, for the poses planned.
 
     A name among ``candidates`` is one sensor, a kind each of its sensors by itself, a list an instrument whose readings
@@ -358,10 +359,8 @@ class SensorChoiceConfig(Section):
     """How many candidates a set has at most."""
     exhaustive: Annotated[int, Field(ge=0, le=100_000)] = 4096
     """Up to how many sets all are judged."""
-    free: Annotated[Names, Field(min_length=1)] | None = None
-    """Symbols or parameters that are free; all with a prior where nothing is said."""
-    common: list[str | Names] = Field(default=[])
-    """Symbols, or lists of parameters, that deviate alike."""
+    prices: dict[str, NotNegative] = Field(default={}, exclude_if=lambda value: not value)
+    """By candidate or kind, an instrument's readings joined by ` + `: its price [any currency]."""
 
 
 class CalibrationAuditConfig(ExperimentConfig):

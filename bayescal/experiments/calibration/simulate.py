@@ -56,7 +56,7 @@ def read_simulation(config: CalibrationSimulationConfig, folder: Path) -> Simula
     check_given(config.given, whole)
     noise = noise_of_channels(config.sensors, whole)
     chosen = whole.select(config.sensors)
-    priors, fixed, common = choose_priors(config, None, config.common, whole)
+    priors, fixed, common = choose_priors(config, config, whole)
     truth = None if config.truth is None else read_true_parameters(folder / config.truth.parameters, whole.layout)
     workspace = build_workspace(whole, config.workspace, config.units)
     return SimulationInputs(config, whole.pick(chosen), noise[chosen], priors, fixed, common, workspace, truth)

@@ -202,6 +202,8 @@ def _list_beside(inputs: CalibrationInputs, variant: Variant, one: Findings) -> 
     for source, values in zip(inputs.beside, one.beside, strict=True):
         mean, sd = values.mean(axis=0), values.std(axis=0)
         for k, name in enumerate(source.quantities):
+            if np.ptp(values[:, k]) == 0.0 and np.isnan(source.sd[k]):  # held fixed: there is nothing to compare
+                continue
             yield {
                 "variant": variant.name,
                 "beside": source.title,

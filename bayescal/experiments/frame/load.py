@@ -11,6 +11,7 @@ from bayescal.config.load import check_section, read_extended
 from bayescal.config.registry import find_class, list_references
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
+from bayescal.experiments import GONE
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.memory import check_tables
 
@@ -19,6 +20,8 @@ type AnyExperiment = Experiment[Any, Any]
 
 def find_kind(kind: str, where: Path, folder: Path | None) -> AnyExperiment:
     """Return a kind of experiment by its name; see `registry.find_class`."""
+    if kind in GONE:
+        raise InputError(f"{where}: kind: found {kind!r}, which is gone, expected {GONE[kind]!r}")
     base: type[AnyExperiment] = Experiment  # type: ignore[type-abstract]  # only subclasses of it are found
     return find_class("KINDS", kind, base, "kind", where, folder)()
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.experiments.shared.calibrability import MM_PER_METRE, in_units
-from bayescal.experiments.shared.sensor_sets import FreeParameters, SensorSet, null_basis, solve_least_squares
 from bayescal.machines.readings import Readings
 from bayescal.numerics.geometry import Array
+from bayescal.reproductions.sika2008.calibrability import MM_PER_METRE, in_units
+from bayescal.reproductions.sika2008.sensor_sets import FreeParameters, SensorSet, null_basis, solve_least_squares
 
 BATCH = 16
 STEP_TOLERANCE = 1e-7  # of a parameter's scale

@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.shared.calibrability import compute_calibrability
-from bayescal.experiments.shared.reading_machine import ZEROS
-from bayescal.experiments.shared.sensor_sets import locate_tool
 from bayescal.numerics.geometry import Array
+from bayescal.reproductions.sika2008.calibrability import compute_calibrability
 from bayescal.reproductions.sika2008.calibrate import Calibrations
 from bayescal.reproductions.sika2008.predict import predict_covariance, predict_tool
+from bayescal.reproductions.sika2008.reading_machine import ZEROS
+from bayescal.reproductions.sika2008.sensor_sets import locate_tool
 from bayescal.reproductions.sika2008.setup import CALIBRATIONS, Plan, Plans, Setup
 from bayescal.reproductions.sika2008.simulate import (
     BAYESIAN,

@@ -10,16 +10,16 @@ import pandas as pd
 
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.shared.calibrability import compute_calibrability
-from bayescal.experiments.shared.reading_machine import ZEROS, draw_poses
-from bayescal.experiments.shared.sensor_sets import FreeParameters
 from bayescal.machines.read import build_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
 from bayescal.machines.readings.schema import PlanarPosesConfig, SlidingPlatformConfig
 from bayescal.numerics.geometry import Array
+from bayescal.reproductions.sika2008.calibrability import compute_calibrability
 from bayescal.reproductions.sika2008.documented import name_parts, squares_of
 from bayescal.reproductions.sika2008.predict import predict_covariance, predict_tool
+from bayescal.reproductions.sika2008.reading_machine import ZEROS, draw_poses
 from bayescal.reproductions.sika2008.schema import PlausibleMachinesConfig
+from bayescal.reproductions.sika2008.sensor_sets import FreeParameters
 from bayescal.reproductions.sika2008.setup import MACHINES, Plan, Plans, Setup, build_plans
 from bayescal.reproductions.sika2008.simulate import PAPER, Measured, measure, simulate
 from bayescal.reproductions.sika2008.statistics import rms_of

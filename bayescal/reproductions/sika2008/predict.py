@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayescal.experiments.shared.sensor_sets import compute_tool_sensitivity, null_basis
 from bayescal.numerics.geometry import Array
 from bayescal.reproductions.sika2008.calibrate import unweighted
+from bayescal.reproductions.sika2008.sensor_sets import compute_tool_sensitivity, null_basis
 from bayescal.reproductions.sika2008.setup import Plan
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters, poses_about_home
-from bayescal.experiments.shared.sensor_sets import FreeParameters, SensorSet
 from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
 from bayescal.machines.readings.schema import ReadingSensorConfig
 from bayescal.numerics.geometry import Array
+from bayescal.reproductions.sika2008.reading_machine import build_sensors, draw_poses, free_parameters, poses_about_home
 from bayescal.reproductions.sika2008.schema import PathConfig, SelfCalibrationsConfig
+from bayescal.reproductions.sika2008.sensor_sets import FreeParameters, SensorSet
 
 POSES, TARGETS, CALIBRATIONS, SWEEP, MACHINES = range(5)
 """Streams of random numbers, so that what one part draws changes nothing in another."""

@@ -12,9 +12,9 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.shared.sensor_sets import SensorSet, compute_tool_sensitivity, locate_tool
 from bayescal.numerics.geometry import Array
 from bayescal.reproductions.sika2008.calibrate import Calibrations, calibrate, unweighted
+from bayescal.reproductions.sika2008.sensor_sets import SensorSet, compute_tool_sensitivity, locate_tool
 from bayescal.reproductions.sika2008.setup import Plan, Plans
 
 PAPER, BAYESIAN = "paper", "bayesian"

@@ -26,8 +26,8 @@ from scipy.stats import gamma, multivariate_normal
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.poses import search_poses
-from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.machines.readings import Channel
+from bayescal.reproductions.sika2008.sensor_sets import SensorSet
 
 VOLUME = 50.0
 

@@ -17,7 +17,7 @@ from bayescal.density.elimination import project_out
 from bayescal.density.model_error import OFF, build_kernel
 from bayescal.density.priors import LogNormalPrior
 from bayescal.errors import InputError
-from bayescal.experiments.shared.sensor_sets import null_basis
+from bayescal.reproductions.sika2008.sensor_sets import null_basis
 
 N_POSES = 9
 KERNELS = [("linear", 5.0, None), ("quadratic", 2.0, None), ("smooth", 1.5, None), ("smooth", 0.6, None)]

@@ -25,13 +25,13 @@ from bayescal.density.calibration.terms import NO_ERRORS
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError
-from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses, free_parameters, workspace_volume
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import find_modes
 from bayescal.inference.sampling import sample_posterior
 from bayescal.machines.readings.schema import ReadingTolerancesConfig
+from bayescal.reproductions.sika2008.reading_machine import build_sensors, draw_poses, free_parameters, workspace_volume
 
 VOLUME = workspace_volume(WORKSPACE)
 TINY = ReadingTolerancesConfig(length_mm=1e-3, angle_deg=1e-4, zero_deg=1e-3)

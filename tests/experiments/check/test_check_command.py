@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 
+import calibrations
 import pytest
-import reading_studies
 import studies
 
 from bayescal import cli
@@ -59,8 +59,8 @@ def test_the_best_variant_is_checked_where_none_is_named(study, tmp_path, monkey
     ("change", "fault"),
     [
         (
-            lambda folder: reading_studies.write_small(folder),
-            "found 'self_calibration', expected 'study' or 'calibration'",
+            lambda folder: calibrations.write_audit(folder),
+            "found 'calibration_audit', expected 'study' or 'calibration'",
         ),
         (
             lambda folder: studies.write_tiny_study(folder),

@@ -11,7 +11,6 @@ from pathlib import Path
 import calibrations
 import lookup_tables
 import pytest
-import reading_studies
 import session_studies
 import studies
 import sweeps
@@ -80,10 +79,7 @@ MAKE = {
     "next_pose": write_next,
     "pose_methods": take_tiny("pose_extraction/figure5"),
     "pose_selection": write_selection,
-    "reading_simulation": take_tiny("sliding_star/simulate"),
-    "self_calibration": reading_studies.write_small,
     "self_calibrations": take_tiny("sliding_star/calibrations"),
-    "sensor_placement": take_tiny("sliding_star/m2_hexapod_sensors"),
     "sessions": session_studies.write_sessions,
     "simulation": take_tiny("telescope/simulate"),
     "study": studies.write_tiny_study,
@@ -92,7 +88,6 @@ MAKE = {
 """What writes a small experiment of a kind to a folder and returns its config."""
 WITHOUT_TASKS = (
     "simulation",
-    "reading_simulation",
     "calibration_simulation",
     "next_pose",
 )  # over in an instant: nothing is worth keeping

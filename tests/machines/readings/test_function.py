@@ -12,11 +12,11 @@ from reading_machines import WORKSPACE, sliding_star, star_of
 from sliding_platforms import build, make_content
 
 from bayescal.errors import InputError
-from bayescal.experiments.shared.reading_machine import draw_poses
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings import Channel, Coordinate, FunctionModel, ReadingMachine
 from bayescal.machines.readings.colours import colour
 from bayescal.numerics.analytic import absolute, atan2, norm
+from bayescal.reproductions.sika2008.reading_machine import draw_poses
 
 STARS = {
     "shipped": sliding_star,

@@ -9,8 +9,8 @@ import pytest
 from sliding_platforms import SETS, build, make_content, read_star
 
 from bayescal.errors import InputError
-from bayescal.experiments.shared.reading_machine import poses_about_home
 from bayescal.machines.readings.sliding_platform import segments_cross
+from bayescal.reproductions.sika2008.reading_machine import poses_about_home
 
 CASES = [(n, points) for n in (3, 4, 6) for points in ("along", "against")]
 LISTED = {

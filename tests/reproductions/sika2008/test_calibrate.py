@@ -8,8 +8,8 @@ from scipy.optimize import least_squares
 from sliding_platforms import make_problem
 
 from bayescal.errors import InputError
-from bayescal.experiments.shared.sensor_sets import find_poses
 from bayescal.reproductions.sika2008.calibrate import BATCH, calibrate, unweighted
+from bayescal.reproductions.sika2008.sensor_sets import find_poses
 
 
 def measure(sensors, free, pose, n, seed=2, noise=1.0):

@@ -24,6 +24,7 @@ from bayescal.experiments.calibration.schema import (
     AuditVariantConfig,
     CalibrationAuditConfig,
     CalibrationVariantConfig,
+    FreeConfig,
 )
 from bayescal.experiments.calibration.workspace import Workspace, build_workspace, check_told
 from bayescal.identifiability.reading_rows import name_tool
@@ -75,11 +76,10 @@ def read_audit(config: CalibrationAuditConfig, folder: Path) -> AuditInputs:
     if asked is None:
         return AuditInputs(config, name, variants, limits)
     with name_faults("sensor_choice"):
-        choices = list_choices(model, asked.candidates, asked.always)
+        choices = list_choices(model, asked)
         names = [*asked.always, *(one for choice in choices for one in choice.channels)]
-        section = AuditVariantConfig(
-            name="sensor_choice", title="", sensors=names, free=asked.free, common=asked.common
-        )
+        what = asked.model_dump(include=set(FreeConfig.model_fields))
+        section = AuditVariantConfig(name="sensor_choice", title="", sensors=names, **what)
         sensors = _build(config, section, model, planned, noise, workspace)
     return AuditInputs(config, name, variants, limits, sensors, choices)
 
@@ -109,7 +109,7 @@ def _build(
     for k in chosen[~np.isfinite(noise[chosen])][:1]:
         raise InputError(f"sensors: found {whole.names[k]} without noise, expected an entry in [sensors]")
     model = whole.pick(chosen)
-    priors, fixed, common = choose_priors(config, section.free, section.common, model)
+    priors, fixed, common = choose_priors(config, section, model)
     shape = (len(planned.names), len(chosen))
     data = Measurements(planned.names, np.zeros(shape), np.tile(noise[chosen], (shape[0], 1)), planned.given)
     variant = Variant(

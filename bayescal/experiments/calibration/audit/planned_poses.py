@@ -9,7 +9,7 @@ import numpy as np
 
 from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
 from bayescal.experiments.calibration.priors import choose_priors
-from bayescal.experiments.calibration.schema import CalibrationAuditConfig
+from bayescal.experiments.calibration.schema import CalibrationAuditConfig, FreeConfig
 from bayescal.experiments.calibration.workspace import Workspace, check_given, draw_given, draw_standing
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
@@ -38,7 +38,7 @@ def plan_poses(config: CalibrationAuditConfig, folder: Path, model: ReadingModel
 
 def _expect(config: CalibrationAuditConfig, model: ReadingModel) -> Array:
     """Return the machine as expected with everything free, (D,)."""
-    priors, fixed, _ = choose_priors(config, None, [], model)
+    priors, fixed, _ = choose_priors(config, FreeConfig(), model)
     known = fixed | {name: one.mean for name, one in priors.items()}
     layout = model.layout
     return np.array([known.get(name, value) for name, value in zip(layout.names, layout.nominal, strict=True)])

@@ -8,7 +8,7 @@ machine's own sensors of the set locate the tool.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -17,6 +17,7 @@ from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.inputs import Variant
 from bayescal.experiments.calibration.knowledge import N_WORKSPACE, differentiate
+from bayescal.experiments.calibration.schema import SensorChoiceConfig
 from bayescal.experiments.calibration.workspace import SINGULAR
 from bayescal.identifiability.information import information_of_rows
 from bayescal.identifiability.reading_rows import Slopes, rms
@@ -34,16 +35,24 @@ class Choice:
     ----------
     name : str
     channels : tuple of str
+    price : float
+        NaN where no prices are stated.
     """
 
     name: str
     channels: tuple[str, ...]
+    price: float = np.nan
 
 
-def list_choices(
-    model: ReadingModel, candidates: Sequence[str | list[str]], always: Sequence[str]
-) -> tuple[Choice, ...]:
-    """Return what there is to choose from, kinds spread; InputError for unknown sensors and those listed twice."""
+def list_choices(model: ReadingModel, section: SensorChoiceConfig) -> tuple[Choice, ...]:
+    """Return what there is to choose from, kinds spread, with prices.
+
+    Raises
+    ------
+    InputError
+        For unknown sensors and those listed twice; where there are prices, for one without and a price of nothing.
+    """
+    candidates, always, prices = section.candidates, section.always, section.prices
     found: list[Choice] = []
     for entry in candidates:
         if isinstance(entry, list):
@@ -54,7 +63,16 @@ def list_choices(
     for name in taken:
         if taken.count(name) > 1:
             raise InputError(f"found {name} twice in candidates and always, expected each sensor once")
-    return tuple(found)
+    if not prices:
+        return tuple(found)
+    named = [one.name if one.name in prices else one.name.partition("[")[0] for one in found]
+    for name in named:
+        if name not in prices:
+            raise InputError(f"prices: found none of {name}, expected one of each candidate, or of its kind")
+    for name in prices:
+        if name not in named:
+            raise InputError(f"prices: found {name!r}, expected some of {', '.join(dict.fromkeys(named))}")
+    return tuple(replace(one, price=prices[name]) for one, name in zip(found, named, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,29 +166,32 @@ def build_sensor_sets(
 
 def judge_set(sets: SensorSets, chosen: np.ndarray) -> SetAccuracy:
     """Return how good a set of choices (C,), bool, is."""
-    some = sets.always | sets.members[chosen].any(axis=0)
-    by_pose, by_parameters = sets.by_pose[:, some], sets.by_parameters[:, some]
-    in_use = sets.around.white * (some & sets.internal)
-    lost = _count_untold(by_pose * sets.around.half)
-    lost_in_use = _count_untold(in_use[:, None] * sets.around.by_pose * sets.around.half)
+    some, at = sets.always | sets.members[chosen].any(axis=0), sets.around
+    own = some & sets.internal
+    white = at.white[own, None]
+    basis, values, _ = np.linalg.svd(sets.by_pose[:, some] * at.half, full_matrices=False)
+    in_use, sizes, turned = np.linalg.svd(white * at.by_pose[:, own] * at.half, full_matrices=False)
+    lost, lost_in_use = (_count_untold(one, len(at.half)) for one in (values, sizes))
+    by_parameters = sets.by_parameters[:, some]
     if lost or lost_in_use:
         nothing, all_of_it = np.full(len(sets.limits), np.nan), np.ones(by_parameters.shape[-1])
         reason: Reason = "calibration" if lost else "use"
         return SetAccuracy(reason, lost + lost_in_use, np.inf, nothing, nothing, nothing, all_of_it, int(some.sum()))
-    rows = by_parameters - by_pose @ (np.linalg.pinv(by_pose) @ by_parameters)
+    rows = by_parameters - basis @ (np.swapaxes(basis, -1, -2) @ by_parameters)
     covariance = information_of_rows(rows, np.ones(rows.shape[-1])).covariance
-    at = sets.around.seen_by(some & sets.internal)
-    after, noise = rms(at.tool, covariance), np.sqrt(at.noise.mean(axis=0))
+    gain = np.swapaxes(turned * at.half, -1, -2) / sizes[:, None] @ np.swapaxes(in_use, -1, -2)
+    located = at.tool_by_pose @ gain
+    after = rms(at.tool_seen - located @ (white * at.seen[:, own]), covariance)
+    noise = np.sqrt((located**2).sum(axis=-1).mean(axis=0))
     error = np.hypot(after, noise)
     deviations = np.sqrt(np.diagonal(covariance))
     return SetAccuracy("", 0, _find_goal(sets, error), error, after, noise, deviations, int(some.sum()))
 
 
-def _count_untold(slope: Array) -> int:
-    """Return how many coordinates readings (P, K, q) do not tell at the pose where they tell least."""
-    values = np.linalg.svd(slope, compute_uv=False) if slope.size else np.zeros((len(slope), 0))
+def _count_untold(values: Array, q: int) -> int:
+    """Return how many of q coordinates readings of singular values (P, k) do not tell where they tell least."""
     told = (values > SINGULAR * values.max(axis=1, initial=0.0)[:, None]).sum(axis=1)
-    return int(slope.shape[-1] - told.min())
+    return int(q - told.min())
 
 
 def _find_goal(sets: SensorSets, error: Array) -> float:

@@ -13,14 +13,20 @@ from bayescal.experiments.calibration.audit.set_search import FoundSets, find_ho
 from bayescal.experiments.calibration.inputs import Variant
 from bayescal.identifiability.reading_rows import name_tool
 
+DIGITS = 9  # of a price, for sums of the same prices to be the same
+
 
 def tabulate_sets(inputs: AuditInputs, found: FoundSets) -> dict[str, pd.DataFrame]:
-    """Return ``sensor_sets``, ``best_sets``, ``best_set_parameters`` and ``hopeless_sets``, those that have rows."""
+    """Return ``sensor_sets``, ``best_sets``, their ``front`` against the price, and what no set of them tells.
+
+    That is ``best_set_parameters`` and ``hopeless_sets``; tables without rows are left out.
+    """
     assert inputs.sensors is not None
     best = [(number, found.best_of(number)) for number in np.unique(found.sets.sum(axis=1))]
     good = [(int(number), place) for number, place in best if place is not None]
     tables = {
-        "sensor_sets": pd.DataFrame([_describe(inputs, found, k) for k in range(len(found.sets))]),
+        "sensor_sets": (sets := pd.DataFrame([_describe(inputs, found, k) for k in range(len(found.sets))])),
+        "front": find_front(sets),
         "best_sets": pd.DataFrame([_describe(inputs, found, k) | _count(found, number) for number, k in good]),
         "best_set_parameters": pd.DataFrame([row for one in good for row in _list_parameters(inputs, found, *one)]),
         "hopeless_sets": pd.DataFrame([_name_set(inputs, found, k) for k in find_hopeless(found)]),
@@ -28,11 +34,21 @@ def tabulate_sets(inputs: AuditInputs, found: FoundSets) -> dict[str, pd.DataFra
     return {name: table for name, table in tables.items() if not table.empty}
 
 
+def find_front(sets: pd.DataFrame) -> pd.DataFrame:
+    """Return the sets that no other one beats at its price or below, the cheapest first; empty without prices."""
+    if "price" not in sets:
+        return pd.DataFrame()
+    good = sets[sets["goal"].notna()].sort_values(["price", "goal", "n_sensors"], kind="stable")
+    return good[good["goal"] < good["goal"].cummin().shift(fill_value=np.inf)]
+
+
 def _name_set(inputs: AuditInputs, found: FoundSets, place: int) -> dict[str, Any]:
-    chosen = [choice.name for choice, one in zip(inputs.choices, found.sets[place], strict=True) if one]
+    chosen = [choice for choice, one in zip(inputs.choices, found.sets[place], strict=True) if one]
+    price = round(sum(one.price for one in chosen), DIGITS)
     return {
         "n_sensors": len(chosen),
-        "sensors": ", ".join(chosen),
+        "sensors": ", ".join(one.name for one in chosen),
+        **({} if np.isnan(inputs.choices[0].price) else {"price": price}),
         "n_readings": found.accuracy[place].n_readings,
         "reason": found.accuracy[place].reason,
     }

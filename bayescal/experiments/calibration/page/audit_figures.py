@@ -65,20 +65,23 @@ def draw_requirements(requirements: pd.DataFrame, titles: dict[str, str]) -> Fig
     return figure
 
 
-def draw_sets(sets: pd.DataFrame, best: pd.DataFrame, required: bool) -> Figure:
-    """Return the error of every set of sensors against their number, the best of each joined."""
+def draw_sets(sets: pd.DataFrame, best: pd.DataFrame, required: bool, against: str = "number") -> Figure:
+    """Return the error of every set of sensors against their number or price, the best of each joined."""
     figure = Figure(figsize=(8.4, 4.0))
     axes = figure.subplots()
     good = sets[(sets["goal"] < SHOWN * best["goal"].min()) & ~sets["sensors"].isin(best["sensors"])]
-    shift = 0.3 * (((0.618034 * np.arange(len(good))) % 1.0) - 0.5)
-    axes.plot(good["n_sensors"] + shift, good["goal"], ".", color=PALE, markersize=5.0, label="another set")
-    axes.plot(best["n_sensors"], best["goal"], "-o", color=BEST, markersize=5.0, label="best of each number")
+    by_number = against == "number"
+    column, shift = (
+        ("n_sensors", 0.3 * (((0.618034 * np.arange(len(good))) % 1.0) - 0.5)) if by_number else ("price", 0.0)
+    )
+    axes.plot(good[column] + shift, good["goal"], ".", color=PALE, markersize=5.0, label="another set")
+    axes.plot(best[column], best["goal"], "-o", color=BEST, markersize=5.0, label=f"best of each {against}")
     if required:
         axes.axhline(1.0, color=RED, linewidth=0.9, label="what is required")
     _scale_log(axes, "y")
     axes.set_ylabel("Largest share of a limit" if required else "Error, lengths together")
-    axes.set_xlabel("Number of sensors")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_xlabel("Number of sensors" if by_number else "Price")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=by_number))
     axes.grid(axis="y")
     axes.legend(loc="upper right")
     return figure

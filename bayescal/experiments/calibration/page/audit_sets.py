@@ -9,7 +9,14 @@ import pandas as pd
 from bayescal.experiments.calibration.page import audit_figures as figures
 from bayescal.experiments.calibration.page.verdict import Asked, Row, list_rows, shown_in
 from bayescal.report.blocks import Cell, Column, Figure, Section, Statement, make_section, make_table
-from bayescal.report.numbers import format_count, format_fixed, format_percent, format_significant, join_words
+from bayescal.report.numbers import (
+    format_count,
+    format_fixed,
+    format_percent,
+    format_plain,
+    format_significant,
+    join_words,
+)
 
 ENOUGH = 1.1  # times the error of the best set, which a smaller one may have
 WORTH = 0.02  # of the error, by which one more pose should lower it
@@ -21,8 +28,11 @@ REASONS = {
 
 
 def find_enough(tables: dict[str, pd.DataFrame]) -> Row:
-    """Return the smallest of the best sets that meets what is required; else that errs hardly more than the best."""
-    rows = list_rows(tables["best_sets"])
+    """Return the smallest of the best sets, the cheapest where there are prices, that is good enough.
+
+    It meets what is required; where nothing is, or no set does, it errs hardly more than the best.
+    """
+    rows = list_rows(tables["front" if "front" in tables else "best_sets"])
     least = min(row["goal"] for row in rows)
     limit = 1.0 if "requirements" in tables and least <= 1.0 else ENOUGH * least
     return next(row for row in rows if row["goal"] <= limit)
@@ -43,6 +53,7 @@ def state_sets(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list
         return [Statement(f"None of {n_sets} sets of sensors tells where the machine stands.", "bad", "Sensors")]
     row = find_enough(tables)
     words = f"{_name_sensors(row, summary)}, {_count_sensors(row)} of {len(summary['sensor_choice']['candidates'])}"
+    words += f" at a price of {format_plain(row['price'])}" if "price" in row else ""
     if "requirements" not in tables:
         best = min(one["goal"] for one in list_rows(tables["best_sets"]))
         more = format_percent(row["goal"] / best - 1.0)
@@ -53,8 +64,9 @@ def state_sets(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list
         ]
     margin = format_percent(abs(1.0 - row["goal"]))
     if row["goal"] <= 1.0:
+        first = "cheapest" if "price" in row else "fewest"
         return [
-            Statement(f"The fewest sensors that meet what is required: {words} ({margin} margin).", "good", "Sensors")
+            Statement(f"The {first} sensors that meet what is required: {words} ({margin} margin).", "good", "Sensors")
         ]
     return [
         Statement(
@@ -99,16 +111,12 @@ def show_sets(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[
         return []
     shown, drawn = [], []
     if "best_sets" in tables:
-        shown.append(_tabulate_best(tables, summary))
-        drawn.append(
-            Figure(
-                "sensor_sets",
-                "Error of every set of sensors against their number, the largest share of a limit."
-                if "requirements" in tables
-                else "Error of every set of sensors against their number, rms over the workspace.",
-                lambda: figures.draw_sets(tables["sensor_sets"], tables["best_sets"], "requirements" in tables),
-            )
-        )
+        shown.append(_tabulate_best(tables["best_sets"], "The best set of every number of sensors", tables, summary))
+        drawn.append(_draw_sets("sensor_sets", "number", tables["best_sets"], tables))
+        if "front" in tables:
+            caption = "The sets that no other one beats at their price or below"
+            shown.append(_tabulate_best(tables["front"], caption, tables, summary))
+            drawn.append(_draw_sets("front", "price", tables["front"], tables))
         shown.append(_tabulate_parameters(tables))
     if "hopeless_sets" in tables:
         shown.append(_tabulate_hopeless(tables))
@@ -120,11 +128,23 @@ def show_sets(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[
     return [make_section("Which sensors to take", text, shown, drawn)]
 
 
-def _tabulate_best(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Any:
-    best, asked = tables["best_sets"], summary["units"]
+def _draw_sets(name: str, against: str, best: pd.DataFrame, tables: dict[str, pd.DataFrame]) -> Figure:
+    required = "requirements" in tables
+    what = "the largest share of a limit" if required else "rms over the workspace"
+    return Figure(
+        name,
+        f"Error of every set of sensors against their {against}, {what}.",
+        lambda: figures.draw_sets(tables["sensor_sets"], best, required, against),
+    )
+
+
+def _tabulate_best(best: pd.DataFrame, caption: str, tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Any:
+    asked = summary["units"]
     names = [str(name).removeprefix("error_") for name in best.columns if str(name).startswith("error_")]
     group = "rms error over the workspace"
-    columns = [Column("Sensors"), Column("Which", kind="text"), Column("Sets"), Column("of them no good")]
+    columns = [Column("Sensors"), Column("Which", kind="text")]
+    columns += [Column("Price")] if "price" in best else []
+    columns += [Column("Sets"), Column("of them no good")] if "n_sets" in best else []
     columns += [Column(n.rpartition("_")[0], shown_in(n.rpartition("_")[2], asked)[1], group=group) for n in names]
     columns += [Column("Margin")] if "requirements" in tables else []
     rows: list[list[str | Cell]] = []
@@ -132,11 +152,12 @@ def _tabulate_best(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> 
         factors = [shown_in(n.rpartition("_")[2], asked)[0] for n in names]
         errors = [format_significant(f * row[f"error_{n}"]) for f, n in zip(factors, names, strict=True)]
         margin = [_judge_margin(1.0 - row["goal"])] if "requirements" in tables else []
-        counts = [format_count(row["n_sets"]), format_count(row["n_hopeless"])]
+        counts = [format_plain(row["price"])] if "price" in best else []
+        counts += [format_count(row["n_sets"]), format_count(row["n_hopeless"])] if "n_sets" in best else []
         rows.append([_count_sensors(row), str(row["sensors"]) if row["n_sensors"] else "–", *counts, *errors, *margin])
     always = summary["sensor_choice"]["always"]
     beside = f", besides {join_words([str(one) for one in always])}" if always else ""
-    return make_table(f"The best set of every number of sensors{beside}.", columns, rows)
+    return make_table(f"{caption}{beside}.", columns, rows)
 
 
 def _judge_margin(margin: float) -> Cell:

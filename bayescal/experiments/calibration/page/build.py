@@ -325,7 +325,7 @@ def _list_beside(row: Row) -> list[str | Cell]:
         unit,
         format_estimate(factor * row["mean"], factor * row["sd"]),
         format_significant(factor * row["value"], 6),
-        format_fixed(factor * away, 2, sign=True),
+        format_significant(factor * away),
         format_fixed(away / spread, 1, sign=True) if spread > 0.0 else "–",
     ]
 

@@ -7,8 +7,8 @@ import pytest
 from reading_machines import SENSORS, SETS, WORKSPACE, LinearModel, sliding_star, star_of
 
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.shared.reading_machine import build_sensors, draw_poses
-from bayescal.experiments.shared.sensor_sets import (
+from bayescal.reproductions.sika2008.reading_machine import build_sensors, draw_poses
+from bayescal.reproductions.sika2008.sensor_sets import (
     SensorSet,
     eliminate_poses,
     find_poses,

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.experiments.shared.sensor_sets import FreeParameters, SensorSet, eliminate_poses
 from bayescal.numerics.geometry import Array
+from bayescal.reproductions.sika2008.sensor_sets import FreeParameters, SensorSet, eliminate_poses
 
 DEGREE, MM_PER_METRE = float(np.pi / 180), 1000.0
 
@@ -42,32 +42,20 @@ def in_units(sensors: SensorSet, length: float, angle: float) -> SensorSet:
     return SensorSet(sensors.model, sensors.chosen, np.array(units))
 
 
-def compute_calibrability(
-    sensors: SensorSet, free: FreeParameters, pose: Array, together: Array | None = None
-) -> Calibrability:
-    """Return the calibrability of the machine as expected at poses (P, q); infinite where a direction is not seen.
-
-    Parameters
-    ----------
-    sensors : SensorSet
-    free : FreeParameters
-    pose : ndarray, shape (P, q)
-    together : ndarray, shape (n, m), optional
-        Of ones and zeros: which of the n parameters move together as one of m.
-    """
+def compute_calibrability(sensors: SensorSet, free: FreeParameters, pose: Array) -> Calibrability:
+    """Return the calibrability of the machine as expected at poses (P, q); infinite where a direction is not seen."""
     units = np.array(sensors.model.layout.units)[free.places]
-    alike = np.eye(len(units)) if together is None else together
     in_metres, in_degrees = np.where(units == "mm", MM_PER_METRE, 1.0), np.where(units == "mm", 1.0, DEGREE)
     return Calibrability(
-        _condition(in_units(sensors, MM_PER_METRE, 1.0), free, pose, in_metres[:, None] * alike),
-        _condition(in_units(sensors, 1.0, 1.0), free, pose, alike),
-        _condition(in_units(sensors, 1.0, DEGREE), free, pose, in_degrees[:, None] * alike),
-        _condition(sensors, free, pose, free.scale[:, None] * alike),
+        _condition(in_units(sensors, MM_PER_METRE, 1.0), free, pose, in_metres),
+        _condition(in_units(sensors, 1.0, 1.0), free, pose, np.ones(len(units))),
+        _condition(in_units(sensors, 1.0, DEGREE), free, pose, in_degrees),
+        _condition(sensors, free, pose, free.scale),
     )
 
 
 def _condition(sensors: SensorSet, free: FreeParameters, pose: Array, moves: Array) -> float:
-    rows = eliminate_poses(sensors.linearise(free.centre, pose))[..., free.places] @ moves
-    count = moves.shape[1]
+    rows = eliminate_poses(sensors.linearise(free.centre, pose))[..., free.places] * moves
+    count = len(moves)
     values = np.linalg.svd(rows.reshape(-1, count), compute_uv=False)
     return float((values[0] / values[-1]) ** 2) if len(values) == count and values[-1] > 0.0 else float("inf")

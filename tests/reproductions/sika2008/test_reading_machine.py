@@ -9,7 +9,9 @@ import pytest
 from sliding_platforms import NOISE, STAR, TOLERANCES, build, make_content, read_star
 
 from bayescal.errors import InputError
-from bayescal.experiments.shared.reading_machine import (
+from bayescal.machines.read import read_sliding_platform
+from bayescal.machines.readings.schema import PlanarPosesConfig, ReadingSensorConfig
+from bayescal.reproductions.sika2008.reading_machine import (
     ARCSECOND,
     build_sensors,
     draw_poses,
@@ -17,8 +19,6 @@ from bayescal.experiments.shared.reading_machine import (
     poses_about_home,
     workspace_volume,
 )
-from bayescal.machines.read import read_sliding_platform
-from bayescal.machines.readings.schema import PlanarPosesConfig, ReadingSensorConfig
 
 
 @pytest.mark.parametrize("n_legs", [3, 4, 6])

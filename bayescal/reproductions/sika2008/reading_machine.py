@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.experiments.shared.sensor_sets import FreeParameters, SensorSet
 from bayescal.machines.readings import ReadingModel, SlidingPlatform
 from bayescal.machines.readings.schema import (
     PlanarPosesConfig,
@@ -17,6 +16,7 @@ from bayescal.machines.readings.schema import (
 from bayescal.machines.readings.sliding_platform import matrix_of_angle
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
+from bayescal.reproductions.sika2008.sensor_sets import FreeParameters, SensorSet
 
 ZEROS = ("phi0", "psi0", "tilt_a0", "tilt_b0")
 
@@ -105,8 +105,3 @@ def poses_about_home(model: SlidingPlatform, displacement: Array) -> Array:
     home = model.home[:2] + matrix_of_angle(model.home[2:])[0] @ model.tool_point
     origin = home + displacement[:, :2] - np.einsum("pij,j->pi", matrix_of_angle(angle), model.tool_point)
     return np.concatenate([origin, angle[:, None]], axis=1)
-
-
-def workspace_volume(config: PlanarPosesConfig) -> float:
-    """Return the volume that poses may lie in, mm² rad."""
-    return float((2 * config.position_mm) ** 2 * 2 * np.radians(config.angle_deg))

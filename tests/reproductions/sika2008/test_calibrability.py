@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from sliding_platforms import make_problem
 
-from bayescal.experiments.shared.calibrability import compute_calibrability
+from bayescal.reproductions.sika2008.calibrability import compute_calibrability
 
 DEGREE = np.pi / 180
 

@@ -1,1 +1,0 @@
-"""Machines calibrated from their own readings."""

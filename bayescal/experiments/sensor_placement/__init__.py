@@ -1,1 +1,0 @@
-"""Which sensors to buy."""

@@ -1,0 +1,171 @@
+"""A machine calibrated by its own sensors is a calibration: fixed frames, truth beside it, sets with prices."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import studies
+import tiny_experiments
+
+from bayescal.errors import InputError
+from bayescal.experiments.calibration.audit.inputs import read_audit
+from bayescal.experiments.calibration.audit.set_tables import find_front
+from bayescal.experiments.calibration.inputs import read_inputs
+from bayescal.experiments.calibration.simulate import read_simulation, simulate
+from bayescal.experiments.frame.identity import hash_identity, identify
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.run import run_experiment
+
+STAR = studies.EXPERIMENTS / "sliding_star"
+RESULTS = STAR.parents[1] / "results"
+FRAMES = ("x_P[1]", "y_P[1]", "beta[1]", "xi_B[1]", "eta_B[1]", "eta_B[2]")
+
+
+def read_star(**changes):
+    """Return the variants of the shipped study, the first of them changed."""
+    config = load(STAR / "study.toml")[1]
+    first = config.variants[0].model_copy(update=changes)
+    return read_inputs(config.model_copy(update={"variants": [first, *config.variants[1:]]}), STAR).variants
+
+
+@pytest.fixture(scope="module")
+def variants():
+    return read_star()
+
+
+def test_frames_stay_nominal_but_where_an_instrument_sees_them(variants):
+    whole = variants["s4"].whole
+    assert set(FRAMES) == set(whole.frame_parameters())
+    for name in ("s4", "s8", "s12"):
+        seen = whole.seen_parameters(variants[name].model.names)
+        assert list(variants[name].priors) == [one for one in seen if one not in FRAMES]
+    assert set(FRAMES) - set(variants["s8_external"].priors) == {"xi_B[1]", "eta_B[1]"}
+
+
+def test_what_is_fixed_is_at_its_nominal_value_in_every_machine(variants, rng):
+    posterior = variants["s8"].posterior()
+    theta = posterior.theta(rng.standard_normal((5, posterior.n_parameters)))
+    layout = posterior.likelihood.model.layout
+    places = [layout.names.index(name) for name in FRAMES]
+    np.testing.assert_array_equal(theta[:, places], np.tile(layout.nominal[places], (5, 1)))
+
+
+def test_what_cannot_be_fixed_is_named():
+    with pytest.raises(InputError, match=r"variant 's4': fixed: found 'x_Q', expected some of x_P"):
+        read_star(fixed=["x_Q"])
+
+
+@pytest.mark.parametrize(
+    ("kind", "successor"),
+    [
+        ("self_calibration", "calibration"),
+        ("reading_simulation", "calibration_simulation"),
+        ("sensor_placement", "calibration_audit"),
+    ],
+)
+def test_a_kind_that_is_gone_names_its_successor(kind, successor, tmp_path, call):
+    path = studies.edit(shutil.copy(STAR / "study.toml", tmp_path), 'kind = "calibration"', f'kind = "{kind}"')
+    code, out, err = call("run", Path(tmp_path) / "study.toml", "--out", tmp_path / "out")
+    del path
+    assert (code, out) == (2, "")
+    assert err.rstrip().endswith(f"study.toml: kind: found '{kind}', which is gone, expected '{successor}'")
+    assert not (tmp_path / "out").exists()
+
+
+def test_simulated_readings_are_of_the_machine_that_the_data_are_of():
+    inputs = read_simulation(load(STAR / "simulate.toml")[1], STAR)
+    made = simulate(inputs, np.random.default_rng(1))
+    same = pd.read_csv(STAR / "data" / "true_parameters.csv", comment="#")
+    np.testing.assert_allclose(made.truth["true"], same["value"], rtol=0, atol=1e-11)
+    readings = (STAR / "data" / "readings.csv").read_text().splitlines()
+    assert made.files["readings.csv"].splitlines()[2].split(",") == readings[2].split(",")
+
+
+def test_simulated_frames_are_not_drawn():
+    config = load(STAR / "simulate.toml")[1]
+    prior = load(STAR / "study.toml")[1].parameters
+    config = config.model_copy(update={"truth": None, "parameters": prior, "fixed": [*FRAMES], "common": ["l"]})
+    inputs = read_simulation(config, STAR)
+    truth = simulate(inputs, np.random.default_rng(1)).truth.set_index("parameter")
+    moved = truth["true"] != truth["nominal"]
+    assert set(truth.index[~moved]) == set(FRAMES)
+    assert truth["true"][["l[1]", "l[2]", "l[3]", "l[4]"]].nunique() == 1
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    """Return the shipped experiments with little to do."""
+    return tiny_experiments.copy_tiny(tmp_path_factory.mktemp("star")) / "sliding_star"
+
+
+def test_truth_stands_beside_what_is_free(tiny, tmp_path, no_pictures):
+    config = load(tiny / "study.toml")[1]
+    config = config.model_copy(update={"variants": config.variants[1:2]})
+    done = run_experiment(config, tiny, tmp_path / "out", quiet=True).results
+    beside = done.table("beside").set_index("quantity")
+    assert set(beside.index) == set(done.table("parameters")["parameter"])
+    assert (((beside["value"] - beside["mean"]) / beside["sd"]).abs() < 4.5).all()
+
+
+@pytest.mark.parametrize("name", ["sensors", "m2_hexapod_sensors"])
+def test_sets_have_prices_and_a_front(name, tiny, tmp_path, no_pictures):
+    done = run_experiment(load(tiny / f"{name}.toml")[1], tiny, tmp_path / "out", quiet=True).results
+    asked, sets, front = done.config["sensor_choice"], done.table("sensor_sets"), done.table("front")
+    for sensors, price in zip(sets["sensors"].fillna(""), sets["price"], strict=True):
+        each = [one if one in asked["prices"] else one.partition("[")[0] for one in sensors.split(", ") if one]
+        assert price == pytest.approx(sum(asked["prices"][one] for one in each))
+    assert (np.diff(front["price"]) > 0.0).all()
+    assert (np.diff(front["goal"]) < 0.0).all()
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "at a price of" in page
+    assert "The sets that no other one beats at their price or below" in page
+
+
+def test_front_of_a_made_up_table():
+    sets = pd.DataFrame({"price": [3.0, 1.0, 2.0, 2.0, 1.0], "goal": [1.0, np.nan, 2.0, 1.5, 4.0], "n_sensors": 1})
+    assert find_front(sets).index.tolist() == [4, 3, 0]
+    assert find_front(sets.drop(columns="price")).empty
+
+
+@pytest.mark.parametrize(
+    ("prices", "message"),
+    [
+        ({"s": 1.0, "phi": 1.0}, "prices: found none of psi, expected one of each candidate, or of its kind"),
+        ({"s": 1.0, "phi": 1.0, "psi": 1.0, "x_V": 1.0}, "prices: found 'x_V', expected some of s, phi, psi"),
+    ],
+)
+def test_faulty_prices_are_one_line(prices, message):
+    config = load(STAR / "sensors.toml")[1]
+    choice = config.sensor_choice.model_copy(update={"prices": prices})
+    with pytest.raises(InputError, match=message):
+        read_audit(config.model_copy(update={"sensor_choice": choice}), STAR)
+
+
+@pytest.mark.parametrize(
+    ("name", "results"),
+    [
+        ("study", "sliding_star"),
+        ("sensors", "sliding_star_sensors"),
+        ("m2_hexapod_sensors", "m2_hexapod_sensors"),
+    ],
+)
+def test_reference_results_are_those_of_the_committed_configs(name, results):
+    kind, config = load(STAR / f"{name}.toml")
+    current = hash_identity(identify(config, STAR, kind.files(config, STAR)))
+    for file in ("provenance.json", "summary.json"):
+        assert json.loads((RESULTS / results / file).read_text())["config_sha256"] == current
+
+
+def test_reference_results_hold_what_the_documentation_claims():
+    summary = json.loads((RESULTS / "sliding_star" / "summary.json").read_text())
+    evidence = {name: one["log_evidence"] for name, one in summary["variants"].items()}
+    assert summary["converged"]
+    best = next(names for names in summary["rankings"] if "s8" in names)
+    assert best[0] == "s8_one_length"
+    assert evidence["s8_one_length"] - evidence["s8"] == pytest.approx(13.2, abs=0.1)
+    error = pd.read_csv(RESULTS / "sliding_star" / "accuracy.csv", comment="#").set_index(["variant", "coordinate"])
+    after = error["after"].groupby("variant").apply(np.linalg.norm)
+    assert 1e3 * after[["s4", "s8", "s12"]].to_numpy() == pytest.approx([100.0, 4.7, 3.2], rel=0.05)
