@@ -65,6 +65,11 @@ def compute_left_inverse_jacobian(rotation_vector: Array) -> Array:
     return np.eye(3) - 0.5 * cross + factor * cross @ cross
 
 
+def compute_left_jacobian(rotation_vector: Array) -> Array:
+    """Return Jl of Exp(φ + dφ) = Exp(Jl(φ) dφ) Exp(φ) to first order, shape (..., 3) to (..., 3, 3)."""
+    return np.asarray(np.linalg.inv(compute_left_inverse_jacobian(rotation_vector)))
+
+
 def compute_pose_error(position: Array, rotation: Array, position_ref: Array, rotation_ref: Array) -> Array:
     """Return the error of a pose against a reference pose, shape (..., 6): mm, then rotation vector in radians."""
     delta = rotation @ np.swapaxes(rotation_ref, -1, -2)

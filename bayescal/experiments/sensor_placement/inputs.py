@@ -16,7 +16,7 @@ from bayescal.experiments.shared.sensor_sets import SensorSet
 from bayescal.machines.deformations import NominalDeformation
 from bayescal.machines.kinematics import check_home_pose
 from bayescal.machines.read import build_named_machine, load_mechanism, read_sliding_platform
-from bayescal.machines.readings import ReadingModel, SlidingPlatform, SpatialMachine
+from bayescal.machines.readings import Legs, ReadingModel, SlidingPlatform
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
 
 MOST_CHOICES = 16  # 65,535 sets
@@ -60,7 +60,7 @@ class PlacementInputs:
     Attributes
     ----------
     config : PlacementConfig
-    model : SlidingPlatform or SpatialMachine
+    model : SlidingPlatform or Legs
     choices : tuple of Choice
     sensors : SensorSet
         All readings that any choice has.
@@ -71,7 +71,7 @@ class PlacementInputs:
     """
 
     config: PlacementConfig
-    model: SlidingPlatform | SpatialMachine
+    model: SlidingPlatform | Legs
     choices: tuple[Choice, ...]
     sensors: SensorSet
     pose: Array
@@ -152,7 +152,7 @@ def read_placement(config: PlacementConfig, folder: Path) -> PlacementInputs:
     return inputs
 
 
-def build_model(config: PlacementMachineConfig, folder: Path) -> SlidingPlatform | SpatialMachine:
+def build_model(config: PlacementMachineConfig, folder: Path) -> SlidingPlatform | Legs:
     """Return the machine of a config; InputError where there is none."""
     path = folder / config.file
     if config.model is None:
@@ -163,7 +163,7 @@ def build_model(config: PlacementMachineConfig, folder: Path) -> SlidingPlatform
     if machine.deformation.uses_matrix:
         raise InputError(f"{path}: machine.deformation: found 'matrix', expected 'linear' or 'none'")
     check_home_pose(machine)
-    return SpatialMachine(machine, np.array(ORIGIN if config.tool_mm is None else config.tool_mm))
+    return Legs(machine, np.array(ORIGIN if config.tool_mm is None else config.tool_mm), inclined=True)
 
 
 def list_choices(model: ReadingModel, config: PlacementConfig) -> tuple[Choice, ...]:
@@ -199,7 +199,7 @@ def _choices_of(model: ReadingModel, name: str, section: PlacementSensorConfig, 
     return [Choice(model.names[k], np.array([k]), section.price, section.always) for k in channels]
 
 
-def half_widths(model: SlidingPlatform | SpatialMachine, config: PlacementConfig) -> Array:
+def half_widths(model: SlidingPlatform | Legs, config: PlacementConfig) -> Array:
     """Return the half widths of the workspace, shape (q,), mm and rad; InputError where they are of another machine."""
     poses = config.poses
     if isinstance(model, SlidingPlatform):
@@ -213,9 +213,9 @@ def half_widths(model: SlidingPlatform | SpatialMachine, config: PlacementConfig
     return np.array([*poses.position_mm, *np.radians(poses.rotation_deg)])
 
 
-def displace(model: SlidingPlatform | SpatialMachine, displacement: Array) -> Array:
+def displace(model: SlidingPlatform | Legs, displacement: Array) -> Array:
     """Return the poses (P, q) at displacements from home (P, q), mm and rad."""
     if isinstance(model, SlidingPlatform):
         return poses_about_home(model, displacement)
-    turned = matrix_from_rotation_vector(displacement[:, 3:]) @ model.rotation(model.home)
-    return np.concatenate([model.home[:3] + displacement[:, :3], rotation_vector_from_matrix(turned)], axis=1)
+    turned = matrix_from_rotation_vector(displacement[:, 3:]) @ model.rotation(model.home_pose)
+    return np.concatenate([model.home_pose[:3] + displacement[:, :3], rotation_vector_from_matrix(turned)], axis=1)

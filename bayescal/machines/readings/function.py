@@ -8,8 +8,8 @@ machine of N legs costs as many evaluations as one of its legs has parameters.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from bayescal.config.sections import Section
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
-from bayescal.machines.readings.base import NOTHING, Channel, Coordinate, Given, ReadingModel, Readings
+from bayescal.machines.readings.base import EVERY, NOTHING, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.machines.readings.check_function import check_derivatives, check_members, check_tool, check_values
 from bayescal.machines.readings.colours import colour, find_pattern
 from bayescal.numerics.geometry import Array
@@ -142,8 +142,6 @@ class FunctionModel(ReadingModel):
     ----------
     name : str
     machine : ReadingMachine
-    places : tuple of int or None
-        Which of the machine's sensors it has; all by default.
 
     Raises
     ------
@@ -154,13 +152,13 @@ class FunctionModel(ReadingModel):
 
     name: str
     machine: ReadingMachine
-    places: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         """Check the machine: its members, its function's values and derivatives; picked sensors were, with it."""
-        if self.places is not None:
+        if self.channels is not EVERY:
             return
         check_members(self.name, self.machine)
+        super().__post_init__()
         check_values(self)
         check_tool(self)
         check_derivatives(self)
@@ -170,11 +168,10 @@ class FunctionModel(ReadingModel):
         """The machine's parameters."""
         return ParameterLayout(tuple(self.machine.parameters))
 
-    @cached_property
-    def channels(self) -> tuple[Channel, ...]:
-        """The machine's sensors, or some of them."""
-        every = tuple(self.machine.channels)
-        return every if self.places is None else tuple(every[k] for k in self.places)
+    @property
+    def sensors(self) -> tuple[Channel, ...]:
+        """The machine's sensors."""
+        return tuple(self.machine.channels)
 
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -227,12 +224,6 @@ class FunctionModel(ReadingModel):
         """Return what the machine says of its frames."""
         return tuple(self.machine.frame_parameters)
 
-    def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
-        """Return the parameters on which some sensors were found to depend."""
-        rows = self.select(channels)
-        seen = self._pattern[rows, : self.layout.size].any(axis=0)
-        return tuple(name for name, one in zip(self.layout.names, seen, strict=True) if one)
-
     # --- readings ------------------------------------------------------------------------------------------------
 
     def evaluate(self, theta: Any, pose: Any, given: Given) -> Any:
@@ -240,11 +231,7 @@ class FunctionModel(ReadingModel):
         found = np.asarray(self.machine.read(Parameters(self.layout, theta), pose, given))
         if not len(self.coordinates) and found.ndim:  # where nobody asks for the pose, not even for how many there are
             found = np.broadcast_to(found, (*np.broadcast_shapes(pose.shape[:-1], found.shape[:-1]), found.shape[-1]))
-        return found if self.places is None else found[..., self.places]
-
-    def pick(self, channels: np.ndarray) -> ReadingModel:
-        """Return the same machine with some of its sensors; its derivatives take fewer rounds."""
-        return replace(self, places=tuple(int(k) for k in np.arange(len(self.machine.channels))[channels]))
+        return self.take(found)
 
     def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
         """Return the readings; see `ReadingModel.read`."""

@@ -15,7 +15,7 @@ counted from where the sensors have their zeros. The pose v is (x, y, φ) of the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -29,7 +29,6 @@ from bayescal.numerics.geometry import Array
 
 KINDS = ("s", "phi", "psi")
 TOOL = ("x_V", "y_V", "phi_V")
-LEG_SYMBOLS = {"s": (), "phi": ("phi0",), "psi": ("psi0",)}
 POINTS = ("x_P", "y_P", "beta", "l", "xi_B", "eta_B")
 MIN_LEGS = 3
 
@@ -68,6 +67,7 @@ class SlidingPlatform(ReadingModel):
 
     def __post_init__(self) -> None:
         """Check the number of legs and that the machine stands at home without crossed legs."""
+        super().__post_init__()
         if self.n_legs < MIN_LEGS:
             raise InputError(f"machine {self.name!r}: found {self.n_legs} legs, expected at least {MIN_LEGS}")
         self.check_poses(self.home[None], lambda _: "home")
@@ -111,7 +111,7 @@ class SlidingPlatform(ReadingModel):
         )
 
     @cached_property
-    def channels(self) -> tuple[Channel, ...]:
+    def sensors(self) -> tuple[Channel, ...]:
         """Carriages, angles to carriages, angles to the platform; then the tool's pose seen from beside the machine."""
         units = {"s": "mm", "phi": "rad", "psi": "rad"}
         internal = [Channel(f"{kind}[{leg}]", units[kind]) for kind in KINDS for leg in range(1, self.n_legs + 1)]
@@ -138,17 +138,6 @@ class SlidingPlatform(ReadingModel):
         """Return x_P1, y_P1 and β_1, which place the base frame, and ξ_B1, η_B1, η_B2, which place the platform's."""
         return ("x_P[1]", "y_P[1]", "beta[1]", "xi_B[1]", "eta_B[1]", "eta_B[2]")
 
-    def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
-        """Return the parameters of the legs that carry a sensor, the zeros of angle sensors and the tool where seen."""
-        seen: set[str] = set()
-        for name in channels:
-            kind, _, leg = name.partition("[")
-            if kind in KINDS:
-                seen |= {f"{symbol}[{leg}" for symbol in (*POINTS, *LEG_SYMBOLS[kind])}
-            elif kind != "phi_V":
-                seen |= {"xi_V", "eta_V"}
-        return tuple(name for name in self.layout.names if name in seen)
-
     # --- readings ------------------------------------------------------------------------------------------------
 
     def _points(self, theta: Array) -> tuple[Array, ...]:
@@ -174,7 +163,7 @@ class SlidingPlatform(ReadingModel):
     def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
         """Return the readings; see `ReadingModel.read`."""
         del given
-        return self._values(theta, pose, self._legs_from(pose, *self._points(theta)))
+        return self.take(self._values(theta, pose, self._legs_from(pose, *self._points(theta))))
 
     def _values(self, theta: Array, pose: Array, legs: _Legs) -> Array:
         alpha = legs.angle
@@ -200,10 +189,10 @@ class SlidingPlatform(ReadingModel):
         by_pose[..., 3 * n : 3 * n + 2, :] = tool_by_pose
         by_pose[..., 3 * n + 2, 2] = 1.0
         if not with_parameters:
-            return Readings(values, by_pose)
+            return Readings(values, by_pose).pick(self.places)
         by_parameters = self._by_parameters(theta, pose, legs)
         by_parameters[..., 3 * n : 3 * n + 2, :] = tool_by_parameters
-        return Readings(values, by_pose, by_parameters)
+        return Readings(values, by_pose, by_parameters).pick(self.places)
 
     def _by_parameters(self, theta: Array, pose: Array, legs: _Legs) -> Array:
         n, index = self.n_legs, self.layout.index

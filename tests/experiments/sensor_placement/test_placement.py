@@ -245,6 +245,6 @@ def test_predictions_come_true(name, names, frames):
 def test_displacements_of_a_spatial_machine_turn_about_home():
     inputs = read("m2_hexapod_sensors")
     moved = displace(inputs.model, np.array([[1.0, 2.0, 3.0, 0.01, -0.02, 0.03]]))[0]
-    np.testing.assert_allclose(moved[:3] - inputs.model.home[:3], [1.0, 2.0, 3.0], atol=1e-12)
-    turned = matrix_from_rotation_vector(moved[3:]) @ inputs.model.rotation(inputs.model.home).T
+    np.testing.assert_allclose(moved[:3] - inputs.model.home_pose[:3], [1.0, 2.0, 3.0], atol=1e-12)
+    turned = matrix_from_rotation_vector(moved[3:]) @ inputs.model.rotation(inputs.model.home_pose).T
     np.testing.assert_allclose(rotation_vector_from_matrix(turned), [0.01, -0.02, 0.03], atol=1e-12)
