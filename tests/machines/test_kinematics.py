@@ -137,13 +137,15 @@ def fail(solve, *arguments):
 
 
 def far_poses():
-    """Return three poses about home, the second three metres up."""
+    """Return three poses about home, the second three metres aside."""
     position = np.array([[0.0, 0.0, machines.HOME_HEIGHT]] * 3)
-    position[1, 2] += 3000.0
+    position[1, 0] += 3000.0
     return position, np.tile(np.eye(3), (3, 1, 1))
 
 
 def test_pose_out_of_reach_names_pose_leg_and_length(telescope):
+    if telescope.mechanism.drive == "strut":
+        pytest.skip("a strut reaches any pose: its range is another matter")
     message = fail(solve_inverse_kinematics, telescope, telescope.layout.nominal, *far_poses())
     assert re.search(r"leg (\d) cannot reach pose 2 of 3, l\[\1\] is 500 mm", message)
 
@@ -151,9 +153,9 @@ def test_pose_out_of_reach_names_pose_leg_and_length(telescope):
 def test_pose_out_of_reach_is_flagged_without_check(telescope):
     theta, (position, rotation) = telescope.layout.nominal, far_poses()
     found = solve_inverse_kinematics(telescope, theta, position, rotation, check=False)
-    assert found.converged.tolist() == [True, False, True]
+    assert found.converged.tolist() == [True, telescope.mechanism.drive == "strut", True]
     left = telescope.linearise(theta, position, rotation, found.actuators).residual
-    assert np.abs(left[[0, 2]]).max() < 1e-9
+    assert np.abs(left[found.converged]).max() < 1e-9
 
 
 def test_the_leg_that_cannot_reach_is_named():

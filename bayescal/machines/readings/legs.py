@@ -246,7 +246,8 @@ class Legs(ReadingModel):
                 by_parameters[..., rows, :] = back.actuators @ by_parameters[..., :n, :]
                 by_parameters[..., rows, : machine.layout.size] += scatter(machine.layout, back.columns)
                 by_parameters[..., rows, self.layout.index[f"{kind}0"]] -= np.eye(n)
-        by_pose[..., 3:] = by_pose[..., 3:] @ compute_left_jacobian(np.nan_to_num(pose[..., 3:]))
+        own_rows = by_pose[..., : -len(POSE), 3:]
+        own_rows[...] = own_rows @ compute_left_jacobian(np.nan_to_num(pose[..., 3:]))
         by_pose[..., -len(POSE) :, :] = np.eye(len(POSE))
         return Readings(values, by_pose, by_parameters).pick(self.places)
 
@@ -364,7 +365,7 @@ def divide_closure(actuators: Array, rows: Array) -> Array:
     """Return (∂f/∂ρ)⁻¹ times rows (..., N, n) for ∂f/∂ρ (..., N, N); NaN where one is not finite."""
     n = actuators.shape[-1]
     diagonal = np.diagonal(actuators, axis1=-2, axis2=-1)
-    if not np.any(actuators * ~np.eye(n, dtype=bool)):  # actuators that move no other leg; not so where one is NaN
+    if np.count_nonzero(actuators) == np.count_nonzero(diagonal):  # actuators that move no other leg
         return np.asarray(rows / diagonal[..., None])
     good = np.isfinite(actuators).all(axis=(-1, -2), keepdims=True)
     inverse = np.where(good, np.linalg.inv(np.where(good, actuators, np.eye(n))), np.nan)

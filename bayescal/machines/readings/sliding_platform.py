@@ -23,6 +23,7 @@ from itertools import combinations
 import numpy as np
 
 from bayescal.errors import InputError
+from bayescal.machines.models.legs import legs_first
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings.base import NOTHING, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.numerics.geometry import Array
@@ -148,7 +149,7 @@ class SlidingPlatform(ReadingModel):
         self, pose: Array, x_p: Array, y_p: Array, beta: Array, length: Array, xi: Array, eta: Array
     ) -> _Legs:
         # legs first inside, for NumPy is slow where the last axis is short
-        x_p, y_p, beta, length, xi, eta = (_legs_first(one, pose.ndim) for one in (x_p, y_p, beta, length, xi, eta))
+        x_p, y_p, beta, length, xi, eta = (legs_first(one, pose.ndim) for one in (x_p, y_p, beta, length, xi, eta))
         cosine, sine = np.cos(pose[..., 2]), np.sin(pose[..., 2])
         arm_x, arm_y = cosine * xi - sine * eta, sine * xi + cosine * eta
         w_x, w_y = pose[..., 0] + arm_x - x_p, pose[..., 1] + arm_y - y_p
@@ -156,7 +157,7 @@ class SlidingPlatform(ReadingModel):
         across = e_x * w_y - e_y * w_x
         with np.errstate(invalid="ignore"):
             along = np.sqrt(length**2 - across**2)
-        along = along * _legs_first(np.where(self.forward, 1.0, -1.0), along.ndim)
+        along = along * legs_first(np.where(self.forward, 1.0, -1.0), along.ndim)
         found = (e_x * w_x + e_y * w_y, across, along, arm_x, arm_y, e_x, e_y)
         return _Legs(*(np.moveaxis(one, 0, -1) for one in found))
 
@@ -290,11 +291,6 @@ class _Legs:
         across, along = self.across[..., None], self.along[..., None]
         t = (length - across * h) / along
         return reach - t, (along * h - across * t) / (along**2 + across**2)
-
-
-def _legs_first(values: Array, ndim: int) -> Array:
-    """Return values (..., N) of at least so many axes with the legs' axis in front."""
-    return np.moveaxis(values.reshape((1,) * (ndim - values.ndim) + values.shape), -1, 0)
 
 
 def matrix_of_angle(angle: Array) -> Array:

@@ -34,7 +34,7 @@ from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel, Coordinate
 from bayescal.machines.readings.function import Parameters, ReadingMachine
 from bayescal.numerics.analytic import norm, rotation_matrix
-from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, skew_matrix
+from bayescal.numerics.geometry import Array, compute_left_jacobian, skew_matrix
 
 GRAVITY = 9.80665
 N_STRUTS = 6
@@ -196,7 +196,7 @@ class StrutMachine(ReadingMachine):
         tighter = _solve(at.grasp, _change_load(at))
         longer = np.swapaxes(at.grasp, -1, -2)  # ∂l/∂(p, ω), ω turning in the base's frame: the struts' screws
         by_motion = (longer - NM * parameters["c"][..., None] * tighter) / at.growth[..., None]
-        by_vector = by_motion[..., 3:] @ np.linalg.inv(compute_left_inverse_jacobian(np.nan_to_num(v[..., 3:])))
+        by_vector = by_motion[..., 3:] @ compute_left_jacobian(np.nan_to_num(v[..., 3:]))
         every = np.concatenate([by_motion[..., :3], by_vector], axis=-1)
         own = [[every[..., k, i] for i in range(6)] for k in range(N_STRUTS)]
         return [*own, *([float(i == k) for i in range(6)] for k in range(6))]
