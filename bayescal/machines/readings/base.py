@@ -189,9 +189,15 @@ class ReadingModel(ABC):
         return ()
 
     @property
+    def actuated(self) -> Sequence[str]:
+        """Sensors, or kinds of them, that a controller can command; none for all that are the machine's own."""
+        return ()
+
+    @property
     def commanded(self) -> tuple[str, ...]:
-        """Names of the channels that a controller can command: by default all that are the machine's own."""
-        return tuple(one.name for one in self.channels if not one.external)
+        """Names of the channels that a controller can command."""
+        asked = set(self.actuated)
+        return tuple(one.name for one in self.channels if ({one.name, one.kind} & asked if asked else not one.external))
 
     @property
     def member(self) -> str:

@@ -8,7 +8,7 @@ machine of N legs costs as many evaluations as one of its legs has parameters.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -184,11 +184,9 @@ class FunctionModel(ReadingModel):
         return tuple(self.machine.given)
 
     @property
-    def commanded(self) -> tuple[str, ...]:
-        """What the machine says that a controller can command, else all channels of its own."""
-        if not self.machine.commanded:
-            return super().commanded
-        return tuple(one.name for one in self.channels if {one.name, one.kind} & set(self.machine.commanded))
+    def actuated(self) -> Sequence[str]:
+        """What the machine says that a controller can command."""
+        return self.machine.commanded
 
     @property
     def member(self) -> str:
@@ -240,16 +238,19 @@ class FunctionModel(ReadingModel):
 
     def differentiate(self, theta: Array, pose: Array, given: Given, directions: Array) -> tuple[Array, Array]:
         """Return readings (..., K) and what they change along directions (C, D + q) of (d, v), (C, ..., K)."""
+        found = self._step(lambda d, v: self.evaluate(d, v, given), theta, pose, directions)
+        # where a real argument has no value, a complex one has: the root of a negative number is imaginary
+        nowhere = (np.abs(found.imag) > LARGEST_STEP).any(axis=0)
+        return np.where(nowhere, np.nan, found[0].real), np.where(nowhere, np.nan, found.imag / STEP)
+
+    def _step(self, function: Callable[[Any, Any], Any], theta: Array, pose: Array, directions: Array) -> Any:
+        """Return a function's values (C, ..., m) at complex steps along directions (C, D + q) of (d, v)."""
         n = self.layout.size
         rounds = (len(directions),) + (1,) * (max(theta.ndim, pose.ndim) - 1)
         along = 1j * STEP * directions
         with np.errstate(all="ignore"):
-            found = np.asarray(
-                self.evaluate(theta + along[:, :n].reshape(*rounds, n), pose + along[:, n:].reshape(*rounds, -1), given)
-            )
-        # where a real argument has no value, a complex one has: the root of a negative number is imaginary
-        nowhere = (np.abs(found.imag) > LARGEST_STEP).any(axis=0)
-        return np.where(nowhere, np.nan, found[0].real), np.where(nowhere, np.nan, found.imag / STEP)
+            moved = theta + along[:, :n].reshape(*rounds, n), pose + along[:, n:].reshape(*rounds, -1)
+            return np.asarray(function(*moved))
 
     def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
         """Return the readings with their derivatives; see `ReadingModel.linearise`."""
@@ -305,13 +306,10 @@ class FunctionModel(ReadingModel):
 
     def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
         """Return what has to be accurate and what moves it; see `ReadingModel.tool`."""
-        n, q = self.layout.size, len(self.coordinates)
-        along = 1j * STEP * np.eye(n + q)
-        rounds = (n + q,) + (1,) * (max(theta.ndim, pose.ndim) - 1)
-        view = Parameters(self.layout, theta + along[:, :n].reshape(*rounds, n))
-        found = np.asarray(self.machine.tool(view, pose + along[:, n:].reshape(*rounds, q)))
+        n, every = self.layout.size, np.eye(self.layout.size + len(self.coordinates))
+        found = self._step(lambda d, v: self.machine.tool(Parameters(self.layout, d), v), theta, pose, every)
         shape = np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1])
-        found = np.broadcast_to(found, (n + q, *shape, found.shape[-1]))
+        found = np.broadcast_to(found, (len(every), *shape, found.shape[-1]))
         slopes = np.moveaxis(found.imag / STEP, 0, -1)
         return found[0].real, slopes[..., n:], slopes[..., :n]
 

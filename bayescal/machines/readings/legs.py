@@ -16,7 +16,7 @@ The pose v is position and rotation vector of the platform frame in the base fra
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -104,22 +104,19 @@ class Legs(ReadingModel):
         return (*internal, *POSE_CHANNELS)
 
     @cached_property
-    def computed(self) -> tuple[Channel, ...]:
-        """All but inclinometers of a kind of which it has none."""
-        left_out = set(TILTS) - {one.kind for one in self.channels}
-        return tuple(one for one in self.sensors if one.kind not in left_out)
-
-    @cached_property
-    def _tilts(self) -> list[tuple[str, slice]]:
-        """Kinds of inclinometers with the places of their readings among those that are computed."""
-        kinds = [one.kind for one in self.computed]
-        starts = [(kind, kinds.index(kind)) for kind in TILTS if kind in kinds]
-        return [(kind, slice(start, start + self.n_legs)) for kind, start in starts]
+    def _tilts(self) -> tuple[str, ...]:
+        """Kinds of inclinometers that it has."""
+        return tuple(kind for kind in TILTS if any(one.kind == kind for one in self.channels))
 
     @property
-    def commanded(self) -> tuple[str, ...]:
-        """The actuators."""
-        return tuple(one.name for one in self.channels if one.kind == "rho")
+    def computed(self) -> tuple[Channel, ...]:
+        """All but inclinometers of a kind of which it has none."""
+        return tuple(one for one in self.sensors if one.kind in self._tilts or one.kind not in TILTS)
+
+    @property
+    def actuated(self) -> tuple[str, ...]:
+        """The encoders."""
+        return ("rho",)
 
     @property
     def command_range(self) -> Array:
@@ -195,30 +192,28 @@ class Legs(ReadingModel):
             found = solve_inverse_kinematics(self.machine, self._own(theta), position, rotation, check=False)
         return position, rotation, np.where(found.converged[..., None], found.actuators, np.nan)
 
-    def _project(self, legs: LegVectors, kind: str) -> tuple[Array, Array, int]:
-        """Return g · e0 and g · e_k of leg vectors, shapes (..., N), and k."""
-        k = 1 + TILTS.index(kind)
-        along, aside = (np.einsum("...ik,ik->...i", legs.vector, self._axes[one]) for one in (0, k))
-        return along, aside, k
+    def _measure_tilt(self, kind: str, theta: Array, legs: LegVectors) -> tuple[Array, Array]:
+        """Return what inclinometers read, shape (..., N), and its derivatives by the leg vectors, (..., N, 3)."""
+        along, across = self._axes[0], self._axes[1 + TILTS.index(kind)]
+        x, y = (np.einsum("...ik,ik->...i", legs.vector, axis) for axis in (along, across))
+        covector = (x[..., None] * across - y[..., None] * along) / (x**2 + y**2)[..., None]
+        return np.arctan2(y, x) - self.layout.take(theta, f"{kind}0"), covector
 
-    def _values(self, theta: Array, pose: Array, actuators: Array, legs: LegVectors | None) -> Array:
-        """Return the readings that are computed; leg vectors where inclinometers are among them."""
-        parts = [actuators]
-        for kind, _ in self._tilts:
-            assert legs is not None
-            along, aside, _ = self._project(legs, kind)
-            parts.append(np.arctan2(aside, along) - self.layout.take(theta, f"{kind}0"))
-        return np.concatenate([*parts, np.broadcast_to(pose, (*actuators.shape[:-1], len(POSE)))], axis=-1)
+    def _join(self, pose: Array, actuators: Array, tilts: Sequence[tuple[Array, Array]]) -> Array:
+        """Return the readings that are computed."""
+        seen = np.broadcast_to(pose, (*actuators.shape[:-1], len(POSE)))
+        return np.concatenate([actuators, *(values for values, _ in tilts), seen], axis=-1)
 
     def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
         """Return the readings; see `ReadingModel.read`."""
         del given
         position, rotation, actuators = self._hold(theta, pose)
-        legs = None
+        tilts = []
         if self._tilts:
             basis = self.machine.basis(actuators)
             legs = compute_leg_vectors(self.machine.layout, self._own(theta), position, rotation, basis)
-        return self.take(self._values(theta, pose, actuators, legs))
+            tilts = [self._measure_tilt(kind, theta, legs) for kind in self._tilts]
+        return self.take(self._join(pose, actuators, tilts))
 
     def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
         """Return the readings with their derivatives; see `ReadingModel.linearise`."""
@@ -229,18 +224,17 @@ class Legs(ReadingModel):
             basis = machine.basis_at(own, actuators)
             closure = machine.model.prepare(machine.layout, own)(position, rotation, basis, with_parameters)
             legs = compute_leg_vectors(machine.layout, own, position, rotation, basis) if self._tilts else None
-        values = self._values(theta, pose, actuators, legs)
+        tilts = [] if legs is None else [self._measure_tilt(kind, theta, legs) for kind in self._tilts]
+        values = self._join(pose, actuators, tilts)
         # by the pose's error in the base frame, then by its coordinates
         by_pose = np.zeros((*values.shape, len(POSE)))
         by_pose[..., :n, :] = -divide_closure(closure.actuators, closure.pose)
         by_parameters = np.zeros((*values.shape, self.layout.size)) if with_parameters else np.empty(0)
         if with_parameters:
             by_parameters[..., :n, : machine.layout.size] = -divide_closure(closure.actuators, closure.parameters)
-        for kind, rows in self._tilts:
+        for k, (kind, (_, covector)) in enumerate(zip(self._tilts, tilts, strict=True), start=1):
             assert legs is not None
-            along, aside, k = self._project(legs, kind)
-            covector = along[..., None] * self._axes[k] - aside[..., None] * self._axes[0]
-            back = legs.pull_back(covector / (along**2 + aside**2)[..., None], with_parameters)
+            rows, back = slice(k * n, (k + 1) * n), legs.pull_back(covector, with_parameters)
             by_pose[..., rows, :] = back.pose + back.actuators @ by_pose[..., :n, :]
             if with_parameters:
                 by_parameters[..., rows, :] = back.actuators @ by_parameters[..., :n, :]

@@ -81,14 +81,14 @@ class SlidingPlatform(ReadingModel):
     @cached_property
     def layout(self) -> ParameterLayout:
         """Per leg x_P, y_P, β, l, ξ_B, η_B and the zeros φ_0 and ψ_0 of its angle sensors; ξ_V, η_V of the tool."""
-        zeros = self._home_angles
+        points, zeros = self._nominal_points(), self._legs_from(self.home, *self._nominal_points()).angle
         blocks = [
-            ParameterBlock("x_P", tuple(self.guide_points[:, 0])),
-            ParameterBlock("y_P", tuple(self.guide_points[:, 1])),
-            ParameterBlock("beta", tuple(self.guide_angles), "rad"),
-            ParameterBlock("l", tuple(self.leg_lengths), lower=0.0),
-            ParameterBlock("xi_B", tuple(self.platform_points[:, 0])),
-            ParameterBlock("eta_B", tuple(self.platform_points[:, 1])),
+            ParameterBlock(
+                symbol, tuple(one), "rad" if symbol == "beta" else "mm", lower=0.0 if symbol == "l" else -np.inf
+            )
+            for symbol, one in zip(POINTS, points, strict=True)
+        ]
+        blocks += [
             ParameterBlock("phi0", tuple(zeros), "rad"),
             ParameterBlock("psi0", tuple(zeros + self.guide_angles - self.home[2]), "rad"),
             ParameterBlock("xi_V", (float(self.tool_point[0]),), per_leg=False),
@@ -96,20 +96,8 @@ class SlidingPlatform(ReadingModel):
         ]
         return ParameterLayout(tuple(blocks))
 
-    @property
-    def _home_angles(self) -> Array:
-        """α_i at home, shape (N,)."""
-        return self._legs_from(self.home, *self._nominal_points()).angle
-
     def _nominal_points(self) -> tuple[Array, ...]:
-        return (
-            self.guide_points[:, 0],
-            self.guide_points[:, 1],
-            self.guide_angles,
-            self.leg_lengths,
-            self.platform_points[:, 0],
-            self.platform_points[:, 1],
-        )
+        return (*self.guide_points.T, self.guide_angles, self.leg_lengths, *self.platform_points.T)
 
     @cached_property
     def sensors(self) -> tuple[Channel, ...]:
@@ -120,9 +108,9 @@ class SlidingPlatform(ReadingModel):
         return (*internal, *outside)
 
     @property
-    def commanded(self) -> tuple[str, ...]:
+    def actuated(self) -> tuple[str, ...]:
         """The carriages."""
-        return tuple(one.name for one in self.channels if one.kind == "s")
+        return ("s",)
 
     @property
     def tool_channels(self) -> tuple[Channel, ...]:
