@@ -36,7 +36,6 @@ from bayescal.machines.readings.base import (
     NOTHING,
     POSE,
     POSE_CHANNELS,
-    SLACK,
     Channel,
     Coordinate,
     Given,
@@ -325,27 +324,6 @@ class Legs(ReadingModel):
             residual = closure.evaluate(np.asfortranarray(self._own(theta))).transpose(1, 0, 2)
             here = machine.model.prepare(machine.layout, self._own(mean))(position, rotation, basis, False)
             return -divide_closure(here.actuators, residual)
-
-    def find_faults(self, theta: Array, pose: Array, commands: Array, given: Given = NOTHING) -> tuple[str, ...]:
-        """Return why poses are out of reach: a leg that does not, an actuator beyond its range, another branch."""
-        if not self._has_all_actuators:
-            return super().find_faults(theta, pose, commands, given)
-        mechanism = self.machine.mechanism
-        moved = commands - mechanism.initial_actuator_positions
-        furthest = np.argmax(np.nan_to_num(np.abs(moved)), axis=1)
-        position, rotation = pose[:, :3], matrix_from_rotation_vector(pose[:, 3:])
-        on_branch = self.machine.holds_branch(self._own(theta), position, rotation, commands)
-        faults = []
-        for k, leg in enumerate(furthest):
-            travel = moved[k, leg]
-            if not np.isfinite(commands[k]).all():
-                faults.append("no actuator positions hold it")
-            elif abs(travel) > mechanism.actuator_range + SLACK:
-                reach = f"{mechanism.actuator_range:g} mm"
-                faults.append(f"leg {leg + 1} would move by {travel:.4g} mm, its range is {reach}")
-            else:
-                faults.append("" if on_branch[k] else "only on another assembly branch")
-        return tuple(faults)
 
     def check_poses(self, pose: Array, name: Callable[[int], str] = lambda k: f"pose {k + 1}") -> None:
         """Raise InputError where the nominal machine does not reach a pose, shape (P, 6)."""
