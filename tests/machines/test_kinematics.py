@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import telescope_machines as machines
 
 from bayescal.errors import InputError, NumericalError
+from bayescal.machines.deformations import LinearDeformation
 from bayescal.machines.kinematics import (
     check_home_pose,
     compute_home_legs,
@@ -18,6 +20,8 @@ from bayescal.machines.kinematics import (
     solve_inverse_kinematics,
 )
 from bayescal.machines.mechanism import ExternalLoad
+from bayescal.machines.models.six_pus import SixPus
+from bayescal.machines.models.six_ups import SixUps
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
 
 N_POSES = 10_000
@@ -46,6 +50,31 @@ def test_inverse_undoes_forward(deformation, model, n_poses, rng):
         shorter = theta[: rigid.layout.size]
         other = solve_inverse_kinematics(rigid, shorter, forward.position[:100], forward.rotation[:100])
         assert np.abs(other.actuators - actuators[:100]).max() > 1e-3  # the deformation matters
+
+
+class Own(SixPus):
+    """The same closure by another class, of which nothing is known."""
+
+
+class OwnStruts(SixUps):
+    """The same."""
+
+
+@pytest.mark.parametrize("kappa", [0.0, 0.011, 0.9])
+@pytest.mark.parametrize("own", [Own, OwnStruts])
+def test_closed_form_of_perfect_legs_is_what_newton_finds(own, kappa, rng):
+    """A joint that an actuator moves nearly as far as it moves itself is left to Newton's method."""
+    machine = machines.build_machine("none", model=own.name)
+    machine = replace(machine, deformation=LinearDeformation(kappa))
+    theta = machine.layout.nominal + 1e-3 * rng.standard_normal((4, 1, machine.layout.size))
+    home = machine.nominal_home
+    position = home.position + rng.uniform(-3, 3, (50, 3))
+    rotation = matrix_from_rotation_vector(rng.uniform(-0.02, 0.02, (50, 3))) @ home.rotation
+    found = solve_inverse_kinematics(machine, theta, position, rotation)
+    other = solve_inverse_kinematics(replace(machine, model=own()), theta, position, rotation)
+    np.testing.assert_allclose(found.actuators, other.actuators, rtol=0, atol=1e-9)
+    closure = machine.linearise(theta, position, rotation, found.actuators)
+    assert np.abs(closure.residual).max() < 1e-9
 
 
 @pytest.mark.parametrize("deformation", machines.deformation_names())

@@ -86,7 +86,7 @@ class Channel:
     @property
     def stem(self) -> str:
         """Its name as columns have it: ``motor[2]`` is ``motor_2``."""
-        return stem_of(self.name)
+        return self.name.replace("[", "_").rstrip("]")
 
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
@@ -123,11 +123,6 @@ class Readings:
             return self
         more = self.by_parameters[..., places, :] if self.by_parameters.ndim > 1 else self.by_parameters
         return Readings(self.values[..., places], self.by_pose[..., places, :], more)
-
-
-def stem_of(name: str) -> str:
-    """Return a channel's name as columns have it: ``motor[2]`` is ``motor_2``."""
-    return name.replace("[", "_").rstrip("]")
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,6 @@ MEMBERS = {"parameters": ParameterBlock, "coordinates": Coordinate, "channels": 
 POINTS = 5
 DIFFERENCE = 1e-6  # of an entry's size
 AGREEMENT = 1e-4  # of the largest slope of its channel; differences of this step keep six digits
-
 CLOSED = 1e-9  # of the same, for derivatives in closed form against complex steps: rounding
 
 

@@ -10,7 +10,6 @@ from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
     from bayescal.machines.readings.base import Given, ReadingModel
-    from bayescal.machines.readings.function import FunctionModel
 
 POINTS = 12
 SPREAD = 0.3  # of the workspace's half widths
@@ -26,13 +25,6 @@ def draw_points(model: ReadingModel, n: int = POINTS) -> tuple[Array, Array, Giv
     pose = home + SPREAD * model.pose_scale * rng.uniform(-1.0, 1.0, (n, len(home)))
     pose[0], theta[0] = home, nominal
     return theta, pose, {name: rng.uniform(0.5, 1.5, n) for name in model.given}
-
-
-def find_pattern(model: FunctionModel) -> np.ndarray:
-    """Return which values see which entries of (d, v), (K, D + q): their derivative is not always zero."""
-    theta, pose, given = draw_points(model)
-    _, slopes = model.differentiate(theta, pose, given, np.eye(theta.shape[1] + pose.shape[1]))
-    return np.asarray(((slopes != 0.0) | np.isnan(slopes)).any(axis=1).T)
 
 
 def colour(pattern: np.ndarray) -> np.ndarray:

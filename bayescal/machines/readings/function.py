@@ -19,7 +19,7 @@ from bayescal.config.sections import Section
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings.base import EVERY, NOTHING, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.machines.readings.check_function import check_derivatives, check_members, check_tool, check_values
-from bayescal.machines.readings.colours import colour, find_pattern
+from bayescal.machines.readings.colours import colour, draw_points
 from bayescal.numerics.geometry import Array
 
 STEP = 1e-30
@@ -254,7 +254,7 @@ class FunctionModel(ReadingModel):
 
     def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
         """Return the readings with their derivatives; see `ReadingModel.linearise`."""
-        n, q, steps = self.layout.size, len(self.coordinates), self._all_steps if with_parameters else self._pose_steps
+        n, q, steps = self.layout.size, len(self.coordinates), self._steps[with_parameters]
         if not len(steps.places):
             values = self.read(theta, pose, given)
             return Readings(values, np.zeros((*values.shape, q)), np.zeros((*values.shape, n)))
@@ -282,8 +282,10 @@ class FunctionModel(ReadingModel):
 
     @cached_property
     def _pattern(self) -> np.ndarray:
-        """Which sensors see which parameters and coordinates, shape (K, D + q)."""
-        return find_pattern(self)
+        """Which sensors see which parameters and coordinates, (K, D + q): their derivative is not always zero."""
+        theta, pose, given = draw_points(self)
+        _, slopes = self.differentiate(theta, pose, given, np.eye(theta.shape[1] + pose.shape[1]))
+        return np.asarray(((slopes != 0.0) | np.isnan(slopes)).any(axis=1).T)
 
     def _plan(self, some: np.ndarray) -> _Steps:
         pattern = self._pattern & some
@@ -295,12 +297,10 @@ class FunctionModel(ReadingModel):
         return _Steps(places, colours[entries], rows, entries)
 
     @cached_property
-    def _all_steps(self) -> _Steps:
-        return self._plan(np.ones(self._pattern.shape[1], dtype=bool))
-
-    @cached_property
-    def _pose_steps(self) -> _Steps:
-        return self._plan(np.arange(self._pattern.shape[1]) >= self.layout.size)
+    def _steps(self) -> tuple[_Steps, _Steps]:
+        """Those of the coordinates alone, and of the parameters too."""
+        of_pose = np.arange(self._pattern.shape[1]) >= self.layout.size
+        return self._plan(of_pose), self._plan(np.ones_like(of_pose))
 
     # --- what has to be accurate -----------------------------------------------------------------------------------
 

@@ -122,12 +122,8 @@ class Legs(ReadingModel):
         """How far the actuators go."""
         mechanism = self.machine.mechanism
         start, reach = mechanism.initial_actuator_positions, mechanism.actuator_range
-        own = [name in self.commanded for name in (one.name for one in self.sensors[: self.n_legs])]
+        own = [one.name in self.commanded for one in self.sensors[: self.n_legs]]
         return np.stack([start - reach, start + reach], axis=1)[own]
-
-    @property
-    def _has_all_actuators(self) -> bool:
-        return len(self.commanded) == self.n_legs
 
     @cached_property
     def home_pose(self) -> Array:
@@ -299,7 +295,7 @@ class Legs(ReadingModel):
 
         Those of redundant legs, which may contradict each other, are then that of least squares in the actuators.
         """
-        if not self._has_all_actuators:
+        if len(self.commanded) < self.n_legs:
             return super().locate(theta, commands, given, start, weights)
         found = solve_forward_kinematics(self.machine, self._own(theta), commands, check=False)
         good = found.converged
@@ -314,7 +310,7 @@ class Legs(ReadingModel):
 
     def respond(self, theta: Array, mean: Array, pose: Array, commands: Array, given: Given = NOTHING) -> Array:
         """Return h - ρ as -(∂f/∂ρ)⁻¹ f, whose slope is the mean machine's: no inverse kinematics for each draw."""
-        if not self._has_all_actuators:
+        if len(self.commanded) < self.n_legs:
             return super().respond(theta, mean, pose, commands, given)
         machine = self.machine
         position, rotation = pose[:, :3], matrix_from_rotation_vector(np.nan_to_num(pose[:, 3:]))

@@ -28,7 +28,7 @@ from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings.base import NOTHING, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.numerics.geometry import Array
 
-KINDS = ("s", "phi", "psi")
+KINDS = {"s": "mm", "phi": "rad", "psi": "rad"}
 TOOL = ("x_V", "y_V", "phi_V")
 POINTS = ("x_P", "y_P", "beta", "l", "xi_B", "eta_B")
 MIN_LEGS = 3
@@ -102,8 +102,9 @@ class SlidingPlatform(ReadingModel):
     @cached_property
     def sensors(self) -> tuple[Channel, ...]:
         """Carriages, angles to carriages, angles to the platform; then the tool's pose seen from beside the machine."""
-        units = {"s": "mm", "phi": "rad", "psi": "rad"}
-        internal = [Channel(f"{kind}[{leg}]", units[kind]) for kind in KINDS for leg in range(1, self.n_legs + 1)]
+        internal = [
+            Channel(f"{kind}[{leg}]", unit) for kind, unit in KINDS.items() for leg in range(1, self.n_legs + 1)
+        ]
         outside = [Channel(name, "rad" if name == "phi_V" else "mm", external=True) for name in TOOL]
         return (*internal, *outside)
 
@@ -225,14 +226,7 @@ class SlidingPlatform(ReadingModel):
     # --- checks --------------------------------------------------------------------------------------------------
 
     def check_poses(self, pose: Array, name: Callable[[int], str] = lambda k: f"pose {k + 1}") -> None:
-        """Raise InputError where a leg of the nominal machine does not reach a pose, or where two legs cross there.
-
-        Parameters
-        ----------
-        pose : ndarray, shape (P, 3)
-        name : callable
-            What a pose is called in the complaint.
-        """
+        """Raise InputError where a leg of the nominal machine does not reach a pose, shape (P, 3), or legs cross."""
         legs = self._legs_from(pose, *self._nominal_points())
         short = ~np.isfinite(legs.along)
         if short.any():

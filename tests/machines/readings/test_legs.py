@@ -13,7 +13,7 @@ from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
 from bayescal.machines.kinematics import build_machine, solve_forward_kinematics
 from bayescal.machines.models import MODELS
 from bayescal.machines.read import find_machine_classes, list_machine_sources, load_mechanism, read_reading_model
-from bayescal.machines.readings import Legs
+from bayescal.machines.readings import POSE, Legs
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
 MACHINES = {
@@ -132,6 +132,22 @@ def test_an_instrument_sees_the_pose(model):
     read = model.read(theta, pose)
     np.testing.assert_array_equal(read[..., 18:], np.broadcast_to(pose, read[..., 18:].shape))
     assert [channel.external for channel in model.channels] == [False] * 18 + [True] * 6
+
+
+def test_some_sensors_read_what_they_read_among_all(model):
+    """Inclinometers of a kind that nobody has are not even computed."""
+    theta, pose = draw(model)
+    whole = model.linearise(theta, pose)
+    for names, n_computed in ((["rho[2]", "tilt_b[5]", "x"], 18), (["rho", *POSE], 12), (["tilt_a", "tilt_b[1]"], 24)):
+        places = model.select(names)
+        some = model.pick(places)
+        assert len(some.computed) == n_computed
+        found = some.linearise(theta, pose)
+        np.testing.assert_array_equal(some.read(theta, pose), whole.values[..., places])
+        np.testing.assert_array_equal(found.values, whole.values[..., places])
+        np.testing.assert_array_equal(found.by_pose, whole.by_pose[..., places, :])
+        np.testing.assert_array_equal(found.by_parameters, whole.by_parameters[..., places, :])
+        assert some.seen_parameters(names) == model.seen_parameters(names)
 
 
 def test_each_sensor_sees_what_it_is_said_to(model):
