@@ -102,9 +102,7 @@ class SlidingPlatform(ReadingModel):
     @cached_property
     def sensors(self) -> tuple[Channel, ...]:
         """Carriages, angles to carriages, angles to the platform; then the tool's pose seen from beside the machine."""
-        internal = [
-            Channel(f"{kind}[{leg}]", unit) for kind, unit in KINDS.items() for leg in range(1, self.n_legs + 1)
-        ]
+        internal = [Channel(f"{kind}[{k + 1}]", unit) for kind, unit in KINDS.items() for k in range(self.n_legs)]
         outside = [Channel(name, "rad" if name == "phi_V" else "mm", external=True) for name in TOOL]
         return (*internal, *outside)
 
