@@ -23,7 +23,7 @@ from bayescal.density.calibration.measurements import Measurements
 from bayescal.experiments.check.legs import LegSubject
 from bayescal.experiments.frame.load import load
 from bayescal.machines.kinematics import solve_forward_kinematics
-from bayescal.machines.readings import LegsModel
+from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
 
 STUDY = Path(__file__).parents[1] / "experiments" / "m2_hexapod" / "study.toml"
@@ -42,7 +42,7 @@ def calibrate(subject: LegSubject, poses: MeasuredPoses) -> CalibratedMachine:
     theta, free = posterior.theta(y[None])[0], posterior.sampling.free
     errors = build_leg_errors(machine, theta, subject.measured.actuator_noise, np.zeros(machine.mechanism.n_legs))
     source = Source("twin", VARIANT, "simulated")
-    return CalibratedMachine(LegsModel(machine), theta, free, covariance, None, errors, source)
+    return CalibratedMachine(Legs(machine), theta, free, covariance, None, errors, source)
 
 
 def measure(

@@ -9,8 +9,7 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.machines.kinematics import Machine
-from bayescal.machines.readings import SpatialMachine
-from bayescal.machines.readings.spatial import POSE
+from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import Array, rotation_vector_from_matrix
 
 
@@ -21,8 +20,7 @@ def list_coordinates(poses: MeasuredPoses) -> Array:
 
 def eliminate_legs(machine: Machine, poses: MeasuredPoses, noise: float, theta: Array) -> CalibrationLikelihood:
     """Return the density of measured poses given their actuators, σ_ρ being their noise; anchored at a machine (D,)."""
-    whole, n = SpatialMachine(machine, np.zeros(3)), machine.mechanism.n_legs
-    model, pose = whole.pick(whole.select(["rho", *POSE])), list_coordinates(poses)
+    n, pose = machine.mechanism.n_legs, list_coordinates(poses)
     covariance = np.broadcast_to(poses.covariance, (len(pose), 6, 6))
     spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     correlation = np.tile(np.eye(n + 6), (len(pose), 1, 1))
@@ -34,16 +32,13 @@ def eliminate_legs(machine: Machine, poses: MeasuredPoses, noise: float, theta: 
         correlation=correlation,
         commanded=np.tile(np.arange(n + 6) < n, (len(pose), 1)),
     )
-    every = whole.layout.nominal.copy()
-    every[: len(theta)] = theta
-    return CalibrationLikelihood(model, data, 1.0, pose).anchored_at(pose, every)
+    return CalibrationLikelihood(Legs(machine), data, 1.0, pose).anchored_at(pose, theta)
 
 
 def evaluate_legs(likelihood: CalibrationLikelihood, theta: Array, tau: Array) -> Array:
-    """Return the log-density of each pose, (B, P), for machines (B, D) without tilts, τ (B, N) or (N,)."""
+    """Return the log-density of each pose, (B, P), for machines (B, D), τ (B, N) or (N,)."""
     n_machines, n_legs = len(theta), tau.shape[-1]
-    zeros = np.zeros((n_machines, likelihood.model.layout.size - theta.shape[1]))
     error = np.zeros((n_machines, 1, len(likelihood.model.channels)))
     error[:, 0, :n_legs] = tau
     own = np.broadcast_to(likelihood.sd, (n_machines, *likelihood.sd.shape))
-    return evaluate_rows(likelihood, np.concatenate([theta, zeros], axis=1), own, error)
+    return evaluate_rows(likelihood, theta, own, error)

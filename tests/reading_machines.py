@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -215,39 +216,34 @@ class JointTarget:
         return None
 
 
+@dataclass(frozen=True, eq=False)
 class LinearModel(ReadingModel):
     """Readings that are linear in the pose and in the parameters: h = H v + A d."""
 
-    def __init__(self, by_pose: np.ndarray, by_parameters: np.ndarray) -> None:
-        self.by_pose, self.by_parameters = by_pose, by_parameters
+    by_pose: np.ndarray
+    by_parameters: np.ndarray
 
     @cached_property
     def layout(self) -> ParameterLayout:
         return ParameterLayout((ParameterBlock("d", (0.0,) * self.by_parameters.shape[1]),))
 
     @cached_property
-    def channels(self) -> tuple[Channel, ...]:
+    def sensors(self) -> tuple[Channel, ...]:
         return tuple(Channel(f"s[{k + 1}]", "mm") for k in range(len(self.by_pose)))
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         return tuple(Coordinate(f"v{k}", "mm") for k in range(self.by_pose.shape[1]))
 
-    def frame_parameters(self) -> tuple[str, ...]:
-        return ()
-
-    def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
-        return self.layout.names
-
     def read(self, theta: np.ndarray, pose: np.ndarray, given: Given = NOTHING) -> np.ndarray:
-        return pose @ self.by_pose.T + theta @ self.by_parameters.T
+        return self.take(pose @ self.by_pose.T + theta @ self.by_parameters.T)
 
     def linearise(
         self, theta: np.ndarray, pose: np.ndarray, with_parameters: bool = True, given: Given = NOTHING
     ) -> Readings:
-        values = self.read(theta, pose)
+        values = pose @ self.by_pose.T + theta @ self.by_parameters.T
         shapes = [np.broadcast_to(x, (*values.shape[:-1], *x.shape)) for x in (self.by_pose, self.by_parameters)]
-        return Readings(values, *shapes)
+        return Readings(values, *shapes).pick(self.places)
 
     def rotation(self, *_: object) -> np.ndarray:
         raise NotImplementedError

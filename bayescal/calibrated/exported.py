@@ -23,7 +23,7 @@ from bayescal.files.netcdf import read_netcdf
 from bayescal.machines.deformations import MatrixDeformation, NominalDeformation
 from bayescal.machines.kinematics import check_home_pose
 from bayescal.machines.read import build_named_machine, list_machine_sources, load_mechanism
-from bayescal.machines.readings import LegsModel, ReadingModel
+from bayescal.machines.readings import Legs, ReadingModel
 from bayescal.numerics.geometry import Array
 
 CALIBRATED, MECHANISM, MATRIX = "calibrated.toml", "mechanism.toml", "deformation_matrix.csv"
@@ -292,7 +292,7 @@ def read_exported(folder: Path, trust: bool = False) -> CalibratedMachine:
     )
 
 
-def _read_legs(config: ExportedConfig, folder: Path) -> LegsModel:
+def _read_legs(config: ExportedConfig, folder: Path) -> Legs:
     path = folder / CALIBRATED
     assert config.mechanism is not None
     mechanism = load_mechanism(folder / config.mechanism)
@@ -301,7 +301,7 @@ def _read_legs(config: ExportedConfig, folder: Path) -> LegsModel:
     if (matrix is None) == (config.deformation == "matrix"):
         raise InputError(f"{path}: matrix: found deformation {config.deformation!r}, expected a matrix with it alone")
     nominal = NominalDeformation(0.0, lambda: np.zeros((n_legs, n_legs)) if matrix is None else matrix)
-    return LegsModel(
+    return Legs(
         build_named_machine(
             mechanism, folder / config.mechanism, config.model, config.deformation, nominal, "model", folder
         )
@@ -354,7 +354,7 @@ def _read_errors(config: ErrorsConfig, folder: Path, model: ReadingModel, theta:
             raise InputError(f"{folder / CALIBRATED}: errors.correlation: found another shape, expected {n} by {n}")
         noise = correlation * np.outer(sd, sd)
         check_covariance(folder / CALIBRATED, model.commanded, noise)
-    if not isinstance(model, LegsModel):
+    if not isinstance(model, Legs):
         return Errors(noise, variance)
     covariance = None
     if config.matrix_covariance is not None:

@@ -16,9 +16,9 @@ from bayescal.calibrated.settle import express_parameters, find_hindrance, settl
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import Machine
-from bayescal.machines.readings import LegsModel, ReadingModel
+from bayescal.machines.readings import Legs, ReadingModel
 from bayescal.machines.readings.base import NOTHING, Given
-from bayescal.machines.readings.legs import invert_closure
+from bayescal.machines.readings.legs import divide_closure
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 
 LEAST_SPREAD = 1e-13  # of a parameter's size, below which draws of it differ by rounding alone
@@ -122,8 +122,8 @@ class LegErrors(Errors):
             rotation = matrix_from_rotation_vector(np.nan_to_num(pose[..., 3:]))
             closure = self.machine.model.prepare(self.machine.layout, self.theta)
             slopes = closure(pose[..., :3], rotation, self.machine.basis(commands), False).actuators
-        own = np.diagonal(slopes, axis1=-2, axis2=-1)
-        passed = invert_closure(slopes) * own[..., None, :]
+        own = slopes * np.eye(slopes.shape[-1])
+        passed = divide_closure(slopes, own)
         displacement = commands - self.machine.mechanism.initial_actuator_positions
         variance = self.model_variance + self._deflection_variance(displacement)
         return np.asarray(self.noise + (passed * variance[..., None, :]) @ np.swapaxes(passed, -1, -2))
@@ -161,7 +161,7 @@ class CalibratedMachine:
     Attributes
     ----------
     model : ReadingModel
-        What it reads; a machine on legs as a `LegsModel`.
+        What it reads; a machine on legs as `Legs`.
     theta : ndarray, shape (D,)
         Posterior mean in the model's layout; its nominal vector where drawings hold the kinematics.
     free : ndarray of int, shape (n,)
@@ -209,7 +209,7 @@ class CalibratedMachine:
     @property
     def legs(self) -> Machine:
         """The machine on legs; InputError where it is none."""
-        if not isinstance(self.model, LegsModel):
+        if not isinstance(self.model, Legs):
             raise InputError(f"machine {self.name!r}: found a machine of functions, expected a mechanism on legs")
         return self.model.machine
 
@@ -316,4 +316,4 @@ def build_calibrated_legs(
         draws = None if draws is None else express_parameters(machine, settled, draws)
         machine, theta = settled, settled.layout.nominal
     errors = replace(errors, machine=machine, theta=theta)
-    return build_calibrated(LegsModel(machine), theta, draws, errors, source, measured)
+    return build_calibrated(Legs(machine), theta, draws, errors, source, measured)

@@ -21,7 +21,7 @@ from bayescal.data.instruments.tables import name_covariances
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import Table, format_table, read_table
 from bayescal.identifiability.units import units_like
-from bayescal.machines.readings import Channel, Coordinate, LegsModel
+from bayescal.machines.readings import Channel, Coordinate, Legs
 from bayescal.numerics.geometry import Array
 
 REACHED = "reached"
@@ -124,7 +124,7 @@ def read_commanded(path: Path, calibrated: CalibratedMachine) -> Commanded:
     """
     model = calibrated.model
     tool = [] if is_pose(calibrated) else list_columns(model.tool_channels, TOOL)
-    pose = [*list_columns(model.pose_channels), *(OTHER_COLUMNS if isinstance(model, LegsModel) else ())]
+    pose = [*list_columns(model.pose_channels), *(OTHER_COLUMNS if isinstance(model, Legs) else ())]
     upper, lower = name_covariances([one.name for one in model.pose_channels])
     sds = [f"sd_{one}" for one in pose]
     others = ("use", *sds, *_name_sd(model.pose_channels), *upper, *lower, *list_columns(list_commanded(calibrated)))
@@ -148,7 +148,7 @@ def read_commands(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str,
     table, names = read_named(path, [*list_columns(channels), *model.given, *others], [*expected, *model.given])
     commands = read_quantities(table, channels)
     with name_faults(path):
-        if isinstance(model, LegsModel):
+        if isinstance(model, Legs):
             mechanism = model.machine.mechanism
             check_range(commands, mechanism.initial_actuator_positions, mechanism.actuator_range, names)
     return names, commands, read_given(table, model.given)
@@ -242,7 +242,7 @@ def format_prediction(
 
 
 def _describe_pose(calibrated: CalibratedMachine) -> list[str]:
-    if isinstance(calibrated.model, LegsModel):
+    if isinstance(calibrated.model, Legs):
         return ["Predicted pose of the platform frame in the base frame; position in mm, rotation vector in degrees."]
     if is_pose(calibrated):
         return ["Predicted coordinates of the machine."]

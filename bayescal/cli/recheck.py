@@ -76,7 +76,7 @@ def recheck(
     from bayescal.calibrated.recheck.statistics import choose_suspects
     from bayescal.calibrated.recheck.tables import describe_plan, describe_recheck, expect_readings, format_plan
     from bayescal.calibrated.tables import read_commands
-    from bayescal.machines.readings import LegsModel
+    from bayescal.machines.readings import Legs
 
     orientation_arcsec = _choose_arcseconds(orientation_arcsec, orientation_urad)
     calibrated = load_calibrated(results, variant, experiment, force, trust)
@@ -84,7 +84,7 @@ def recheck(
         raise InputError(f"{results}: found no draws of the posterior (posterior/*.nc), expected those of a run")
     check_out(out)
     suspects = choose_suspects(calibrated, shift_of or [])
-    legs = isinstance(calibrated.model, LegsModel)
+    legs = isinstance(calibrated.model, Legs)
     stated = _find_stated(results, position_um, orientation_arcsec) if legs else None
     if measured:
         lines, read = [], []

@@ -62,7 +62,7 @@ def compute_signs(
     actuators : ndarray, shape (..., N)
         mm.
     """
-    arm = np.einsum("...jk,...ik->...ij", rotation, layout.take_vector(theta, "b"))
+    arm = layout.take_vector(theta, "b") @ np.swapaxes(rotation, -1, -2)
     leg = position[..., None, :] + arm - layout.take_vector(theta, "a")
     side = np.zeros(leg.shape[:-1])
     if drive == "base":
@@ -76,23 +76,6 @@ def compute_signs(
     with np.errstate(invalid="ignore"):
         turn = np.linalg.det(np.concatenate([line, np.cross(arm / size, line)], axis=-1))
     return side, _sign(turn, LEAST_TURN)
-
-
-def place_carriages(
-    layout: ParameterLayout, theta: Array, position: Array, rotation: Array, sides: Array
-) -> tuple[Array, Array]:
-    """Return where carriages of perfect legs stand at poses (..., 3), (..., 3, 3), and the feet of their joints.
-
-    Of a leg's two positions that on its side s: ρ = u · d - s sqrt(l² - |d|² + (u · d)²), d = p + R b - a, without any
-    deformation; NaN out of reach. The foot is u · d. Both are of shape (..., N).
-    """
-    u = actuator_directions(layout, theta)
-    reach = np.einsum("...jk,...ik->...ij", rotation, layout.take_vector(theta, "b")) + position[..., None, :]
-    reach = reach - layout.take_vector(theta, "a")
-    foot = dot(u, reach)
-    with np.errstate(invalid="ignore"):
-        beyond = np.sqrt(layout.take(theta, "l") ** 2 - dot(reach, reach) + foot**2)
-    return foot - sides * beyond, foot
 
 
 def _sign(value: Array, least: float) -> Array:

@@ -8,12 +8,15 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.errors import InputError, NumericalError
-from bayescal.machines.branch import Branch, compute_signs, place_carriages
+from bayescal.machines.branch import Branch, compute_signs
 from bayescal.machines.deformations.base import Deformation, DeformationBasis
 from bayescal.machines.mechanism import Drive, Mechanism
 from bayescal.machines.models import MODELS
 from bayescal.machines.models.base import KinematicModel, Linearisation
 from bayescal.machines.models.home import guess_level_pose
+from bayescal.machines.models.leg_distance import PerfectLegs
+from bayescal.machines.models.six_pus import SixPus
+from bayescal.machines.models.six_ups import SixUps
 from bayescal.machines.parameters import HomeStart, ParameterLayout
 from bayescal.machines.paths import comes_straight, follow_path, step_pose
 from bayescal.numerics.geometry import Array
@@ -24,8 +27,8 @@ LEVEL = 1e-3  # of a leg's direction along z, below which it is level
 ACROSS = 1e-3  # of a leg's direction along its actuator, below which the actuator does not move it
 TILTED = 1.0  # deg, of the platform at home, which legs of rounded lengths may leave
 METRE = 1e3
-NEAR = 200.0  # mm from the initial positions, within which actuator positions are searched from there
-FURTHEST = 2.0  # actuator ranges, within which they are searched from where perfect joints want them
+PERFECT = (SixPus, SixUps)  # models whose actuator positions have a closed form; those derived from them may have none
+APPROACHES = 12  # of actuator positions and the deflections that they cause, before Newton's method takes over
 DRIVEN: dict[Drive, str] = {"base": "actuators at the base", "strut": "struts"}
 
 
@@ -46,6 +49,12 @@ class Machine:
         """Layout of the model's and the deformation's parameters."""
         mechanism = self.mechanism
         return mechanism.lay_out(self.model.blocks(mechanism) + self.deformation.blocks(mechanism.n_legs))
+
+    @cached_property
+    def is_rigid(self) -> bool:
+        """Whether no actuator deflects a joint, whatever the parameters."""
+        unit = self.deformation.basis(np.eye(self.mechanism.n_legs))
+        return not unit.coefficients and not unit.constant.any()
 
     @cached_property
     def sides(self) -> Array:
@@ -215,17 +224,18 @@ def _keep_to_branch(
 
 @dataclass(frozen=True)
 class InverseKinematics:
-    """Actuator positions found by Newton's method, with how it ended."""
+    """Actuator positions that hold poses, with whether there are any."""
 
     actuators: Array
     converged: np.ndarray
-    n_iterations: int
 
 
 def solve_inverse_kinematics(
     machine: Machine, theta: Array, position: Array, rotation: Array, max_iterations: int = 30, check: bool = True
 ) -> InverseKinematics:
     """Find the actuator positions that hold given poses, the deformation that they cause included.
+
+    Those of perfect legs are in closed form; for others Newton's method starts there.
 
     Parameters
     ----------
@@ -244,50 +254,53 @@ def solve_inverse_kinematics(
     Raises
     ------
     NumericalError
-        Where Newton's method does not converge, naming the first such pose and the leg that is furthest from it.
+        Where there are none, naming the first such pose and the leg that is furthest from it.
     """
     layout, n_legs = machine.layout, machine.mechanism.n_legs
-    shape = np.broadcast_shapes(theta.shape[:-1], position.shape[:-1])
-    actuators = _start_actuators(machine, theta, position, rotation, shape)
-    closure = machine.model.prepare(layout, theta)
-    step = np.full((*shape, n_legs), np.nan)
-    iteration = 0
-    while iteration < max_iterations:
-        here = closure(position, rotation, machine.basis(actuators), with_parameters=False)
-        step = _actuator_step(here)
-        iteration += 1
-        if not np.any(np.abs(step) >= STEP_TOLERANCE):
-            break
-        actuators = actuators + step
-    good = np.abs(step) < STEP_TOLERANCE
-    converged = good.all(axis=-1)
+    shape = (*np.broadcast_shapes(theta.shape[:-1], position.shape[:-1]), n_legs)
+    actuators, settled = _place_actuators(machine, theta, position, rotation)
+    gap, converged = actuators, np.isfinite(actuators).all(axis=-1)
+    if not settled:
+        initial = machine.mechanism.initial_actuator_positions
+        actuators = np.broadcast_to(np.where(np.isfinite(actuators), actuators, initial), shape)
+        closure = machine.model.prepare(layout, theta)
+        for _ in range(max_iterations):
+            here = closure(position, rotation, machine.basis(actuators), with_parameters=False)
+            step, gap = _actuator_step(here), here.residual
+            if not np.any(np.abs(step) >= STEP_TOLERANCE):
+                break
+            actuators = actuators + step
+        converged = (np.abs(step) < STEP_TOLERANCE).all(axis=-1)
     if check and not converged.all():
-        flat = np.broadcast_to(here.residual, step.shape).reshape(-1, n_legs)
         index = int(np.argmin(converged.ravel()))
-        leg = int(np.argmax(np.nan_to_num(np.abs(flat[index]), nan=np.inf)))
-        length = np.broadcast_to(theta, (*shape, layout.size)).reshape(-1, layout.size)[index, layout.index["l"][leg]]
+        far = np.nan_to_num(np.abs(np.broadcast_to(gap, shape).reshape(-1, n_legs)[index]), nan=np.inf)
+        leg = int(np.argmax(far))
+        lengths = np.broadcast_to(layout.take(theta, "l"), shape).reshape(-1, n_legs)
         raise NumericalError(
-            f"inverse kinematics: leg {leg + 1} cannot reach pose {index + 1} of {len(flat)}, "
-            f"l[{leg + 1}] is {length:g} mm; not found in {max_iterations} Newton steps"
+            f"inverse kinematics: leg {leg + 1} cannot reach pose {index + 1} of {converged.size}, "
+            f"l[{leg + 1}] is {lengths[index, leg]:g} mm"
         )
-    return InverseKinematics(actuators, converged, iteration)
+    return InverseKinematics(actuators, converged)
 
 
-def _start_actuators(machine: Machine, theta: Array, position: Array, rotation: Array, shape: tuple[int, ...]) -> Array:
-    """Return where Newton's method starts, shape (..., N): the initial positions where these lead to the right ones.
+def _place_actuators(machine: Machine, theta: Array, position: Array, rotation: Array) -> tuple[Array, bool]:
+    """Return where actuators of perfect legs stand, shape (..., N), and whether these are the machine's own.
 
-    Where the pose has taken a leg to the other side of its initial foot, or far along a long guide, that is the
-    position on the side of home for perfect joints without deformation.
+    Where its actuators deflect joints these are followed by turns; NaN where a leg does not reach.
     """
-    mechanism, layout = machine.mechanism, machine.layout
-    initial = np.broadcast_to(mechanism.initial_actuator_positions, (*shape, mechanism.n_legs))
-    if mechanism.drive == "strut":
-        return initial
-    direct, foot = place_carriages(layout, theta, position, rotation, machine.sides)
-    travel = np.abs(direct - initial)
-    far = (travel > NEAR) & (travel < FURTHEST * mechanism.actuator_range)
-    astray = np.sign(foot - initial) != machine.sides
-    return np.where((astray | far) & np.isfinite(direct), direct, initial)
+    layout, initial = machine.layout, machine.mechanism.initial_actuator_positions
+    if not {"a_x", "b_x", "l"} <= set(layout.symbols):
+        return initial, False
+    legs = PerfectLegs(layout, theta, position, rotation, machine.sides)
+    actuators = initial + legs.displace()
+    if type(machine.model) not in PERFECT or machine.is_rigid:
+        return actuators, type(machine.model) in PERFECT
+    for _ in range(APPROACHES):
+        before, basis = actuators, machine.basis(actuators)
+        actuators = initial + legs.displace(basis.deflection(layout, theta))
+        if not np.any(np.abs(actuators - before) >= STEP_TOLERANCE):
+            return actuators, True
+    return actuators, False
 
 
 def _actuator_step(here: Linearisation) -> Array:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayescal.machines.branch import place_carriages
 from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.models.base import Closure, newton_step
+from bayescal.machines.models.leg_distance import PerfectLegs
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
 
@@ -78,6 +78,7 @@ def comes_straight(machine: Machine, theta: Array, position: Array, rotation: Ar
     between = home.position + share * (position - home.position)[:, None]
     turned = matrix_from_rotation_vector(share * turn[:, None]) @ home.rotation
     one = theta[:, None]
-    actuators, _ = place_carriages(machine.layout, one, between, turned, machine.sides)
+    legs = PerfectLegs(machine.layout, one, between, turned, machine.sides)
+    actuators = machine.mechanism.initial_actuator_positions + legs.displace()
     kept = np.isfinite(actuators).all(axis=-1) & machine.holds_branch(one, between, turned, actuators)
     return np.asarray(kept.all(axis=1))

@@ -21,7 +21,7 @@ from bayescal.machines.kinematics import Machine, check_drive, check_home_pose
 from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mechanism, section_of_rod
 from bayescal.machines.models import KinematicModel
 from bayescal.machines.parameters import HomeStart
-from bayescal.machines.readings import FunctionModel, ReadingMachine, ReadingModel, SlidingPlatform, SpatialMachine
+from bayescal.machines.readings import FunctionModel, Legs, ReadingMachine, ReadingModel, SlidingPlatform
 from bayescal.machines.readings.schema import LegsMachineConfig, MachineFileConfig, SlidingPlatformConfig
 from bayescal.machines.readings.sliding_platform import matrix_of_angle
 from bayescal.machines.schema import BeamSectionConfig, HomeConfig, LoadConfig, MechanismConfig, PointsConfig
@@ -274,7 +274,7 @@ def list_machine_sources(path: Path) -> list[str]:
     return list_sources("MACHINES", kind, path.parent) if isinstance(kind, str) else []
 
 
-def read_legs(path: Path) -> SpatialMachine:
+def read_legs(path: Path) -> Legs:
     """Return the mechanism on legs of a TOML file seen by its sensors; InputError names the file."""
     content, text = read_toml(path)
     config = check_section(LegsMachineConfig, content, path, text)
@@ -291,7 +291,7 @@ def read_legs(path: Path) -> SpatialMachine:
     machine = build_named_machine(mechanism, file, *names, nominal, "machine", path.parent)
     with name_faults(file):
         check_home_pose(machine)
-    return SpatialMachine(machine, np.array(config.tool_mm), config.name)
+    return Legs(machine, np.array(config.tool_mm), config.name, inclined=True)
 
 
 def read_sliding_platform(path: Path) -> SlidingPlatform:

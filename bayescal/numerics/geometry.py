@@ -65,6 +65,19 @@ def compute_left_inverse_jacobian(rotation_vector: Array) -> Array:
     return np.eye(3) - 0.5 * cross + factor * cross @ cross
 
 
+def compute_left_jacobian(rotation_vector: Array) -> Array:
+    """Return Jl of Exp(φ + dφ) = Exp(Jl(φ) dφ) Exp(φ) to first order, shape (..., 3) to (..., 3, 3)."""
+    square = np.einsum("...k,...k->...", rotation_vector, rotation_vector)
+    angle = np.sqrt(square)
+    series = 1 / 6 - square / 120 + square**2 / 5040  # of (|φ| - sin|φ|) / |φ|³
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = np.where(angle > 0.03, (angle - np.sin(angle)) / (square * angle), series)
+    result = skew_matrix((0.5 * np.sinc(0.5 * angle / np.pi) ** 2)[..., None] * rotation_vector)
+    result += (factor[..., None] * rotation_vector)[..., :, None] * rotation_vector[..., None, :]
+    result[..., np.arange(3), np.arange(3)] += (1.0 - factor * square)[..., None]  # [φ]² = φ φᵀ - |φ|² 1
+    return result
+
+
 def compute_pose_error(position: Array, rotation: Array, position_ref: Array, rotation_ref: Array) -> Array:
     """Return the error of a pose against a reference pose, shape (..., 6): mm, then rotation vector in radians."""
     delta = rotation @ np.swapaxes(rotation_ref, -1, -2)

@@ -81,10 +81,9 @@ def test_poses_out_of_reach_say_why(rng):
     moves = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [900.0, 0.0, 0.0]])
     command = command_poses(made_up, home.tool + np.pad(moves, ((0, 0), (0, 3))))
     assert command.reached.tolist() == [True, False, False]
-    assert command.faults[1].startswith("leg ")
-    assert "would move by 2" in command.faults[1]
-    assert "its range is 1.3 mm" in command.faults[1]
-    assert command.faults[2] == "no actuator positions hold it"
+    assert command.faults[1].startswith("rho[1] would be 12.")
+    assert command.faults[1].endswith("mm, its range is 8.7 to 11.3")
+    assert command.faults[2] == "rho[1] has no value there: the machine does not reach it"
     assert np.isnan(command.commands[2]).all()
     assert np.isfinite(command.commands[:2]).all()
 

@@ -29,7 +29,7 @@ from bayescal.experiments.shared.leg_slips import find_recheck_slip
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import build_machine, solve_forward_kinematics
 from bayescal.machines.models.six_pus import SixPus
-from bayescal.machines.readings import LegsModel
+from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
 NOISE = build_covariance(15.0, 15.0)
@@ -170,7 +170,7 @@ def test_redundant_legs_close_at_the_candidates():
     source, errors = made_up.SOURCE, build_leg_errors(machine, machine.layout.nominal, 1e-3, np.zeros(8))
     free = np.arange(machine.layout.size)
     covariance = 1e-6 * np.eye(len(free))
-    calibrated = CalibratedMachine(LegsModel(machine), machine.layout.nominal, free, covariance, None, errors, source)
+    calibrated = CalibratedMachine(Legs(machine), machine.layout.nominal, free, covariance, None, errors, source)
     actuators, _ = list_candidates(calibrated, 0.5)
     assert len(actuators) > 100
     moves = np.abs(actuators - mechanism.initial_actuator_positions)

@@ -15,7 +15,7 @@ from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.identifiability.ridge_laws import find_legs, list_laws
 from bayescal.machines.read import load_mechanism
-from bayescal.machines.readings.spatial import SpatialMachine
+from bayescal.machines.readings import Legs
 
 HEXAGLIDE = studies.EXPERIMENTS / "hexaglide"
 
@@ -51,9 +51,9 @@ def test_laws_hold_of_the_legs():
 
 def test_readings_and_their_derivatives(rng):
     """Encoders and inclinometers on carriages' legs, far along the rails."""
-    model = SpatialMachine(machines.build_machine("none", load_mechanism(HEXAGLIDE / "mechanism.toml")), np.zeros(3))
+    model = Legs(machines.build_machine("none", load_mechanism(HEXAGLIDE / "mechanism.toml")), inclined=True)
     theta = model.layout.nominal
-    pose = model.home + np.array([230.0, 20.0, -15.0, 0.02, -0.03, 0.01])
+    pose = model.home_pose + np.array([230.0, 20.0, -15.0, 0.02, -0.03, 0.01])
     here = model.linearise(theta, pose)
     steps = np.array([0.1] * 3 + [1e-3] * 3)
     by_pose = machines.central_difference(lambda x: model.read(theta, x), pose, 0.01 * steps)

@@ -7,6 +7,8 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.numerics.geometry import (
+    compute_left_inverse_jacobian,
+    compute_left_jacobian,
     compute_pose_error,
     compute_relative_pose,
     matrix_from_rotation_vector,
@@ -162,3 +164,11 @@ def test_relative_pose_covariance_matches_simulation(rng):
     without_base = np.linalg.cholesky(compute_relative_pose((*base[:2], np.zeros((6, 6))), platform)[2])
     wrong = np.linalg.solve(without_base, error.T)
     assert np.abs(wrong @ wrong.T / n - np.eye(6)).max() * np.sqrt(n / 2) > 100
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.029, 0.031, 1.0, 3.0, 6.0])
+def test_left_jacobian_is_the_inverse_of_its_inverse(angle, rng):
+    axis = rng.standard_normal((20, 3))
+    vector = angle * axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    product = compute_left_jacobian(vector) @ compute_left_inverse_jacobian(vector)
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-14)

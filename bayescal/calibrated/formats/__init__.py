@@ -15,7 +15,7 @@ from bayescal.calibrated.formats.plain import (
 from bayescal.calibrated.formats.urdf import list_urdf_files
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.settle import find_hindrance
-from bayescal.machines.readings import LegsModel
+from bayescal.machines.readings import Legs
 
 MECHANISM, PARAMETERS = "mechanism", "parameters"
 FORMATS: dict[str, Callable[[CalibratedMachine], dict[str, bytes]]] = {
@@ -31,7 +31,7 @@ FORMATS: dict[str, Callable[[CalibratedMachine], dict[str, bytes]]] = {
 
 def choose_format(calibrated: CalibratedMachine) -> str:
     """Return the format that every command takes: a mechanism where drawings hold the machine, else its parameters."""
-    legs = isinstance(calibrated.model, LegsModel) and not find_hindrance(calibrated.legs)
+    legs = isinstance(calibrated.model, Legs) and not find_hindrance(calibrated.legs)
     return MECHANISM if legs else PARAMETERS
 
 

@@ -12,14 +12,14 @@ from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.mechanism_file import format_value
 from bayescal.files.csv_tables import format_table
 from bayescal.machines.kinematics import Machine
-from bayescal.machines.readings import LegsModel
+from bayescal.machines.readings import Legs
 
 UNITS = {"1": "", "mm": "_mm", "rad": "_rad", "N": "_n", "N mm2": "_n_mm2"}
 
 
 def list_parameter_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     """Return parameters with covariance as TOML and JSON; of a machine of functions what `read_exported` takes, too."""
-    own = {} if isinstance(calibrated.model, LegsModel) else list_function_files(calibrated)
+    own = {} if isinstance(calibrated.model, Legs) else list_function_files(calibrated)
     return own | list_toml_files(calibrated) | list_json_files(calibrated)
 
 
@@ -29,7 +29,7 @@ def list_csv_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     Of another machine nothing: its parameters and their covariance are in tables with every format.
     """
     model = calibrated.model
-    if not isinstance(model, LegsModel):
+    if not isinstance(model, Legs):
         return {}
     layout, theta = model.layout, calibrated.theta
     columns, values = ["leg"], [[leg + 1 for leg in range(model.n_legs)]]
@@ -75,7 +75,7 @@ def _describe(calibrated: CalibratedMachine) -> dict[str, Any]:
             "converged": not source.problems,
             "problems": list(source.problems),
         },
-        **(_describe_legs(model.machine) if isinstance(model, LegsModel) else {}),
+        **(_describe_legs(model.machine) if isinstance(model, Legs) else {}),
         "commanded": list(model.commanded),
         "tool": [f"{one.name} [{one.unit}]" for one in model.tool_channels],
         "parameters": {

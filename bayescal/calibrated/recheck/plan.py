@@ -24,7 +24,7 @@ from bayescal.calibrated.recheck.statistics import (
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.machines.readings import Given, LegsModel
+from bayescal.machines.readings import Given, Legs
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 
 LEVELS = (-1.0, 0.0, 1.0)
@@ -103,7 +103,7 @@ def list_candidates(calibrated: CalibratedMachine, share: float) -> tuple[Array,
     Of a machine on six legs those of its actuators. Redundant legs cannot be combined at will: theirs hold random poses
     about home. Any other machine's hold such poses of its workspace, and random ones where these are few.
     """
-    if not isinstance(calibrated.model, LegsModel):
+    if not isinstance(calibrated.model, Legs):
         return _cover_workspace(calibrated, share)
     mechanism = calibrated.legs.mechanism
     reach = share * mechanism.actuator_range

@@ -23,7 +23,7 @@ import numpy as np
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.errors import InputError
-from bayescal.machines.readings import Given, LegsModel
+from bayescal.machines.readings import Given, Legs
 from bayescal.machines.readings.locate import Function, solve
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
@@ -76,7 +76,7 @@ def choose_suspects(calibrated: CalibratedMachine, wanted: Sequence[str]) -> Sus
     """
     model = calibrated.model
     layout = model.layout
-    if not wanted and isinstance(model, LegsModel) and LENGTH in layout.index:
+    if not wanted and isinstance(model, Legs) and LENGTH in layout.index:
         wanted = [LENGTH]
     for name in wanted:
         if name not in layout.symbols and name not in layout.names:
@@ -88,7 +88,7 @@ def choose_suspects(calibrated: CalibratedMachine, wanted: Sequence[str]) -> Sus
     if not names:
         raise InputError("recheck: found no free parameter, expected some, or --shift-of")
     places = np.array([layout.names.index(name) for name in names])
-    lengths = isinstance(model, LegsModel) and list(wanted) == [LENGTH]
+    lengths = isinstance(model, Legs) and list(wanted) == [LENGTH]
     called = tuple(f"{model.member} {n.partition('[')[2].rstrip(']')}" if lengths else n for n in names)
     units = tuple(layout.units[k] for k in places)
     return Suspects(called, places, units, model.member if lengths else "parameter", bool(wanted))

@@ -19,7 +19,7 @@ from bayescal.data.instruments.tables import check_positive, name_covariances
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import format_table, read_table
-from bayescal.machines.readings import LegsModel
+from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -160,7 +160,7 @@ def format_plan(calibrated: CalibratedMachine, plan: RecheckPlan, title: str) ->
     """Return a plan as CSV text: the poses of one session, the one that shows most first."""
     channels = list_commanded(calibrated)
     back = "then: bayescal recheck RESULTS --measured THAT.csv --actuators THIS.csv"
-    if isinstance(calibrated.model, LegsModel):
+    if isinstance(calibrated.model, Legs):
         how = [
             "Measure position and orientation of the platform at each, in the base frame, as pose, x_mm, y_mm, z_mm,",
             f"rx_deg, ry_deg, rz_deg; {back}",

@@ -31,7 +31,7 @@ from bayescal.experiments.shared.calibrating import KEPT, read_draws_of, read_ha
 from bayescal.experiments.shared.trees import name_file
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.read import list_machine_sources
-from bayescal.machines.readings import ReadingModel, SpatialMachine
+from bayescal.machines.readings import Legs, ReadingModel
 from bayescal.numerics.geometry import Array
 
 ERRORS = "errors"
@@ -142,7 +142,7 @@ def calibrate_machine(
     workspace = build_workspace(model, config.workspace, config.units)
     errors, noise = _build_errors(results, chosen.name, model), _find_noise(results, config, chosen.name, model)
     source = Source(config.name, chosen.name, f"{config.origin.status}: {config.origin.text}", _list_problems(fit))
-    if isinstance(model, SpatialMachine):  # a mechanism on legs is one whatever calibrated it
+    if isinstance(model, Legs):  # a mechanism on legs is one whatever calibrated it
         machine, size = model.machine, model.machine.layout.size
         by_legs = LegErrors(errors.noise, errors.model_variance, machine, theta[:size])
         some = None if draws is None else draws[:, :size]

@@ -12,7 +12,7 @@ from bayescal.calibrated.machine import MATRIX, MODEL, NOISE
 from bayescal.calibrated.standards import PoseFigures
 from bayescal.calibrated.uncertainty import GEOMETRY
 from bayescal.experiments.shared.certify import AGREED, BOUND, Certificate
-from bayescal.machines.readings import LegsModel
+from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import (
     Cell,
@@ -234,7 +234,7 @@ def _tabulate_budget(found: Certificate) -> Table:
 def _describe_machine(found: Certificate) -> list[tuple[str, str]]:
     """Return what is certified, and of which machine."""
     calibrated, model = found.calibrated, found.calibrated.model
-    if isinstance(model, LegsModel):
+    if isinstance(model, Legs):
         mechanism = model.machine.mechanism
         measurand = "pose of the platform's frame in the base frame at given actuator positions, without a load"
         words = f"{mechanism.name}, {mechanism.n_legs} legs, actuators ±{mechanism.actuator_range:g} mm"

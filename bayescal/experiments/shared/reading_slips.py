@@ -31,8 +31,6 @@ from bayescal.experiments.shared.slips import (
     list_reading_slips,
     weigh_rows,
 )
-from bayescal.machines.readings import Channel
-from bayescal.machines.readings.base import PickedModel
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_significant, join_words
 
@@ -43,20 +41,6 @@ ALIKE = 10.0  # a shift of readings in units of its scatter, from which on it is
 NAMED = 4  # channels in a message
 COMMON = 5.0  # misfit of a row without one of its channels, in units of the others' median, up to which it is explained
 LOOK = "look at units, signs, zeros, order of channels and of rows"
-
-
-@dataclass(frozen=True, eq=False)
-class _OnCircles(PickedModel):
-    """A machine some of whose readings are compared on a circle."""
-
-    circular: tuple[int, ...] = ()
-
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        """The same channels, some with a period."""
-        return tuple(
-            replace(one, period=TURN) if k in self.circular else one for k, one in enumerate(self.whole.channels)
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +111,11 @@ class Suspicion:
         likelihood = self.likelihood
         some = likelihood.data.pick(rows)
         model = likelihood.model
-        if data.circular:
-            model = _OnCircles(model, tuple(range(len(model.channels))), data.circular)
+        if data.circular:  # readings that are compared on a circle
+            channels = enumerate(model.channels)
+            model = replace(
+                model, channels=tuple(replace(one, period=TURN) if k in data.circular else one for k, one in channels)
+            )
         return replace(
             likelihood,
             model=model,

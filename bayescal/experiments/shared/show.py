@@ -14,7 +14,7 @@ from bayescal.experiments.shared.machine_scene import build_line_scene, build_sc
 from bayescal.experiments.shared.show_struts import describe_struts
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.read import load_mechanism, read_reading_model
-from bayescal.machines.readings import FunctionModel, SlidingPlatform, SpatialMachine
+from bayescal.machines.readings import FunctionModel, Legs, SlidingPlatform
 from bayescal.machines.readings.line_machine import AXES, LineMachine
 from bayescal.machines.readings.strut_machine import StrutMachine
 from bayescal.numerics.geometry import Array
@@ -37,7 +37,7 @@ def describe_machine(path: Path) -> Page:
     if "kind" not in read_toml(path)[0]:
         return _describe_mechanism(load_mechanism(path))
     model = read_reading_model(path)
-    if isinstance(model, SpatialMachine):
+    if isinstance(model, Legs):
         return _describe_mechanism(model.machine.mechanism)
     if isinstance(model, SlidingPlatform):
         return _describe_sliding(model)

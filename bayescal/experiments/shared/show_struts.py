@@ -6,7 +6,8 @@ import numpy as np
 import pandas as pd
 
 from bayescal.experiments.shared.machine_scene import build_scene
-from bayescal.machines.readings.strut_machine import AXES, N_STRUTS, StrutMachine
+from bayescal.machines.readings import POSE
+from bayescal.machines.readings.strut_machine import N_STRUTS, StrutMachine
 from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import Block, Column, Definitions, Page, Section, Table, make_table
 from bayescal.report.numbers import format_plain
@@ -29,9 +30,9 @@ SYMBOLS = (
 def describe_struts(name: str, machine: StrutMachine) -> Page:
     """Return the page of a machine on struts."""
     nominal = {block.symbol: np.array(block.nominal) for block in machine.parameters}
-    base, platform = (np.stack([nominal[f"{s}_{axis}"] for axis in AXES[:3]], axis=1) for s in "ab")
+    base, platform = (np.stack([nominal[f"{s}_{axis}"] for axis in POSE[:3]], axis=1) for s in "ab")
     home = np.array([coordinate.home for coordinate in machine.coordinates[:3]])
-    centre = home + np.array([nominal[f"g_{axis}"][0] for axis in AXES[:3]])
+    centre = home + np.array([nominal[f"g_{axis}"][0] for axis in POSE[:3]])
     scene = _draw(machine, base, home + platform, centre)
     shown: tuple[Block, ...] = (scene, Definitions(SYMBOLS))
     headline = f"{N_STRUTS} struts that change their lengths, bent by their load and stretched by temperature."
@@ -75,8 +76,8 @@ def _triple(point: Array) -> Triple:
 
 
 def _tabulate(base: Array, platform: Array, nominal: dict[str, Array]) -> Table:
-    columns = [Column("Strut"), *(Column(axis, group="a, joint at the base, mm") for axis in AXES[:3])]
-    columns += [Column(axis, group="b, joint on the platform, mm") for axis in AXES[:3]]
+    columns = [Column("Strut"), *(Column(axis, group="a, joint at the base, mm") for axis in POSE[:3])]
+    columns += [Column(axis, group="b, joint on the platform, mm") for axis in POSE[:3]]
     columns += [Column("l", "mm", symbolic=True), Column("c", "nm/N", symbolic=True)]
     numbers = np.column_stack([base, platform, nominal["l"], nominal["c"]])
     rows = [[str(k), *(format_plain(x) for x in row)] for k, row in enumerate(numbers.tolist(), start=1)]

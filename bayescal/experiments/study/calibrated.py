@@ -36,7 +36,7 @@ from bayescal.machines.deformations import NominalDeformation
 from bayescal.machines.kinematics import Machine
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.read import build_named_machine, load_mechanism
-from bayescal.machines.readings import LegsModel
+from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
@@ -66,8 +66,8 @@ def _list_own(variant: VariantConfig, folder: Path) -> list[str]:
     return [one for one in found if (folder / one).resolve().is_relative_to(folder.resolve())]
 
 
-def _see(inputs: StudyInputs) -> LegsModel:
-    return LegsModel(inputs.machine(inputs.config.variants[0]))
+def _see(inputs: StudyInputs) -> Legs:
+    return Legs(inputs.machine(inputs.config.variants[0]))
 
 
 def find_matrix_covariance(inputs: StudyInputs) -> Array | None:
@@ -154,7 +154,7 @@ def _read_measured(results: Results, machine: Machine) -> Array | None:
     """Return the actuator positions of the calibration's poses; None of results of earlier versions."""
     assert results.folder is not None
     path = results.folder / KEPT / MEASURED
-    return read_measured(path, LegsModel(machine))[0] if path.is_file() else None
+    return read_measured(path, Legs(machine))[0] if path.is_file() else None
 
 
 # --- the posterior -----------------------------------------------------------------------------------------------

@@ -5,7 +5,8 @@ They differ in what an actuator does: it moves the lower joint, or it changes th
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Sequence
+from functools import cached_property, partial
 from typing import ClassVar
 
 import numpy as np
@@ -13,7 +14,13 @@ import numpy as np
 from bayescal.machines.deformations.base import DeformationBasis
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.models.base import BoundClosure, Closure, KinematicModel, Linearisation
-from bayescal.machines.models.legs import compute_leg_vectors, scatter
+from bayescal.machines.models.legs import (
+    chart_of,
+    compute_leg_vectors,
+    legs_first,
+    lower_joints_travel,
+    scatter,
+)
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.scratch import Scratch
@@ -27,6 +34,75 @@ def list_point_blocks(mechanism: Mechanism) -> tuple[ParameterBlock, ...]:
         for symbol, values in points.items()
         for k, axis in enumerate("xyz")
     )
+
+
+class PerfectLegs:
+    """Where actuators of perfect legs stand at given poses, in closed form.
+
+    A leg runs from a to p + R (b + s e_z), whose joint a deflection s has moved, by d + s e with d = p + R b - a and
+    e = R e_z. A strut is that long: Δρ = |d + s e| - l. A leg of length l has its carriage, at a + (ρ^0 + Δρ) u, on one
+    side of the joint's foot on the guide: ρ^0 + Δρ = u · (d + s e) ∓ sqrt(l² - |d + s e|² + (u · (d + s e))²).
+
+    Parameters
+    ----------
+    layout : ParameterLayout
+    theta : ndarray, shape (..., D)
+    position, rotation : ndarray, shapes (..., 3) and (..., 3, 3)
+    sides : ndarray, shape (N,)
+        On which side of the foot carriages stand, the sign of u · g; anything for struts.
+    """
+
+    def __init__(self, layout: ParameterLayout, theta: Array, position: Array, rotation: Array, sides: Array) -> None:
+        ndim = self._ndim = max(theta.ndim, position.ndim)
+        self._values, self._index = legs_first(theta, ndim), layout.index
+        self._sides, self._length = legs_first(sides, ndim), self._take("l")
+        # poses stand last: there every operation is a long contiguous loop
+        n = rotation.ndim
+        axes = np.ascontiguousarray(rotation.transpose((n - 2, n - 1, *range(n - 2))))
+        lower, upper = ([self._take(f"{symbol}_{axis}") for axis in "xyz"] for symbol in "ab")
+        self._axis = axes[:, 2]
+        self._span = [_multiply(axes[i], upper) + (position[..., i] - lower[i]) for i in range(3)]
+        self._square = _multiply(self._span, self._span)
+        self._direction: Array | None = None
+        if lower_joints_travel(layout):
+            chart = chart_of(layout)
+            direction = np.stack([*(self._take(symbol) for symbol in chart.symbols), self._length])
+            chart.complete(direction.reshape(*direction.shape[:2], -1))
+            self._direction, self._home = direction, self._take("rho0")
+            self._foot = _multiply(direction, self._span)
+
+    def _take(self, symbol: str) -> Array:
+        """Return one symbol's values, shape (N, ...)."""
+        return self._values[self._index[symbol]]
+
+    @cached_property
+    def _height(self) -> Array:
+        """2 e · d, shape (N, ...)."""
+        return 2.0 * _multiply(self._span, self._axis)
+
+    @cached_property
+    def _lean(self) -> Array:
+        """Products e · u, shape (N, ...)."""
+        assert self._direction is not None
+        return _multiply(self._direction, self._axis)
+
+    def displace(self, deflection: Array | None = None) -> Array:
+        """Return Δρ for deflections s (..., N), shape (..., N), mm; NaN where a leg does not reach."""
+        square, moved = self._square, None
+        if deflection is not None:
+            moved = legs_first(deflection, self._ndim)
+            square = square + moved * (self._height + moved)
+        with np.errstate(invalid="ignore"):
+            if self._direction is None:
+                return np.moveaxis(np.sqrt(square) - self._length, 0, -1)
+            foot = self._foot if moved is None else self._foot + moved * self._lean
+            beyond = np.sqrt(self._length**2 - square + foot**2)
+        return np.moveaxis(foot - self._sides * beyond - self._home, 0, -1)
+
+
+def _multiply(one: Sequence[Array] | Array, other: Sequence[Array] | Array) -> Array:
+    """Return the scalar products of vectors by their components."""
+    return np.asarray(one[0] * other[0] + one[1] * other[1] + one[2] * other[2])
 
 
 class LegDistance(KinematicModel):

@@ -54,6 +54,12 @@ def differentiate_directions(layout: ParameterLayout, theta: Array) -> Array:
     return np.stack([chart.to_base(slopes[..., k, :]) for k in range(2)], axis=-2)
 
 
+def legs_first(values: Array, ndim: int) -> Array:
+    """Return values (..., N) of at least so many axes with the legs' in front: operations along long axes are fast."""
+    values = values.reshape((1,) * (ndim - values.ndim) + values.shape)
+    return values.transpose((values.ndim - 1, *range(values.ndim - 1)))
+
+
 def dot(first: Array, second: Array) -> Array:
     """Return scalar products over the last axis."""
     return np.asarray(np.einsum("...k,...k->...", first, second))
@@ -179,9 +185,11 @@ def compute_leg_vectors(
         travel = np.zeros(basis.displacement.shape[-1])
         direction = np.zeros((*travel.shape, 3))
     joint = layout.take_vector(theta, "b")
-    joint = np.broadcast_to(joint, np.broadcast_shapes(joint.shape, (*basis.displacement.shape, 3))).copy()
-    joint[..., 2] += basis.deflection(layout, theta)
-    arm = np.einsum("...jk,...ik->...ij", rotation, joint)
+    deflection = basis.deflection(layout, theta)
+    if deflection.any():
+        joint = np.broadcast_to(joint, np.broadcast_shapes(joint.shape, (*deflection.shape, 3))).copy()
+        joint[..., 2] += deflection
+    arm = joint @ np.swapaxes(rotation, -1, -2)
     vector = position[..., None, :] + arm - layout.take_vector(theta, "a") - travel[..., None] * direction
     length = np.sqrt(dot(vector, vector))
     return LegVectors(layout, basis, rotation, direction, arm, vector, vector / length[..., None], travel, length)

@@ -1,10 +1,9 @@
 """Internal and external sensors as functions of the pose and of the machine's parameters."""
 
-from bayescal.machines.readings.base import Channel, Coordinate, Given, ReadingModel, Readings
+from bayescal.machines.readings.base import POSE, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.machines.readings.function import FunctionModel, Parameters, ReadingMachine
-from bayescal.machines.readings.legs import LegsModel
+from bayescal.machines.readings.legs import Legs
 from bayescal.machines.readings.sliding_platform import SlidingPlatform
-from bayescal.machines.readings.spatial import SpatialMachine
 
 MACHINES = {
     "line_machine": "bayescal.machines.readings.line_machine:LineMachine",
@@ -14,15 +13,15 @@ MACHINES = {
 
 __all__ = [
     "MACHINES",
+    "POSE",
     "Channel",
     "Coordinate",
     "FunctionModel",
     "Given",
-    "LegsModel",
+    "Legs",
     "Parameters",
     "ReadingMachine",
     "ReadingModel",
     "Readings",
     "SlidingPlatform",
-    "SpatialMachine",
 ]

@@ -10,14 +10,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
+from typing import Self
 
 import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterLayout
+from bayescal.machines.readings.colours import draw_points
 from bayescal.machines.readings.locate import locate_pose
 from bayescal.numerics.geometry import Array
 
@@ -84,7 +86,17 @@ class Channel:
     @property
     def stem(self) -> str:
         """Its name as columns have it: ``motor[2]`` is ``motor_2``."""
-        return stem_of(self.name)
+        return self.name.replace("[", "_").rstrip("]")
+
+
+POSE = ("x", "y", "z", "rx", "ry", "rz")
+POSE_CHANNELS = tuple(
+    Channel(name, "mm" if k < 3 else "rad", external=True, rotation="" if k < 3 else "r") for k, name in enumerate(POSE)
+)
+"""Position and rotation vector of a platform, seen from beside the machine."""
+
+EVERY = (Channel("every", ""),)
+"""In place of a model's channels: all sensors that its machine could have."""
 
 
 @dataclass(frozen=True)
@@ -105,14 +117,30 @@ class Readings:
     by_pose: Array
     by_parameters: Array = field(default_factory=lambda: np.empty(0))
 
+    def pick(self, places: np.ndarray | None) -> Readings:
+        """Return those of some sensors, of all where it is None."""
+        if places is None:
+            return self
+        more = self.by_parameters[..., places, :] if self.by_parameters.ndim > 1 else self.by_parameters
+        return Readings(self.values[..., places], self.by_pose[..., places, :], more)
 
-def stem_of(name: str) -> str:
-    """Return a channel's name as columns have it: ``motor[2]`` is ``motor_2``."""
-    return name.replace("[", "_").rstrip("]")
 
-
+@dataclass(frozen=True, eq=False)
 class ReadingModel(ABC):
-    """A machine seen by its sensors: K readings of a pose with q coordinates, D parameters."""
+    """A machine seen by its sensors: K readings of a pose with q coordinates, D parameters.
+
+    Attributes
+    ----------
+    channels : tuple of Channel
+        The sensors that it has, by default all that it could have.
+    """
+
+    channels: tuple[Channel, ...] = field(default=EVERY, kw_only=True)
+
+    def __post_init__(self) -> None:
+        """Take all sensors where none are said."""
+        if self.channels is EVERY:
+            object.__setattr__(self, "channels", self.sensors)
 
     @property
     @abstractmethod
@@ -121,8 +149,24 @@ class ReadingModel(ABC):
 
     @property
     @abstractmethod
-    def channels(self) -> tuple[Channel, ...]:
+    def sensors(self) -> tuple[Channel, ...]:
         """All sensors that the machine could have."""
+
+    @property
+    def computed(self) -> tuple[Channel, ...]:
+        """The sensors whose readings are computed together, among them those of the channels: by default all."""
+        return self.sensors
+
+    @cached_property
+    def places(self) -> np.ndarray | None:
+        """Where the channels stand among those that are computed; None where they are all of them."""
+        names = [one.name for one in self.computed]
+        found = [names.index(one.name) for one in self.channels]
+        return None if found == list(range(len(names))) else np.array(found, dtype=int)
+
+    def take(self, values: Array) -> Array:
+        """Return the channels' of all values that are computed, along the last axis."""
+        return values if self.places is None else values[..., self.places]
 
     @property
     @abstractmethod
@@ -140,9 +184,15 @@ class ReadingModel(ABC):
         return ()
 
     @property
+    def actuated(self) -> Sequence[str]:
+        """Sensors, or kinds of them, that a controller can command; none for all that are the machine's own."""
+        return ()
+
+    @property
     def commanded(self) -> tuple[str, ...]:
-        """Names of the channels that a controller can command: by default all that are the machine's own."""
-        return tuple(one.name for one in self.channels if not one.external)
+        """Names of the channels that a controller can command."""
+        asked = set(self.actuated)
+        return tuple(one.name for one in self.channels if ({one.name, one.kind} & asked if asked else not one.external))
 
     @property
     def member(self) -> str:
@@ -187,13 +237,21 @@ class ReadingModel(ABC):
         """
         del poses, given, free
 
-    @abstractmethod
     def frame_parameters(self) -> tuple[str, ...]:
         """Names of the parameters that define the frames of base and platform: given, where no instrument does it."""
+        return ()
 
-    @abstractmethod
     def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
-        """Return the names of the parameters that some sensors depend on, in the layout's order."""
+        """Return the names of the parameters that some sensors were found to depend on, in the layout's order."""
+        seen = self._seen[self.select(channels)].any(axis=0)
+        return tuple(name for name, one in zip(self.layout.names, seen, strict=True) if one)
+
+    @cached_property
+    def _seen(self) -> np.ndarray:
+        """Which sensors depend on which parameters, shape (K, D): their derivative is not always zero about home."""
+        theta, pose, given = draw_points(self)
+        slopes = self.linearise(theta, pose, True, given).by_parameters
+        return np.asarray(((slopes != 0.0) | np.isnan(slopes)).any(axis=0))
 
     @abstractmethod
     def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
@@ -334,100 +392,6 @@ class ReadingModel(ABC):
             wanted |= found
         return np.array([k for k, name in enumerate(self.names) if name in wanted], dtype=int)
 
-    def pick(self, channels: np.ndarray) -> ReadingModel:
+    def pick(self, channels: np.ndarray) -> Self:
         """Return the same machine with some of its sensors, by their places."""
-        return PickedModel(self, tuple(int(k) for k in channels))
-
-
-@dataclass(frozen=True, eq=False)
-class PickedModel(ReadingModel):
-    """A machine with some of its sensors."""
-
-    whole: ReadingModel
-    places: tuple[int, ...]
-
-    @property
-    def layout(self) -> ParameterLayout:
-        """The whole machine's."""
-        return self.whole.layout
-
-    @cached_property
-    def channels(self) -> tuple[Channel, ...]:
-        """The sensors it has left."""
-        return tuple(self.whole.channels[k] for k in self.places)
-
-    @property
-    def coordinates(self) -> tuple[Coordinate, ...]:
-        """The whole machine's."""
-        return self.whole.coordinates
-
-    @property
-    def given(self) -> tuple[str, ...]:
-        """What the whole machine has to know."""
-        return self.whole.given
-
-    @property
-    def commanded(self) -> tuple[str, ...]:
-        """What the whole machine can be commanded by, of the sensors left."""
-        return tuple(name for name in self.whole.commanded if name in self.names)
-
-    @property
-    def member(self) -> str:
-        """What the whole machine says."""
-        return self.whole.member
-
-    @property
-    def command_range(self) -> Array:
-        """The whole machine's, of the same."""
-        known = [name in self.names for name in self.whole.commanded]
-        return self.whole.command_range[known]
-
-    @property
-    def pose_channels(self) -> tuple[Channel, ...]:
-        """The whole machine's."""
-        return self.whole.pose_channels
-
-    @property
-    def tool_channels(self) -> tuple[Channel, ...]:
-        """The whole machine's."""
-        return self.whole.tool_channels
-
-    @property
-    def states_tool(self) -> bool:
-        """What the whole machine says."""
-        return self.whole.states_tool
-
-    def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
-        """Check as the whole machine does."""
-        self.whole.check_given(poses, given, free)
-
-    def frame_parameters(self) -> tuple[str, ...]:
-        """Return what the whole machine says."""
-        return self.whole.frame_parameters()
-
-    def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
-        """Return what the whole machine says."""
-        return self.whole.seen_parameters(channels)
-
-    def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
-        """Return the readings of the sensors left."""
-        return self.whole.read(theta, pose, given)[..., self.places]
-
-    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
-        """Return the readings of the sensors left, with their derivatives."""
-        found = self.whole.linearise(theta, pose, with_parameters, given)
-        by_parameters = found.by_parameters[..., self.places, :] if with_parameters else found.by_parameters
-        return Readings(found.values[..., self.places], found.by_pose[..., self.places, :], by_parameters)
-
-    def error_gain(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array | None:
-        """Return how the model errors of the sensors left show in them."""
-        gain = self.whole.error_gain(theta, pose, given)
-        return None if gain is None else gain[..., self.places, :][..., self.places]
-
-    def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
-        """Return the whole machine's tool."""
-        return self.whole.tool(theta, pose)
-
-    def rotation(self, pose: Array) -> Array:
-        """Return the whole machine's rotation."""
-        return self.whole.rotation(pose)
+        return replace(self, channels=tuple(self.channels[k] for k in np.arange(len(self.channels))[channels]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +21,6 @@ MEMBERS = {"parameters": ParameterBlock, "coordinates": Coordinate, "channels": 
 POINTS = 5
 DIFFERENCE = 1e-6  # of an entry's size
 AGREEMENT = 1e-4  # of the largest slope of its channel; differences of this step keep six digits
-
 CLOSED = 1e-9  # of the same, for derivatives in closed form against complex steps: rounding
 
 
@@ -62,12 +61,7 @@ def check_tool(model: FunctionModel) -> None:
             raise InputError(f"{where}_channels: found {one!r}, expected a Channel")
     _check_rotations(f"{where}_channels", machine.tool_channels)
     theta, pose, _ = draw_points(model, POINTS)
-    try:
-        with np.errstate(all="ignore"):
-            found, _, _ = model.tool(theta, pose)
-    except Exception as error:  # whatever somebody else's code raises
-        text = " ".join(str(error).split())
-        raise InputError(f"{where}: failed with {type(error).__name__}: {text}, expected numbers") from error
+    found, _, _ = _call(where, "numbers", lambda: model.tool(theta, pose))
     names = [one.name for one in machine.tool_channels] or [one.name for one in model.coordinates]
     if found.shape[-1] != len(names):
         raise InputError(f"{where}: found {found.shape[-1]} numbers, expected {len(names)}: {', '.join(names)}")
@@ -87,12 +81,12 @@ def check_values(model: FunctionModel) -> None:
     """Raise InputError where the function fails, returns another shape than (..., K), or is not finite at home."""
     theta, pose, given = draw_points(model, POINTS)
     where, n = f"machine {model.name!r}: {type(model.machine).__name__}.read", len(model.channels)
-    found = _call(model, where, theta, pose, given)
+    found = _read(model, where, theta, pose, given)
     if found.shape != (POINTS, n):
         raise InputError(f"{where}: found shape {found.shape} for {POINTS} poses, expected {(POINTS, n)}")
     for k in np.flatnonzero(~np.isfinite(found[0])):
         raise InputError(f"{where}: {model.channels[k].name}: found {found[0, k]} at home, expected a finite reading")
-    stacked = _call(model, where, theta[:, None], pose[None], {name: value[None] for name, value in given.items()})
+    stacked = _read(model, where, theta[:, None], pose[None], {name: value[None] for name, value in given.items()})
     if stacked.shape != (POINTS, POINTS, n):
         raise InputError(
             f"{where}: found shape {stacked.shape} for {POINTS} machines at {POINTS} poses, "
@@ -100,22 +94,27 @@ def check_values(model: FunctionModel) -> None:
         )
 
 
-def _call(model: FunctionModel, where: str, *arguments: Any) -> Array:
+def _call[Found](where: str, expected: str, function: Callable[[], Found]) -> Found:
+    """Return what somebody else's code returns; InputError for whatever it raises."""
     try:
         with np.errstate(all="ignore"):
-            return np.asarray(model.evaluate(*arguments))
-    except Exception as error:  # whatever somebody else's code raises
+            return function()
+    except Exception as error:
         text = " ".join(str(error).split())
-        analytic = np.iscomplexobj(arguments[0])
-        hint = "; bayescal.numerics.analytic has functions that take complex numbers" if analytic else ""
-        raise InputError(f"{where}: failed with {type(error).__name__}: {text}, expected readings{hint}") from error
+        raise InputError(f"{where}: failed with {type(error).__name__}: {text}, expected {expected}") from error
+
+
+def _read(model: FunctionModel, where: str, theta: Any, pose: Any, given: Given) -> Array:
+    analytic = np.iscomplexobj(theta)
+    hint = "; bayescal.numerics.analytic has functions that take complex numbers" if analytic else ""
+    return _call(where, f"readings{hint}", lambda: np.asarray(model.evaluate(theta, pose, given)))
 
 
 def check_derivatives(model: FunctionModel) -> None:
     """Raise InputError where a derivative by complex step is not that of central differences."""
     theta, pose, given = draw_points(model, POINTS)
     where = f"machine {model.name!r}: {type(model.machine).__name__}.read"
-    _call(model, f"{where}, with complex numbers", theta + 0j, pose + 0j, given)
+    _read(model, f"{where}, with complex numbers", theta + 0j, pose + 0j, given)
     here = np.concatenate([theta, pose], axis=1)
     _, exact = model.differentiate(theta, pose, given, np.eye(here.shape[1]))
     size = DIFFERENCE * np.maximum(np.abs(here), 1.0)
@@ -132,8 +131,9 @@ def check_derivatives(model: FunctionModel) -> None:
     wrong = np.isfinite(slope) & (np.abs(slope - exact) > AGREEMENT * scale + 10.0 * rounding / steps)
     _check_closed(model, where, theta, pose, given, np.moveaxis(exact[model.layout.size :], 0, -1))
     for entry, point, k in np.argwhere(wrong)[:1]:
+        names = (*model.layout.names, *(one.name for one in model.coordinates))
         raise InputError(
-            f"{where}: {model.channels[k].name}: found ∂/∂{_name(model, entry)} = {exact[entry, point, k]:.6g} by "
+            f"{where}: {model.channels[k].name}: found ∂/∂{names[entry]} = {exact[entry, point, k]:.6g} by "
             f"complex step and {slope[entry, point, k]:.6g} by differences, expected an analytic function; "
             "abs, norm and arctan2 of NumPy are none, those of bayescal.numerics.analytic are"
         )
@@ -142,11 +142,7 @@ def check_derivatives(model: FunctionModel) -> None:
 def _check_closed(model: FunctionModel, where: str, theta: Array, pose: Array, given: Given, exact: Array) -> None:
     """Raise InputError where derivatives in closed form are not those by complex step, (n, K, q)."""
     where = f"{where.removesuffix('read')}slopes"
-    try:
-        closed = model.closed_slopes(theta, pose, given)
-    except Exception as error:  # whatever somebody else's code raises
-        text = " ".join(str(error).split())
-        raise InputError(f"{where}: failed with {type(error).__name__}: {text}, expected K rows of q") from error
+    closed = _call(where, "K rows of q", lambda: model.closed_slopes(theta, pose, given))
     if closed is None:
         return
     scale = np.max(np.abs(exact), axis=(0, 2), keepdims=True, initial=0.0, where=np.isfinite(exact))
@@ -162,10 +158,5 @@ def _differ(model: FunctionModel, where: str, here: Array, entry: int, size: Arr
     """Return the derivatives by an entry of (d, v) at points (n, D + q), by central differences of steps (n,)."""
     n, step = model.layout.size, np.zeros_like(here)
     step[:, entry] = size
-    above, below = (_call(model, where, at[:, :n], at[:, n:], given) for at in (here + step, here - step))
+    above, below = (_read(model, where, at[:, :n], at[:, n:], given) for at in (here + step, here - step))
     return np.asarray((above - below) / (2.0 * size[:, None]))
-
-
-def _name(model: FunctionModel, entry: int) -> str:
-    names = (*model.layout.names, *(one.name for one in model.coordinates))
-    return names[entry]

@@ -6,33 +6,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayescal.machines.readings.base import Given
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
-    from bayescal.machines.readings.function import FunctionModel
+    from bayescal.machines.readings.base import Given, ReadingModel
 
 POINTS = 12
 SPREAD = 0.3  # of the workspace's half widths
 AWAY = 1e-3  # of a parameter's size, or of one unit where it is zero
 
 
-def draw_points(model: FunctionModel, n: int) -> tuple[Array, Array, Given]:
+def draw_points(model: ReadingModel, n: int = POINTS) -> tuple[Array, Array, Given]:
     """Return parameters (n, D) about nominal, poses (n, q) about home and given values (n,), always the same."""
     rng = np.random.default_rng(1974)
     nominal = model.layout.nominal
     theta = nominal + AWAY * np.maximum(np.abs(nominal), 1.0) * rng.uniform(-1.0, 1.0, (n, len(nominal)))
-    home, reach = (np.array([getattr(one, part) for one in model.coordinates]) for part in ("home", "reach"))
-    pose = home + SPREAD * reach * rng.uniform(-1.0, 1.0, (n, len(home)))
+    home = model.home_pose
+    pose = home + SPREAD * model.pose_scale * rng.uniform(-1.0, 1.0, (n, len(home)))
     pose[0], theta[0] = home, nominal
     return theta, pose, {name: rng.uniform(0.5, 1.5, n) for name in model.given}
-
-
-def find_pattern(model: FunctionModel) -> np.ndarray:
-    """Return which values see which entries of (d, v), (K, D + q): their derivative is not always zero."""
-    theta, pose, given = draw_points(model, POINTS)
-    _, slopes = model.differentiate(theta, pose, given, np.eye(theta.shape[1] + pose.shape[1]))
-    return np.asarray(((slopes != 0.0) | np.isnan(slopes)).any(axis=1).T)
 
 
 def colour(pattern: np.ndarray) -> np.ndarray:

@@ -8,8 +8,8 @@ machine of N legs costs as many evaluations as one of its legs has parameters.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -17,9 +17,9 @@ import numpy as np
 
 from bayescal.config.sections import Section
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
-from bayescal.machines.readings.base import NOTHING, Channel, Coordinate, Given, ReadingModel, Readings
+from bayescal.machines.readings.base import EVERY, NOTHING, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.machines.readings.check_function import check_derivatives, check_members, check_tool, check_values
-from bayescal.machines.readings.colours import colour, find_pattern
+from bayescal.machines.readings.colours import colour, draw_points
 from bayescal.numerics.geometry import Array
 
 STEP = 1e-30
@@ -142,8 +142,6 @@ class FunctionModel(ReadingModel):
     ----------
     name : str
     machine : ReadingMachine
-    places : tuple of int or None
-        Which of the machine's sensors it has; all by default.
 
     Raises
     ------
@@ -154,13 +152,13 @@ class FunctionModel(ReadingModel):
 
     name: str
     machine: ReadingMachine
-    places: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         """Check the machine: its members, its function's values and derivatives; picked sensors were, with it."""
-        if self.places is not None:
+        if self.channels is not EVERY:
             return
         check_members(self.name, self.machine)
+        super().__post_init__()
         check_values(self)
         check_tool(self)
         check_derivatives(self)
@@ -170,11 +168,10 @@ class FunctionModel(ReadingModel):
         """The machine's parameters."""
         return ParameterLayout(tuple(self.machine.parameters))
 
-    @cached_property
-    def channels(self) -> tuple[Channel, ...]:
-        """The machine's sensors, or some of them."""
-        every = tuple(self.machine.channels)
-        return every if self.places is None else tuple(every[k] for k in self.places)
+    @property
+    def sensors(self) -> tuple[Channel, ...]:
+        """The machine's sensors."""
+        return tuple(self.machine.channels)
 
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -187,11 +184,9 @@ class FunctionModel(ReadingModel):
         return tuple(self.machine.given)
 
     @property
-    def commanded(self) -> tuple[str, ...]:
-        """What the machine says that a controller can command, else all channels of its own."""
-        if not self.machine.commanded:
-            return super().commanded
-        return tuple(one.name for one in self.channels if {one.name, one.kind} & set(self.machine.commanded))
+    def actuated(self) -> Sequence[str]:
+        """What the machine says that a controller can command."""
+        return self.machine.commanded
 
     @property
     def member(self) -> str:
@@ -227,12 +222,6 @@ class FunctionModel(ReadingModel):
         """Return what the machine says of its frames."""
         return tuple(self.machine.frame_parameters)
 
-    def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
-        """Return the parameters on which some sensors were found to depend."""
-        rows = self.select(channels)
-        seen = self._pattern[rows, : self.layout.size].any(axis=0)
-        return tuple(name for name, one in zip(self.layout.names, seen, strict=True) if one)
-
     # --- readings ------------------------------------------------------------------------------------------------
 
     def evaluate(self, theta: Any, pose: Any, given: Given) -> Any:
@@ -240,11 +229,7 @@ class FunctionModel(ReadingModel):
         found = np.asarray(self.machine.read(Parameters(self.layout, theta), pose, given))
         if not len(self.coordinates) and found.ndim:  # where nobody asks for the pose, not even for how many there are
             found = np.broadcast_to(found, (*np.broadcast_shapes(pose.shape[:-1], found.shape[:-1]), found.shape[-1]))
-        return found if self.places is None else found[..., self.places]
-
-    def pick(self, channels: np.ndarray) -> ReadingModel:
-        """Return the same machine with some of its sensors; its derivatives take fewer rounds."""
-        return replace(self, places=tuple(int(k) for k in np.arange(len(self.machine.channels))[channels]))
+        return self.take(found)
 
     def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
         """Return the readings; see `ReadingModel.read`."""
@@ -253,20 +238,23 @@ class FunctionModel(ReadingModel):
 
     def differentiate(self, theta: Array, pose: Array, given: Given, directions: Array) -> tuple[Array, Array]:
         """Return readings (..., K) and what they change along directions (C, D + q) of (d, v), (C, ..., K)."""
-        n = self.layout.size
-        rounds = (len(directions),) + (1,) * (max(theta.ndim, pose.ndim) - 1)
-        along = 1j * STEP * directions
-        with np.errstate(all="ignore"):
-            found = np.asarray(
-                self.evaluate(theta + along[:, :n].reshape(*rounds, n), pose + along[:, n:].reshape(*rounds, -1), given)
-            )
+        found = self._step(lambda d, v: self.evaluate(d, v, given), theta, pose, directions)
         # where a real argument has no value, a complex one has: the root of a negative number is imaginary
         nowhere = (np.abs(found.imag) > LARGEST_STEP).any(axis=0)
         return np.where(nowhere, np.nan, found[0].real), np.where(nowhere, np.nan, found.imag / STEP)
 
+    def _step(self, function: Callable[[Any, Any], Any], theta: Array, pose: Array, directions: Array) -> Any:
+        """Return a function's values (C, ..., m) at complex steps along directions (C, D + q) of (d, v)."""
+        n = self.layout.size
+        rounds = (len(directions),) + (1,) * (max(theta.ndim, pose.ndim) - 1)
+        along = 1j * STEP * directions
+        with np.errstate(all="ignore"):
+            moved = theta + along[:, :n].reshape(*rounds, n), pose + along[:, n:].reshape(*rounds, -1)
+            return np.asarray(function(*moved))
+
     def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
         """Return the readings with their derivatives; see `ReadingModel.linearise`."""
-        n, q, steps = self.layout.size, len(self.coordinates), self._all_steps if with_parameters else self._pose_steps
+        n, q, steps = self.layout.size, len(self.coordinates), self._steps[with_parameters]
         if not len(steps.places):
             values = self.read(theta, pose, given)
             return Readings(values, np.zeros((*values.shape, q)), np.zeros((*values.shape, n)))
@@ -294,8 +282,10 @@ class FunctionModel(ReadingModel):
 
     @cached_property
     def _pattern(self) -> np.ndarray:
-        """Which sensors see which parameters and coordinates, shape (K, D + q)."""
-        return find_pattern(self)
+        """Which sensors see which parameters and coordinates, (K, D + q): their derivative is not always zero."""
+        theta, pose, given = draw_points(self)
+        _, slopes = self.differentiate(theta, pose, given, np.eye(theta.shape[1] + pose.shape[1]))
+        return np.asarray(((slopes != 0.0) | np.isnan(slopes)).any(axis=1).T)
 
     def _plan(self, some: np.ndarray) -> _Steps:
         pattern = self._pattern & some
@@ -307,24 +297,19 @@ class FunctionModel(ReadingModel):
         return _Steps(places, colours[entries], rows, entries)
 
     @cached_property
-    def _all_steps(self) -> _Steps:
-        return self._plan(np.ones(self._pattern.shape[1], dtype=bool))
-
-    @cached_property
-    def _pose_steps(self) -> _Steps:
-        return self._plan(np.arange(self._pattern.shape[1]) >= self.layout.size)
+    def _steps(self) -> tuple[_Steps, _Steps]:
+        """Those of the coordinates alone, and of the parameters too."""
+        of_pose = np.arange(self._pattern.shape[1]) >= self.layout.size
+        return self._plan(of_pose), self._plan(np.ones_like(of_pose))
 
     # --- what has to be accurate -----------------------------------------------------------------------------------
 
     def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
         """Return what has to be accurate and what moves it; see `ReadingModel.tool`."""
-        n, q = self.layout.size, len(self.coordinates)
-        along = 1j * STEP * np.eye(n + q)
-        rounds = (n + q,) + (1,) * (max(theta.ndim, pose.ndim) - 1)
-        view = Parameters(self.layout, theta + along[:, :n].reshape(*rounds, n))
-        found = np.asarray(self.machine.tool(view, pose + along[:, n:].reshape(*rounds, q)))
+        n, every = self.layout.size, np.eye(self.layout.size + len(self.coordinates))
+        found = self._step(lambda d, v: self.machine.tool(Parameters(self.layout, d), v), theta, pose, every)
         shape = np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1])
-        found = np.broadcast_to(found, (n + q, *shape, found.shape[-1]))
+        found = np.broadcast_to(found, (len(every), *shape, found.shape[-1]))
         slopes = np.moveaxis(found.imag / STEP, 0, -1)
         return found[0].real, slopes[..., n:], slopes[..., :n]
 

@@ -1,71 +1,129 @@
-"""A machine on legs by what it reads: the positions of its actuators, and its pose as an instrument sees it.
+"""A machine on legs by what it reads: encoders, inclinometers at the base joints, an instrument beside it.
 
-The pose v is position and rotation vector of the platform frame in the base frame. With the closure f(v, ρ; d) = 0 the
-actuators read ρ = h(v, d), whose derivatives are ∂ρ/∂v = -(∂f/∂ρ)⁻¹ ∂f/∂v and ∂ρ/∂d = -(∂f/∂ρ)⁻¹ ∂f/∂d. The platform
-frame itself is the tool.
+The pose v is position and rotation vector of the platform frame in the base frame. What a machine reads there:
+
+- ``rho[i]``: the position of actuator i, by inverse kinematics. With the closure f(pose, ρ; d) = 0 the derivatives are
+  ∂ρ/∂v = -(∂f/∂ρ)⁻¹ ∂f/∂v and ∂ρ/∂d = -(∂f/∂ρ)⁻¹ ∂f/∂d, those of a hexapod's struts being its Jacobian's.
+- ``tilt_a[i]``, ``tilt_b[i]``: how far leg i is inclined at its base joint, about two axes fixed there: angles of its
+  vector g from the nominal one at home, in the planes of e0 with e1 and with e2,
+
+      atan2(g · e1, g · e0) - tilt_a0,   atan2(g · e2, g · e0) - tilt_b0,
+
+  e0 along the nominal leg at home, e1 horizontal, e2 = e0 × e1. Where an inclinometer has its zero is a parameter;
+  its axes are taken as mounted.
+- ``x y z rx ry rz``: the pose, seen by an instrument beside the machine, for the calibration only.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from bayescal.errors import InputError
 from bayescal.machines.kinematics import (
     Machine,
     check_home_pose,
+    compute_home_legs,
     solve_forward_kinematics,
     solve_inverse_kinematics,
 )
-from bayescal.machines.parameters import ParameterLayout
-from bayescal.machines.readings.base import NOTHING, SLACK, Channel, Coordinate, Given, ReadingModel, Readings
+from bayescal.machines.models.legs import LegVectors, compute_leg_vectors, scatter
+from bayescal.machines.parameters import ParameterBlock, ParameterLayout
+from bayescal.machines.readings.base import (
+    NOTHING,
+    POSE,
+    POSE_CHANNELS,
+    Channel,
+    Coordinate,
+    Given,
+    ReadingModel,
+    Readings,
+)
 from bayescal.machines.readings.locate import locate_pose
 from bayescal.numerics.geometry import (
     Array,
-    compute_left_inverse_jacobian,
+    compute_left_jacobian,
     matrix_from_rotation_vector,
     rotation_vector_from_matrix,
+    skew_matrix,
 )
 
-POSE = ("x", "y", "z", "rx", "ry", "rz")
-POSE_CHANNELS = tuple(
-    Channel(name, "mm" if k < 3 else "rad", external=True, rotation="" if k < 3 else "r") for k, name in enumerate(POSE)
-)
+TILTS = ("tilt_a", "tilt_b")
+TURN = 0.5 * np.pi  # rad, the largest half width of a workspace about an axis
+UPRIGHT = 1.0 - 1e-9  # of a leg's direction along z, beyond which x is taken for horizontal
 
 
 @dataclass(frozen=True, eq=False)
-class LegsModel(ReadingModel):
-    """A machine of N legs with its actuators' encoders, and the pose as an instrument sees it: K = N + 6.
+class Legs(ReadingModel):
+    """A machine of N legs with their encoders and inclinometers, and the pose as an instrument sees it.
 
     Attributes
     ----------
     machine : Machine
         Mechanism, model and deformation.
+    tool_point : ndarray, shape (3,), or None
+        The tool's centre, platform frame, mm; known. None where the whole pose has to be accurate.
+    name : str
+        That of the mechanism where it is left out.
+    inclined : bool
+        Whether it could have inclinometers, whose zeros are parameters then: K = 3 N + 6 sensors in place of N + 6.
     """
 
     machine: Machine
+    tool_point: Array | None = None
+    name: str = ""
+    inclined: bool = False
 
-    @property
-    def name(self) -> str:
-        """Name of the mechanism."""
-        return self.machine.mechanism.name
+    def __post_init__(self) -> None:
+        """Take over the mechanism's name."""
+        super().__post_init__()
+        object.__setattr__(self, "name", self.name or self.machine.mechanism.name)
 
     @property
     def n_legs(self) -> int:
         """Number of legs N."""
         return self.machine.mechanism.n_legs
 
-    @property
+    @cached_property
     def layout(self) -> ParameterLayout:
-        """The machine's parameters."""
-        return self.machine.layout
+        """The machine's parameters, then the zeros of inclinometers; nominally they read zero at home."""
+        kinds = TILTS if self.inclined else ()
+        return self.machine.layout.extend(
+            tuple(ParameterBlock(f"{kind}0", (0.0,) * self.n_legs, "rad") for kind in kinds)
+        )
 
     @cached_property
-    def channels(self) -> tuple[Channel, ...]:
-        """Encoders, then the pose seen from beside the machine."""
-        return (*(Channel(f"rho[{leg}]", "mm") for leg in range(1, self.n_legs + 1)), *POSE_CHANNELS)
+    def sensors(self) -> tuple[Channel, ...]:
+        """Encoders, inclinometers about e1 and e2, then the pose seen from beside the machine."""
+        kinds = (("rho", "mm"), *((kind, "rad") for kind in TILTS if self.inclined))
+        internal = [Channel(f"{kind}[{leg}]", unit) for kind, unit in kinds for leg in range(1, self.n_legs + 1)]
+        return (*internal, *POSE_CHANNELS)
+
+    @cached_property
+    def _tilts(self) -> tuple[str, ...]:
+        """Kinds of inclinometers that it has."""
+        return tuple(kind for kind in TILTS if any(one.kind == kind for one in self.channels))
+
+    @property
+    def computed(self) -> tuple[Channel, ...]:
+        """All but inclinometers of a kind of which it has none."""
+        return tuple(one for one in self.sensors if one.kind in self._tilts or one.kind not in TILTS)
+
+    @property
+    def actuated(self) -> tuple[str, ...]:
+        """The encoders."""
+        return ("rho",)
+
+    @property
+    def command_range(self) -> Array:
+        """How far the actuators go."""
+        mechanism = self.machine.mechanism
+        start, reach = mechanism.initial_actuator_positions, mechanism.actuator_range
+        own = [one.name in self.commanded for one in self.sensors[: self.n_legs]]
+        return np.stack([start - reach, start + reach], axis=1)[own]
 
     @cached_property
     def home_pose(self) -> Array:
@@ -77,9 +135,16 @@ class LegsModel(ReadingModel):
 
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        """Position and rotation vector of the platform's frame."""
-        kinds = zip(POSE_CHANNELS, self.home_pose, strict=True)
-        return tuple(Coordinate(one.name, one.unit, float(home), reach=0.0) for one, home in kinds)
+        """Position and rotation vector of the platform's frame, as far as the actuators take it to first order."""
+        home, mechanism = self.home_pose, self.machine.mechanism
+        rotation = matrix_from_rotation_vector(home[3:])
+        here = self.machine.linearise(
+            self.machine.layout.nominal, home[:3], rotation, mechanism.initial_actuator_positions
+        )
+        by_actuators = np.abs(np.linalg.pinv(here.pose) @ here.actuators)
+        reach = np.minimum(mechanism.actuator_range * by_actuators.sum(axis=-1), [np.inf] * 3 + [TURN] * 3)
+        kinds = zip(POSE_CHANNELS, home, reach, strict=True)
+        return tuple(Coordinate(one.name, one.unit, float(at), float(half)) for one, at, half in kinds)
 
     @property
     def pose_channels(self) -> tuple[Channel, ...]:
@@ -87,69 +152,134 @@ class LegsModel(ReadingModel):
         return POSE_CHANNELS
 
     @property
-    def command_range(self) -> Array:
-        """How far the actuators go."""
-        mechanism = self.machine.mechanism
-        start, reach = mechanism.initial_actuator_positions, mechanism.actuator_range
-        return np.stack([start - reach, start + reach], axis=1)
+    def tool_channels(self) -> tuple[Channel, ...]:
+        """x, y and z of the tool's centre, or the pose."""
+        return POSE_CHANNELS if self.tool_point is None else tuple(Channel(name, "mm") for name in POSE[:3])
 
     def frame_parameters(self) -> tuple[str, ...]:
-        """Return none: its frames are those of its points."""
-        return ()
+        """Return six coordinates each of joints 1, 2 and 3 of base and platform: a plane, a line in it, a point on it.
 
-    def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
-        """Return all parameters where an actuator is read: a deformation takes every leg to the others."""
-        seen = any(name.partition("[")[0] == "rho" for name in channels)
-        return self.layout.names if seen else ()
+        They place a frame where their hold leaves no motion; those are chosen that the nominal points determine best.
+        """
+        points = {"a": self.machine.mechanism.base_points, "b": self.machine.mechanism.platform_points}
+        return tuple(name for symbol, value in points.items() for name in _choose_frame(symbol, value[:3]))
 
     # --- readings ------------------------------------------------------------------------------------------------
 
-    def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
-        """Return the readings; see `ReadingModel.read`."""
-        del given
-        actuators = self._hold(theta, pose)[2]
-        return np.concatenate([actuators, np.broadcast_to(pose, (*actuators.shape[:-1], len(POSE)))], axis=-1)
+    @cached_property
+    def _axes(self) -> Array:
+        """e0, e1 and e2 of each leg, shape (3, N, 3), base frame."""
+        legs = compute_home_legs(self.machine)
+        along = legs / np.linalg.norm(legs, axis=1, keepdims=True)
+        level = np.cross([0.0, 0.0, 1.0], along)
+        level[np.abs(along[:, 2]) > UPRIGHT] = [1.0, 0.0, 0.0]
+        level /= np.linalg.norm(level, axis=1, keepdims=True)
+        return np.stack([along, level, np.cross(along, level)])
+
+    def _own(self, theta: Array) -> Array:
+        """Return the machine's own parameters, without the zeros of inclinometers."""
+        return theta[..., : self.machine.layout.size]
 
     def _hold(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
         """Return position, rotation and the actuators that hold it, NaN where there are none."""
         position, rotation = pose[..., :3], matrix_from_rotation_vector(np.nan_to_num(pose[..., 3:]))
         with np.errstate(all="ignore"):
-            found = solve_inverse_kinematics(self.machine, theta, position, rotation, check=False)
+            found = solve_inverse_kinematics(self.machine, self._own(theta), position, rotation, check=False)
         return position, rotation, np.where(found.converged[..., None], found.actuators, np.nan)
+
+    def _measure_tilt(self, kind: str, theta: Array, legs: LegVectors) -> tuple[Array, Array]:
+        """Return what inclinometers read, shape (..., N), and its derivatives by the leg vectors, (..., N, 3)."""
+        along, across = self._axes[0], self._axes[1 + TILTS.index(kind)]
+        x, y = (np.einsum("...ik,ik->...i", legs.vector, axis) for axis in (along, across))
+        covector = (x[..., None] * across - y[..., None] * along) / (x**2 + y**2)[..., None]
+        return np.arctan2(y, x) - self.layout.take(theta, f"{kind}0"), covector
+
+    def _join(self, pose: Array, actuators: Array, tilts: Sequence[tuple[Array, Array]]) -> Array:
+        """Return the readings that are computed."""
+        seen = np.broadcast_to(pose, (*actuators.shape[:-1], len(POSE)))
+        return np.concatenate([actuators, *(values for values, _ in tilts), seen], axis=-1)
+
+    def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
+        """Return the readings; see `ReadingModel.read`."""
+        del given
+        position, rotation, actuators = self._hold(theta, pose)
+        tilts = []
+        if self._tilts:
+            basis = self.machine.basis(actuators)
+            legs = compute_leg_vectors(self.machine.layout, self._own(theta), position, rotation, basis)
+            tilts = [self._measure_tilt(kind, theta, legs) for kind in self._tilts]
+        return self.take(self._join(pose, actuators, tilts))
 
     def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
         """Return the readings with their derivatives; see `ReadingModel.linearise`."""
         del given
-        machine, n = self.machine, self.n_legs
+        machine, n, own = self.machine, self.n_legs, self._own(theta)
         position, rotation, actuators = self._hold(theta, pose)
         with np.errstate(all="ignore"):
-            basis = machine.basis(actuators)
-            closure = machine.model.prepare(machine.layout, theta)(position, rotation, basis, with_parameters)
-        values = np.concatenate([actuators, np.broadcast_to(pose, (*actuators.shape[:-1], len(POSE)))], axis=-1)
-        inverse = invert_closure(closure.actuators)
+            basis = machine.basis_at(own, actuators)
+            closure = machine.model.prepare(machine.layout, own)(position, rotation, basis, with_parameters)
+            legs = compute_leg_vectors(machine.layout, own, position, rotation, basis) if self._tilts else None
+        tilts = [] if legs is None else [self._measure_tilt(kind, theta, legs) for kind in self._tilts]
+        values = self._join(pose, actuators, tilts)
+        # by the pose's error in the base frame, then by its coordinates
         by_pose = np.zeros((*values.shape, len(POSE)))
-        by_pose[..., :n, :] = -inverse @ closure.pose
-        by_pose[..., :n, 3:] = by_pose[..., :n, 3:] @ turn_by_coordinates(pose)  # by the rotation vector itself
-        by_pose[..., n:, :] = np.eye(len(POSE))
-        if not with_parameters:
-            return Readings(values, by_pose)
-        by_parameters = np.zeros((*values.shape, self.layout.size))
-        by_parameters[..., :n, :] = -inverse @ closure.parameters
-        return Readings(values, by_pose, by_parameters)
+        by_pose[..., :n, :] = -divide_closure(closure.actuators, closure.pose)
+        by_parameters = np.zeros((*values.shape, self.layout.size)) if with_parameters else np.empty(0)
+        if with_parameters:
+            by_parameters[..., :n, : machine.layout.size] = -divide_closure(closure.actuators, closure.parameters)
+        for k, (kind, (_, covector)) in enumerate(zip(self._tilts, tilts, strict=True), start=1):
+            assert legs is not None
+            rows, back = slice(k * n, (k + 1) * n), legs.pull_back(covector, with_parameters)
+            by_pose[..., rows, :] = back.pose + back.actuators @ by_pose[..., :n, :]
+            if with_parameters:
+                by_parameters[..., rows, :] = back.actuators @ by_parameters[..., :n, :]
+                by_parameters[..., rows, : machine.layout.size] += scatter(machine.layout, back.columns)
+                by_parameters[..., rows, self.layout.index[f"{kind}0"]] -= np.eye(n)
+        own_rows = by_pose[..., : -len(POSE), 3:]
+        own_rows[...] = own_rows @ compute_left_jacobian(np.nan_to_num(pose[..., 3:]))
+        by_pose[..., -len(POSE) :, :] = np.eye(len(POSE))
+        return Readings(values, by_pose, by_parameters).pick(self.places)
 
-    def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
-        """Return the pose; see `ReadingModel.tool`. No parameter moves it."""
-        shape = np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1])
-        nothing = np.zeros((*shape, len(POSE), self.layout.size))
-        return np.broadcast_to(pose, (*shape, len(POSE))), np.broadcast_to(np.eye(len(POSE)), (*shape, 6, 6)), nothing
+    def error_gain(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array | None:
+        """Return how the model error of each channel shows in all of them; see `ReadingModel.error_gain`.
 
-    def tool_values(self, theta: Array, pose: Array) -> Array:
-        """Return the pose; see `ReadingModel.tool_values`."""
-        return np.broadcast_to(pose, (*np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1]), len(POSE)))
+        A leg's model error is an error of its own closure: unlike a displacement of its actuator it deflects no other
+        leg's joint. With B = ∂f/∂ρ, and L the same where actuators deflect nothing but their own joints, it shows in
+        the actuators as B⁻¹ L.
+        """
+        del given
+        machine, n = self.machine, self.n_legs
+        nominal = machine.basis(machine.mechanism.initial_actuator_positions).actuator_gain
+        if not np.any(nominal * ~np.eye(n, dtype=bool)):  # no actuator deflects the joints of other legs
+            return None
+        own = self._own(theta)
+        position, rotation, actuators = self._hold(theta, pose)
+        basis = machine.basis_at(own, actuators)
+        alone = replace(basis, actuator_gain=basis.actuator_gain * np.eye(n))
+        closure = machine.model.prepare(machine.layout, own)
+        whole, lone = (closure(position, rotation, one, with_parameters=False).actuators for one in (basis, alone))
+        gain = np.zeros((*actuators.shape[:-1], len(self.computed), len(self.computed)))
+        gain[...] = np.eye(len(self.computed))
+        gain[..., :n, :n] = divide_closure(whole, lone)
+        return np.swapaxes(self.take(np.swapaxes(self.take(gain), -1, -2)), -1, -2)
 
     def rotation(self, pose: Array) -> Array:
         """Return the platform's rotation; see `ReadingModel.rotation`."""
         return matrix_from_rotation_vector(pose[..., 3:])
+
+    def tool_values(self, theta: Array, pose: Array) -> Array:
+        """Return where the tool's centre p + R t is, or the pose; see `ReadingModel.tool_values`."""
+        place = pose if self.tool_point is None else pose[..., :3] + self.rotation(pose) @ self.tool_point
+        return np.broadcast_to(place, (*np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1]), place.shape[-1]))
+
+    def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+        """Return the same with what moves it; see `ReadingModel.tool`. No parameter does."""
+        place = self.tool_values(theta, pose)
+        by_pose = np.zeros((*place.shape, len(POSE)))
+        by_pose[...] = np.eye(place.shape[-1], len(POSE))
+        if self.tool_point is not None:
+            by_pose[..., 3:] = -skew_matrix(place - pose[..., :3]) @ compute_left_jacobian(pose[..., 3:])
+        return place, by_pose, np.zeros((*place.shape, self.layout.size))
 
     # --- commands --------------------------------------------------------------------------------------------------
 
@@ -165,8 +295,9 @@ class LegsModel(ReadingModel):
 
         Those of redundant legs, which may contradict each other, are then that of least squares in the actuators.
         """
-        del start
-        found = solve_forward_kinematics(self.machine, theta, commands, check=False)
+        if len(self.commanded) < self.n_legs:
+            return super().locate(theta, commands, given, start, weights)
+        found = solve_forward_kinematics(self.machine, self._own(theta), commands, check=False)
         good = found.converged
         turned = np.full((*good.shape, 3), np.nan)
         turned[good] = rotation_vector_from_matrix(found.rotation[good])
@@ -179,43 +310,48 @@ class LegsModel(ReadingModel):
 
     def respond(self, theta: Array, mean: Array, pose: Array, commands: Array, given: Given = NOTHING) -> Array:
         """Return h - ρ as -(∂f/∂ρ)⁻¹ f, whose slope is the mean machine's: no inverse kinematics for each draw."""
-        del given
+        if len(self.commanded) < self.n_legs:
+            return super().respond(theta, mean, pose, commands, given)
         machine = self.machine
         position, rotation = pose[:, :3], matrix_from_rotation_vector(np.nan_to_num(pose[:, 3:]))
         with np.errstate(all="ignore"):  # poses that were not found
             basis = machine.basis(commands)
             closure = machine.model.bind(machine.layout, position, rotation, basis)
-            residual = closure.evaluate(np.asfortranarray(theta)).transpose(1, 0, 2)
-            here = machine.model.prepare(machine.layout, mean)(position, rotation, basis, False)
-            return np.asarray(-(invert_closure(here.actuators) @ residual))
+            residual = closure.evaluate(np.asfortranarray(self._own(theta))).transpose(1, 0, 2)
+            here = machine.model.prepare(machine.layout, self._own(mean))(position, rotation, basis, False)
+            return -divide_closure(here.actuators, residual)
 
-    def find_faults(self, theta: Array, pose: Array, commands: Array, given: Given = NOTHING) -> tuple[str, ...]:
-        """Return why poses are out of reach: a leg that does not, an actuator beyond its range, another branch."""
-        del given
-        mechanism = self.machine.mechanism
-        moved = commands - mechanism.initial_actuator_positions
-        furthest = np.argmax(np.nan_to_num(np.abs(moved)), axis=1)
-        position, rotation = pose[:, :3], matrix_from_rotation_vector(pose[:, 3:])
-        on_branch = self.machine.holds_branch(theta, position, rotation, commands)
-        faults = []
-        for k, leg in enumerate(furthest):
-            travel = moved[k, leg]
-            if not np.isfinite(commands[k]).all():
-                faults.append("no actuator positions hold it")
-            elif abs(travel) > mechanism.actuator_range + SLACK:
-                reach = f"{mechanism.actuator_range:g} mm"
-                faults.append(f"leg {leg + 1} would move by {travel:.4g} mm, its range is {reach}")
-            else:
-                faults.append("" if on_branch[k] else "only on another assembly branch")
-        return tuple(faults)
+    def check_poses(self, pose: Array, name: Callable[[int], str] = lambda k: f"pose {k + 1}") -> None:
+        """Raise InputError where the nominal machine does not reach a pose, shape (P, 6)."""
+        actuators = self._hold(self.layout.nominal, pose)[2]
+        for k, fault in enumerate(self.find_faults(self.layout.nominal, pose, actuators)):
+            if fault:
+                raise InputError(f"machine {self.name!r}: {name(k)}: {fault}, expected a pose that it reaches")
 
 
-def invert_closure(matrix: Array) -> Array:
-    """Return inverses of ∂f/∂ρ (..., N, N), NaN where one is not finite."""
-    good = np.isfinite(matrix).all(axis=(-1, -2), keepdims=True)
-    return np.where(good, np.linalg.inv(np.where(good, matrix, np.eye(matrix.shape[-1]))), np.nan)
+def divide_closure(actuators: Array, rows: Array) -> Array:
+    """Return (∂f/∂ρ)⁻¹ times rows (..., N, n) for ∂f/∂ρ (..., N, N); NaN where one is not finite."""
+    n = actuators.shape[-1]
+    diagonal = np.diagonal(actuators, axis1=-2, axis2=-1)
+    if np.count_nonzero(actuators) == np.count_nonzero(diagonal):  # actuators that move no other leg
+        return np.asarray(rows / diagonal[..., None])
+    good = np.isfinite(actuators).all(axis=(-1, -2), keepdims=True)
+    inverse = np.where(good, np.linalg.inv(np.where(good, actuators, np.eye(n))), np.nan)
+    return np.asarray(inverse @ rows)
 
 
-def turn_by_coordinates(pose: Array) -> Array:
-    """Return the rotation in the base frame per change of the rotation vector, shape (..., 3, 3)."""
-    return np.asarray(np.linalg.inv(compute_left_inverse_jacobian(np.nan_to_num(pose[..., 3:]))))
+def _choose_frame(symbol: str, points: Array) -> tuple[str, ...]:
+    """Return the six coordinates of three points (3, 3) that move most independently with their frame."""
+    arms = points - points.mean(axis=0)
+    size = float(np.linalg.norm(arms, axis=1).max())
+    motion = np.concatenate([np.tile(np.eye(3), (3, 1)), -skew_matrix(arms / size).reshape(9, 3)], axis=1)
+    chosen: list[int] = []
+    for _ in range(motion.shape[1]):
+        # pivoted elimination: the coordinate that moves most in what the chosen ones leave free
+        length = np.linalg.norm(motion, axis=1)
+        length[chosen] = 0.0
+        best = int(np.argmax(np.round(length, 9)))
+        along = motion[best] / np.linalg.norm(motion[best])
+        motion = motion - np.outer(motion @ along, along)
+        chosen.append(best)
+    return tuple(f"{symbol}_{'xyz'[k % 3]}[{k // 3 + 1}]" for k in sorted(chosen))

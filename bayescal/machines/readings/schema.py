@@ -52,27 +52,8 @@ class PlanarHomeConfig(Section):
     """How the platform is turned at home."""
 
 
-class SlidingPlatformConfig(Section):
-    """A planar platform on sliding legs; platform points lie in a frame of its own, whose origin does not matter."""
-
-    kind: Literal["sliding_platform"]
-    """`"sliding_platform"`."""
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
-    """What tables call the machine."""
-    title: str = ""
-    """What pages call the machine; its name where nothing is said."""
-    source: str = ""
-    """Where the dimensions come from."""
-    legs: Annotated[list[SlidingLegConfig], Field(min_length=1)]
-    """The legs, one table each."""
-    tool: ToolConfig
-    """The tool on the platform."""
-    home: PlanarHomeConfig
-    """The home pose."""
-
-
 class MachineFileConfig(Section):
-    """What the file of a machine of one function says beside the machine's own section ``[machine]``."""
+    """What the file of any machine says."""
 
     kind: str
     """Class of the machine: a built-in name, or `file.py:Class` beside this file."""
@@ -82,6 +63,19 @@ class MachineFileConfig(Section):
     """What pages call the machine; its name where nothing is said."""
     source: str = ""
     """Where the dimensions come from."""
+
+
+class SlidingPlatformConfig(MachineFileConfig):
+    """A planar platform on sliding legs; platform points lie in a frame of its own, whose origin does not matter."""
+
+    kind: Literal["sliding_platform"]
+    """`"sliding_platform"`."""
+    legs: Annotated[list[SlidingLegConfig], Field(min_length=1)]
+    """The legs, one table each."""
+    tool: ToolConfig
+    """The tool on the platform."""
+    home: PlanarHomeConfig
+    """The home pose."""
 
 
 class LegsMachineConfig(MachineFileConfig):

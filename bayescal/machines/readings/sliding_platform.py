@@ -15,7 +15,7 @@ counted from where the sensors have their zeros. The pose v is (x, y, φ) of the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -23,13 +23,13 @@ from itertools import combinations
 import numpy as np
 
 from bayescal.errors import InputError
+from bayescal.machines.models.legs import legs_first
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings.base import NOTHING, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.numerics.geometry import Array
 
-KINDS = ("s", "phi", "psi")
+KINDS = {"s": "mm", "phi": "rad", "psi": "rad"}
 TOOL = ("x_V", "y_V", "phi_V")
-LEG_SYMBOLS = {"s": (), "phi": ("phi0",), "psi": ("psi0",)}
 POINTS = ("x_P", "y_P", "beta", "l", "xi_B", "eta_B")
 MIN_LEGS = 3
 
@@ -68,6 +68,7 @@ class SlidingPlatform(ReadingModel):
 
     def __post_init__(self) -> None:
         """Check the number of legs and that the machine stands at home without crossed legs."""
+        super().__post_init__()
         if self.n_legs < MIN_LEGS:
             raise InputError(f"machine {self.name!r}: found {self.n_legs} legs, expected at least {MIN_LEGS}")
         self.check_poses(self.home[None], lambda _: "home")
@@ -80,14 +81,14 @@ class SlidingPlatform(ReadingModel):
     @cached_property
     def layout(self) -> ParameterLayout:
         """Per leg x_P, y_P, β, l, ξ_B, η_B and the zeros φ_0 and ψ_0 of its angle sensors; ξ_V, η_V of the tool."""
-        zeros = self._home_angles
+        points, zeros = self._nominal_points(), self._legs_from(self.home, *self._nominal_points()).angle
         blocks = [
-            ParameterBlock("x_P", tuple(self.guide_points[:, 0])),
-            ParameterBlock("y_P", tuple(self.guide_points[:, 1])),
-            ParameterBlock("beta", tuple(self.guide_angles), "rad"),
-            ParameterBlock("l", tuple(self.leg_lengths), lower=0.0),
-            ParameterBlock("xi_B", tuple(self.platform_points[:, 0])),
-            ParameterBlock("eta_B", tuple(self.platform_points[:, 1])),
+            ParameterBlock(
+                symbol, tuple(one), "rad" if symbol == "beta" else "mm", lower=0.0 if symbol == "l" else -np.inf
+            )
+            for symbol, one in zip(POINTS, points, strict=True)
+        ]
+        blocks += [
             ParameterBlock("phi0", tuple(zeros), "rad"),
             ParameterBlock("psi0", tuple(zeros + self.guide_angles - self.home[2]), "rad"),
             ParameterBlock("xi_V", (float(self.tool_point[0]),), per_leg=False),
@@ -95,33 +96,20 @@ class SlidingPlatform(ReadingModel):
         ]
         return ParameterLayout(tuple(blocks))
 
-    @property
-    def _home_angles(self) -> Array:
-        """α_i at home, shape (N,)."""
-        return self._legs_from(self.home, *self._nominal_points()).angle
-
     def _nominal_points(self) -> tuple[Array, ...]:
-        return (
-            self.guide_points[:, 0],
-            self.guide_points[:, 1],
-            self.guide_angles,
-            self.leg_lengths,
-            self.platform_points[:, 0],
-            self.platform_points[:, 1],
-        )
+        return (*self.guide_points.T, self.guide_angles, self.leg_lengths, *self.platform_points.T)
 
     @cached_property
-    def channels(self) -> tuple[Channel, ...]:
+    def sensors(self) -> tuple[Channel, ...]:
         """Carriages, angles to carriages, angles to the platform; then the tool's pose seen from beside the machine."""
-        units = {"s": "mm", "phi": "rad", "psi": "rad"}
-        internal = [Channel(f"{kind}[{leg}]", units[kind]) for kind in KINDS for leg in range(1, self.n_legs + 1)]
+        internal = [Channel(f"{kind}[{k + 1}]", unit) for kind, unit in KINDS.items() for k in range(self.n_legs)]
         outside = [Channel(name, "rad" if name == "phi_V" else "mm", external=True) for name in TOOL]
         return (*internal, *outside)
 
     @property
-    def commanded(self) -> tuple[str, ...]:
+    def actuated(self) -> tuple[str, ...]:
         """The carriages."""
-        return tuple(one.name for one in self.channels if one.kind == "s")
+        return ("s",)
 
     @property
     def tool_channels(self) -> tuple[Channel, ...]:
@@ -138,17 +126,6 @@ class SlidingPlatform(ReadingModel):
         """Return x_P1, y_P1 and β_1, which place the base frame, and ξ_B1, η_B1, η_B2, which place the platform's."""
         return ("x_P[1]", "y_P[1]", "beta[1]", "xi_B[1]", "eta_B[1]", "eta_B[2]")
 
-    def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
-        """Return the parameters of the legs that carry a sensor, the zeros of angle sensors and the tool where seen."""
-        seen: set[str] = set()
-        for name in channels:
-            kind, _, leg = name.partition("[")
-            if kind in KINDS:
-                seen |= {f"{symbol}[{leg}" for symbol in (*POINTS, *LEG_SYMBOLS[kind])}
-            elif kind != "phi_V":
-                seen |= {"xi_V", "eta_V"}
-        return tuple(name for name in self.layout.names if name in seen)
-
     # --- readings ------------------------------------------------------------------------------------------------
 
     def _points(self, theta: Array) -> tuple[Array, ...]:
@@ -159,7 +136,7 @@ class SlidingPlatform(ReadingModel):
         self, pose: Array, x_p: Array, y_p: Array, beta: Array, length: Array, xi: Array, eta: Array
     ) -> _Legs:
         # legs first inside, for NumPy is slow where the last axis is short
-        x_p, y_p, beta, length, xi, eta = (_legs_first(one, pose.ndim) for one in (x_p, y_p, beta, length, xi, eta))
+        x_p, y_p, beta, length, xi, eta = (legs_first(one, pose.ndim) for one in (x_p, y_p, beta, length, xi, eta))
         cosine, sine = np.cos(pose[..., 2]), np.sin(pose[..., 2])
         arm_x, arm_y = cosine * xi - sine * eta, sine * xi + cosine * eta
         w_x, w_y = pose[..., 0] + arm_x - x_p, pose[..., 1] + arm_y - y_p
@@ -167,14 +144,14 @@ class SlidingPlatform(ReadingModel):
         across = e_x * w_y - e_y * w_x
         with np.errstate(invalid="ignore"):
             along = np.sqrt(length**2 - across**2)
-        along = along * _legs_first(np.where(self.forward, 1.0, -1.0), along.ndim)
+        along = along * legs_first(np.where(self.forward, 1.0, -1.0), along.ndim)
         found = (e_x * w_x + e_y * w_y, across, along, arm_x, arm_y, e_x, e_y)
         return _Legs(*(np.moveaxis(one, 0, -1) for one in found))
 
     def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
         """Return the readings; see `ReadingModel.read`."""
         del given
-        return self._values(theta, pose, self._legs_from(pose, *self._points(theta)))
+        return self.take(self._values(theta, pose, self._legs_from(pose, *self._points(theta))))
 
     def _values(self, theta: Array, pose: Array, legs: _Legs) -> Array:
         alpha = legs.angle
@@ -200,10 +177,10 @@ class SlidingPlatform(ReadingModel):
         by_pose[..., 3 * n : 3 * n + 2, :] = tool_by_pose
         by_pose[..., 3 * n + 2, 2] = 1.0
         if not with_parameters:
-            return Readings(values, by_pose)
+            return Readings(values, by_pose).pick(self.places)
         by_parameters = self._by_parameters(theta, pose, legs)
         by_parameters[..., 3 * n : 3 * n + 2, :] = tool_by_parameters
-        return Readings(values, by_pose, by_parameters)
+        return Readings(values, by_pose, by_parameters).pick(self.places)
 
     def _by_parameters(self, theta: Array, pose: Array, legs: _Legs) -> Array:
         n, index = self.n_legs, self.layout.index
@@ -247,14 +224,7 @@ class SlidingPlatform(ReadingModel):
     # --- checks --------------------------------------------------------------------------------------------------
 
     def check_poses(self, pose: Array, name: Callable[[int], str] = lambda k: f"pose {k + 1}") -> None:
-        """Raise InputError where a leg of the nominal machine does not reach a pose, or where two legs cross there.
-
-        Parameters
-        ----------
-        pose : ndarray, shape (P, 3)
-        name : callable
-            What a pose is called in the complaint.
-        """
+        """Raise InputError where a leg of the nominal machine does not reach a pose, shape (P, 3), or legs cross."""
         legs = self._legs_from(pose, *self._nominal_points())
         short = ~np.isfinite(legs.along)
         if short.any():
@@ -301,11 +271,6 @@ class _Legs:
         across, along = self.across[..., None], self.along[..., None]
         t = (length - across * h) / along
         return reach - t, (along * h - across * t) / (along**2 + across**2)
-
-
-def _legs_first(values: Array, ndim: int) -> Array:
-    """Return values (..., N) of at least so many axes with the legs' axis in front."""
-    return np.moveaxis(values.reshape((1,) * (ndim - values.ndim) + values.shape), -1, 0)
 
 
 def matrix_of_angle(angle: Array) -> Array:

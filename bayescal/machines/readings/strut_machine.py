@@ -31,17 +31,16 @@ from pydantic import Field, field_validator
 from bayescal.config.sections import Number, Positive, Section, Vector
 from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterBlock
-from bayescal.machines.readings.base import Channel, Coordinate
+from bayescal.machines.readings.base import POSE, POSE_CHANNELS, Channel, Coordinate
 from bayescal.machines.readings.function import Parameters, ReadingMachine
 from bayescal.numerics.analytic import norm, rotation_matrix
-from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, skew_matrix
+from bayescal.numerics.geometry import Array, compute_left_jacobian, skew_matrix
 
 GRAVITY = 9.80665
 N_STRUTS = 6
 PER_MILLION = 1e-6
 NM = 1e-6  # in mm
 ELEVATION, TEMPERATURE = "elevation_deg", "temperature_c"
-AXES = ("x", "y", "z", "rx", "ry", "rz")
 EXPANSIONS = ("e_s", "e_b", "e_p")
 UPRIGHT = 90.0  # elevation of the zenith, degrees
 LONGEST_RADIANS = 1.6  # a right angle and what rounding adds
@@ -124,9 +123,9 @@ class StrutMachine(ReadingMachine):
         self.weight, self.reference = config.mass_kg * GRAVITY, config.reference_c
         lengths = np.linalg.norm(home + platform - base, axis=1)
         self.parameters = [
-            *(_spread(f"a_{axis}", one) for axis, one in zip("xyz", base.T, strict=True)),
-            *(_spread(f"b_{axis}", one) for axis, one in zip("xyz", platform.T, strict=True)),
-            _spread("l", lengths),
+            *(ParameterBlock(f"a_{axis}", tuple(one)) for axis, one in zip("xyz", base.T, strict=True)),
+            *(ParameterBlock(f"b_{axis}", tuple(one)) for axis, one in zip("xyz", platform.T, strict=True)),
+            ParameterBlock("l", tuple(lengths)),
             ParameterBlock("c", (1e3 / config.stiffness_n_per_um,) * N_STRUTS, "nm/N", lower=0.0),
             *(_single(f"g_{axis}", one, "mm") for axis, one in zip("xyz", config.centre_of_gravity_mm, strict=True)),
             _single("e_s", config.strut_expansion_per_million, "1e-6/K"),
@@ -146,11 +145,9 @@ class StrutMachine(ReadingMachine):
         ]
         self.channels = [
             *(Channel(f"q[{k}]", "mm") for k in range(1, N_STRUTS + 1)),
-            *(Channel(axis, "mm", external=True) for axis in AXES[:3]),
-            *(Channel(axis, "rad", external=True, rotation="r") for axis in AXES[3:]),
+            *POSE_CHANNELS,
         ]
-
-        self.tool_channels = self.channels[N_STRUTS:]
+        self.tool_channels = POSE_CHANNELS
 
     def read(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> Any:
         """Return what the six actuators read, then the pose."""
@@ -196,7 +193,7 @@ class StrutMachine(ReadingMachine):
         tighter = _solve(at.grasp, _change_load(at))
         longer = np.swapaxes(at.grasp, -1, -2)  # ∂l/∂(p, ω), ω turning in the base's frame: the struts' screws
         by_motion = (longer - NM * parameters["c"][..., None] * tighter) / at.growth[..., None]
-        by_vector = by_motion[..., 3:] @ np.linalg.inv(compute_left_inverse_jacobian(np.nan_to_num(v[..., 3:])))
+        by_vector = by_motion[..., 3:] @ compute_left_jacobian(np.nan_to_num(v[..., 3:]))
         every = np.concatenate([by_motion[..., :3], by_vector], axis=-1)
         own = [[every[..., k, i] for i in range(6)] for k in range(N_STRUTS)]
         return [*own, *([float(i == k) for i in range(6)] for k in range(6))]
@@ -238,20 +235,16 @@ def _check_told(column: str, values: Array, free: Sequence[str], starts: tuple[s
         )
 
 
-def _spread(symbol: str, values: Array) -> ParameterBlock:
-    return ParameterBlock(symbol, tuple(float(one) for one in values))
-
-
 def _single(symbol: str, value: float, unit: str) -> ParameterBlock:
     return ParameterBlock(symbol, (value,), unit, per_leg=False)
 
 
 def _list_axes(length: str, angle: str) -> list[tuple[str, str]]:
-    return [(axis, length if k < 3 else angle) for k, axis in enumerate(AXES)]
+    return [(axis, length if k < 3 else angle) for k, axis in enumerate(POSE)]
 
 
 def _six(parameters: Parameters, what: str) -> Any:
-    return np.stack([parameters[f"{what}_{axis}"] for axis in AXES], axis=-1)
+    return np.stack([parameters[f"{what}_{axis}"] for axis in POSE], axis=-1)
 
 
 def _expand(per_million: Any, warmer: Any) -> Any:

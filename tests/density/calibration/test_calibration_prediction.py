@@ -84,7 +84,7 @@ def test_a_reading_that_tells_the_pose_is_not_predicted(rng):
 class Turned(LinearModel):
     """A rotation vector, which two instruments read: the first as one, the second component by component."""
 
-    channels = (
+    sensors = (
         *(Channel(f"a{axis}", "rad", rotation="a") for axis in "xyz"),
         *(Channel(f"b{axis}", "rad", rotation="b") for axis in "xyz"),
     )

@@ -10,7 +10,7 @@ from bayescal.experiments.frame.load import load
 from bayescal.experiments.study.load import load_inputs
 from bayescal.inference.importance import resample
 from bayescal.inference.integration import Effort, integrate_posterior
-from bayescal.machines.readings.spatial import POSE
+from bayescal.machines.readings import POSE
 
 STUDY = studies.EXPERIMENTS / "m2_hexapod" / "lengths.toml"
 MECHANISM = studies.EXPERIMENTS / "audit" / "m2_hexapod_mechanism.toml"

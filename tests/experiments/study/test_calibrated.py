@@ -149,15 +149,15 @@ def test_poses_out_of_reach_are_named_row_by_row(study, refuse, call):
     Path("poses.csv").write_text("\n".join(["pose,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg", *rows]) + "\n")
     message = refuse("command", "out", "poses.csv", "--out", "commanded.csv")
     assert "poses.csv: found 2 of 3 poses out of reach" in message
-    assert "line 3, pose 'high': leg " in message
-    assert "line 4, pose 'far': no actuator positions hold it" in message
+    assert "line 3, pose 'high': rho[1] would be " in message
+    assert "line 4, pose 'far': rho[1] has no value there" in message
     code, out, _ = call("command", "out", "poses.csv", "--mark")
     rows = [line for line in out.splitlines() if not line.startswith("#")]
     assert code == 0
     assert rows[1].startswith("home,yes,")
-    assert rows[2].startswith('high,"leg ')
+    assert rows[2].startswith('high,"rho[1] would be ')
     assert rows[2].endswith("," * 12)
-    assert rows[3] == "far,no actuator positions hold it" + "," * 12
+    assert rows[3] == "far,rho[1] has no value there: the machine does not reach it" + "," * 12
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ def test_derivatives_are_those_by_hand(make, rng):
 
 
 def test_a_machine_of_n_legs_costs_as_much_as_one_of_them():
-    rounds = {n: len(star_function(star_of(n))._all_steps.places) for n in (3, 4, 6)}
+    rounds = {n: len(star_function(star_of(n))._steps[True].places) for n in (3, 4, 6)}
     assert len(set(rounds.values())) == 1
     assert rounds[4] < star_of(4).layout.size / 2
 

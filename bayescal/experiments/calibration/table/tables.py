@@ -13,7 +13,7 @@ from bayescal.experiments.calibration.table.inputs import TableInputs
 from bayescal.experiments.calibration.table.plan import Plan
 from bayescal.experiments.calibration.table.polynomial import Polynomial
 from bayescal.experiments.calibration.table.responses import Responses
-from bayescal.machines.readings.base import stem_of
+from bayescal.machines.readings import Channel
 from bayescal.numerics.geometry import Array
 
 INTERVAL = (0.05, 0.95)
@@ -53,7 +53,7 @@ def _places(inputs: TableInputs, times: int) -> dict[str, Array]:
 
 def _widen(inputs: TableInputs, mean: Array, names: Sequence[str], units: Sequence[str]) -> pd.DataFrame:
     """Return the table as a controller takes it: a row a place, a column an actuator."""
-    columns = {f"{stem_of(name)}_{unit}": mean[:, k] for k, (name, unit) in enumerate(zip(names, units, strict=True))}
+    columns = {f"{one.stem}_{one.unit}": mean[:, k] for k, one in enumerate(map(Channel, names, units))}
     return pd.DataFrame({**_places(inputs, 1), **columns})
 
 

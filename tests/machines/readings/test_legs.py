@@ -13,7 +13,7 @@ from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
 from bayescal.machines.kinematics import build_machine, solve_forward_kinematics
 from bayescal.machines.models import MODELS
 from bayescal.machines.read import find_machine_classes, list_machine_sources, load_mechanism, read_reading_model
-from bayescal.machines.readings import SpatialMachine
+from bayescal.machines.readings import POSE, Legs
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
 MACHINES = {
@@ -26,31 +26,31 @@ MATRIX = np.array([[0.0, 3.0, -8.0, 12.0, -2.0, -20.0]] * 6) * 1e-3
 POSE_STEP = np.array([1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5])
 
 
-def build(name: str) -> SpatialMachine:
+def build(name: str) -> Legs:
     path, model, deformation = MACHINES[name]
     mechanism = load_mechanism(studies.EXPERIMENTS / path)
     nominal = NominalDeformation(0.011, lambda: MATRIX)
     deformed = DEFORMATIONS[deformation].from_nominal(nominal)
-    return SpatialMachine(build_machine(MODELS[model], mechanism, deformed), np.array([10.0, -20.0, 30.0]))
+    return Legs(build_machine(MODELS[model], mechanism, deformed), np.array([10.0, -20.0, 30.0]), inclined=True)
 
 
 @pytest.fixture(scope="module", params=MACHINES)
-def model(request) -> SpatialMachine:
+def model(request) -> Legs:
     return build(request.param)
 
 
 @pytest.fixture(scope="module")
-def struts() -> SpatialMachine:
+def struts() -> Legs:
     return build("struts")
 
 
-def draw(model: SpatialMachine, n_machines: int = 2, n_poses: int = 4, turn: float = 0.02):
+def draw(model: Legs, n_machines: int = 2, n_poses: int = 4, turn: float = 0.02):
     """Return machines (C, 1, D) off nominal and poses (1, P, 6) off home."""
     rng = np.random.default_rng(3)
     layout = model.layout
     scale = np.array([{"mm": 0.2, "rad": 1e-2}.get(unit, 1e-3) for unit in layout.units])
     theta = layout.nominal + scale * rng.standard_normal((n_machines, 1, layout.size))
-    pose = model.home + rng.uniform(-1.0, 1.0, (1, n_poses, 6)) * np.array([1.0, 1.0, 1.0, turn, turn, turn])
+    pose = model.home_pose + rng.uniform(-1.0, 1.0, (1, n_poses, 6)) * np.array([1.0, 1.0, 1.0, turn, turn, turn])
     return theta, pose
 
 
@@ -105,23 +105,23 @@ def test_encoders_read_how_much_longer_struts_are(struts):
 
 def test_inclinometers_read_zero_at_home_but_for_their_zeros(model):
     nominal = model.layout.nominal
-    at_home = model.read(nominal, model.home)
+    at_home = model.read(nominal, model.home_pose)
     np.testing.assert_allclose(at_home[6:18], 0.0, atol=1e-12)
     theta = nominal.copy()
     theta[model.layout.index["tilt_a0"]] = 0.1
     theta[model.layout.index["tilt_b0"]] = -0.2
-    np.testing.assert_allclose(model.read(theta, model.home)[6:18], np.repeat([-0.1, 0.2], 6), atol=1e-12)
+    np.testing.assert_allclose(model.read(theta, model.home_pose)[6:18], np.repeat([-0.1, 0.2], 6), atol=1e-12)
 
 
 def test_inclinometers_see_the_whole_angle(struts):
     nominal, layout = struts.layout.nominal, struts.layout
-    pose = struts.home + np.array([0.05, -0.02, 0.01, 1e-5, -2e-5, 1e-5])
+    pose = struts.home_pose + np.array([0.05, -0.02, 0.01, 1e-5, -2e-5, 1e-5])
     a, b = layout.take_vector(nominal, "a"), layout.take_vector(nominal, "b")
 
     def legs(v):
         return v[:3] + b @ matrix_from_rotation_vector(v[3:]).T - a
 
-    one, other = (g / np.linalg.norm(g, axis=1, keepdims=True) for g in (legs(struts.home), legs(pose)))
+    one, other = (g / np.linalg.norm(g, axis=1, keepdims=True) for g in (legs(struts.home_pose), legs(pose)))
     angle = np.linalg.norm(np.cross(one, other), axis=1)
     read = struts.read(nominal, pose)
     np.testing.assert_allclose(np.hypot(read[6:12], read[12:18]), angle, rtol=1e-7)
@@ -132,6 +132,22 @@ def test_an_instrument_sees_the_pose(model):
     read = model.read(theta, pose)
     np.testing.assert_array_equal(read[..., 18:], np.broadcast_to(pose, read[..., 18:].shape))
     assert [channel.external for channel in model.channels] == [False] * 18 + [True] * 6
+
+
+def test_some_sensors_read_what_they_read_among_all(model):
+    """Inclinometers of a kind that nobody has are not even computed."""
+    theta, pose = draw(model)
+    whole = model.linearise(theta, pose)
+    for names, n_computed in ((["rho[2]", "tilt_b[5]", "x"], 18), (["rho", *POSE], 12), (["tilt_a", "tilt_b[1]"], 24)):
+        places = model.select(names)
+        some = model.pick(places)
+        assert len(some.computed) == n_computed
+        found = some.linearise(theta, pose)
+        np.testing.assert_array_equal(some.read(theta, pose), whole.values[..., places])
+        np.testing.assert_array_equal(found.values, whole.values[..., places])
+        np.testing.assert_array_equal(found.by_pose, whole.by_pose[..., places, :])
+        np.testing.assert_array_equal(found.by_parameters, whole.by_parameters[..., places, :])
+        assert some.seen_parameters(names) == model.seen_parameters(names)
 
 
 def test_each_sensor_sees_what_it_is_said_to(model):
@@ -146,24 +162,24 @@ def test_each_sensor_sees_what_it_is_said_to(model):
 
 
 def test_out_of_reach_is_nan_and_named(model):
-    far = model.home + np.array([0.0, 0.0, 5000.0, 0.0, 0.0, 0.0])
-    with pytest.raises(InputError, match=r"machine .*: pose 2: actuator \d cannot reach it, found .* expected at most"):
-        model.check_poses(np.stack([model.home, far]))
-    model.check_poses(model.home[None])
+    far = model.home_pose + np.array([0.0, 0.0, 3.0 * model.machine.mechanism.actuator_range, 0.0, 0.0, 0.0])
+    with pytest.raises(InputError, match=r"pose 2: rho\[\d\] would be .* mm, its range is .*, expected a pose that"):
+        model.check_poses(np.stack([model.home_pose, far]))
+    model.check_poses(model.home_pose[None])
 
 
 def test_too_short_legs_have_no_reading():
     model = build("base")
-    far = model.home + np.array([5000.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    far = model.home_pose + np.array([5000.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     assert np.isnan(model.read(model.layout.nominal, far)[:6]).any()
-    with pytest.raises(InputError, match="found no position from its initial position"):
+    with pytest.raises(InputError, match=r"pose 1: rho\[1\] has no value there"):
         model.check_poses(far[None])
 
 
 # --- frames ----------------------------------------------------------------------------------------------------------
 
 
-def move_base(model: SpatialMachine, theta, pose, shift, turn):
+def move_base(model: Legs, theta, pose, shift, turn):
     """Return machine and pose after a rigid motion of the base frame: the readings of encoders stay."""
     rotation, layout = matrix_from_rotation_vector(turn), model.layout
     moved = theta.copy()
@@ -264,7 +280,7 @@ def test_the_workspace_is_what_the_actuators_reach(model):
         model.layout.nominal[: model.machine.layout.size],
         mechanism.initial_actuator_positions + little * ends,
     )
-    moved = np.concatenate([found.position, rotation_vector_from_matrix(found.rotation)], axis=1) - model.home
+    moved = np.concatenate([found.position, rotation_vector_from_matrix(found.rotation)], axis=1) - model.home_pose
     np.testing.assert_allclose(np.abs(moved).max(axis=0), 1e-3 * reach, rtol=0.02)
 
 
