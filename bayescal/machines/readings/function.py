@@ -244,7 +244,8 @@ class FunctionModel(ReadingModel):
 
     def pick(self, channels: np.ndarray) -> ReadingModel:
         """Return the same machine with some of its sensors; its derivatives take fewer rounds."""
-        return replace(self, places=tuple(int(k) for k in np.arange(len(self.machine.channels))[channels]))
+        places = np.arange(len(self.channels)) if self.places is None else np.array(self.places, dtype=int)
+        return replace(self, places=tuple(int(k) for k in places[channels]))
 
     def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
         """Return the readings; see `ReadingModel.read`."""
