@@ -26,14 +26,12 @@ from bayescal.errors import InputError, name_faults
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings.base import NOTHING, Channel, Coordinate, Given, PickedModel, ReadingModel, Readings
 from bayescal.machines.readings.colours import find_pattern
-from bayescal.machines.readings.function import FunctionModel, Parameters, ReadingMachine
+from bayescal.machines.readings.function import STEP, FunctionModel, Parameters, ReadingMachine
 from bayescal.numerics.analytic import norm, rotation_matrix, rotation_vector
-from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, rotation_vector_from_matrix
+from bayescal.numerics.geometry import Array
 
 TOOL = ("x", "y", "z", "rx", "ry", "rz")
 NEARBY = (100.0,) * 3 + (0.5,) * 3  # mm and rad about the tool at home, within which an instrument is checked
-STEP = 1e-2  # of a coordinate's scale
-CENTRAL = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}  # weights of the sixth order: errors of 1e-14 at this step
 
 
 # --- instruments -----------------------------------------------------------------------------------------------------
@@ -199,14 +197,9 @@ class Placed(PickedModel):
         return (*self.whole.channels, *(_rename(one.name, seen) for one in self.instruments for seen in one.channels))
 
     def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
-        """Return what the machine says, and of instruments their own and what moves the tool."""
+        """Return what the machine says; all where an instrument is read, which sees the tool."""
         names = [self.names[k] for k in self.select(channels)]
-        own = [name for name in names if name in self.whole.names]
-        seen = set(self.whole.seen_parameters(own))
-        if len(own) < len(names):
-            moving = self.tool(self.layout.nominal, self.home_pose)[2].any(axis=-2)
-            seen |= {*self.layout.names[self.whole.layout.size :], *np.array(self.layout.names)[moving]}
-        return tuple(name for name in self.layout.names if name in seen)
+        return self.whole.seen_parameters(names) if {*names} <= {*self.whole.names} else self.layout.names
 
     def pick(self, channels: np.ndarray) -> ReadingModel:
         """Return the same machine with some of its channels, in their order; a part computes no more than its own."""
@@ -242,7 +235,7 @@ class Placed(PickedModel):
     def _rotate(self, pose: Array) -> Array:
         """Return how the tool is turned by `ReadingModel.rotation`, in space, (..., 3, 3)."""
         found = self.whole.rotation(np.nan_to_num(pose))
-        result = np.zeros((*found.shape[:-2], 3, 3)) + np.eye(3)
+        result = np.zeros((*found.shape[:-2], 3, 3), dtype=found.dtype) + np.eye(3)
         result[..., : found.shape[-1], : found.shape[-1]] = found
         return result
 
@@ -253,7 +246,7 @@ class Placed(PickedModel):
         if self._turned:
             found[..., 3:] = numbers[..., self._turned]
         elif self.tells_rotation:
-            found[..., 3:] = rotation_vector_from_matrix(self._rotate(pose))
+            found[..., 3:] = rotation_vector(self._rotate(pose))
         return np.where(np.isfinite(pose).all(axis=-1, keepdims=True), found, np.nan)
 
     def _linearise_tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
@@ -264,26 +257,9 @@ class Placed(PickedModel):
         by_pose, by_parameters = (np.zeros((*tool.shape, one.shape[-1])) for one in slopes)
         by_pose[..., rows, :], by_parameters[..., rows, :] = (one[..., places, :] for one in slopes)
         if self.tells_rotation and not self._turned:
-            by_pose[..., 3:, :] = compute_left_inverse_jacobian(tool[..., 3:]) @ self._turn_by_pose(pose)
+            turned = rotation_vector(self._rotate(pose[..., None, :] + 1j * STEP * np.eye(pose.shape[-1])))
+            by_pose[..., 3:, :] = np.swapaxes(turned.imag, -1, -2) / STEP
         return tool, by_pose, by_parameters
-
-    def _turn_by_pose(self, pose: Array) -> Array:
-        """Return the tool's turn in the base frame per change of each coordinate, (..., 3, q)."""
-        back = np.swapaxes(self._rotate(pose), -1, -2)
-        result = np.zeros((*pose.shape[:-1], 3, pose.shape[-1]))
-        for k in self._turning:
-            step = np.zeros(pose.shape[-1])
-            step[k] = STEP * (1.0 if self.coordinates[k].unit == "rad" else self.pose_scale[k])
-            apart = ((w, self._rotate(pose + n * step) - self._rotate(pose - n * step)) for n, w in CENTRAL.items())
-            skew = sum(w * one for w, one in apart) @ back / step[k]
-            result[..., k] = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
-        return result
-
-    @cached_property
-    def _turning(self) -> list[int]:
-        """Which coordinates turn the tool."""
-        steps = self.home_pose + STEP * np.diag(self.pose_scale)
-        return [k for k, one in enumerate(self._rotate(steps)) if (one != self._rotate(self.home_pose)).any()]
 
     # --- readings ----------------------------------------------------------------------------------------------------
 
