@@ -490,3 +490,20 @@ def test_noise_is_stated_once(column, change, message, tmp_path, call):
     assert (code, out, err.count("\n")) == (2, "", 1), err
     assert message in err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_machine_without_a_tool_takes_no_instrument(copied, tmp_path, call):
+    source = copied.parent / "own_arm.py"
+    text = source.read_text().replace(".tool(", ".place(").replace("def tool(", "def place(")
+    start = text.index("    tool_channels = (")
+    source.write_text(text[:start] + text[text.index("\n", start) + 1 :])
+    code, out, err = call("run", copied, "--out", tmp_path / "out", "--quiet")
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    assert "instruments.station: sees where the tool is, machine 'arm' does not say it; expected tool_channels" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_code_beside_a_config_is_not_run_where_that_is_refused(copied, call):
+    code, out, err = call("validate", copied, "--no-plugins")
+    assert (code, out) == (2, "")
+    assert "instruments.laser.kind: found 'laser.py:Laser', which is no built-in one, and --no-plugins" in err
