@@ -38,10 +38,11 @@ def leave_instruments(
     config: CalibrationConfig, variant: CalibrationVariantConfig, machine: ReadingModel
 ) -> tuple[CalibrationConfig, CalibrationVariantConfig]:
     """Return a config that has run, and a variant of it, without what is not the machine's own."""
+    if not config.instruments:
+        return config, variant
     own = {*machine.layout.symbols, *machine.layout.names, *machine.names, *(one.kind for one in machine.channels)}
     kept = {name: {k: v for k, v in getattr(config, name).items() if k in own} for name in ("sensors", "parameters")}
-    common = [[one] if isinstance(one, str) else [name for name in one if name in own] for one in variant.common]
-    common = [one for one in common if set(one) <= own and one]
+    common = [one for one in variant.common if own.issuperset([one] if isinstance(one, str) else one)]
     free = None if variant.free is None else [one for one in variant.free if one in own]
     return (
         config.model_copy(update={"instruments": {}, **kept}),
