@@ -16,6 +16,7 @@ _HOMES = {
     "CalibratedMachine": "bayescal.calibrated.machine",
     "Channel": "bayescal.machines.readings",
     "Coordinate": "bayescal.machines.readings",
+    "Instrument": "bayescal.machines.readings",
     "Machine": "bayescal.machines.kinematics",
     "MeasuredPoses": "bayescal.data.measured_poses",
     "Mechanism": "bayescal.machines.mechanism",

@@ -57,6 +57,9 @@ REGISTRIES = {
     "KINDS": Registry(_EXPERIMENTS, "bayescal.kinds", "bayescal.experiments.frame.experiment:Experiment"),
     "CLAIMS": Registry(_EXPERIMENTS, "bayescal.claims", "bayescal.experiments.study.claims:Claims"),
     "MACHINES": Registry((f"{_MACHINES}.readings",), "bayescal.machines", f"{_MACHINES}.readings:ReadingMachine"),
+    "INSTRUMENTS": Registry(
+        (f"{_MACHINES}.readings",), "bayescal.instruments", f"{_MACHINES}.readings.placed:Instrument"
+    ),
     "MODELS": Registry(
         (f"{_MACHINES}.models",), "bayescal.models", f"{_MACHINES}.models:KinematicModel", ("name", "title")
     ),

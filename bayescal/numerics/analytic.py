@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from bayescal.numerics.geometry import compute_left_inverse_jacobian, rotation_vector_from_matrix
+
 SERIES_TERMS = 16  # π³²/33! is less than rounding
 
 
@@ -59,6 +61,18 @@ def rotation_matrix(vector: Any) -> Any:
     zero = np.zeros_like(x)
     skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*vector.shape, 3)
     return np.eye(3) + first[..., None, None] * skew + second[..., None, None] * (skew @ skew)
+
+
+def rotation_vector(matrix: Any) -> Any:
+    """Return the rotation vectors of rotations (..., 3, 3): of their real parts, to first order with imaginary ones."""
+    there = np.isfinite(matrix).all(axis=(-1, -2))
+    real = np.where(there[..., None, None], np.real(matrix), np.eye(3))
+    vector = np.where(there[..., None], rotation_vector_from_matrix(real), np.nan)
+    if not np.iscomplexobj(matrix):
+        return vector
+    skew = np.imag(matrix) @ np.swapaxes(real, -1, -2)
+    turn = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
+    return vector + 1j * (compute_left_inverse_jacobian(vector) @ turn[..., None])[..., 0]
 
 
 def _sum_series(square: Any, start: int) -> Any:

@@ -29,7 +29,14 @@ def skew_matrix(vector: Array) -> Array:
 
 
 def matrix_from_rotation_vector(rotation_vector: Array) -> Array:
-    """Return the rotation matrices of rotation vectors in radians, shape (..., 3) to (..., 3, 3)."""
+    """Return the rotation matrices of rotation vectors in radians, shape (..., 3) to (..., 3, 3).
+
+    Of complex vectors those of the real parts, to first order with imaginary ones: what a complex step takes.
+    """
+    if np.iscomplexobj(rotation_vector):
+        real = matrix_from_rotation_vector(rotation_vector.real)
+        turn = np.linalg.inv(compute_left_inverse_jacobian(rotation_vector.real)) @ rotation_vector.imag[..., None]
+        return real + 1j * skew_matrix(turn[..., 0]) @ real  # type: ignore[return-value]
     flat = Rotation.from_rotvec(rotation_vector.reshape(-1, 3)).as_matrix()
     return flat.reshape(*rotation_vector.shape, 3)
 

@@ -262,9 +262,10 @@ def list_schemas() -> dict[str, tuple[str, str, type[BaseModel]]]:
         "legs": ("Machine: legs with readings", "Legs as `machine` in a calibration.", LegsMachineConfig),
         "sliding_platform": ("Machine: sliding platform", "The file of a planar machine.", SlidingPlatformConfig),
     }
-    for name in sorted(list_references("MACHINES")):
-        found = find_class("MACHINES", name, ReadingMachine, "kind", ROOT, None)
-        pages[name] = (f"Machine: options of {name}", summarise(found), getattr(found, "Config", Section))
+    for what, title in (("MACHINES", "Machine"), ("INSTRUMENTS", "Instrument")):
+        for name in sorted(list_references(what)):
+            found = find_class(what, name, ReadingMachine, "kind", ROOT, None)
+            pages[name] = (f"{title}: options of {name}", summarise(found), getattr(found, "Config", Section))
     for kind in sorted(list_references("KINDS")):
         found = find_kind(kind, ROOT, None)
         pages[f"kind_{kind}"] = (f'kind = "{kind}"', summarise(type(found)), found.schema)

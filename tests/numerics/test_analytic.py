@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayescal.numerics.analytic import absolute, atan2, norm
+from bayescal.numerics.analytic import absolute, atan2, norm, rotation_matrix, rotation_vector
+from bayescal.numerics.geometry import matrix_from_rotation_vector
 
 H = 1e-30
 
@@ -40,3 +41,18 @@ def test_derivatives(rng):
 def test_an_angle_takes_any_leading_axes(rng):
     y, x = rng.standard_normal((4, 1, 3)), rng.standard_normal((5, 3))
     assert atan2(y + 0j, x).shape == (4, 5, 3)
+
+
+@pytest.mark.parametrize("angle", [1e-12, 1e-3, 1.0, 3.0, np.pi - 1e-6])
+def test_rotations_take_complex_steps(angle, rng):
+    """Both ways, a series in closed form against each other: from vectors to matrices and back."""
+    vector = rng.standard_normal((5, 3))
+    vector *= angle / np.linalg.norm(vector, axis=1, keepdims=True)
+    moved = vector[:, None] + 1j * H * np.eye(3)
+    series, closed = rotation_matrix(moved), matrix_from_rotation_vector(moved)
+    np.testing.assert_allclose(closed.real, series.real, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(closed.imag / H, series.imag / H, rtol=0, atol=1e-9)
+    back = rotation_vector(series)
+    np.testing.assert_allclose(back.real, np.broadcast_to(vector[:, None], back.shape), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(back.imag / H, np.broadcast_to(np.eye(3), back.shape), rtol=0, atol=1e-9)
+    assert np.isnan(rotation_vector(np.full((2, 3, 3), np.nan))).all()

@@ -21,6 +21,7 @@ from bayescal.calibrated.machine import (
 )
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
+from bayescal.experiments.calibration.instruments import leave_instruments
 from bayescal.experiments.calibration.noise import group_channels, noise_of_channels
 from bayescal.experiments.calibration.priors import choose_priors
 from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
@@ -136,6 +137,7 @@ def calibrate_machine(
         )
     path = results.folder / KEPT / kept[file] if experiment is None else experiment.parent / file
     model = read_kept(path, trust or experiment is not None, read_hashes(results))
+    config, chosen = leave_instruments(config, chosen, model)
     fit = results.summary["variants"][chosen.name]
     theta, draws = _read_posterior(results, config, chosen, model)
     commands, given = _read_commands(results.folder / _name_commands(chosen.name), model)

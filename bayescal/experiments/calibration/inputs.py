@@ -19,6 +19,7 @@ from bayescal.density.priors import Prior
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.beside import Beside, read_beside
 from bayescal.experiments.calibration.errors import build_terms
+from bayescal.experiments.calibration.instruments import read_machine
 from bayescal.experiments.calibration.noise import build_noise, stated_noise
 from bayescal.experiments.calibration.priors import choose_priors, widen
 from bayescal.experiments.calibration.reading_tables import PoseReadings, read_tables
@@ -27,7 +28,6 @@ from bayescal.experiments.calibration.workspace import Workspace, build_workspac
 from bayescal.experiments.shared.outlook import tell_outlook
 from bayescal.experiments.shared.reading_slips import Suspicion, check_reach
 from bayescal.experiments.shared.search_memory import check_readings
-from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -119,6 +119,8 @@ class CalibrationInputs:
         Those that the machines are read from, by names in one folder.
     machine_files : dict of str to str
         The names there of the machines' own files, by those in the config.
+    unused : str
+        Which columns of the tables no variant takes in, in a line; empty where it takes in all.
     """
 
     config: CalibrationConfig
@@ -127,11 +129,12 @@ class CalibrationInputs:
     beside: list[Beside]
     files: dict[str, bytes]
     machine_files: dict[str, str]
+    unused: str = ""
 
 
 def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
     """Return the inputs of a calibration; InputError names the file, the variant, the pose, the column."""
-    models = {name: read_reading_model(folder / name) for name in list_machines(config)}
+    models = {name: read_machine(config, folder, name) for name in list_machines(config)}
     model = models[config.machine]
     for name, other in models.items():
         if other.names != model.names:
@@ -147,7 +150,9 @@ def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
     beside = [read_beside(one, folder, model) for one in config.beside]
     files, kept = keep_machines(folder / name for name in models)
     machine_files = {name: kept[folder / name] for name in models}
-    return CalibrationInputs(config, getattr(model, "name", config.machine), variants, beside, files, machine_files)
+    unused = readings.tell_unused({name for one in variants.values() for name in one.model.names})
+    name = getattr(model, "name", config.machine)
+    return CalibrationInputs(config, name, variants, beside, files, machine_files, unused)
 
 
 def list_machines(config: CalibrationConfig) -> list[str]:

@@ -46,10 +46,10 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs], Calib
         return estimate_calibration(inputs)
 
     def outlook(self, inputs: CalibrationInputs) -> list[str]:
-        """Return what each variant's readings can determine, and that the machine states no tool where it does not."""
+        """Return what each variant's readings can determine, columns that are not used, and that there is no tool."""
         stated = all(one.model.states_tool for one in inputs.variants.values())
         said = join_outlooks({name: one.tell_outlook() for name, one in inputs.variants.items()})
-        return said if stated else [*said, NO_TOOL]
+        return [*said, *filter(None, (inputs.unused, "" if stated else NO_TOOL))]
 
     def doubt(self, inputs: CalibrationInputs) -> list[str]:
         """Return what may have happened to readings that no machine within its priors comes near."""

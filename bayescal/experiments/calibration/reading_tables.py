@@ -2,13 +2,14 @@
 
 Columns: ``pose``; ``use`` (calibration or verification), optional; a channel's readings, ``motor[2]`` in degrees being
 ``motor_2_deg``; a deviation of its own for each row, ``motor_2_sd_deg``; correlations of two channels' noise,
-``corr_x_y``; and what else is known of each row, by its name.
+``corr_x_y``, or its covariances ``cov_x_x``, ``cov_x_y`` in µm and µrad, as `bayescal poses-from-targets` writes them;
+and what else is known of each row, by its name.
 """
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,9 +21,11 @@ from bayescal.files.csv_tables import Table, read_table
 from bayescal.identifiability.units import units_like
 from bayescal.machines.readings import Channel
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import MICROMETRE
 
 USES = ("calibration", "verification")
-TURN_LIMIT = {"rad": 2.0 * float(np.pi)}
+COVARIANCE_UNITS = {"mm": MICROMETRE, "rad": 1e-6}
+"""Roots of the units of covariances, in the channels' units."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +43,8 @@ class PoseReadings:
         Which readings are positions that the machine was commanded to.
     given : dict of str to ndarray, shape (P,)
         NaN where it is not known.
+    columns : list of (channel, column, file)
+        Where the channels' readings come from.
     """
 
     poses: tuple[str, ...]
@@ -49,15 +54,31 @@ class PoseReadings:
     correlation: Array | None
     commanded: np.ndarray
     given: dict[str, Array] = field(default_factory=dict)
+    columns: list[tuple[str, str, str]] = field(default_factory=list)
+
+    def tell_unused(self, taken: Collection[str]) -> str:
+        """Return in a line which columns are of other channels than those taken in; nothing where there are none."""
+        files: dict[str, list[str]] = {}
+        for channel, column, file in self.columns:
+            if channel not in taken:
+                files.setdefault(file, []).append(column)
+        listed = "; ".join(f"{', '.join(columns)} of {file}" for file, columns in files.items())
+        return (
+            f"Not used: {listed}; expected their channels in [sensors], or the columns in data.ignore" if files else ""
+        )
 
 
 @dataclass(frozen=True)
 class _Column:
-    """What a column holds: ``values``, ``sd``, ``corr`` or ``given``, of which channels; a factor to their unit."""
+    """What a column holds: ``values``, ``sd``, ``corr`` or ``given``, of which channels; a factor to their unit.
+
+    A covariance states an ``sd`` by its square, or a ``corr`` by what it is times both deviations.
+    """
 
     role: str
     places: tuple[int, ...] = ()
     factor: float = 1.0
+    covariance: bool = False
 
 
 def read_tables(
@@ -90,7 +111,7 @@ def read_tables(
         np.zeros(n, dtype=bool),
         np.full((n, k), np.nan),
         np.full((n, k), np.nan),
-        np.tile(np.eye(k), (n, 1, 1)) if any(c.startswith("corr_") for t in tables for c in t.columns) else None,
+        np.tile(np.eye(k), (n, 1, 1)) if _are_any_correlated(tables, known) else None,
         np.zeros((n, k), dtype=bool),
         {name: np.full(n, np.nan) for name in given},
     )
@@ -106,9 +127,17 @@ def _list_columns(channels: Sequence[Channel], given: Sequence[str]) -> dict[str
         for unit, factor in units_like(channel.unit).items():
             columns[f"{channel.stem}_{unit}"] = _Column("values", (k,), factor)
             columns[f"{channel.stem}_sd_{unit}"] = _Column("sd", (k,), factor)
+        own = COVARIANCE_UNITS.get(channel.unit, 1.0)
+        columns[f"cov_{channel.stem}_{channel.stem}"] = _Column("sd", (k,), own, covariance=True)
         for j, other in enumerate(channels[:k]):
             columns[f"corr_{other.stem}_{channel.stem}"] = _Column("corr", (j, k))
+            factor = own * COVARIANCE_UNITS.get(other.unit, 1.0)
+            columns[f"cov_{other.stem}_{channel.stem}"] = _Column("corr", (j, k), factor, covariance=True)
     return columns
+
+
+def _are_any_correlated(tables: Sequence[Table], known: Mapping[str, _Column]) -> bool:
+    return any(name in known and known[name].role == "corr" for one in tables for name in one.columns)
 
 
 def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channel], section: DataTableConfig) -> Table:
@@ -168,7 +197,12 @@ def _fill(
             if use not in USES:
                 raise InputError(f"{table.where(row)}: use: found {use!r}, expected {' or '.join(USES)}")
             found.verification[rows[row]] |= use == "verification"
-    for name in table.columns:
+    found.columns.extend(
+        (channels[known[name].places[0]].name, name, section.file)
+        for name in table.columns
+        if name in known and known[name].role == "values" and name not in ignored
+    )
+    for name in sorted(table.columns, key=lambda name: name in known and known[name].role == "corr"):
         if name not in known or name in ignored:
             continue
         column, values = known[name], table.numbers((name,), gaps=True)[:, 0]
@@ -204,6 +238,7 @@ def _fill_channel(
     if column.role == "sd":
         for row in np.flatnonzero(values < 0.0)[:1]:
             raise InputError(f"{table.where(int(row))}: {name}: found {values[row]:g}, expected no negative noise")
+        values = np.sqrt(values) if column.covariance else values
     there = np.isfinite(values)
     into[np.array(rows)[there], k] = column.factor * values[there]
 
@@ -213,6 +248,11 @@ def _fill_correlation(
 ) -> None:
     assert found.correlation is not None
     j, k = column.places
+    if column.covariance:
+        sd = found.sd[rows][:, [j, k]]
+        for row in np.flatnonzero(np.isfinite(values) & ~(sd > 0.0).all(axis=1))[:1]:
+            raise InputError(f"{table.where(int(row))}: {name}: found no variance of both, expected it in columns cov_")
+        values = column.factor * values / sd.prod(axis=1)
     for row, value in enumerate(values):
         if np.isfinite(value):
             if abs(value) >= 1.0:

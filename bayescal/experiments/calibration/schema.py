@@ -111,6 +111,13 @@ class ErrorTermConfig(OwnSection):
     """`"function"`, or `file.py:Class` of one's own; its options stand beside it."""
 
 
+class InstrumentConfig(OwnSection):
+    """An instrument beside the machine: channels and parameters, after its name, that any machine has more."""
+
+    kind: Annotated[str, ClassMark("INSTRUMENTS", beside=True)]
+    """`"point"`, `"pose"`, `"distance"`, or `file.py:Class` of one's own; its options stand beside it."""
+
+
 class FreeConfig(Section):
     """What is free: symbols or parameters with a prior, all of them or those in ``free``, but for those in ``fixed``.
 
@@ -209,6 +216,8 @@ class CalibrationConfig(ExperimentConfig):
     """Where the data come from."""
     machine: InputFile
     """The machine's TOML file."""
+    instruments: dict[Name, InstrumentConfig] = Field(default={}, exclude_if=lambda value: not value)
+    """By name: instruments beside the machine."""
     data: Annotated[list[DataTableConfig], Field(min_length=1)]
     """Tables of readings."""
     sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
@@ -281,6 +290,8 @@ class CalibrationSimulationConfig(FreeConfig, ExperimentConfig):
     """What is written into all files about where they come from."""
     machine: InputFile
     """The machine's TOML file."""
+    instruments: dict[Name, InstrumentConfig] = Field(default={}, exclude_if=lambda value: not value)
+    """By name: instruments beside the machine."""
     sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
     """Noise of each channel, or of all of a kind."""
     units: UnitsConfig = UnitsConfig()
@@ -374,6 +385,8 @@ class CalibrationAuditConfig(ExperimentConfig):
     """`"calibration_audit"`."""
     machine: InputFile
     """The machine's TOML file."""
+    instruments: dict[Name, InstrumentConfig] = Field(default={}, exclude_if=lambda value: not value)
+    """By name: instruments beside the machine."""
     sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
     """Noise of each channel, or of all of a kind."""
     units: UnitsConfig = UnitsConfig()

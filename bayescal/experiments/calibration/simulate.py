@@ -16,6 +16,7 @@ from bayescal.data.truth import (
     round_as_written,
 )
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
+from bayescal.experiments.calibration.instruments import read_machine
 from bayescal.experiments.calibration.noise import noise_of_channels
 from bayescal.experiments.calibration.priors import choose_priors
 from bayescal.experiments.calibration.reading_tables import USES
@@ -29,7 +30,6 @@ from bayescal.experiments.calibration.workspace import (
 )
 from bayescal.experiments.shared.simulated_data import Simulated, tabulate_truth
 from bayescal.files.csv_tables import format_table
-from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -52,7 +52,7 @@ class SimulationInputs:
 
 def read_simulation(config: CalibrationSimulationConfig, folder: Path) -> SimulationInputs:
     """Return what is simulated; InputError for every fault of the config or its files."""
-    whole = read_reading_model(folder / config.machine)
+    whole = read_machine(config, folder)
     check_given(config.given, whole)
     noise = noise_of_channels(config.sensors, whole)
     chosen = whole.select(config.sensors)

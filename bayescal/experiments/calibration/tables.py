@@ -229,6 +229,7 @@ def summarise(inputs: CalibrationInputs, tables: Mapping[str, pd.DataFrame]) -> 
         "member": next(iter(inputs.variants.values())).model.member,
         "machine_files": inputs.machine_files,
         "states_tool": all(one.model.states_tool for one in inputs.variants.values()),
+        **({"unused": inputs.unused} if inputs.unused else {}),
         "converged": bool(variants["converged"].all()),
         "units": config.units.model_dump(),
         "variants": {str(row.pop("variant")): plain(row) for row in variants.to_dict("records")},

@@ -14,6 +14,7 @@ TITLES = {
     "KINDS": "Kinds of experiment",
     "CLAIMS": "Claims of publications",
     "MACHINES": "Machines of one function",
+    "INSTRUMENTS": "Instruments beside a machine",
     "MODELS": "Kinematic models",
     "DEFORMATIONS": "Deformations of the platform",
     "ERRORS": "Errors of readings",

@@ -3,6 +3,7 @@
 from bayescal.machines.readings.base import POSE, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.machines.readings.function import FunctionModel, Parameters, ReadingMachine
 from bayescal.machines.readings.legs import Legs
+from bayescal.machines.readings.placed import Instrument, Placed, place
 from bayescal.machines.readings.sliding_platform import SlidingPlatform
 
 MACHINES = {
@@ -10,18 +11,26 @@ MACHINES = {
     "strut_machine": "bayescal.machines.readings.strut_machine:StrutMachine",
 }
 """Built-in machines of one function, by the ``kind`` of their files."""
+INSTRUMENTS = {
+    name: f"bayescal.machines.readings.placed:{name.capitalize()}Instrument" for name in ("distance", "point", "pose")
+}
+"""Built-in instruments beside a machine, by the ``kind`` of their sections."""
 
 __all__ = [
+    "INSTRUMENTS",
     "MACHINES",
     "POSE",
     "Channel",
     "Coordinate",
     "FunctionModel",
     "Given",
+    "Instrument",
     "Legs",
     "Parameters",
+    "Placed",
     "ReadingMachine",
     "ReadingModel",
     "Readings",
     "SlidingPlatform",
+    "place",
 ]

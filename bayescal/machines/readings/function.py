@@ -281,14 +281,14 @@ class FunctionModel(ReadingModel):
         return result
 
     @cached_property
-    def _pattern(self) -> np.ndarray:
+    def pattern(self) -> np.ndarray:
         """Which sensors see which parameters and coordinates, (K, D + q): their derivative is not always zero."""
         theta, pose, given = draw_points(self)
         _, slopes = self.differentiate(theta, pose, given, np.eye(theta.shape[1] + pose.shape[1]))
         return np.asarray(((slopes != 0.0) | np.isnan(slopes)).any(axis=1).T)
 
     def _plan(self, some: np.ndarray) -> _Steps:
-        pattern = self._pattern & some
+        pattern = self.pattern & some
         colours = colour(pattern)
         places = np.zeros((colours.max(initial=-1) + 1, len(some)))
         used = np.flatnonzero(pattern.any(axis=0))
@@ -299,7 +299,7 @@ class FunctionModel(ReadingModel):
     @cached_property
     def _steps(self) -> tuple[_Steps, _Steps]:
         """Those of the coordinates alone, and of the parameters too."""
-        of_pose = np.arange(self._pattern.shape[1]) >= self.layout.size
+        of_pose = np.arange(self.pattern.shape[1]) >= self.layout.size
         return self._plan(of_pose), self._plan(np.ones_like(of_pose))
 
     # --- what has to be accurate -----------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.audit.planned_poses import PlannedPoses, plan_poses
 from bayescal.experiments.calibration.audit.sensor_sets import Choice, list_choices
 from bayescal.experiments.calibration.inputs import Variant
+from bayescal.experiments.calibration.instruments import read_machine
 from bayescal.experiments.calibration.noise import noise_of_channels
 from bayescal.experiments.calibration.priors import choose_priors
 from bayescal.experiments.calibration.schema import (
@@ -29,7 +30,6 @@ from bayescal.experiments.calibration.schema import (
 from bayescal.experiments.calibration.workspace import Workspace, build_workspace, check_told
 from bayescal.identifiability.reading_rows import name_tool
 from bayescal.identifiability.units import Units
-from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -63,7 +63,7 @@ class AuditInputs:
 
 def read_audit(config: CalibrationAuditConfig, folder: Path) -> AuditInputs:
     """Return the inputs of an audit; InputError names the file, the variant, the pose, the coordinate."""
-    model = read_reading_model(folder / config.machine)
+    model = read_machine(config, folder)
     noise = noise_of_channels(config.sensors, model)
     workspace = build_workspace(model, config.workspace, config.units)
     planned = plan_poses(config, folder, model, workspace)

@@ -100,6 +100,7 @@ def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> l
         *state_slip(summary),
         *state_tool(summary),
         _state_ranking(tables, summary, best),
+        *([Statement(summary["unused"], "warning", "Data")] if "unused" in summary else []),
         *_state_convergence(tables),
         *_state_data(tables, best),
         *_state_soundness(tables, best),

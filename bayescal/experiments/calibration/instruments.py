@@ -1,0 +1,50 @@
+"""Instruments that a config names in [instruments]: the machine before them, and what is left without them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bayescal.config.classes import choose, name_failures
+from bayescal.experiments.calibration.schema import (
+    CalibrationAuditConfig,
+    CalibrationConfig,
+    CalibrationSimulationConfig,
+    CalibrationVariantConfig,
+)
+from bayescal.machines.read import read_reading_model
+from bayescal.machines.readings import Instrument, ReadingModel, place
+
+
+def read_machine(
+    config: CalibrationConfig | CalibrationAuditConfig | CalibrationSimulationConfig, folder: Path, name: str = ""
+) -> ReadingModel:
+    """Return the machine of a file, by default the config's, before the config's instruments.
+
+    Raises
+    ------
+    InputError
+        For faults of the machine's file, of an instrument's section or class, and where one does not fit the other.
+    """
+    instruments = {}
+    for one, section in config.instruments.items():
+        field = f"instruments.{one}"
+        choice = choose("INSTRUMENTS", section.kind, Instrument, f"{field}.kind", folder, section.options)  # type: ignore[type-abstract]
+        with name_failures(choice.found, field, folder):
+            instruments[one] = choice.found(choice.options)
+    return place(read_reading_model(folder / (name or config.machine)), instruments)
+
+
+def leave_instruments(
+    config: CalibrationConfig, variant: CalibrationVariantConfig, machine: ReadingModel
+) -> tuple[CalibrationConfig, CalibrationVariantConfig]:
+    """Return a config that has run, and a variant of it, without what is not the machine's own."""
+    if not config.instruments:
+        return config, variant
+    own = {*machine.layout.symbols, *machine.layout.names, *machine.names, *(one.kind for one in machine.channels)}
+    kept = {name: {k: v for k, v in getattr(config, name).items() if k in own} for name in ("sensors", "parameters")}
+    common = [one for one in variant.common if own.issuperset([one] if isinstance(one, str) else one)]
+    free = None if variant.free is None else [one for one in variant.free if one in own]
+    return (
+        config.model_copy(update={"instruments": {}, **kept}),
+        variant.model_copy(update={"free": free, "common": common}),
+    )

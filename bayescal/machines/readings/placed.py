@@ -1,0 +1,420 @@
+"""A machine seen by instruments beside it: more channels, and the parameters of their frames.
+
+An instrument reads a function g(e, t) of its parameters e and of the tool's pose t, position and rotation vector in the
+base frame. Whatever the machine, t is a function of its coordinates and parameters, so that the machine placed before
+its instruments reads
+
+    s = (h(v, d), g(e, t(v, d))),   ∂g/∂v = ∂g/∂t ∂t/∂v,   ∂g/∂d = ∂g/∂t ∂t/∂d.
+
+The tool's position is what the machine's tool has in mm, up to three numbers along x, y and z. How it is turned is the
+rotation vector among the tool's numbers, or else `ReadingModel.rotation`.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from bayescal.config.sections import Section, Vector
+from bayescal.errors import InputError, name_faults
+from bayescal.machines.parameters import ParameterBlock, ParameterLayout
+from bayescal.machines.readings.base import NOTHING, Channel, Coordinate, Given, ReadingModel, Readings
+from bayescal.machines.readings.function import STEP, FunctionModel, Parameters, ReadingMachine
+from bayescal.numerics.analytic import norm, rotation_matrix, rotation_vector
+from bayescal.numerics.geometry import Array
+
+TOOL = ("x", "y", "z", "rx", "ry", "rz")
+NEARBY = (100.0,) * 3 + (0.5,) * 3  # mm and rad about the tool at home, within which an instrument is checked
+
+
+# --- instruments -----------------------------------------------------------------------------------------------------
+
+
+class Instrument(ReadingMachine):
+    """What an instrument has to say: its parameters and channels, and what these read of the tool.
+
+    A subclass is named in a config, ``[instruments.NAME]`` with ``kind = "own.py:Own"``, and made of its checked
+    options. NAME goes before its symbols and channels: ``frame`` is ``NAME_frame``, ``[x]`` is ``NAME[x]``, ``r[x]`` is
+    ``NAME_r[x]``, a channel without a name is ``NAME``.
+    """
+
+    @abstractmethod
+    def see(self, parameters: Parameters, position: Any, rotation: Any) -> Any:
+        """Return the readings, shape (..., K), in the units of the channels; it must take complex numbers.
+
+        Parameters
+        ----------
+        parameters : Parameters
+            By symbol as the class has them; see `ReadingMachine.read`.
+        position, rotation : ndarray, shapes (..., 3) and (..., 3, 3)
+            Of the tool in the base frame, mm.
+        """
+
+    def read(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> Any:
+        """Return the readings of the tool's position and rotation vector v (..., 6)."""
+        del given
+        return self.see(parameters, v[..., :3], rotation_matrix(v[..., 3:]))
+
+
+class PointConfig(Section):
+    """A target on the tool that an instrument sees in its own frame."""
+
+    frame_mm: Vector
+    """Where the instrument's frame has its origin, base frame."""
+    frame_deg: Vector
+    """Rotation vector that turns the base's axes to the instrument's."""
+    target_mm: Vector | None = None
+    """Where the target sits on the tool, tool frame; at the tool's centre where nothing is said."""
+
+
+class PoseConfig(PointConfig):
+    """A frame on the tool whose pose an instrument sees in its own frame."""
+
+    target_deg: Vector = Field(default=[0.0, 0.0, 0.0])
+    """Rotation vector that turns the tool's axes to those of the frame that is seen."""
+
+
+class DistanceConfig(Section):
+    """A distance from a point that does not move to a point on the tool, as a ball bar or a draw-wire reads it."""
+
+    anchor_mm: Vector
+    """The point that does not move, base frame."""
+    target_mm: Vector | None = None
+    """The point on the tool, tool frame; the tool's centre where nothing is said."""
+    zero_mm: float = 0.0
+    """Distance at which it reads zero."""
+
+
+class PointInstrument(Instrument):
+    """A tracked point: x, y and z of a target on the tool, in the instrument's frame."""
+
+    Config = PointConfig
+
+    def __init__(self, config: PointConfig) -> None:
+        """Lay out the frame and the target, whose place is a parameter where it is stated."""
+        super().__init__(config)
+        self.parameters = [*_frame("frame", config.frame_mm, config.frame_deg), *_points("target", config.target_mm)]
+        self.channels = [Channel(f"[{axis}]", "mm") for axis in "xyz"]
+
+    def see(self, parameters: Parameters, position: Any, rotation: Any) -> Any:
+        """Return where the target is in the instrument's frame."""
+        own = np.swapaxes(rotation_matrix(parameters["frame_r"]), -1, -2)
+        return _turn(own, _find_target(parameters, position, rotation) - parameters["frame"])
+
+
+class PoseInstrument(PointInstrument):
+    """A tracked pose: position and rotation vector of a frame on the tool, in the instrument's frame."""
+
+    Config = PoseConfig
+
+    def __init__(self, config: PoseConfig) -> None:
+        """Lay out the frame and that on the tool."""
+        super().__init__(config)
+        target = _frame("target", config.target_mm or [0.0, 0.0, 0.0], config.target_deg)
+        self.parameters = [*self.parameters[:2], *target]
+        self.channels = [*self.channels, *(Channel(f"r[{axis}]", "rad", rotation="r") for axis in "xyz")]
+
+    def see(self, parameters: Parameters, position: Any, rotation: Any) -> Any:
+        """Return position and rotation vector in the instrument's frame."""
+        own = np.swapaxes(rotation_matrix(parameters["frame_r"]), -1, -2)
+        turned = rotation_vector(own @ rotation @ rotation_matrix(parameters["target_r"]))
+        both = np.broadcast_arrays(super().see(parameters, position, rotation), turned)
+        return np.concatenate(both, axis=-1)
+
+
+class DistanceInstrument(Instrument):
+    """A ball bar or a draw-wire: the distance from a fixed point to a point on the tool, less that where it is zero."""
+
+    Config = DistanceConfig
+
+    def __init__(self, config: DistanceConfig) -> None:
+        """Lay out both points and the zero."""
+        super().__init__(config)
+        zero = ParameterBlock("zero", (config.zero_mm,), per_leg=False)
+        self.parameters = [*_points("anchor", config.anchor_mm), *_points("target", config.target_mm), zero]
+        self.channels = [Channel("", "mm")]
+
+    def see(self, parameters: Parameters, position: Any, rotation: Any) -> Any:
+        """Return the distance."""
+        away = norm(_find_target(parameters, position, rotation) - parameters["anchor"])
+        return (away - parameters["zero"])[..., None]
+
+
+def _points(symbol: str, value: list[float] | None) -> list[ParameterBlock]:
+    return [] if value is None else [ParameterBlock(symbol, tuple(value))]
+
+
+def _frame(symbol: str, position: list[float], degrees: list[float]) -> list[ParameterBlock]:
+    turn = ParameterBlock(f"{symbol}_r", tuple(float(one) for one in np.radians(degrees)), "rad")
+    return [*_points(symbol, position), turn]
+
+
+def _turn(rotation: Any, vector: Any) -> Any:
+    return (rotation @ vector[..., None])[..., 0]
+
+
+def _find_target(parameters: Parameters, position: Any, rotation: Any) -> Any:
+    """Return where the target is in the base frame, (..., 3)."""
+    return position + _turn(rotation, parameters["target"]) if "target" in parameters else position
+
+
+# --- the machine before them -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Placed(ReadingModel):
+    """A machine with instruments beside it; made by `place`.
+
+    Attributes
+    ----------
+    whole : ReadingModel
+        The machine.
+    instruments : tuple of FunctionModel
+        Their coordinates are the tool's pose. Any of their channels may be left out, none of their parameters.
+    """
+
+    whole: ReadingModel
+    instruments: tuple[FunctionModel, ...]
+
+    @property
+    def name(self) -> str:
+        """The machine's."""
+        return str(getattr(self.whole, "name", ""))
+
+    @cached_property
+    def layout(self) -> ParameterLayout:
+        """The machine's parameters, then those of each instrument."""
+        every = [(one.name, block) for one in self.instruments for block in one.layout.blocks]
+        return self.whole.layout.extend(tuple(replace(b, symbol=f"{name}_{b.symbol}") for name, b in every))
+
+    @cached_property
+    def sensors(self) -> tuple[Channel, ...]:
+        """The machine's channels, then those of each instrument."""
+        return (*self.whole.channels, *(_rename(one.name, seen) for one in self.instruments for seen in one.channels))
+
+    def pick(self, channels: np.ndarray) -> Placed:
+        """Return the same machine with some of its channels, in their order; a part computes no more than its own."""
+        chosen, parts, start = np.arange(len(self.channels))[channels], [], 0
+        for part in (self.whole, *self.instruments):
+            end = start + len(part.channels)
+            parts.append(part.pick(chosen[(chosen >= start) & (chosen < end)] - start))
+            start = end
+        return Placed(parts[0], tuple(parts[1:]))  # type: ignore[arg-type]
+
+    def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
+        """Return what the machine says; all where an instrument is read, which sees the tool."""
+        names = [self.names[k] for k in self.select(channels)]
+        return self.whole.seen_parameters(names) if {*names} <= {*self.whole.names} else self.layout.names
+
+    # --- what the machine says -----------------------------------------------------------------------------------
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The machine's."""
+        return self.whole.coordinates
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """What the machine has to know."""
+        return self.whole.given
+
+    @property
+    def commanded(self) -> tuple[str, ...]:
+        """What the machine can be commanded by."""
+        return self.whole.commanded
+
+    @property
+    def command_range(self) -> Array:
+        """The machine's."""
+        return self.whole.command_range
+
+    @property
+    def member(self) -> str:
+        """What the machine says."""
+        return self.whole.member
+
+    @property
+    def pose_channels(self) -> tuple[Channel, ...]:
+        """The machine's."""
+        return self.whole.pose_channels
+
+    @property
+    def tool_channels(self) -> tuple[Channel, ...]:
+        """The machine's: no instrument moves the tool."""
+        return self.whole.tool_channels
+
+    @property
+    def states_tool(self) -> bool:
+        """What the machine says."""
+        return self.whole.states_tool
+
+    def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
+        """Check as the machine does."""
+        self.whole.check_given(poses, given, free)
+
+    def frame_parameters(self) -> tuple[str, ...]:
+        """Return those of the machine."""
+        return self.whole.frame_parameters()
+
+    def rotation(self, pose: Array) -> Array:
+        """Return the machine's."""
+        return self.whole.rotation(pose)
+
+    def _split(self, theta: Array) -> list[Array]:
+        """Return the machine's parameters and those of each instrument."""
+        sizes = [part.layout.size for part in (self.whole, *self.instruments)]
+        return np.split(theta, np.cumsum(sizes)[:-1], axis=-1)
+
+    # --- the tool's pose ---------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _lengths(self) -> list[int]:
+        """Which of the tool's numbers are x, y and z."""
+        return [k for k, one in enumerate(self.tool_channels) if one.unit == "mm"]
+
+    @cached_property
+    def _turned(self) -> list[int]:
+        """Which of the tool's numbers are its rotation vector; none where it has none."""
+        return [k for k, one in enumerate(self.tool_channels) if one.rotation][:3]
+
+    @property
+    def tells_rotation(self) -> bool:
+        """Whether the machine says how its tool is turned."""
+        return bool(self._turned) or type(self.whole).rotation is not ReadingModel.rotation
+
+    def _rotate(self, pose: Array) -> Array:
+        """Return how the tool is turned by `ReadingModel.rotation`, in space, (..., 3, 3)."""
+        found = self.whole.rotation(np.nan_to_num(pose))
+        result = np.zeros((*found.shape[:-2], 3, 3), dtype=found.dtype) + np.eye(3)
+        result[..., : found.shape[-1], : found.shape[-1]] = found
+        return result
+
+    def _place_tool(self, numbers: Array, pose: Array) -> Array:
+        """Return position and rotation vector (..., 6) from the tool's numbers (..., m) at poses (..., q)."""
+        found = np.zeros((*numbers.shape[:-1], len(TOOL)))
+        found[..., : len(self._lengths)] = numbers[..., self._lengths]
+        if self._turned:
+            found[..., 3:] = numbers[..., self._turned]
+        elif self.tells_rotation:
+            found[..., 3:] = rotation_vector(self._rotate(pose))
+        return np.where(np.isfinite(pose).all(axis=-1, keepdims=True), found, np.nan)
+
+    def _linearise_tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+        """Return position and rotation vector (..., 6) with their derivatives, by the pose and by the parameters."""
+        numbers, *slopes = self.whole.tool(theta, pose)
+        tool, places = self._place_tool(numbers, pose), self._lengths + self._turned
+        rows = [*range(len(self._lengths)), *range(3, 3 + len(self._turned))]
+        by_pose, by_parameters = (np.zeros((*tool.shape, one.shape[-1])) for one in slopes)
+        by_pose[..., rows, :], by_parameters[..., rows, :] = (one[..., places, :] for one in slopes)
+        if self.tells_rotation and not self._turned:
+            turned = rotation_vector(self._rotate(pose[..., None, :] + 1j * STEP * np.eye(pose.shape[-1])))
+            by_pose[..., 3:, :] = np.swapaxes(turned.imag, -1, -2) / STEP
+        return tool, by_pose, by_parameters
+
+    # --- readings ----------------------------------------------------------------------------------------------------
+
+    def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
+        """Return the readings; see `ReadingModel.read`."""
+        own, *others = self._split(theta)
+        parts = [self.whole.read(own, pose, given)]
+        if len(self.channels) > len(self.whole.channels):
+            tool = self._place_tool(self.whole.tool_values(own, pose), pose)
+            parts += [one.read(some, tool) for one, some in zip(self.instruments, others, strict=True)]
+        shape = np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1])
+        return np.concatenate([np.broadcast_to(one, (*shape, one.shape[-1])) for one in parts], axis=-1)
+
+    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
+        """Return the readings with their derivatives; see `ReadingModel.linearise`."""
+        own, *others = self._split(theta)
+        shape = (*np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1]), len(self.channels))
+        row, column = len(self.whole.channels), self.whole.layout.size
+        values, by_pose = np.empty(shape), np.empty((*shape, pose.shape[-1]))
+        by_parameters = np.zeros((*shape, theta.shape[-1])) if with_parameters else np.empty(0)
+        here = self.whole.linearise(own, pose, with_parameters, given)
+        values[..., :row], by_pose[..., :row, :] = here.values, here.by_pose
+        if with_parameters:
+            by_parameters[..., :row, :column] = here.by_parameters
+        if row == len(self.channels):
+            return Readings(values, by_pose, by_parameters)
+        tool, tool_by_pose, tool_by_parameters = self._linearise_tool(own, pose)
+        for one, some in zip(self.instruments, others, strict=True):
+            seen, rows = one.linearise(some, tool, with_parameters), slice(row, row + len(one.channels))
+            values[..., rows], by_pose[..., rows, :] = seen.values, seen.by_pose @ tool_by_pose
+            if with_parameters:
+                by_parameters[..., rows, : own.shape[-1]] = seen.by_pose @ tool_by_parameters
+                by_parameters[..., rows, column : column + some.shape[-1]] = seen.by_parameters
+            row, column = rows.stop, column + some.shape[-1]
+        return Readings(values, by_pose, by_parameters)
+
+    def error_gain(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array | None:
+        """Return the machine's; an instrument's model error shows in its own channel alone."""
+        own = self.whole.error_gain(self._split(theta)[0], pose, given)
+        if own is None:
+            return None
+        result = np.zeros((*own.shape[:-2], len(self.channels), len(self.channels))) + np.eye(len(self.channels))
+        result[..., : own.shape[-1], : own.shape[-1]] = own
+        return result
+
+    def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+        """Return the machine's tool, which no instrument moves."""
+        own, *others = self._split(theta)
+        position, by_pose, by_parameters = self.whole.tool(own, pose)
+        nothing = np.zeros((*by_parameters.shape[:-1], sum(one.shape[-1] for one in others)))
+        return position, by_pose, np.concatenate([by_parameters, nothing], axis=-1)
+
+
+def _rename(name: str, channel: Channel) -> Channel:
+    """Return a channel of an instrument as the machine before it has it."""
+    own = channel.name
+    return replace(
+        channel,
+        name=f"{name}_{own}" if own and not own.startswith("[") else f"{name}{own}",
+        external=True,
+        rotation=f"{name}_{channel.rotation}" if channel.rotation else "",
+    )
+
+
+def place(machine: ReadingModel, instruments: Mapping[str, Instrument]) -> ReadingModel:
+    """Return a machine with instruments beside it, by their names.
+
+    Raises
+    ------
+    InputError
+        For an instrument that is none: without channels, failing, not analytic; for a machine that does not say where
+        its tool is, or how it is turned where that is seen; for a name that the machine has already.
+    """
+    if not instruments:
+        return machine
+    title = getattr(machine, "name", "")
+    bare = Placed(machine, ())
+    placed = []
+    for name, one in instruments.items():
+        with name_faults(f"instruments.{name}"):
+            if not machine.states_tool or not 0 < len(bare._lengths) <= 3:
+                raise InputError(
+                    f"sees where the tool is, machine {title!r} does not say it; expected tool_channels of its class, "
+                    "up to three in mm"
+                )
+            home = bare._place_tool(machine.tool_values(machine.layout.nominal, machine.home_pose), machine.home_pose)
+            one.coordinates = [
+                Coordinate(axis, "mm" if k < 3 else "rad", float(home[k]), NEARBY[k]) for k, axis in enumerate(TOOL)
+            ]
+            model = FunctionModel(name, one)
+            if model.pattern[:, model.layout.size + 3 :].any() and not bare.tells_rotation:
+                raise InputError(
+                    f"sees how the tool is turned, machine {title!r} gives no rotation; expected a rotation vector "
+                    "among tool_channels of its class, or an instrument that sees the tool's centre alone"
+                )
+            placed.append(model)
+    found = Placed(machine, tuple(placed))
+    for names in (found.layout.symbols, tuple(one.stem for one in found.channels)):  # by which columns name channels
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"instruments: found {name!r} twice, expected instruments of other names")
+    return found
