@@ -19,6 +19,7 @@ from reading_machines import (
     small_posterior,
     star_density,
     star_of,
+    workspace_volume,
 )
 
 from bayescal.density.calibration.terms import NO_ERRORS
@@ -31,7 +32,7 @@ from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import find_modes
 from bayescal.inference.sampling import sample_posterior
 from bayescal.machines.readings.schema import ReadingTolerancesConfig
-from bayescal.reproductions.sika2008.reading_machine import build_sensors, draw_poses, free_parameters, workspace_volume
+from bayescal.reproductions.sika2008.reading_machine import build_sensors, draw_poses, free_parameters
 
 VOLUME = workspace_volume(WORKSPACE)
 TINY = ReadingTolerancesConfig(length_mm=1e-3, angle_deg=1e-4, zero_deg=1e-3)
