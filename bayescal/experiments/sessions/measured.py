@@ -17,7 +17,7 @@ from bayescal.density.priors import NormalPrior, Prior
 from bayescal.density.sessions.rows import LegRows, ReadingRows, SessionRows
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig
-from bayescal.experiments.shared.leg_slips import find_measured_slip
+from bayescal.experiments.shared.leg_slips import find_slip_of_legs
 from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant, Measuring, MeasuringReadings
 from bayescal.experiments.shared.reading_slips import Suspicion
 from bayescal.experiments.shared.slips import FoundSlip
@@ -152,7 +152,7 @@ class LegSession(Session):
 
     def find_slip(self, denied: Collection[str] = ()) -> FoundSlip | None:
         """Return a slip of actuators or poses."""
-        return find_measured_slip([self.measured], denied)
+        return find_slip_of_legs([self.measured], denied)
 
     def approach(self) -> Array:
         """Return the least-squares machine."""

@@ -232,7 +232,7 @@ def _flip(k: int) -> Array:
 # --- machines that were measured ---------------------------------------------------------------------------------
 
 
-def find_measured_slip(variants: Iterable[MeasuredVariant], denied: Collection[str] = ()) -> FoundSlip | None:
+def find_slip_of_legs(variants: Iterable[MeasuredVariant], denied: Collection[str] = ()) -> FoundSlip | None:
     """Return what explains measured poses many times better than they are; None where some variant fits them.
 
     Parameters
