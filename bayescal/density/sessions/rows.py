@@ -24,13 +24,15 @@ class LinearRows(NamedTuple):
     """Rows at one machine.
 
     ``errors`` (P, R) and ``slope`` (P, R, D) by θ; ``constant`` (P,) of the log-density; ``covariance`` takes what is
-    unknown of the errors, as `SessionRows.read_errors` returns it, to (P, R, R).
+    unknown of the errors, as `SessionRows.read_errors` returns it, to (P, R, R). ``basis`` (P, K, R): the directions of
+    white readings that they are.
     """
 
     errors: Array
     slope: Array
     constant: Array
     covariance: Callable[[Array], Array]
+    basis: Array
 
 
 class SessionRows(ABC):
@@ -106,7 +108,7 @@ class LegRows(SessionRows):
         def covariance(tau: Array) -> Array:
             return likelihood.legs_known + np.eye(len(tau)) * (likelihood.actuator_weight * tau**2)[:, None, :]
 
-        return LinearRows(errors, slope, likelihood.log_constant, covariance)
+        return LinearRows(errors, slope, likelihood.log_constant, covariance, np.empty(0))
 
     def evaluate(self, theta: Array, errors: Array) -> Array:
         """Return the density of the poses."""
@@ -176,7 +178,7 @@ class ReadingRows(SessionRows):
             return np.asarray(across @ (seen + np.eye(own.shape[-1]) * ~there[:, None, :]) @ basis)
 
         errors = (across @ error[0][..., None])[..., 0]
-        return LinearRows(errors, -(across @ by_parameters[0]), constant, covariance)
+        return LinearRows(errors, -(across @ by_parameters[0]), constant, covariance, basis)
 
     def evaluate(self, theta: Array, errors: Array) -> Array:
         """Return the density of the readings, poses eliminated."""

@@ -247,11 +247,25 @@ def find_slip_of_legs(variants: Iterable[MeasuredVariant], denied: Collection[st
     return find_leg_slip((_suspect(one, stated) for one in measured), start, denied)
 
 
+def audit_legs(
+    measured: MeasuredVariant,
+) -> tuple[Callable[[LegData, np.ndarray | None], Weight], list[Slip[LegData]], float, FoundSlip | None]:
+    """Return how poses are weighed, all that may have happened to them, up to what they fit, and what explains best."""
+    start, data = (
+        measured.machine.mechanism.initial_actuator_positions,
+        LegData(measured.poses.actuators, measured.poses),
+    )
+    suspect = replace(_suspect(measured, state_error(measured)), data=data)
+    slips = [*list_leg_slips(data, start), *list_pose_units(data)]
+    found = find_slip(suspect.weigh, data, [replace(one, least=0.0, tried_from=0.0) for one in slips], 0.0)
+    return suspect.weigh, slips, REREAD, found
+
+
 def _suspect(measured: MeasuredVariant, stated: float) -> Suspect:
     poses = measured.poses
 
     def likelihood_of(data: LegData, chosen: np.ndarray) -> Likelihood:
-        moved = replace(poses.select(chosen), actuators=data.actuators)
+        moved = replace(data.poses or poses.select(chosen), actuators=data.actuators)
         return PoseLikelihood(measured.machine, moved, measured.actuator_noise)
 
     return Suspect(likelihood_of, measured.posterior.sampling.coordinates, LegData(poses.actuators), stated)

@@ -16,7 +16,7 @@ from bayescal.density.calibration.likelihood import CalibrationLikelihood, searc
 from bayescal.density.calibration.posterior import CalibrationPosterior
 from bayescal.density.elimination import find_step, project_out
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.shared.leg_slips import find_slip_of_legs
+from bayescal.experiments.shared.leg_slips import audit_legs, find_slip_of_legs
 from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.experiments.shared.slips import (
     BETTER,
@@ -31,6 +31,7 @@ from bayescal.experiments.shared.slips import (
     find_slip,
     fit_rows,
     list_reading_slips,
+    list_unnoticed,
     weigh_rows,
 )
 from bayescal.machines.readings import Channel
@@ -245,6 +246,19 @@ def find_measured_slip(variants: Sequence[MeasuredReadings], denied: Collection[
     if legs:
         return find_slip_of_legs(legs, denied)
     return find_calibration_slip((Suspicion(one.posterior, one.low, one.high) for one in variants), denied)
+
+
+def audit_slips(measured: MeasuredReadings) -> tuple[FoundSlip | None, tuple[int, list[str]]]:
+    """Return the slip that explains readings best, however well they fit, and without one what planted slips do.
+
+    Of these, how many there are and which would pass unnoticed.
+    """
+    if measured.legs is not None:
+        weigh, slips, limit, found = audit_legs(measured.legs)
+        return found, (0, []) if found is not None else list_unnoticed(weigh, slips, limit)
+    suspicion = Suspicion(measured.posterior, measured.low, measured.high)
+    found = suspicion.find()
+    return found, (0, []) if found is not None else list_unnoticed(suspicion.weigh, suspicion.list_slips(), BETTER)
 
 
 def find_calibration_slip(variants: Iterable[Suspicion], denied: Collection[str] = ()) -> FoundSlip | None:

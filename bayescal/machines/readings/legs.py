@@ -123,7 +123,7 @@ class LegsModel(ReadingModel):
         machine, n = self.machine, self.n_legs
         position, rotation, actuators = self._hold(theta, pose)
         with np.errstate(all="ignore"):
-            basis = machine.basis(actuators)
+            basis = machine.basis_at(theta, actuators)
             closure = machine.model.prepare(machine.layout, theta)(position, rotation, basis, with_parameters)
         values = np.concatenate([actuators, np.broadcast_to(pose, (*actuators.shape[:-1], len(POSE)))], axis=-1)
         inverse = invert_closure(closure.actuators)
