@@ -252,8 +252,9 @@ def see_legs(measured: MeasuredVariant) -> MeasuredReadings:
     data = replace(data, sd=sd, commanded=np.tile(legs, (poses.n_poses, 1)))
     error, terms = own.errors.model_error, tuple[ModelErrorTerm, ...]()
     if error.scale is not None:
-        groups = [legs] if error.shared else [np.arange(len(legs)) == k for k in range(n)]
-        terms = tuple(ModelErrorTerm(model.names[int(np.argmax(one))], one, error.scale, "mm") for one in groups)
+        each = {model.names[k]: np.arange(len(legs)) == k for k in range(n)}
+        groups = {"actuators": legs} if error.shared else each
+        terms = tuple(ModelErrorTerm(name, one, error.scale, "mm") for name, one in groups.items())
     likelihood = CalibrationLikelihood(model, data, 1.0, pose)
     posterior = CalibrationPosterior(likelihood, own.priors, Errors(terms), own.fixed)
     return MeasuredReadings(

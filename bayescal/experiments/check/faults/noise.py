@@ -45,7 +45,8 @@ def check_noise(measured: MeasuredReadings) -> Finding:
     if errors.outliers.expected:
         return Finding(CHECK, "", "good", f"{said}; rows may be outliers, which count by how far off they are.")
     stated, zeta = left.explain(1.0)
-    free = [f"{name} {x:.3g}" for name, x in zip(errors.names, errors.natural(zeta), strict=True)]
+    values = zip(errors.names, errors.natural(zeta), errors.units, strict=True)
+    free = [f"{name} {x:.3g}{'' if unit == '1' else f' {unit}'}" for name, x, unit in values]
     if any(type(one).factor is not ErrorTerm.factor for one in errors.terms):
         return Finding(CHECK, "", "good", f"{said}; what is free of it is estimated, about {', '.join(free)}.")
     best, factor = max((left.explain(x)[0], x) for x in FACTORS)
