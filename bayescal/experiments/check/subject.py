@@ -57,7 +57,7 @@ class Subject:
         NumericalError
             Where the machine cannot take the poses.
         """
-        values = self._simulate(y, rng)
+        values = self.simulate(y, rng)
         if values is None:
             raise NumericalError("a draw of the posterior cannot take the poses")
         return self.measured.retake(np.concatenate([self.measured.posterior.likelihood.data.values, values])).found
@@ -72,12 +72,12 @@ class Subject:
         """
         for _ in range(TRIES):
             y = self.posterior.draw_prior(1, rng)[0]
-            values = self._simulate(y, rng)
+            values = self.simulate(y, rng)
             if values is not None:
                 return y, values
         raise NumericalError(f"simulation: found no machine that takes the poses in {TRIES} draws of the priors")
 
-    def _simulate(self, y: Array, rng: np.random.Generator) -> Array | None:
+    def simulate(self, y: Array, rng: np.random.Generator) -> Array | None:
         """Return readings (P, K) of a machine (n,) at the poses of the measured ones; None where it has none there.
 
         A machine that was sent to its poses by commands goes where these take it.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -192,8 +192,3 @@ def _build_expansions(thermal: ThermalConfig | None, layout: ParameterLayout) ->
         index = np.concatenate([layout.index[symbol] for symbol in symbols])
         found.append(Expansion(name, index, PPM * body.ppm, PPM * body.sd_ppm))
     return tuple(found)
-
-
-def without_expansion(model: SessionModel) -> SessionModel:
-    """Return the same sessions as if the temperature did nothing."""
-    return replace(model, expansions=())
