@@ -27,12 +27,10 @@ import numpy as np
 
 from bayescal.data.actuators import read_moves
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.next_pose.inputs import read_next
-from bayescal.experiments.next_pose.legs import LegsSubject
-from bayescal.experiments.next_pose.state import State, find_state
-from bayescal.experiments.shared.measured import MeasuredVariant
+from bayescal.experiments.next_pose.state import State, Subject, find_state
+from bayescal.experiments.shared.measured import MeasuredVariant, see_legs
 from bayescal.identifiability.requirements import Requirement
 from bayescal.machines.kinematics import ForwardKinematics, solve_forward_kinematics
 from bayescal.numerics.geometry import Array, compute_pose_error, matrix_from_rotation_vector
@@ -49,7 +47,7 @@ class Problem:
 
     Attributes
     ----------
-    subject : LegsSubject
+    subject : Subject
         The shipped survey seen through the rigid variant.
     plan : ndarray, shape (40, 6)
         Actuator positions of the plan, mm.
@@ -57,7 +55,7 @@ class Problem:
         Covariance of a measured pose, mm and rad.
     """
 
-    subject: LegsSubject
+    subject: Subject
     plan: Array
     noise: Array
 
@@ -69,7 +67,8 @@ class Problem:
     @property
     def measured(self) -> MeasuredVariant:
         """The variant's poses."""
-        return self.subject.measured
+        assert self.subject.measured.legs is not None
+        return self.subject.measured.legs
 
 
 def build_problem(model_error: bool, reach: float | None) -> Problem:
@@ -80,9 +79,11 @@ def build_problem(model_error: bool, reach: float | None) -> Problem:
             update={"candidates": type(config.candidates)(range_mm=reach, count=config.candidates.count)}
         )
     subject = next(iter(read_next(config, FOLDER).subjects.values()))
-    assert isinstance(subject, LegsSubject)
-    plan = subject.home + read_moves(FOLDER / "calibration_configurations.csv", 1.0, len(subject.home))
-    return Problem(subject, plan, subject.measured.poses.covariance.mean(axis=0))
+    legs = subject.measured.legs
+    assert legs is not None
+    home = legs.machine.mechanism.initial_actuator_positions
+    plan = home + read_moves(FOLDER / "calibration_configurations.csv", 1.0, len(home))
+    return Problem(subject, plan, legs.poses.covariance.mean(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,19 +109,19 @@ class Twin:
 
     def find_errors(self, calibrated: Array) -> Array:
         """Return the true error of a calibrated machine, by geometry alone, over the workspace, shape (W, 6)."""
-        true, there = self.true_poses, self.problem.subject.workspace
+        true, there = self.true_poses, self.problem.subject.workspace.values
         found = solve_forward_kinematics(self.problem.measured.machine, calibrated, there, follow=False)
         return compute_pose_error(true.position, true.rotation, found.position, found.rotation)
 
     @cached_property
     def true_poses(self) -> ForwardKinematics:
         """Where the true machine stands."""
-        machine, there = self.problem.measured.machine, self.problem.subject.workspace
+        machine, there = self.problem.measured.machine, self.problem.subject.workspace.values
         return solve_forward_kinematics(machine, self.theta, there)
 
     def draw_rest(self) -> Array:
         """Return what actuators and model err by at the workspace, shape (W, 6)."""
-        machine, there = self.problem.measured.machine, self.problem.subject.workspace
+        machine, there = self.problem.measured.machine, self.problem.subject.workspace.values
         here = machine.linearise(self.theta, self.true_poses.position, self.true_poses.rotation, there)
         error = self.problem.measured.actuator_noise * self.rng.standard_normal(there.shape)
         error += self.tau * self.rng.standard_normal(there.shape)
@@ -140,11 +141,8 @@ def join(one: MeasuredPoses | None, other: MeasuredPoses) -> MeasuredPoses:
 
 def find(problem: Problem, poses: MeasuredPoses, start: Array | None) -> State:
     """Return what is known after poses, updated from a mode."""
-    measured = problem.measured
-    likelihood = PoseLikelihood(measured.machine, poses, measured.actuator_noise)
-    posterior = replace(measured.posterior, likelihood=likelihood)
-    own = replace(measured, poses=poses, posterior=posterior)
-    return find_state(replace(problem.subject, measured=own), start, DRAWS, SEED)
+    measured = see_legs(problem.measured.with_poses(poses))
+    return find_state(replace(problem.subject, measured=measured), start, DRAWS, SEED)
 
 
 def tighten(problem: Problem) -> Problem:
@@ -192,10 +190,10 @@ def calibrate(problem: Problem, first: State, rows: Array, number: int, most: in
     for _ in range(most):
         began = time.perf_counter()
         measured = np.empty((0, 6)) if poses is None else poses.actuators
-        allowed = find_unmeasured(problem.subject.candidates, measured, 0.28)
+        allowed = find_unmeasured(problem.subject.candidates.values, measured, 0.28)
         step = next(look_ahead(first.weight, covariance, rows, allowed))
         seconds.append(time.perf_counter() - began)
-        poses = join(poses, twin.measure(problem.subject.candidates[[step.candidate]]))
+        poses = join(poses, twin.measure(problem.subject.candidates.values[[step.candidate]]))
         began = time.perf_counter()
         state = find(problem, poses, None if state is None else state.belief.y)
         covariance = state.covariance
@@ -210,7 +208,7 @@ def run(args: argparse.Namespace) -> None:
     problem = tighten(build_problem(args.model_error, args.range))
     print("limits:", ", ".join(f"{one.name} {one.limit:.4g}" for one in problem.requirements))
     nominal = draw_twin(problem, 10**6)
-    first = find(problem, replace(nominal, tau=np.zeros(6)).measure(problem.subject.candidates[:1]), None)
+    first = find(problem, replace(nominal, tau=np.zeros(6)).measure(problem.subject.candidates.values[:1]), None)
     rows = first.rows
     plans, courses, times = [], [], []
     with np.errstate(all="ignore"):

@@ -20,8 +20,9 @@ from bayescal.calibrated.recheck.statistics import choose_suspects
 from bayescal.calibrated.recheck.tables import expect_pose, place_poses
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.experiments.check.legs import LegSubject
+from bayescal.experiments.check.subject import Subject
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.shared.measured import MeasuredVariant, see_legs
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
@@ -31,26 +32,26 @@ VARIANT = "six_ups/none"
 SHARE = 0.9
 
 
-def calibrate(subject: LegSubject, poses: MeasuredPoses) -> CalibratedMachine:
+def calibrate(measured: MeasuredVariant, poses: MeasuredPoses) -> CalibratedMachine:
     """Return the machine as a calibration by poses leaves it, by Laplace's approximation; the twins have no τ."""
-    posterior = subject.posterior_of(poses)
+    posterior = measured.with_poses(poses).posterior
     y = posterior.polish(posterior.approach())
     change = posterior.sampling.jacobian(posterior.theta(y[None])[0])[posterior.sampling.free]
     data, prior = posterior.information(y)
     covariance = change @ np.linalg.inv(data + prior) @ change.T
-    machine = subject.measured.machine
+    machine = measured.machine
     theta, free = posterior.theta(y[None])[0], posterior.sampling.free
-    errors = build_leg_errors(machine, theta, subject.measured.actuator_noise, np.zeros(machine.mechanism.n_legs))
+    errors = build_leg_errors(machine, theta, measured.actuator_noise, np.zeros(machine.mechanism.n_legs))
     source = Source("twin", VARIANT, "simulated")
     return CalibratedMachine(Legs(machine), theta, free, covariance, None, errors, source)
 
 
 def measure(
-    subject: LegSubject, theta: Array, actuators: Array, covariance: Array, rng: np.random.Generator
+    measured: MeasuredVariant, theta: Array, actuators: Array, covariance: Array, rng: np.random.Generator
 ) -> Measurements:
     """Return poses of a true machine θ (D,) as an instrument of a covariance (6, 6) sees them."""
-    actual = actuators + rng.normal(0.0, subject.measured.actuator_noise, actuators.shape)
-    found = solve_forward_kinematics(subject.measured.machine, theta, actual)
+    actual = actuators + rng.normal(0.0, measured.actuator_noise, actuators.shape)
+    found = solve_forward_kinematics(measured.machine, theta, actual)
     noise = rng.multivariate_normal(np.zeros(6), covariance, len(actuators), method="cholesky")
     rotation = matrix_from_rotation_vector(noise[:, 3:]) @ found.rotation
     names = tuple(f"R{k + 1}" for k in range(len(actuators)))
@@ -59,20 +60,22 @@ def measure(
     return place_poses(names, actuators, values, spread)
 
 
-def try_twin(subject: LegSubject, demand: Demand, seed: int) -> dict[str, object]:
+def try_twin(measured: MeasuredVariant, demand: Demand, seed: int) -> dict[str, object]:
     """Return what rechecks say of one twin."""
     rng = np.random.default_rng([2026, seed])
-    truth, poses = subject.simulate_from_prior(rng)
-    calibrated, covariance = calibrate(subject, poses), subject.measured.poses.covariance.mean(axis=0)
+    readings, posterior = see_legs(measured), measured.posterior
+    truth, values = Subject(readings).draw_truth(rng)
+    poses = measured.retake(measured.poses.names, values).poses
+    calibrated, covariance = calibrate(measured, poses), measured.poses.covariance.mean(axis=0)
     suspects, planned = choose_suspects(calibrated, ()), expect_pose(calibrated, covariance)
     plan = plan_recheck(calibrated, suspects, *list_candidates(calibrated, SHARE), planned, demand)
-    theta, leg = subject.theta_of(truth)[0], int(rng.integers(6))
-    length = subject.measured.machine.layout.index["l"][leg]
+    theta, leg = posterior.theta(truth[None])[0], int(rng.integers(6))
+    length = measured.machine.layout.index["l"][leg]
     row: dict[str, object] = {"twin": seed, "poses": len(plan.chosen), "leg": leg + 1, "promised": plan.power[leg]}
     for name, shift in (("holds", 0.0), ("moved", demand.shift[leg] * (1.0 if rng.random() < 0.5 else -1.0))):
         theta_now = theta.copy()
         theta_now[length] += shift
-        sessions = [measure(subject, theta_now, plan.commands, covariance, rng) for _ in range(demand.sessions)]
+        sessions = [measure(measured, theta_now, plan.commands, covariance, rng) for _ in range(demand.sessions)]
         found = judge_recheck(calibrated, suspects, sessions, demand.false_alarm, demand.sessions)
         row |= {f"{name}_found": not found.holds, f"{name}_leg": found.worst + 1, f"{name}_odd": found.is_odd}
         row[f"{name}_first"] = bool(np.abs(found.statistic[0]).max() > found.threshold)
@@ -90,9 +93,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     experiment, study = load(STUDY)
-    subject = LegSubject(experiment.measure(study, STUDY, experiment.list_variants(study)[VARIANT], False))
+    measured = experiment.measure(study, STUDY, experiment.list_variants(study)[VARIANT], False)
     demand = Demand(np.full(6, 1e-3 * given.shift_um), sessions=given.sessions)
-    table = pd.DataFrame([try_twin(subject, demand, given.first + k) for k in range(given.twins)])
+    table = pd.DataFrame([try_twin(measured, demand, given.first + k) for k in range(given.twins)])
     if given.out is not None:
         table.to_csv(given.out, index=False)
     report(table)

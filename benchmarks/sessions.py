@@ -8,17 +8,17 @@ monthly sessions of a few of that study's poses; then the same with legs that st
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from bayescal.density.sessions.model import DAYS_IN_MONTH, Drift, Part, SessionModel, walk_loadings
-from bayescal.experiments.check.legs import LegSubject
+from bayescal.experiments.check.subject import Subject
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.sessions.fit import SessionFit, fit_sessions
-from bayescal.experiments.sessions.measured import LegSession
+from bayescal.experiments.sessions.measured import Session
+from bayescal.experiments.shared.measured import measure_variants
 from bayescal.numerics.geometry import Array
 
 STUDY = Path(__file__).parents[1] / "experiments" / "m2_hexapod" / "study.toml"
@@ -28,26 +28,27 @@ CLEAR = 3.0
 """Nats from which on a page calls drift clear."""
 
 
-def make_sessions(subject: LegSubject, moves: bool, rng: np.random.Generator) -> tuple[SessionModel, Array]:
+def make_sessions(subject: Subject, moves: bool, rng: np.random.Generator) -> tuple[SessionModel, Array]:
     """Return sessions of a twin, and the true lengths in each, (S, N), less those of the first."""
-    posterior, machine = subject.posterior, subject.measured.machine
-    truth, free = subject.draw_prior(rng), posterior.sampling.free
-    lengths = np.flatnonzero(np.isin(free, machine.layout.index["l"]))
+    legs = subject.measured.legs
+    assert legs is not None
+    posterior, layout = legs.posterior, legs.machine.layout
+    truth, free = posterior.draw_prior(1, rng), posterior.sampling.free
+    theta, lengths = posterior.theta(truth), np.flatnonzero(np.isin(free, layout.index["l"]))
     loadings = walk_loadings(DAYS_IN_MONTH * np.arange(SESSIONS))
     scales = np.abs(rng.normal(0.0, SCALE * moves, len(lengths)))
     moved = loadings @ (rng.standard_normal((SESSIONS - 1, len(lengths))) * scales)
     parts = []
     for session in range(SESSIONS):
-        now = truth.copy()
-        now[lengths] += moved[session]
-        plan = subject.measured.poses.select(rng.choice(subject.n_poses, POSES, replace=False))
-        poses = LegSubject(replace(subject.measured, poses=plan)).simulate(now, rng)
-        assert poses is not None
-        measured = LegSession(replace(subject.measured, poses=poses, actuator_variance=None))
-        parts.append(Part(measured.rows(np.arange(POSES)), session))
+        now = theta.copy()
+        now[:, free[lengths]] += moved[session]
+        plan = Subject(subject.measured.pick(rng.choice(legs.poses.n_poses, POSES, replace=False)))
+        values = plan.simulate(posterior.adopt(now, posterior.zeta(truth))[0], rng)
+        assert values is not None
+        parts.append(Part(Session(plan.measured.retake(values)).rows(np.arange(POSES)), session))
     units = tuple(f"l[{k}]" for k in range(1, len(lengths) + 1))
     drift = Drift(loadings, lengths, np.arange(len(lengths)), units, np.full(len(lengths), SCALE))
-    return SessionModel(tuple(parts), *LegSession(subject.measured).design("study"), drift, ()), moved
+    return SessionModel(tuple(parts), *Session(subject.measured).design("study"), drift, ()), moved
 
 
 def compare(model: SessionModel, fit: SessionFit, moved: Array) -> tuple[Array, Array]:
@@ -58,7 +59,7 @@ def compare(model: SessionModel, fit: SessionFit, moved: Array) -> tuple[Array, 
     return np.mean(found < truth, axis=0), (found.mean(axis=0) - truth) / found.std(axis=0)
 
 
-def try_twin(subject: LegSubject, moves: bool, seed: int, n_draws: int) -> dict[str, object]:
+def try_twin(subject: Subject, moves: bool, seed: int, n_draws: int) -> dict[str, object]:
     """Return what sessions of one twin say."""
     rng = np.random.default_rng([2026, seed, int(moves)])
     model, moved = make_sessions(subject, moves, rng)
@@ -79,7 +80,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     experiment, study = load(STUDY)
-    subject = LegSubject(experiment.measure(study, STUDY, experiment.list_variants(study)[VARIANT], True))
+    subject = Subject(measure_variants(experiment, study, STUDY, [VARIANT])[VARIANT])
     seeds = range(given.first, given.first + given.twins)
     table = pd.DataFrame([try_twin(subject, moves, seed, given.draws) for seed in seeds for moves in (True, False)])
     if given.out is not None:

@@ -20,14 +20,14 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.likelihood import Likelihood
-from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.legs import build_leg_posterior
 from bayescal.errors import BayescalError
 from bayescal.experiments.calibration.inputs import Variant, read_inputs
 from bayescal.experiments.calibration.workspace import find_starts
-from bayescal.experiments.check.legs import LegSubject
+from bayescal.experiments.check.subject import Subject
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.shared.leg_slips import LegData, Suspect, find_leg_slip, state_error
+from bayescal.experiments.shared.leg_slips import find_leg_slip, state_error, suspect_poses
+from bayescal.experiments.shared.measured import MeasuredVariant, see_legs
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.numerics.geometry import Array
 
@@ -113,16 +113,16 @@ POSE_PLANTS = {
 
 
 def measure_twin(
-    subject: LegSubject, n: int, travel: float, error_um: float, rng: np.random.Generator
+    measured: MeasuredVariant, n: int, travel: float, error_um: float, rng: np.random.Generator
 ) -> MeasuredPoses:
     """Return poses of a machine of the priors, some of the plan's, their travel shortened, and errors of the legs."""
-    start = subject.measured.machine.mechanism.initial_actuator_positions
-    chosen = np.sort(rng.choice(subject.n_poses, min(n, subject.n_poses), replace=False))
-    plan = subject.measured.poses.select(chosen)
-    plan = replace(plan, actuators=start + travel * (plan.actuators - start))
-    variance = subject.measured.actuator_variance
-    measured = replace(subject.measured, poses=plan, actuator_variance=None if variance is None else variance[chosen])
-    _, poses = LegSubject(measured).simulate_from_prior(rng, with_model_error=False)
+    start, n_poses = measured.machine.mechanism.initial_actuator_positions, measured.poses.n_poses
+    some = measured.pick(np.sort(rng.choice(n_poses, min(n, n_poses), replace=False)))
+    plan = replace(some.poses, actuators=start + travel * (some.poses.actuators - start))
+    exact = build_leg_posterior(some.posterior.likelihood, some.posterior.priors, fixed=some.posterior.fixed)
+    some = replace(some, posterior=exact).with_poses(plan)
+    _, values = Subject(see_legs(some)).draw_truth(rng)
+    poses = some.retake(plan.names, values).poses
     return replace(poses, actuators=poses.actuators + draw_error(plan.actuators - start, error_um, rng))
 
 
@@ -132,16 +132,9 @@ def draw_error(displacement: Array, size_um: float, rng: np.random.Generator) ->
     return 1e-3 * size_um * error / np.sqrt(np.mean(error**2))
 
 
-def find_pose_slip(subject: LegSubject, poses: MeasuredPoses) -> tuple[str, str] | None:
+def find_pose_slip(measured: MeasuredVariant, poses: MeasuredPoses) -> tuple[str, str] | None:
     """Return class and words of the slip that a study of these poses would name."""
-    measured = subject.measured
-
-    def of(data: LegData, _: np.ndarray) -> Likelihood:
-        assert data.poses is not None
-        return PoseLikelihood(measured.machine, replace(data.poses, actuators=data.actuators), measured.actuator_noise)
-
-    stated = state_error(replace(measured, poses=poses))
-    suspect = Suspect(of, measured.posterior.sampling.coordinates, LegData(poses.actuators, poses), stated)
+    suspect = suspect_poses(measured.with_poses(poses), state_error(measured.with_poses(poses)), whole=True)
     found = find_leg_slip([suspect], measured.machine.mechanism.initial_actuator_positions)
     return None if found is None else (found.fault, found.text)
 
@@ -150,19 +143,19 @@ def try_poses(machine: str, twins: int, first: int, planted: bool) -> Iterator[d
     """Yield what is found of twins of a study."""
     path, name = ROOT / STUDIES[machine][0], STUDIES[machine][1]
     experiment, study = load(path)
-    subject = LegSubject(experiment.measure(study, path, experiment.list_variants(study)[name], True))
-    plants = list_plants(subject.measured.machine.mechanism.initial_actuator_positions)
+    measured = experiment.measure(study, path, experiment.list_variants(study)[name], True)
+    plants = list_plants(measured.machine.mechanism.initial_actuator_positions)
     for k in range(first, first + twins):
         labels, n, share, error, rng = draw_setting(machine, k)
-        poses = measure_twin(subject, n, share, error, rng)
+        poses = measure_twin(measured, n, share, error, rng)
         if not planted:
-            yield labels | judge("none", "", find_pose_slip(subject, poses))
+            yield labels | judge("none", "", find_pose_slip(measured, poses))
             continue
         for slip, (fault, plant) in plants.items():
             moved = replace(poses, actuators=plant(poses.actuators, rng))
-            yield labels | judge(slip, fault, find_pose_slip(subject, moved))
+            yield labels | judge(slip, fault, find_pose_slip(measured, moved))
         for slip, mend in POSE_PLANTS.items():
-            yield labels | judge(slip, "poses", find_pose_slip(subject, mend(poses)))
+            yield labels | judge(slip, "poses", find_pose_slip(measured, mend(poses)))
 
 
 def draw_setting(machine: str, twin: int) -> tuple[dict[str, object], int, float, float, np.random.Generator]:

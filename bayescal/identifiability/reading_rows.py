@@ -38,13 +38,13 @@ class View:
 class Slopes:
     """Derivatives at poses (W, q) of one machine, ``places`` (W,) of those that were asked for.
 
-    ``white`` (K,): one over the noise of each channel; ``by_pose`` (W, K, q) and ``by_parameters`` (W, K, D) of the
-    readings, ``tool_by_pose`` (W, t, q) and ``tool_by_parameters`` (W, t, D) of the tool; ``moves`` (m, D): what the
-    posterior's coordinates move; ``half`` (q,): half widths of the workspace.
+    ``noise`` (K, K): its covariance, zero of channels without any; ``by_pose`` (W, K, q) and ``by_parameters``
+    (W, K, D) of the readings, ``tool_by_pose`` (W, t, q) and ``tool_by_parameters`` (W, t, D) of the tool; ``moves``
+    (m, D): what the posterior's coordinates move; ``half`` (q,): half widths of the workspace.
     """
 
     pose: Array
-    white: Array
+    noise: Array
     by_pose: Array
     by_parameters: Array
     tool_by_pose: Array
@@ -63,10 +63,16 @@ class Slopes:
         """Derivatives of the tool by the same, (W, t, m)."""
         return self.tool_by_parameters @ self.moves.T
 
+    @property
+    def white(self) -> Array:
+        """One over the noise of each channel, (K,); zero where it has none."""
+        variance = np.diagonal(self.noise)
+        return np.sqrt(np.divide(1.0, variance, out=np.zeros(len(variance)), where=variance > 0.0))
+
     def seen_by(self, some: np.ndarray) -> View:
         """Return the poses seen by the channels of a mask (K,)."""
-        white = np.where(some, self.white, 0.0)[:, None]
-        slope, seen = white * self.by_pose, white * self.seen
+        white = whiten(self.noise, some)
+        slope, seen = white @ self.by_pose, white @ self.seen
         gain = np.linalg.pinv(slope)
         told = np.linalg.matrix_rank(slope * self.half) == slope.shape[-1]
         rows = seen - slope @ (gain @ seen)
@@ -94,11 +100,12 @@ def differentiate_poses(posterior: CalibrationPosterior, half: Array, y: Array, 
     here = linearise_near(model, theta, pose, given)
     good = np.isfinite(here.by_pose).all(axis=(1, 2)) & np.isfinite(here.by_parameters).all(axis=(1, 2))
     pose = pose[good]
-    _, by_pose, direct = model.tool(theta, pose)
-    white = typical_white(posterior, y)
+    _, by_pose, direct = turn_tool(model, theta, pose)
     here = Readings(here.values[good], here.by_pose[good], here.by_parameters[good])
     moves, places = posterior.around(y)[1].T, np.flatnonzero(good)
-    return Slopes(pose, white, here.by_pose, here.by_parameters, by_pose, direct, moves, half, places)
+    return Slopes(
+        pose, typical_covariance(posterior, y), here.by_pose, here.by_parameters, by_pose, direct, moves, half, places
+    )
 
 
 def linearise_near(model: ReadingModel, theta: Array, pose: Array, given: Given) -> Readings:
@@ -110,10 +117,30 @@ def linearise_near(model: ReadingModel, theta: Array, pose: Array, given: Given)
     return Readings(here.values, *slopes)
 
 
-def typical_white(posterior: CalibrationPosterior, y: Array) -> Array:
-    """Return one over the noise of each channel, the median of its readings, (K,); zero where it has none."""
-    sd = typical_noise(posterior, y[None])[0]
-    return np.where(np.isfinite(sd), 1.0 / sd, 0.0)
+def turn_tool(model: ReadingModel, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+    """Return the tool and its derivatives at poses (W, q), those of a rotation as it turns in the base's frame."""
+    (place, *slopes), comparison = model.tool(theta, pose), Comparison(model.tool_channels)
+    by_pose, by_parameters = (comparison.pull_back(np.zeros_like(place), place, one) for one in slopes)
+    return place, by_pose, by_parameters
+
+
+def whiten(noise: Array, some: np.ndarray) -> Array:
+    """Return what makes readings white, (K, K), of a covariance (K, K), from the channels of a mask (K,) with noise."""
+    there = np.ix_(*[np.flatnonzero(some & (np.diagonal(noise) > 0.0))] * 2)
+    white = np.zeros_like(noise)
+    white[there] = np.linalg.inv(np.linalg.cholesky(noise[there]))
+    return white
+
+
+def typical_covariance(posterior: CalibrationPosterior, y: Array) -> Array:
+    """Return the covariance (K, K) of the channels, medians and mean correlations at y (n,); zero without noise."""
+    sd, stated = np.nan_to_num(typical_noise(posterior, y[None])[0]), posterior.likelihood.data.correlation
+    if stated is None:
+        return np.diag(sd**2)
+    own = np.median(posterior.likelihood.noise(posterior.errors, posterior.zeta(y[None]))[0][0], axis=0)
+    covariance = stated.mean(axis=0) * np.outer(*[np.where(sd > 0.0, own, 0.0)] * 2)
+    covariance[np.diag_indices_from(covariance)] = sd**2
+    return covariance
 
 
 def typical_noise(posterior: CalibrationPosterior, y: Array) -> Array:

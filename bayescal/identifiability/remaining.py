@@ -4,9 +4,7 @@ The calibrated machine predicts its poses by the posterior mean of its parameter
 the true one. How far the prediction errs is taken exactly in the parameters; where that is as good as its tangent by
 them, the tangent takes its place. Requirements hold where no pose of the workspace exceeds a limit.
 
-On legs the closure of the draw at a pose, f(θ, pose, ρ), is what its legs miss, and the pose errs by -A⁻¹ f with
-A = ∂f/∂pose at the calibrated machine. Actuators and the draw's own model errors τ err besides, as in
-`bayescal.identifiability.sensitivity`. The tool of any machine is located by the readings of its own channels.
+The tool of a machine is located by the readings of its own channels, whose noise comes to it.
 """
 
 from __future__ import annotations
@@ -20,10 +18,8 @@ import numpy as np
 
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.errors import NumericalError
-from bayescal.identifiability.reading_rows import linearise_near
+from bayescal.identifiability.reading_rows import linearise_near, turn_tool
 from bayescal.identifiability.requirements import Requirement
-from bayescal.machines.kinematics import ForwardKinematics, Machine, solve_forward_kinematics
-from bayescal.machines.models.base import Linearisation
 from bayescal.machines.readings import Given, ReadingModel, Readings
 from bayescal.numerics.geometry import Array
 
@@ -98,72 +94,6 @@ class Remaining(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class LegsRemaining(Remaining):
-    """Poses of a machine on legs that its actuators reach.
-
-    Attributes
-    ----------
-    machine : Machine
-    theta : ndarray, shape (D,)
-        The calibrated machine.
-    actuators : ndarray, shape (W, N)
-        mm.
-    actuator_noise : float
-        σ_ρ, mm.
-    model_error : ndarray, shape (S, N)
-        Model errors τ of the draws that stand for the true machine, mm.
-    seed : int
-        Of what actuators and model err by: the same at every call, so that differences are not chance.
-    """
-
-    machine: Machine
-    theta: Array
-    actuators: Array
-    actuator_noise: float
-    model_error: Array
-    seed: int
-
-    @cached_property
-    def _poses(self) -> ForwardKinematics:
-        found = solve_forward_kinematics(self.machine, self.theta, self.actuators, check=False)
-        if not found.converged.all():
-            raise NumericalError("workspace: found poses that the calibrated machine cannot take, expected none")
-        return found
-
-    @cached_property
-    def _here(self) -> Linearisation:
-        return self.machine.linearise(self.theta, self._poses.position, self._poses.rotation, self.actuators)
-
-    @cached_property
-    def _gain(self) -> Array:
-        """A⁻¹, shape (W, 6, N)."""
-        return np.linalg.pinv(self._here.pose)
-
-    @cached_property
-    def slope(self) -> Array:
-        """Pose by parameters, shape (W, 6, D)."""
-        return np.asarray(-(self._gain @ self._here.parameters))
-
-    @cached_property
-    def noise(self) -> Array:
-        """What actuators and model err by, shape (W, 6, S), mm and rad."""
-        rng, gain, by_actuators = np.random.default_rng(self.seed), self._gain, self._here.actuators
-        shape = (*self.actuators.shape, len(self.model_error))
-        noise: Array = (gain @ by_actuators * self.actuator_noise) @ rng.standard_normal(shape)
-        if self.model_error.any():
-            by_legs = gain * np.diagonal(by_actuators, axis1=-2, axis2=-1)[:, None, :]
-            noise += by_legs @ (rng.standard_normal(shape) * self.model_error.T)
-        return noise
-
-    def follow(self, theta: Array) -> Array:
-        """Return the errors of machines (s, D) by their closures, shape (W, 6, s); NaN where there is none."""
-        machine, poses = self.machine, self._poses
-        closure = machine.model.bind(machine.layout, poses.position, poses.rotation, machine.basis(self.actuators))
-        with np.errstate(all="ignore"):  # far out numbers overflow
-            return np.asarray(-(self._gain @ closure.evaluate(np.asfortranarray(theta)).transpose(1, 0, 2)))
-
-
-@dataclass(frozen=True, eq=False)
 class ToolRemaining(Remaining):
     """Poses at which the tool of any machine is located by channels of its own.
 
@@ -173,7 +103,8 @@ class ToolRemaining(Remaining):
     Attributes
     ----------
     model : ReadingModel
-        With these channels alone, K of them.
+    own : ndarray of int, shape (K,)
+        Which of its channels these are.
     theta : ndarray, shape (D,)
         The calibrated machine d̂.
     pose : ndarray, shape (W, q)
@@ -185,6 +116,7 @@ class ToolRemaining(Remaining):
     """
 
     model: ReadingModel
+    own: np.ndarray
     theta: Array
     pose: Array
     given: Given
@@ -192,12 +124,19 @@ class ToolRemaining(Remaining):
     seed: int
 
     @cached_property
+    def _picked(self) -> ReadingModel:
+        return self.model.pick(self.own)
+
+    @cached_property
     def _here(self) -> Readings:
-        return linearise_near(self.model, self.theta, self.pose, self.given)
+        here = linearise_near(self._picked, self.theta, self.pose, self.given)
+        if not np.isfinite(here.by_pose).all():
+            raise NumericalError("workspace: found poses that the calibrated machine cannot take, expected none")
+        return here
 
     @cached_property
     def _tool(self) -> tuple[Array, Array, Array]:
-        return self.model.tool(self.theta, self.pose)
+        return turn_tool(self.model, self.theta, self.pose)
 
     @cached_property
     def _located(self) -> Array:
@@ -219,12 +158,18 @@ class ToolRemaining(Remaining):
 
     def follow(self, theta: Array) -> Array:
         """Return the errors of true machines (s, D), the readings as they are, shape (W, c, s)."""
-        comparison, here = Comparison(self.model.channels), self._here
+        place, here = self.model.tool_values(theta, self.pose[:, None]), self._tool[0][:, None]
+        moved = Comparison(self.model.tool_channels).subtract(place, here)
+        return np.asarray(self._located @ self._read(theta) - np.swapaxes(moved, 1, 2))
+
+    def _read(self, theta: Array) -> Array:
+        """Return what machines (s, D) read more than the calibrated one, shape (W, K, s)."""
+        picked, here = self._picked, self._here.values
+        if picked.names == self.model.commanded:  # no readings of each draw where the machine has a shorter way
+            return self.model.respond(theta, self.theta, self.pose, here, self.given)
         given = {name: value[:, None] for name, value in self.given.items()}
-        read = self.model.read(theta, self.pose[:, None], given)
-        moved = comparison.subtract(read, here.values[:, None])
-        place, _, _ = self.model.tool(theta, self.pose[:, None])
-        return np.asarray(self._located @ np.swapaxes(moved, 1, 2) - np.swapaxes(place - self._tool[0][:, None], 1, 2))
+        read = picked.read(theta, self.pose[:, None], given)
+        return np.swapaxes(Comparison(picked.channels).subtract(read, here[:, None]), 1, 2)
 
 
 @dataclass(frozen=True, eq=False)

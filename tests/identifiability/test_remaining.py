@@ -10,12 +10,14 @@ import telescope_machines as machines
 
 from bayescal.errors import NumericalError
 from bayescal.identifiability import remaining
-from bayescal.identifiability.remaining import LegsRemaining, Standing, move_draws
+from bayescal.identifiability.remaining import Standing, ToolRemaining, move_draws
 from bayescal.identifiability.requirements import Requirement
 from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import compute_pose_error
 
 N_DRAWS, N_POSES = 60, 15
+QUIET = 1e-9  # mm
 REQUIREMENTS = [Requirement("z", 0.02), Requirement("position", 0.05), Requirement("rotation_x", 1e-4)]
 
 
@@ -28,13 +30,15 @@ def place():
     actuators = start + 5.0 * rng.uniform(-1.0, 1.0, (N_POSES, 6))
     true = np.tile(theta, (N_DRAWS, 1))
     true[:, machine.layout.index["l"]] += 0.02 * rng.standard_normal((N_DRAWS, 6))
-    return LegsRemaining(machine, theta, actuators, 0.0, np.zeros((N_DRAWS, 6)), 1), true
+    pose, _ = Legs(machine).locate(theta, actuators)
+    return ToolRemaining(Legs(machine), np.arange(6), theta, pose, {}, np.full((N_DRAWS, 6), QUIET), 1), true
 
 
-def compute_directly(place: LegsRemaining, true: np.ndarray) -> np.ndarray:
+def compute_directly(place: ToolRemaining, true: np.ndarray) -> np.ndarray:
     """Return the largest errors in shares of the limits by forward kinematics of both machines."""
-    predicted = solve_forward_kinematics(place.machine, place.theta, place.actuators)
-    stood = solve_forward_kinematics(place.machine, true[:, None], place.actuators)
+    machine, actuators = place.model.machine, place.model.read(place.theta, place.pose)[:, :6]
+    predicted = solve_forward_kinematics(machine, place.theta, actuators)
+    stood = solve_forward_kinematics(machine, true[:, None], actuators)
     error = compute_pose_error(stood.position, stood.rotation, predicted.position, predicted.rotation)
     return np.stack([(r.take(error) / r.limit).max(axis=1) for r in REQUIREMENTS], axis=1)
 
@@ -49,7 +53,7 @@ def test_errors_are_those_of_forward_kinematics(place):
 def test_bent_machines_are_followed_by_their_closures(place, monkeypatch):
     """Joints off by a tenth of a leg's length: the tangent misses more than the closure does."""
     found, true = place
-    far, a_x = np.tile(found.theta, (N_DRAWS, 1)), found.machine.layout.index["a_x"]
+    far, a_x = np.tile(found.theta, (N_DRAWS, 1)), found.model.layout.index["a_x"]
     far[:, a_x] += 15.0 * np.random.default_rng(7).standard_normal((N_DRAWS, 6))
     assert found._leaves_tangent(far)
     assert not found._leaves_tangent(true)
@@ -61,17 +65,20 @@ def test_bent_machines_are_followed_by_their_closures(place, monkeypatch):
 
 
 def test_noise_has_the_spread_that_is_stated(place):
-    """A single pose: actuators of σ and model errors of τ move it as one error of sqrt(σ² + τ²) would."""
-    one = replace(place[0], actuators=place[0].actuators[:1], actuator_noise=0.003)
+    """A single pose: actuators with σ of each draw move it as those with the root mean square of all would."""
+    one = replace(place[0], pose=place[0].pose[:1])
     exact, limits = np.tile(one.theta, (4000, 1)), [Requirement("z", 1.0)]
-    both = replace(one, model_error=np.full((4000, 6), 0.004)).find_largest(limits, exact)
-    alone = replace(one, actuator_noise=0.005, model_error=np.zeros((4000, 6)), seed=8).find_largest(limits, exact)
+    each = 0.005 * np.sqrt(np.tile([0.5, 1.5], 2000))[:, None] * np.ones(6)
+    both = replace(one, sd=each).find_largest(limits, exact)
+    alone = replace(one, sd=np.full((4000, 6), 0.005), seed=8).find_largest(limits, exact)
     assert np.mean(both**2) / np.mean(alone**2) == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 * 2.0 / 4000))
+    gain = np.linalg.inv(one.model.linearise(one.theta, one.pose[0]).by_pose[:6])
+    assert np.sqrt(np.mean(alone**2)) == pytest.approx(0.005 * np.linalg.norm(gain[2]), rel=0.05)
 
 
 def test_a_workspace_out_of_reach_is_told(place):
     with pytest.raises(NumericalError, match="poses that the calibrated machine cannot take"):
-        replace(place[0], actuators=place[0].actuators + 1e4).find_largest(REQUIREMENTS, place[1])
+        replace(place[0], pose=place[0].pose + 1e5).find_largest(REQUIREMENTS, place[1])
 
 
 def test_a_machine_that_cannot_be_there_exceeds_every_limit(place):

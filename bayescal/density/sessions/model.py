@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayescal.density.priors import HalfNormalPrior
-from bayescal.density.sessions.rows import SessionRows
+from bayescal.density.sessions.rows import ReadingRows
 from bayescal.numerics.geometry import Array
 
 
@@ -24,14 +24,14 @@ class Part:
 
     Attributes
     ----------
-    rows : SessionRows
+    rows : ReadingRows
     session : int
         Counted from zero.
     warmth : float
         T - T_0, K.
     """
 
-    rows: SessionRows
+    rows: ReadingRows
     session: int
     warmth: float = 0.0
 
@@ -166,9 +166,7 @@ class SessionModel:
     def read_scales(self, zeta: Array) -> tuple[Array, Array]:
         """Return what is unknown of the errors and drift scales σ (..., U), of standard normal coordinates (..., n)."""
         n = self.n_errors
-        return self.parts[0].rows.read_errors(zeta[..., :n]), HalfNormalPrior(1.0).value(
-            zeta[..., n:]
-        ) * self.drift.scale
+        return zeta[..., :n], HalfNormalPrior(1.0).value(zeta[..., n:]) * self.drift.scale
 
     def split(self, z: Array, scales: Array) -> tuple[Array, Array]:
         """Return deviations of x_s from the priors' means (..., S, m), mm, and α (..., A), of states (..., n).

@@ -1,12 +1,11 @@
 """What one session measured, as sessions need it: rows free of the pose, linear in θ, and the exact density.
 
-Legs' rows are their closures; readings' are what no pose explains of them: with H = ∂h/∂v white and Z an orthonormal
+Rows are what no pose explains of the readings: with H = ∂h/∂v white and Z an orthonormal
 complement of its columns, Zᵀ(s - h) has no pose to first order, whatever the covariance of the readings.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,8 +14,6 @@ import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.poses import Stand
-from bayescal.density.errors import ModelError
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.numerics.geometry import Array
 
 
@@ -24,98 +21,20 @@ class LinearRows(NamedTuple):
     """Rows at one machine.
 
     ``errors`` (P, R) and ``slope`` (P, R, D) by θ; ``constant`` (P,) of the log-density; ``covariance`` takes what is
-    unknown of the errors, as `SessionRows.read_errors` returns it, to (P, R, R).
+    unknown of the errors, in the posterior's coordinates, to (P, R, R). ``basis`` (P, K, R): the directions of white
+    readings that they are.
     """
 
     errors: Array
     slope: Array
     constant: Array
     covariance: Callable[[Array], Array]
-
-
-class SessionRows(ABC):
-    """P rows of one session."""
-
-    @property
-    @abstractmethod
-    def n_poses(self) -> int:
-        """Number P of rows."""
-
-    @property
-    @abstractmethod
-    def width(self) -> int:
-        """Number R of what is left of each when its pose is eliminated."""
-
-    @property
-    @abstractmethod
-    def n_errors(self) -> int:
-        """How many numbers are unknown of the errors, the same in all sessions."""
-
-    @abstractmethod
-    def read_errors(self, zeta: Array) -> Array:
-        """Return what is unknown of the errors from standard normal coordinates (..., n)."""
-
-    @abstractmethod
-    def linearise(self, theta: Array) -> LinearRows:
-        """Return rows at a machine (D,)."""
-
-    @abstractmethod
-    def evaluate(self, theta: Array, errors: Array) -> Array:
-        """Return the exact log-likelihood, (B,), of machines (B, D) with errors as of `read_errors`."""
+    basis: Array
 
 
 @dataclass(frozen=True, eq=False)
-class LegRows(SessionRows):
-    """Poses of a machine on legs.
-
-    Attributes
-    ----------
-    likelihood : PoseLikelihood
-    model_error : ModelError
-        Of the legs.
-    """
-
-    likelihood: PoseLikelihood
-    model_error: ModelError
-
-    @property
-    def n_poses(self) -> int:
-        """Number of poses."""
-        return self.likelihood.n_poses
-
-    @property
-    def width(self) -> int:
-        """Number of legs."""
-        return self.likelihood.n_legs
-
-    @property
-    def n_errors(self) -> int:
-        """Number of free model errors."""
-        return self.model_error.n_parameters(self.width)
-
-    def read_errors(self, zeta: Array) -> Array:
-        """Return τ of every leg, (..., N), mm."""
-        tau = np.zeros((*zeta.shape[:-1], self.width))
-        return np.broadcast_to(self.model_error.prior.value(zeta), tau.shape) if self.n_errors else tau
-
-    def linearise(self, theta: Array) -> LinearRows:
-        """Return the legs' closures."""
-        likelihood = self.likelihood
-        errors, slope = likelihood.leg_error_jacobian(theta)
-
-        def covariance(tau: Array) -> Array:
-            return likelihood.legs_known + np.eye(len(tau)) * (likelihood.actuator_weight * tau**2)[:, None, :]
-
-        return LinearRows(errors, slope, likelihood.log_constant, covariance)
-
-    def evaluate(self, theta: Array, errors: Array) -> Array:
-        """Return the density of the poses."""
-        return self.likelihood(theta, errors)
-
-
-@dataclass(frozen=True, eq=False)
-class ReadingRows(SessionRows):
-    """Readings of any machine.
+class ReadingRows:
+    """P rows of one session.
 
     Attributes
     ----------
@@ -141,12 +60,8 @@ class ReadingRows(SessionRows):
         """What is unknown of the noise."""
         return self.posterior.n_parameters - self.posterior.n_geometry
 
-    def read_errors(self, zeta: Array) -> Array:
-        """Return the coordinates as they are: the posterior has them."""
-        return zeta
-
     def linearise(self, theta: Array) -> LinearRows:
-        """Return what no pose explains of the readings, white by the stated noise."""
+        """Return what no pose explains of the readings at a machine (D,), white by the stated noise."""
         likelihood = self.posterior.likelihood
         own, tau = likelihood.noise(self.posterior.errors, np.zeros((1, self.n_errors)))
         white = likelihood.whiten(np.broadcast_to(likelihood.sd, own.shape), np.zeros_like(tau))
@@ -171,9 +86,9 @@ class ReadingRows(SessionRows):
             return np.asarray(across @ (seen + np.eye(own.shape[-1]) * ~there[:, None, :]) @ basis)
 
         errors = (across @ error[0][..., None])[..., 0]
-        return LinearRows(errors, -(across @ by_parameters[0]), constant, covariance)
+        return LinearRows(errors, -(across @ by_parameters[0]), constant, covariance, basis)
 
     def evaluate(self, theta: Array, errors: Array) -> Array:
-        """Return the density of the readings, poses eliminated."""
+        """Return the log-likelihood of machines (B, D) with errors (B, n), poses eliminated, (B,)."""
         with np.errstate(all="ignore"):
             return self.posterior.likelihood.density(theta, self.posterior.errors, errors)

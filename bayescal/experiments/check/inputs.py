@@ -8,13 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.density.legs import find_function_of_pose
-from bayescal.errors import InputError, name_faults
-from bayescal.experiments.check.legs import LegSubject
-from bayescal.experiments.check.readings import ReadingSubject
+from bayescal.errors import InputError
 from bayescal.experiments.check.schema import CheckConfig
 from bayescal.experiments.check.subject import Subject
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.shared.measured import MeasuredVariant, Measuring, MeasuringReadings
+from bayescal.experiments.shared.measured import MeasuredVariant, measure_variants
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,29 +43,17 @@ def read_check(config: CheckConfig, folder: Path) -> CheckInputs:
     """
     path = folder / config.study
     experiment, study = load(path)
-    if isinstance(experiment, MeasuringReadings):
-        with name_faults(path):
-            read = experiment.measure_readings(study, path.parent, config.variants)
-        for name, readings in read.items():
-            if readings.posterior.errors.has_columns:
-                raise InputError(
-                    f"{path}: variant {name!r}: found errors common to all rows, expected noise of single rows: checks "
-                    "have no errors that are functions"
-                )
-        origin = next(iter(read.values())).origin
-        return CheckInputs(config, origin, {name: ReadingSubject(readings) for name, readings in read.items()})
-    if not isinstance(experiment, Measuring):
-        raise InputError(f"{path}: kind: found {study.kind!r}, expected 'study' or 'calibration', with measured data")
-    known = experiment.list_variants(study)
-    for name in config.variants:
-        if name not in known:
-            raise InputError(f"{path}: variant {name!r}: unknown here, expected one of {', '.join(known)}")
-    chosen = {name: known[name] for name in config.variants or known}
-    measured = {name: experiment.measure(study, path, choice, True) for name, choice in chosen.items()}
-    for name, one in measured.items():
-        _refuse_function(one, f"{path}: variant {name!r}")
-    origin = next(iter(measured.values())).origin.partition(": study ")[0]
-    return CheckInputs(config, origin, {name: LegSubject(one) for name, one in measured.items()})
+    found = measure_variants(experiment, study, path, config.variants)
+    for name, measured in found.items():
+        if measured.posterior.errors.has_columns:
+            raise InputError(
+                f"{path}: variant {name!r}: found errors common to all rows, expected noise of single rows: checks "
+                "have no errors that are functions"
+            )
+        if measured.legs is not None:
+            _refuse_function(measured.legs, f"{path}: variant {name!r}")
+    origin = next(iter(found.values())).origin.partition(": study ")[0]
+    return CheckInputs(config, origin, {name: Subject(measured) for name, measured in found.items()})
 
 
 def _refuse_function(measured: MeasuredVariant, where: str) -> None:

@@ -2,41 +2,28 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from bayescal.experiments.check.compute import compute_check
 from bayescal.experiments.check.inputs import CheckInputs, read_check
 from bayescal.experiments.check.page import build_page
 from bayescal.experiments.check.schema import CheckConfig
-from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.of_another import OfAnother
 from bayescal.report.blocks import Page
 
 DRAWS, RANKS = 6, 4
 """Arrays of all draws of a posterior, and of all ranks."""
 
 
-class Check(Experiment[CheckConfig, CheckInputs]):
+class Check(OfAnother[CheckConfig, CheckInputs]):
     """A study's config, checked by simulation and against its data."""
 
     schema = CheckConfig
     tables_in = "tables"
-
-    def files(self, config: CheckConfig, folder: Path) -> list[str]:
-        """Return the study's file and its files."""
-        experiment, study = load(folder / config.study)
-        beside = Path(config.study).parent
-        own = [os.path.normpath(beside / name) for name in experiment.files(study, folder / beside)]
-        return [*super().files(config, folder), *own]
-
-    def modules(self, config: CheckConfig, folder: Path) -> dict[str, str]:
-        """Return the hashes of others' modules that the study's classes stand in."""
-        experiment, study = load(folder / config.study)
-        return experiment.modules(study, (folder / config.study).parent)
 
     def read(self, config: CheckConfig, folder: Path) -> CheckInputs:
         """Return the study's variants."""

@@ -13,7 +13,8 @@ import zlib
 import numpy as np
 
 from bayescal.errors import NumericalError
-from bayescal.experiments.check.subject import Checked, Subject
+from bayescal.experiments.check.subject import Subject
+from bayescal.experiments.shared.measured import Found
 from bayescal.inference.exploration import Exploration, explore
 from bayescal.inference.importance import resample
 from bayescal.inference.sampling import sample_posterior
@@ -30,7 +31,7 @@ type Shared = tuple[Subject, Array, Array, int, int]
 
 
 def draw_posterior(
-    posterior: Checked, n_draws: int, seed: np.random.SeedSequence
+    posterior: Found, n_draws: int, seed: np.random.SeedSequence
 ) -> tuple[Array, Array, Exploration, Array]:
     """Return draws (S, n), natural and in coordinates, the exploration, and their weights' efficiency and Pareto k.
 
@@ -71,7 +72,7 @@ def _rank(shared: Shared, name: str) -> Arrays:
         truth, posterior = subject.draw_case(rng)
     else:
         k = int(number) % len(draws)
-        truth, posterior = draws[k], subject.repeat(draws[k], coordinates[k], rng)
+        truth, posterior = draws[k], subject.repeat(coordinates[k], rng)
     found, _, _, quality = draw_posterior(posterior, n_draws, draw_seed)
     ties = np.random.default_rng(tie_seed).random(len(truth))
     below = np.sum(found < truth, axis=0)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.density.priors import Prior
+from bayescal.density.calibration.prediction import draw_readings
+from bayescal.errors import NumericalError
 from bayescal.experiments.check.faults.finding import Finding
+from bayescal.experiments.shared.measured import Found, MeasuredReadings
+from bayescal.experiments.shared.search_memory import list_readings, list_search
 from bayescal.experiments.shared.slips import FoundSlip
-from bayescal.inference.mode import Mode
-from bayescal.inference.target import Target
 from bayescal.numerics.geometry import Array
 
 SLIPS = "Units and order"
@@ -20,71 +20,80 @@ TRIES = 100
 NAMED = 3
 
 
-class Checked(Target, Protocol):
-    """A posterior whose parameters have names and priors."""
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A variant as a check sees it, whatever its machine.
+
+    Attributes
+    ----------
+    measured : MeasuredReadings
+    """
+
+    measured: MeasuredReadings
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of all parameters, those of the geometry first."""
-
-    @property
-    def priors(self) -> Mapping[str, Prior]:
-        """Priors of the geometry's parameters by name."""
-
-
-class Subject(ABC):
-    """A variant as a check sees it, whatever its machine and its density."""
-
-    @property
-    @abstractmethod
-    def posterior(self) -> Checked:
+    def posterior(self) -> Found:
         """The posterior of the measured data."""
+        return self.measured.found
 
-    @abstractmethod
     def list_arrays(self) -> list[Sequence[float]]:
         """Return the arrays of one data set's search; see `bayescal.experiments.frame.memory.estimate_arrays`."""
+        if self.measured.legs is not None:
+            return list_search(self.measured.legs.posterior)
+        likelihood = self.measured.posterior.likelihood
+        n_poses, n_coordinates = likelihood.start.shape
+        return list_readings(n_poses, len(likelihood.model.channels), self.posterior.n_geometry, n_coordinates)
 
-    # --- simulated data --------------------------------------------------------------------------------------------
+    def draw_case(self, rng: np.random.Generator) -> tuple[Array, Found]:
+        """Return a truth drawn from the priors, natural units, (n,), and the posterior of what is measured of it."""
+        y, values = self.draw_truth(rng)
+        return self.posterior.natural(y[None])[0], self.measured.retake(values).found
 
-    @abstractmethod
-    def draw_case(self, rng: np.random.Generator) -> tuple[Array, Checked]:
-        """Return a truth drawn from the priors, natural units, (n,), and the posterior of what is measured of it.
+    def repeat(self, y: Array, rng: np.random.Generator) -> Found:
+        """Return the posterior of the measured data and those simulated of a true machine (n,) together.
+
+        Raises
+        ------
+        NumericalError
+            Where the machine cannot take the poses.
+        """
+        values = self.simulate(y, rng)
+        if values is None:
+            raise NumericalError("a draw of the posterior cannot take the poses")
+        return self.measured.retake(np.concatenate([self.measured.posterior.likelihood.data.values, values])).found
+
+    def draw_truth(self, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Return a machine of the priors (n,), with its errors, and its readings (P, K).
 
         Raises
         ------
         NumericalError
             Where hardly any draw of the priors is a machine that can take the poses.
         """
+        for _ in range(TRIES):
+            y = self.posterior.draw_prior(1, rng)[0]
+            values = self.simulate(y, rng)
+            if values is not None:
+                return y, values
+        raise NumericalError(f"simulation: found no machine that takes the poses in {TRIES} draws of the priors")
 
-    @abstractmethod
-    def repeat(self, natural: Array, y: Array, rng: np.random.Generator) -> Checked:
-        """Return the posterior of the measured data and those simulated of a true machine together.
+    def simulate(self, y: Array, rng: np.random.Generator) -> Array | None:
+        """Return readings (P, K) of a machine (n,) at the poses of the measured ones; None where it has none there.
 
-        The machine, with its errors, is given in natural units and in the posterior's coordinates, (n,) each.
-
-        Raises
-        ------
-        NumericalError
-            Where it cannot take the poses.
+        A machine that was sent to its poses by commands goes where these take it.
         """
-
-    # --- measured data ---------------------------------------------------------------------------------------------
-
-    @abstractmethod
-    def check_derivatives(self, rng: np.random.Generator) -> Finding:
-        """Return whether the model's derivatives are those of differences."""
-
-    @abstractmethod
-    def check_slips(self) -> Finding:
-        """Return whether some slip explains the data better than they fit as they are."""
-
-    @abstractmethod
-    def check_noise(self, mode: Mode) -> Finding:
-        """Return whether the noise is as stated; mode is the posterior's best."""
-
-    @abstractmethod
-    def list_starts(self, best: Array, rng: np.random.Generator) -> list[Array]:
-        """Return coordinates (n,) from which a search may find other modes than the best, (n,)."""
+        posterior = self.measured.anchored
+        own, likelihood = self.measured.adopt(y[None])[0], posterior.likelihood
+        theta, data, model = posterior.theta(own[None])[0], likelihood.data, likelihood.model
+        if not model.layout.inside(theta[None])[0]:
+            return None
+        pose, places = likelihood.start, model.select(model.commanded)
+        if data.commanded is not None and len(places) and data.commanded[:, places].all():
+            pose, found = model.locate(theta, data.values[:, places], data.given, pose)
+            if not found.all():
+                return None
+        values = draw_readings(posterior, own, pose, rng)
+        return values if (np.isfinite(values) == data.present).all() else None
 
 
 def state_slips(found: FoundSlip | None, planted: tuple[int, list[str]]) -> Finding:

@@ -13,14 +13,11 @@ from bayescal.data.actuators import read_moves
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import check_arrays
-from bayescal.experiments.next_pose.legs import LegsSubject, know, list_candidates, take_poses
-from bayescal.experiments.next_pose.readings import ReadingsSubject
 from bayescal.experiments.next_pose.schema import CandidatesConfig, NextConfig
-from bayescal.experiments.next_pose.state import Subject
+from bayescal.experiments.next_pose.state import Poses, Subject
 from bayescal.experiments.shared.design import REQUIRED, find_actuators, read_workspace
-from bayescal.experiments.shared.leg_slips import find_measured_slip
-from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant, Measuring, MeasuringReadings
-from bayescal.experiments.shared.reading_slips import Suspicion, find_calibration_slip
+from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
+from bayescal.experiments.shared.reading_slips import find_measured_slip
 from bayescal.experiments.shared.schema import WorkspaceConfig
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.identifiability.design import Knowledge
@@ -41,6 +38,8 @@ from bayescal.pose_selection import (
 
 CANDIDATES, WORKSPACE = 31, 32  # of the seeds
 N_WORKSPACE = 200
+SEEN, PLACED = 6, 4
+"""Arrays of all candidates by legs and parameters where they are placed and seen, and of their poses."""
 TRIES = 20
 """Times so many poses are drawn to find those at which a machine can be."""
 
@@ -86,23 +85,28 @@ def read_next(config: NextConfig, folder: Path) -> NextInputs:
         left.
     """
     path = folder / config.study
-    experiment, study = load(path)
-    if isinstance(experiment, MeasuringReadings):
-        found = experiment.measure_readings(study, path.parent, config.variants)
-        inputs = _read_readings(config, folder, found)
-    elif isinstance(experiment, Measuring):
-        known = experiment.list_variants(study)
-        for name in config.variants:
-            if name not in known:
-                raise InputError(f"{path}: variant {name!r}: unknown here, expected one of {', '.join(known)}")
-        chosen = {name: known[name] for name in config.variants or known}
-        measured = {name: experiment.measure(study, path, one, config.with_model_error) for name, one in chosen.items()}
-        inputs = _read_legs(config, folder, measured)
-    else:
-        raise InputError(f"{path}: kind: found {study.kind!r}, expected 'study' or 'calibration', with poses measured")
-    if config.aim == "variants" and len(inputs.subjects) < 2:
+    found = measure_variants(*load(path), path, config.variants, config.with_model_error)
+    if config.aim == "variants" and len(found) < 2:
         raise InputError(f"{path}: found one variant with aim 'variants', expected two or more to be told apart")
-    return inputs
+    first = next(iter(found.values()))
+    there = first.posterior.likelihood.data.n_poses
+    n = _take_first(config.first, there, config.study)
+    if first.legs is None:
+        _check_same_readings(found)
+        _check_redundant(first)
+        low, high = _read_bounds(config, first)
+        found = {name: replace(one, low=low, high=high) for name, one in found.items()}
+    so_far = {name: one if n == there else one.pick(np.arange(n)) for name, one in found.items()}
+    first = next(iter(so_far.values()))
+    workspace, candidates = (
+        _place_poses(config, folder, first) if first.legs is None else _place_legs(config, folder, first)
+    )
+    requirements, units = _read_requirements(config, first)
+    if requirements and first.legs is None:
+        _check_located(first, workspace.values)
+    subjects = {name: Subject(one, requirements, workspace, candidates) for name, one in so_far.items()}
+    origin = first.origin.partition(": study ")[0]
+    return NextInputs(config, origin, subjects, len(candidates.values), units, find_measured_slip(list(found.values())))
 
 
 def _take_first(n: int | None, there: int, path: str) -> int:
@@ -111,9 +115,7 @@ def _take_first(n: int | None, there: int, path: str) -> int:
     return there if n is None else n
 
 
-def _read_requirements(
-    config: NextConfig, components: tuple[str, ...], kinds: tuple[str, ...], known: tuple[str, ...]
-) -> tuple[list[Requirement], dict[str, str]]:
+def _read_requirements(config: NextConfig, measured: MeasuredReadings) -> tuple[list[Requirement], dict[str, str]]:
     """Return the largest errors that are allowed, mm and rad, and their units as stated.
 
     Raises
@@ -121,6 +123,11 @@ def _read_requirements(
     InputError
         For another name than those known.
     """
+    tool = measured.posterior.likelihood.model.tool_channels
+    components, kinds = (tuple(getattr(one, key) for one in tool) for key in ("name", "unit"))
+    known = (*components, "position") if "mm" in kinds else components
+    if measured.legs is not None:
+        components, known = COMPONENTS, REQUIRED
     for name in config.requirements:
         if name not in known:
             raise InputError(f"requirements: found {name!r}, expected some of {', '.join(known)}")
@@ -134,34 +141,29 @@ def _read_requirements(
 # --- machines on legs ----------------------------------------------------------------------------------------------
 
 
-def _read_legs(config: NextConfig, folder: Path, measured: dict[str, MeasuredVariant]) -> NextInputs:
-    """Return a study's variants with its whole poses."""
-    n = _take_first(config.first, next(iter(measured.values())).poses.n_poses, config.study)
-    measured = {name: one if n == one.poses.n_poses else take_poses(one, n) for name, one in measured.items()}
-    first = next(iter(measured.values()))
-    section = config.workspace
+def _place_legs(config: NextConfig, folder: Path, measured: MeasuredReadings) -> tuple[Poses, Poses]:
+    """Return the poses of workspace and candidates of a study's machine, by its actuators."""
+    section, legs = config.workspace, measured.legs
+    assert legs is not None
     if isinstance(section, dict):
         raise InputError(
             f"workspace: found {', '.join(section)} of a machine on legs, expected position_mm and rotation_deg"
         )
     if section is None and config.requirements:
         raise InputError("workspace: found [requirements] without [workspace], expected both")
-    knowledge, volume = know(first, {}), read_workspace(section)
+    priors = legs.posterior.priors
+    means = {name: one.mean for name, one in priors.items()}
+    knowledge = Knowledge(legs.machine, {name: one.sd for name, one in priors.items()}, {**legs.fixed, **means})
+    volume = read_workspace(section)
     candidates = read_candidates(config, folder, knowledge, volume).placed.actuators
     workspace = find_actuators(knowledge, volume, config.seed, candidates)
-    kinds = ("mm",) * 3 + ("rad",) * 3
-    requirements, units = _read_requirements(config, COMPONENTS, kinds, REQUIRED)
-    subjects: dict[str, Subject] = {
-        name: LegsSubject(one, requirements, workspace, candidates) for name, one in measured.items()
-    }
-    origin, slip = first.origin.partition(": study ")[0], find_measured_slip(measured.values())
-    return NextInputs(config, origin, subjects, len(candidates), units, slip)
+    return Poses(workspace, {}, commanded=True), Poses(candidates, {}, commanded=True)
 
 
 def _check_candidates(n: int, knowledge: Knowledge) -> None:
     """Raise InputError where there is no memory to place so many candidates."""
-    machine = knowledge.machine
-    held = list_candidates(n, machine.mechanism.n_legs, machine.layout.size)
+    n_legs, size = knowledge.machine.mechanism.n_legs, knowledge.machine.layout.size
+    held = [(SEEN, n, n_legs, size + n_legs), (PLACED, n, DEGREES_OF_FREEDOM, size)]
     check_arrays({"candidates": n}, held, "fewer candidates")
 
 
@@ -199,29 +201,12 @@ def read_candidates(config: NextConfig, folder: Path, knowledge: Knowledge, volu
 # --- machines of any readings --------------------------------------------------------------------------------------
 
 
-def _read_readings(config: NextConfig, folder: Path, found: dict[str, MeasuredReadings]) -> NextInputs:
-    """Return a calibration's variants with the readings so far."""
-    first = next(iter(found.values()))
-    n = _take_first(config.first, first.posterior.likelihood.data.n_poses, config.study)
-    model = first.posterior.likelihood.model
-    _check_same_readings(found)
-    _check_redundant(first)
-    low, high = _read_bounds(config, first)
-    measured = {name: replace(one.first(n), low=low, high=high) for name, one in found.items()}
-    first = next(iter(measured.values()))
-    workspace = _draw_poses(first, N_WORKSPACE, np.random.default_rng([config.seed, WORKSPACE]))
-    rng = np.random.default_rng([config.seed, CANDIDATES])
-    candidates, given = _list_candidates(config.candidates, folder, first, rng)
-    components, kinds = (tuple(getattr(one, key) for one in model.tool_channels) for key in ("name", "unit"))
-    known = (*components, "position") if "mm" in kinds else components
-    requirements, units = _read_requirements(config, components, kinds, known)
-    if requirements:
-        _check_located(first, workspace)
-    subjects: dict[str, Subject] = {
-        name: ReadingsSubject(one, requirements, workspace, candidates, given) for name, one in measured.items()
-    }
-    slip = find_calibration_slip(Suspicion(one.posterior, one.low, one.high) for one in found.values())
-    return NextInputs(config, first.origin, subjects, len(candidates), units, slip)
+def _place_poses(config: NextConfig, folder: Path, measured: MeasuredReadings) -> tuple[Poses, Poses]:
+    """Return the poses of workspace and candidates of a calibration's machine, by its coordinates."""
+    workspace, rng = np.random.default_rng([config.seed, WORKSPACE]), np.random.default_rng([config.seed, CANDIDATES])
+    pose = _draw_poses(measured, N_WORKSPACE, workspace)
+    given = typical_given(measured.posterior.likelihood.data.given, len(pose))
+    return Poses(pose, given), Poses(*_list_candidates(config.candidates, folder, measured, rng))
 
 
 def _check_same_readings(found: Mapping[str, MeasuredReadings]) -> None:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
-from bayescal.experiments.frame.experiment import Experiment
-from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
@@ -14,28 +11,17 @@ from bayescal.experiments.next_pose.compute import MOST_ERRORS, compute_next
 from bayescal.experiments.next_pose.inputs import NextInputs, read_next
 from bayescal.experiments.next_pose.page import build_page
 from bayescal.experiments.next_pose.schema import NextConfig
+from bayescal.experiments.shared.of_another import OfAnother
 from bayescal.report.blocks import Page
 
 DRAWS = 8
 """Arrays of all draws by requirements at every pose of the workspace."""
 
 
-class NextPose(Experiment[NextConfig, NextInputs]):
+class NextPose(OfAnother[NextConfig, NextInputs]):
     """After the poses measured so far: which pose to measure next, what it will bring, and whether to stop."""
 
     schema = NextConfig
-
-    def files(self, config: NextConfig, folder: Path) -> list[str]:
-        """Return the study's file and its files, and the table of candidates."""
-        experiment, study = load(folder / config.study)
-        beside = Path(config.study).parent
-        own = [os.path.normpath(beside / name) for name in experiment.files(study, folder / beside)]
-        return [*super().files(config, folder), *own]
-
-    def modules(self, config: NextConfig, folder: Path) -> dict[str, str]:
-        """Return the hashes of others' modules that the study's classes stand in."""
-        experiment, study = load(folder / config.study)
-        return experiment.modules(study, (folder / config.study).parent)
 
     def read(self, config: NextConfig, folder: Path) -> NextInputs:
         """Return the study's variants with the poses measured so far."""

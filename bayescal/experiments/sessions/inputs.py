@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -79,8 +79,9 @@ def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
         _build_drift(config, first),
         _build_expansions(config.thermal, first.layout),
     )
-    if config.drift.hierarchy == "walk" and first.by_leg:
-        check_same_machine(model, first.approach(), [one.label for one in config.sessions])
+    legs = [one.measured.legs for one in measured if one.measured.legs is not None]
+    if config.drift.hierarchy == "walk" and legs:
+        check_same_machine(model, legs, [one.label for one in config.sessions])
     mean_temperature = np.array([np.nan if one is None else one.mean() for one in warmth])
     n_poses = np.array([len(one.poses) for one in measured])
     return SessionsInputs(config, model, first, mean_temperature, n_poses, [one for one in denied if one is not None])
@@ -191,8 +192,3 @@ def _build_expansions(thermal: ThermalConfig | None, layout: ParameterLayout) ->
         index = np.concatenate([layout.index[symbol] for symbol in symbols])
         found.append(Expansion(name, index, PPM * body.ppm, PPM * body.sd_ppm))
     return tuple(found)
-
-
-def without_expansion(model: SessionModel) -> SessionModel:
-    """Return the same sessions as if the temperature did nothing."""
-    return replace(model, expansions=())

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 
 from bayescal.density.batches import BATCH, POSES
-from bayescal.experiments.frame.experiment import Experiment
-from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
@@ -18,6 +15,7 @@ from bayescal.experiments.sessions.fit import count_kept
 from bayescal.experiments.sessions.inputs import SessionsInputs, read_sessions
 from bayescal.experiments.sessions.page import build_page
 from bayescal.experiments.sessions.schema import SessionsConfig
+from bayescal.experiments.shared.of_another import OfAnother
 from bayescal.report.blocks import Page
 
 JOINT, ROWS, DRAWS, SCRATCH = 12, 8, 6, 24
@@ -26,23 +24,11 @@ hot loop, which keeps what it works in.
 """
 
 
-class Sessions(Experiment[SessionsConfig, SessionsInputs]):
+class Sessions(OfAnother[SessionsConfig, SessionsInputs]):
     """One machine measured again and again, or machines of one design: what moved, by how much, how sure."""
 
     schema = SessionsConfig
     tables_in = "tables"
-
-    def files(self, config: SessionsConfig, folder: Path) -> list[str]:
-        """Return the sessions' files, the study's file and its files."""
-        experiment, study = load(folder / config.study)
-        beside = Path(config.study).parent
-        own = [os.path.normpath(beside / name) for name in experiment.files(study, folder / beside)]
-        return list(dict.fromkeys([*super().files(config, folder), *own]))
-
-    def modules(self, config: SessionsConfig, folder: Path) -> dict[str, str]:
-        """Return the hashes of others' modules that the study's classes stand in."""
-        experiment, study = load(folder / config.study)
-        return experiment.modules(study, (folder / config.study).parent)
 
     def read(self, config: SessionsConfig, folder: Path) -> SessionsInputs:
         """Return the sessions' joint model."""

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import os
-from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import NormalPrior, Prior
-from bayescal.density.sessions.rows import LegRows, ReadingRows, SessionRows
+from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.priors import NormalPrior
+from bayescal.density.sessions.rows import ReadingRows
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig
-from bayescal.experiments.shared.leg_slips import find_measured_slip
-from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant, Measuring, MeasuringReadings
-from bayescal.experiments.shared.reading_slips import Suspicion
+from bayescal.experiments.shared.measured import MeasuredReadings, MeasuringReadings, measure_variants
+from bayescal.experiments.shared.reading_slips import find_measured_slip
 from bayescal.experiments.shared.slips import FoundSlip
-from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
@@ -47,59 +44,60 @@ class Motions(NamedTuple):
     slope: Array
 
 
-class Session(ABC):
+@dataclass(frozen=True, eq=False)
+class Session:
     """One session, seen through the variant."""
 
-    by_leg: bool
+    measured: MeasuredReadings
 
     @property
-    @abstractmethod
+    def by_leg(self) -> bool:
+        """Whether what moved is told by leg."""
+        return self.measured.legs is not None
+
+    @property
+    def _posterior(self) -> CalibrationPosterior:
+        return self.measured.posterior
+
+    @property
     def poses(self) -> tuple[str, ...]:
         """Names of the P poses that count."""
+        return self._posterior.likelihood.data.poses
 
     @property
-    @abstractmethod
     def values(self) -> Array:
-        """What was measured, by which copies are known."""
+        """The readings, by which copies are known."""
+        return self._posterior.likelihood.data.values
 
     @property
-    @abstractmethod
     def layout(self) -> ParameterLayout:
         """All parameters of the machine."""
+        return self._posterior.likelihood.model.layout
 
     @property
-    @abstractmethod
     def free(self) -> tuple[str, ...]:
         """Symbols that are free."""
+        return tuple(dict.fromkeys(name.partition("[")[0] for name in self.names))
 
     @property
-    @abstractmethod
     def names(self) -> tuple[str, ...]:
         """Names of the m free parameters, in the order of θ."""
+        return self._posterior.sampling.names
 
-    @abstractmethod
-    def rows(self, chosen: np.ndarray) -> SessionRows:
+    def rows(self, chosen: np.ndarray) -> ReadingRows:
         """Return some of the poses, (Q,)."""
+        anchored = self.measured.anchored
+        return ReadingRows(replace(anchored, likelihood=anchored.likelihood.pick(chosen)))
 
-    @abstractmethod
     def find_slip(self, denied: Collection[str] = ()) -> FoundSlip | None:
         """Return what explains the data many times better than they are; None without any."""
-
-    @abstractmethod
-    def approach(self) -> Array:
-        """Return the machine (D,) that explains the session best by itself."""
-
-    @abstractmethod
-    def move(self, theta: Array, model_moves: Array) -> Motions:
-        """Return what free parameters, by moves (m, D), do to legs or channels at home of a machine (D,)."""
-
-    @abstractmethod
-    def _spread(self) -> tuple[Array, Array, Sequence[Prior]]:
-        """Return θ with all at their priors' centres, the moves (m, D) and the priors."""
+        return find_measured_slip([self.measured], denied)
 
     def design(self, study: str) -> Design:
         """Return the free parameters; InputError for a prior that is not normal."""
-        start, moves, priors = self._spread()
+        posterior = self._posterior
+        moves = np.where(posterior.around(np.zeros(posterior.n_parameters))[1].T != 0.0, 1.0, 0.0)
+        priors = [posterior.priors[name] for name in self.names]
         for name, prior in zip(self.names, priors, strict=True):
             if not isinstance(prior, NormalPrior):
                 raise InputError(
@@ -108,139 +106,31 @@ class Session(ABC):
                 )
         mean, sd = (np.array([getattr(one, key) for one in priors]) for key in ("mean", "sd"))
         units = tuple(self.layout.units[int(np.argmax(move))] for move in moves)
-        return Design(start, moves, self.names, units, mean, sd)
-
-
-@dataclass(frozen=True, eq=False)
-class LegSession(Session):
-    """Poses of a machine on legs."""
-
-    measured: MeasuredVariant
-    by_leg = True
-
-    @property
-    def poses(self) -> tuple[str, ...]:
-        """Names of the calibration poses."""
-        return self.measured.poses.names
-
-    @property
-    def values(self) -> Array:
-        """Positions."""
-        return self.measured.poses.position
-
-    @property
-    def layout(self) -> ParameterLayout:
-        """The legs' parameters."""
-        return self.measured.machine.layout
-
-    @property
-    def free(self) -> tuple[str, ...]:
-        """Of the variant."""
-        return self.measured.free
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """In the order of the coordinates."""
-        return tuple(self.layout.names[k] for k in self.measured.posterior.sampling.free)
-
-    def rows(self, chosen: np.ndarray) -> SessionRows:
-        """Return closures of some poses."""
-        one = self.measured
-        variance = None if one.actuator_variance is None else one.actuator_variance[chosen]
-        likelihood = PoseLikelihood(one.machine, one.poses.select(chosen), one.actuator_noise, variance)
-        return LegRows(likelihood, one.posterior.errors.model_error)
-
-    def find_slip(self, denied: Collection[str] = ()) -> FoundSlip | None:
-        """Return a slip of actuators or poses."""
-        return find_measured_slip([self.measured], denied)
-
-    def approach(self) -> Array:
-        """Return the least-squares machine."""
-        posterior = self.measured.posterior
-        return posterior.theta(posterior.approach()[None])[0]
-
-    def _spread(self) -> tuple[Array, Array, Sequence[Prior]]:
-        posterior = self.measured.posterior
-        free = posterior.sampling.free
-        priors = [posterior.priors[name] for name in self.names]
-        start = posterior.sampling.start.copy()
-        start[free] = [one.mean for one in priors]
-        return start, np.eye(len(start))[free], priors
+        return Design(posterior.sampling.start, moves, self.names, units, mean, sd)
 
     def move(self, theta: Array, model_moves: Array) -> Motions:
-        """Return what parameters do to each leg at home, in terms of its length l."""
-        machine = self.measured.machine
-        actuators = machine.mechanism.initial_actuator_positions
-        home = solve_forward_kinematics(machine, theta, actuators)
-        slope = machine.linearise(theta, home.position, home.rotation, actuators).parameters
-        length = np.diagonal(slope[:, machine.layout.index["l"]])
-        names = tuple(str(k + 1) for k in range(len(slope)))
-        return Motions(names, ("mm",) * len(slope), (slope @ model_moves.T) / length[:, None])
+        """Return what free parameters, by moves (m, D), do at home of a machine (D,), its pose as it is.
 
-
-@dataclass(frozen=True, eq=False)
-class ReadingSession(Session):
-    """Readings of any channels."""
-
-    measured: MeasuredReadings
-    by_leg = False
-
-    @property
-    def poses(self) -> tuple[str, ...]:
-        """Names of the calibration rows."""
-        return self.measured.posterior.likelihood.data.poses
-
-    @property
-    def values(self) -> Array:
-        """The readings."""
-        return self.measured.posterior.likelihood.data.values
-
-    @property
-    def layout(self) -> ParameterLayout:
-        """The machine's parameters."""
-        return self.measured.posterior.likelihood.model.layout
-
-    @property
-    def free(self) -> tuple[str, ...]:
-        """Symbols of the free parameters."""
-        return tuple(dict.fromkeys(name.partition("[")[0] for name in self.names))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the posterior's geometry."""
-        return self.measured.posterior.sampling.names
-
-    @cached_property
-    def _anchored(self) -> Any:
-        return self.measured.posterior.anchored()
-
-    def rows(self, chosen: np.ndarray) -> SessionRows:
-        """Return what no pose explains of some rows."""
-        return ReadingRows(replace(self._anchored, likelihood=self._anchored.likelihood.pick(chosen)))
-
-    def find_slip(self, denied: Collection[str] = ()) -> FoundSlip | None:
-        """Return a slip of readings."""
-        return Suspicion(self.measured.posterior, self.measured.low, self.measured.high).find(denied)
-
-    def approach(self) -> Array:
-        """Return the least-squares machine."""
-        return np.asarray(self._anchored.likelihood.anchor)
-
-    def _spread(self) -> tuple[Array, Array, Sequence[Prior]]:
-        posterior = self.measured.posterior
-        moves = posterior.around(np.zeros(posterior.n_parameters))[1].T
-        priors = [posterior.priors[name] for name in self.names]
-        return posterior.sampling.start, np.where(moves != 0.0, 1.0, 0.0), priors
-
-    def move(self, theta: Array, model_moves: Array) -> Motions:
-        """Return what parameters do to the readings of the machine's own channels at home, its pose as it is."""
-        model, own = self.measured.posterior.likelihood.model, np.flatnonzero(self.measured.internal)
+        To the readings of the machine's own channels; to each leg in terms of its length l.
+        """
+        model, data = self._posterior.likelihood.model, self._posterior.likelihood.data
+        if self.measured.legs is not None:
+            return _move_legs(self.measured.legs.machine, theta, model_moves)
+        own = np.flatnonzero(self.measured.internal)
         home = np.array([one.home for one in model.coordinates])
-        data = self.measured.posterior.likelihood.data
         given = {name: np.array(np.median(value)) for name, value in data.given.items()}
         slope = model.linearise(theta, home, True, given).by_parameters[own] @ model_moves.T
         channels = [model.channels[k] for k in own]
         return Motions(tuple(one.name for one in channels), tuple(one.unit for one in channels), slope)
+
+
+def _move_legs(machine: Machine, theta: Array, model_moves: Array) -> Motions:
+    actuators = machine.mechanism.initial_actuator_positions
+    home = solve_forward_kinematics(machine, theta, actuators)
+    slope = machine.linearise(theta, home.position, home.rotation, actuators).parameters
+    length = np.diagonal(slope[:, machine.layout.index["l"]])
+    names = tuple(str(k + 1) for k in range(len(slope)))
+    return Motions(names, ("mm",) * len(slope), (slope @ model_moves.T) / length[:, None])
 
 
 def measure_sessions(experiment: object, study: Any, path: Path, config: SessionsConfig, folder: Path) -> list[Session]:
@@ -252,33 +142,22 @@ def measure_sessions(experiment: object, study: Any, path: Path, config: Session
         Names the session.
     """
     found: list[Session] = []
+    place = _place_tables if isinstance(experiment, MeasuringReadings) else _place_files
     for session in config.sessions:
         with name_faults(f"session {session.label!r}"):
-            if isinstance(experiment, MeasuringReadings):
-                placed = _place_tables(study, session, folder, path)
-                measured = experiment.measure_readings(placed, path.parent, [config.variant])[config.variant]
-                found.append(_check(ReadingSession(measured), path))
-            elif isinstance(experiment, Measuring):
-                known = experiment.list_variants(study)
-                if config.variant not in known:
-                    raise InputError(
-                        f"{path}: variant {config.variant!r}: unknown here, expected one of {', '.join(known)}"
-                    )
-                placed = _place_files(study, session, folder, path)
-                found.append(LegSession(experiment.measure(placed, path, known[config.variant], True)))
-            else:
-                raise InputError(f"{path}: kind: found {study.kind!r}, expected 'study' or 'calibration'")
+            placed = place(study, session, folder, path) if hasattr(study, "data") else study
+            measured = measure_variants(experiment, placed, path, [config.variant])[config.variant]
+            errors = measured.posterior.errors
+            if errors.outliers.expected:
+                raise InputError(
+                    f"{path}: found a robust variant, expected another: sessions are joined in closed form"
+                )
+            if errors.has_columns:
+                raise InputError(
+                    f"{path}: found errors common to all rows, expected a variant without: sessions have none"
+                )
+            found.append(Session(measured))
     return found
-
-
-def _check(session: ReadingSession, path: Path) -> ReadingSession:
-    """Return a session; InputError for a density that is not normal given its scales, row by row."""
-    errors = session.measured.posterior.errors
-    if errors.outliers.expected:
-        raise InputError(f"{path}: found a robust variant, expected another: sessions are joined in closed form")
-    if errors.has_columns:
-        raise InputError(f"{path}: found errors common to all rows, expected a variant without: sessions have none")
-    return session
 
 
 def _place_tables(study: Any, session: SessionConfig, folder: Path, path: Path) -> Any:

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.sessions.model import SessionModel
 from bayescal.errors import InputError
+from bayescal.experiments.shared.measured import MeasuredVariant
 from bayescal.numerics.geometry import Array
 
 FAR = 20.0
@@ -16,18 +18,19 @@ WARM = 0.1
 """Millimetres that a leg may be off besides, by temperature, noise and model error."""
 
 
-def check_same_machine(model: SessionModel, theta: Array, labels: Sequence[str]) -> None:
+def check_same_machine(model: SessionModel, sessions: Sequence[MeasuredVariant], labels: Sequence[str]) -> None:
     """Raise InputError where the legs of a session are off those of the first by far more than they can have moved.
 
     Parameters
     ----------
     model : SessionModel
         Of a walk.
-    theta : ndarray, shape (D,)
-        The machine that explains the first session best by itself.
+    sessions : sequence of MeasuredVariant
     labels : sequence of str
     """
-    off = _find_offsets(model, theta)
+    first = sessions[0].posterior
+    theta = first.theta(first.approach()[None])[0]  # the machine that explains the first session best by itself
+    off = np.stack([_find_offsets(one, theta) for one in sessions])
     elapsed = np.sqrt(np.sum(model.drift.loadings**2, axis=1))  # √month since the first
     limit = FAR * float(model.drift.scale.max()) * np.maximum(elapsed, 1.0) + WARM
     beyond = np.flatnonzero(np.abs(off - off[0]).max(axis=1) > limit)
@@ -41,11 +44,7 @@ def check_same_machine(model: SessionModel, theta: Array, labels: Sequence[str])
         )
 
 
-def _find_offsets(model: SessionModel, theta: Array) -> Array:
-    """Return the mean error of each leg in each session for one machine θ (D,), shape (S, N), mm."""
-    total, count = np.zeros((model.n_sessions, model.parts[0].rows.width)), np.zeros(model.n_sessions)
-    for part in model.parts:
-        errors = part.rows.linearise(theta).errors
-        total[part.session] += errors.sum(axis=0)
-        count[part.session] += len(errors)
-    return total / count[:, None]
+def _find_offsets(measured: MeasuredVariant, theta: Array) -> Array:
+    """Return the mean error of each leg in a session for one machine θ (D,), shape (N,), mm."""
+    likelihood = PoseLikelihood(measured.machine, measured.poses, measured.actuator_noise)
+    return np.asarray(likelihood.leg_error_jacobian(theta)[0].mean(axis=0))

@@ -34,6 +34,7 @@ from bayescal.experiments.shared.slips import (
     Weight,
     find_slip,
 )
+from bayescal.machines.kinematics import Machine
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
 
 ERRORS = np.geomspace(1e-4, 1e2, 25)  # mm, of every leg
@@ -232,7 +233,7 @@ def _flip(k: int) -> Array:
 # --- machines that were measured ---------------------------------------------------------------------------------
 
 
-def find_measured_slip(variants: Iterable[MeasuredVariant], denied: Collection[str] = ()) -> FoundSlip | None:
+def find_slip_of_legs(variants: Iterable[MeasuredVariant], denied: Collection[str] = ()) -> FoundSlip | None:
     """Return what explains measured poses many times better than they are; None where some variant fits them.
 
     Parameters
@@ -244,17 +245,35 @@ def find_measured_slip(variants: Iterable[MeasuredVariant], denied: Collection[s
     """
     measured = list(variants)
     start, stated = measured[0].machine.mechanism.initial_actuator_positions, max(map(state_error, measured))
-    return find_leg_slip((_suspect(one, stated) for one in measured), start, denied)
+    return find_leg_slip((suspect_poses(one, stated) for one in measured), start, denied)
 
 
-def _suspect(measured: MeasuredVariant, stated: float) -> Suspect:
-    poses = measured.poses
+def audit_legs(
+    measured: MeasuredVariant,
+) -> tuple[Callable[[LegData, np.ndarray | None], Weight], list[Slip[LegData]], float, FoundSlip | None]:
+    """Return how poses are weighed, all that may have happened to them, up to what they fit, and what explains best."""
+    suspect = suspect_poses(measured, state_error(measured), whole=True)
+    start = measured.machine.mechanism.initial_actuator_positions
+    slips = [*list_leg_slips(suspect.data, start), *list_pose_units(suspect.data)]
+    found = find_slip(suspect.weigh, suspect.data, [replace(one, least=0.0, tried_from=0.0) for one in slips], 0.0)
+    return suspect.weigh, slips, REREAD, found
+
+
+def suspect_poses(measured: MeasuredVariant, stated: float, whole: bool = False) -> Suspect:
+    """Return measured poses in which slips are looked for; of the poses' own form, too, where these are ``whole``."""
+    likelihood_of = weigh_poses(measured.machine, measured.poses, measured.actuator_noise)
+    data = LegData(measured.poses.actuators, measured.poses if whole else None)
+    return Suspect(likelihood_of, measured.posterior.sampling.coordinates, data, stated)
+
+
+def weigh_poses(machine: Machine, poses: MeasuredPoses, noise: float) -> LikelihoodOf:
+    """Return what makes the density of data that are some of the poses, read otherwise where the data say so."""
 
     def likelihood_of(data: LegData, chosen: np.ndarray) -> Likelihood:
-        moved = replace(poses.select(chosen), actuators=data.actuators)
-        return PoseLikelihood(measured.machine, moved, measured.actuator_noise)
+        moved = poses.select(chosen) if data.poses is None else data.poses
+        return PoseLikelihood(machine, replace(moved, actuators=data.actuators), noise)
 
-    return Suspect(likelihood_of, measured.posterior.sampling.coordinates, LegData(poses.actuators), stated)
+    return likelihood_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,14 +298,10 @@ def find_recheck_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> Fo
     assert calibrated.covariance is not None
     sd, start = np.sqrt(np.diagonal(calibrated.covariance)), calibrated.legs.mechanism.initial_actuator_positions
     free = np.flatnonzero(sd > 0.0)
-
-    def likelihood_of(data: LegData, chosen: np.ndarray) -> Likelihood:
-        return PoseLikelihood(calibrated.legs, replace(poses.select(chosen), actuators=data.actuators), 0.0)
-
     of_legs = (np.diagonal(calibrated.errors.noise) + calibrated.errors.model_variance).mean()
-    stated = float(np.sqrt(of_legs + _position_variance(poses)))
-    known = _Known(calibrated.theta, free, sd[free])
-    return find_leg_slip([Suspect(likelihood_of, known, LegData(poses.actuators), stated)], start)
+    known, stated = _Known(calibrated.theta, free, sd[free]), float(np.sqrt(of_legs + _position_variance(poses)))
+    weigh = weigh_poses(calibrated.legs, poses, 0.0)
+    return find_leg_slip([Suspect(weigh, known, LegData(poses.actuators), stated)], start)
 
 
 def state_error(measured: MeasuredVariant) -> float:

@@ -5,17 +5,26 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from bayescal.calibrated.recheck.tables import place_poses
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
+from bayescal.density.calibration.terms import Errors, ModelErrorTerm
+from bayescal.density.errors import TAU
 from bayescal.density.legs import LegPosterior
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
+from bayescal.errors import InputError, name_faults
+from bayescal.inference.target import Target
 from bayescal.machines.kinematics import Machine
-from bayescal.numerics.geometry import Array
+from bayescal.machines.readings import Legs
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +77,24 @@ class MeasuredVariant:
     described: Mapping[str, Any] = field(default_factory=dict)
     n_held_back: int = 0
 
+    def pick(self, rows: np.ndarray) -> MeasuredVariant:
+        """Return the variant after some of its poses."""
+        variance, shared = (None if one is None else one[rows] for one in (self.actuator_variance, self.shared_errors))
+        return replace(self, actuator_variance=variance, shared_errors=shared).with_poses(self.poses.select(rows))
+
+    def retake(self, names: tuple[str, ...], values: Array) -> MeasuredVariant:
+        """Return the variant as if actuators and poses had read otherwise, (P, N + 6), mm and rad."""
+        n = self.machine.mechanism.n_legs
+        rotation = matrix_from_rotation_vector(values[:, n + 3 :])
+        return self.with_poses(
+            replace(self.poses, names=names, position=values[:, n : n + 3], rotation=rotation, actuators=values[:, :n])
+        )
+
+    def with_poses(self, poses: MeasuredPoses) -> MeasuredVariant:
+        """Return the variant as if other poses had been measured."""
+        likelihood = PoseLikelihood(self.machine, poses, self.actuator_noise, self.actuator_variance)
+        return replace(self, poses=poses, posterior=replace(self.posterior, likelihood=likelihood))
+
 
 @dataclass(frozen=True)
 class VariantChoice:
@@ -96,6 +123,18 @@ class Measuring(ABC):
         """Return the experiment's variants by their names."""
 
 
+class Found(Target, Protocol):
+    """A posterior whose parameters have names and priors."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters, those of the geometry first."""
+
+    @property
+    def priors(self) -> Mapping[str, Prior]:
+        """Priors of the geometry's parameters by name."""
+
+
 @dataclass(frozen=True, eq=False)
 class MeasuredReadings:
     """A machine of K channels that has been measured, seen through one variant.
@@ -111,6 +150,8 @@ class MeasuredReadings:
         The workspace, mm and rad.
     internal : ndarray of bool, shape (K,)
         Which channels the machine keeps after its calibration.
+    legs : MeasuredVariant or None
+        The same measurements as poses of a machine on legs; its posterior is the one that is found.
     """
 
     name: str
@@ -119,15 +160,55 @@ class MeasuredReadings:
     low: Array
     high: Array
     internal: np.ndarray
+    legs: MeasuredVariant | None = None
 
     @property
     def half(self) -> Array:
         """Half widths of the workspace, shape (q,)."""
         return 0.5 * (self.high - self.low)
 
-    def first(self, n: int) -> MeasuredReadings:
-        """Return the variant after the first n of its poses."""
-        return replace(self, posterior=replace(self.posterior, likelihood=self.posterior.likelihood.pick(np.arange(n))))
+    @cached_property
+    def anchored(self) -> CalibrationPosterior:
+        """The posterior of the readings that looks for poses near those of its least-squares solution."""
+        return self.posterior.anchored()
+
+    @property
+    def found(self) -> Found:
+        """The posterior that is found, of legs that of the study."""
+        return self.anchored if self.legs is None else self.legs.posterior
+
+    def adopt(self, y: Array) -> Array:
+        """Return coordinates (S, n) of the posterior that is found as those of the readings' one."""
+        if self.legs is None:
+            return y
+        own = self.legs.posterior
+        return self.posterior.adopt(own.theta(y), own.zeta(y)[..., own.errors.place(TAU)])
+
+    def adopt_covariance(self, covariance: Array, y: Array) -> Array:
+        """Return a covariance (n, n) of coordinates that are found as the geometry's, (m, m), of the readings' at y."""
+        m = self.posterior.n_geometry
+        if self.legs is None:
+            return covariance[:m, :m]
+        own, speed = self.legs.posterior.sampling, self.posterior.around(y)[1].T.sum(axis=1)
+        change = own.jacobian(self.posterior.theta(y[None])[0])[own.free] / speed[:, None]
+        return np.asarray(change @ covariance[:m, :m] @ change.T)
+
+    def pick(self, rows: np.ndarray) -> MeasuredReadings:
+        """Return the variant after some of its poses."""
+        posterior = replace(self.posterior, likelihood=self.posterior.likelihood.pick(rows))
+        return replace(self, posterior=posterior, legs=None if self.legs is None else self.legs.pick(rows))
+
+    def retake(self, values: Array) -> MeasuredReadings:
+        """Return the variant as if its plan had other readings, (P, K), or twice as many, (2 P, K)."""
+        n = self.posterior.likelihood.data.n_poses
+        again = self.pick(np.tile(np.arange(n), len(values) // n))
+        likelihood = again.posterior.likelihood
+        names = tuple(f"{name}{' again' * (k >= n)}" for k, name in enumerate(likelihood.data.poses))
+        data = replace(likelihood.data, poses=names, values=values)
+        posterior = replace(again.posterior, likelihood=replace(likelihood, data=data, expansion=None))
+        return replace(
+            again, posterior=posterior, legs=None if again.legs is None else again.legs.retake(names, values)
+        )
 
 
 class MeasuringReadings(ABC):
@@ -136,3 +217,46 @@ class MeasuringReadings(ABC):
     @abstractmethod
     def measure_readings(self, config: Any, folder: Path, names: Sequence[str]) -> dict[str, MeasuredReadings]:
         """Return variants of the experiment by their names, all where none is named; InputError for an unknown one."""
+
+
+def measure_variants(
+    experiment: object, config: Any, path: Path, names: Sequence[str], with_model_error: bool = True
+) -> dict[str, MeasuredReadings]:
+    """Return what an experiment in a file has measured, by its variants' names, all where none is named.
+
+    Raises
+    ------
+    InputError
+        Where it calibrates no machine, or has no such variant.
+    """
+    if isinstance(experiment, MeasuringReadings):
+        with name_faults(path):
+            return experiment.measure_readings(config, path.parent, names)
+    if not isinstance(experiment, Measuring):
+        raise InputError(f"{path}: kind: found {config.kind!r}, expected 'study' or 'calibration', with measured data")
+    known = experiment.list_variants(config)
+    for name in names:
+        if name not in known:
+            raise InputError(f"{path}: variant {name!r}: unknown here, expected one of {', '.join(known)}")
+    return {name: see_legs(experiment.measure(config, path, known[name], with_model_error)) for name in names or known}
+
+
+def see_legs(measured: MeasuredVariant) -> MeasuredReadings:
+    """Return poses measured of a machine on legs as readings of its actuators and of its pose."""
+    model, poses, own = Legs(measured.machine), measured.poses, measured.posterior
+    pose = np.concatenate([poses.position, rotation_vector_from_matrix(poses.rotation)], axis=1)
+    data, n = place_poses(poses.names, poses.actuators, pose, poses.covariance), model.n_legs
+    left = 0.0 if measured.actuator_variance is None else measured.actuator_variance
+    sd, legs = data.sd.copy(), np.arange(len(model.channels)) < n
+    sd[:, :n] = np.sqrt(measured.actuator_noise**2 + left)
+    data = replace(data, sd=sd, commanded=np.tile(legs, (poses.n_poses, 1)))
+    error, terms = own.errors.model_error, tuple[ModelErrorTerm, ...]()
+    if error.scale is not None:
+        each = {model.names[k]: np.arange(len(legs)) == k for k in range(n)}
+        groups = {"actuators": legs} if error.shared else each
+        terms = tuple(ModelErrorTerm(name, one, error.scale, "mm") for name, one in groups.items())
+    likelihood = CalibrationLikelihood(model, data, 1.0, pose)
+    posterior: CalibrationPosterior = Posterior(likelihood, own.priors, Errors(terms), own.fixed)
+    return MeasuredReadings(
+        measured.name, measured.origin, posterior, pose.min(axis=0), pose.max(axis=0), legs, measured
+    )

@@ -6,7 +6,7 @@ readings have slipped, their poses have, too, and a machine may have no reading 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,6 +16,8 @@ from bayescal.density.calibration.likelihood import CalibrationLikelihood, Calib
 from bayescal.density.calibration.poses import search_poses
 from bayescal.density.elimination import find_step, project_out
 from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.shared.leg_slips import audit_legs, find_slip_of_legs
+from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.experiments.shared.slips import (
     BETTER,
     CHANNEL,
@@ -29,6 +31,7 @@ from bayescal.experiments.shared.slips import (
     find_slip,
     fit_rows,
     list_reading_slips,
+    list_unnoticed,
     weigh_rows,
 )
 from bayescal.numerics.geometry import Array
@@ -216,7 +219,36 @@ class Suspicion:
         return np.asarray(likelihood.model.read(self.posterior.sampling.start, pose, likelihood.data.given)[:, k])
 
 
-def find_calibration_slip(variants: Iterable[Suspicion]) -> FoundSlip | None:
+def find_measured_slip(variants: Sequence[MeasuredReadings], denied: Collection[str] = ()) -> FoundSlip | None:
+    """Return what explains the readings many times better than they are; None where some variant fits them.
+
+    Parameters
+    ----------
+    variants : sequence of MeasuredReadings
+        The same measurements, or such of the same kind, under models one of which may be right.
+    denied : collection of str, optional
+        Faults that are none, as somebody says who looked.
+    """
+    legs = [one.legs for one in variants if one.legs is not None]
+    if legs:
+        return find_slip_of_legs(legs, denied)
+    return find_calibration_slip((Suspicion(one.posterior, one.low, one.high) for one in variants), denied)
+
+
+def audit_slips(measured: MeasuredReadings) -> tuple[FoundSlip | None, tuple[int, list[str]]]:
+    """Return the slip that explains readings best, however well they fit, and without one what planted slips do.
+
+    Of these, how many there are and which would pass unnoticed.
+    """
+    if measured.legs is not None:
+        weigh, slips, limit, found = audit_legs(measured.legs)
+        return found, (0, []) if found is not None else list_unnoticed(weigh, slips, limit)
+    suspicion = Suspicion(measured.posterior, measured.low, measured.high)
+    found = suspicion.find()
+    return found, (0, []) if found is not None else list_unnoticed(suspicion.weigh, suspicion.list_slips(), BETTER)
+
+
+def find_calibration_slip(variants: Iterable[Suspicion], denied: Collection[str] = ()) -> FoundSlip | None:
     """Return the slip that explains readings several times better than they are; None where none does.
 
     Of variants of the same readings the one that comes nearest is asked: where one of them fits, nothing has slipped.
@@ -227,7 +259,7 @@ def find_calibration_slip(variants: Iterable[Suspicion]) -> FoundSlip | None:
         groups.setdefault(alike, []).append(one)
     for group in groups.values():
         nearest = min(group, key=lambda one: one.weigh(Columns(one.likelihood.data.values), None).misfit)
-        found = nearest.find()
+        found = nearest.find(denied)
         if found is not None:
             return found
     return None

@@ -8,8 +8,7 @@ import numpy as np
 
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.likelihood import Likelihood
-from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.experiments.shared.leg_slips import LegData, Suspect, find_leg_slip
+from bayescal.experiments.shared.leg_slips import LegData, Suspect, find_leg_slip, weigh_poses
 from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.experiments.study.inputs import StudyInputs
@@ -56,14 +55,12 @@ def _suspect(inputs: StudyInputs, variant: VariantConfig, stated: float) -> Susp
     """Return a variant's density of all poses, calibration and verification in the order of the table."""
     machine, measured = inputs.machine(variant), inputs.measured
     noise = inputs.config.data.actuator_noise_um * MICROMETRE
+    likelihood_of = weigh_poses(machine, measured.poses, noise)
+    if isinstance(measured, InstrumentMeasurement) and not measured.has_poses:
+        instrument = measured.instrument
 
-    def likelihood_of(data: LegData, chosen: np.ndarray) -> Likelihood:
-        if isinstance(measured, InstrumentMeasurement) and not measured.has_poses:
-            return InstrumentLikelihood(
-                machine, replace(measured.instrument.select(chosen), actuators=data.actuators), noise
-            )
-        poses = measured.poses.select(chosen) if data.poses is None else data.poses
-        return PoseLikelihood(machine, replace(poses, actuators=data.actuators), noise)
+        def likelihood_of(data: LegData, chosen: np.ndarray) -> Likelihood:
+            return InstrumentLikelihood(machine, replace(instrument.select(chosen), actuators=data.actuators), noise)
 
     # those of targets have no form of their own
     stated_poses = measured.poses if isinstance(measured, InstrumentMeasurement) and measured.has_poses else None

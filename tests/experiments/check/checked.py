@@ -10,51 +10,61 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import studies
 
+from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.experiments.check.inputs import read_check
 from bayescal.experiments.check.kind import configure_check
-from bayescal.experiments.check.legs import LegSubject
+from bayescal.experiments.check.subject import Subject
+from bayescal.experiments.shared.measured import MeasuredVariant, see_legs
 
 VARIANT = "six_pus/matrix"
 
 
 @cache
-def tiny_subject() -> LegSubject:
+def tiny_subject() -> Subject:
     """Return the tiny study's second variant: l and κ of six legs, thirteen poses."""
     with TemporaryDirectory() as name:
         path = studies.write_tiny_study(Path(name))
         return read_check(configure_check(path, [VARIANT], None, None), path.parent).subjects[VARIANT]
 
 
-def make_clean(seed: int, with_model_error: bool = False) -> LegSubject:
+def make_clean(seed: int, with_model_error: bool = False) -> Subject:
     """Return a study whose data are simulated as it states, of a machine of its priors; K known, no photogrammetry."""
-    subject = tiny_subject()
-    known = replace(subject.measured, described={}, actuator_variance=None, shared_errors=None)
-    subject = LegSubject(known).with_poses(known.poses)
-    _, poses = subject.simulate_from_prior(np.random.default_rng([seed, 8]), with_model_error)
-    return subject.with_poses(poses)
+    legs = tiny_subject().measured.legs
+    known = replace(legs, described={}, actuator_variance=None, shared_errors=None)
+    subject = with_poses(known, known.poses)
+    exact = subject if with_model_error else with_poses(without_model_error(known), known.poses)
+    _, values = exact.draw_truth(np.random.default_rng([seed, 8]))
+    return Subject(subject.measured.retake(values))
 
 
-def halve_noise(subject: LegSubject) -> LegSubject:
+def with_poses(legs: MeasuredVariant, poses: MeasuredPoses) -> Subject:
+    """Return a study that has measured other poses."""
+    return Subject(see_legs(legs.with_poses(poses)))
+
+
+def without_model_error(legs: MeasuredVariant) -> MeasuredVariant:
+    """Return a study whose legs have no model error."""
+    posterior = legs.posterior
+    return replace(legs, posterior=build_leg_posterior(posterior.likelihood, posterior.priors, fixed=posterior.fixed))
+
+
+def halve_noise(subject: Subject) -> Subject:
     """Return a study that states half the noise of poses and actuators."""
-    poses = replace(subject.measured.poses, covariance=subject.measured.poses.covariance / 4.0)
-    variance = subject.measured.actuator_variance
-    quiet = replace(
-        subject.measured,
-        actuator_noise=subject.measured.actuator_noise / 2.0,
-        actuator_variance=None if variance is None else variance / 4.0,
-    )
-    return LegSubject(quiet).with_poses(poses)
+    legs = subject.measured.legs
+    poses, variance = replace(legs.poses, covariance=legs.poses.covariance / 4.0), legs.actuator_variance
+    variance = None if variance is None else variance / 4.0
+    return with_poses(replace(legs, actuator_noise=legs.actuator_noise / 2.0, actuator_variance=variance), poses)
 
 
-def change_actuators(subject: LegSubject, change) -> LegSubject:
+def change_actuators(subject: Subject, change) -> Subject:
     """Return a study whose actuator positions are changed by a function of (P, N)."""
-    poses = subject.measured.poses
-    return subject.with_poses(replace(poses, actuators=change(poses.actuators)))
+    legs = subject.measured.legs
+    return with_poses(legs, replace(legs.poses, actuators=change(legs.poses.actuators)))
 
 
-def tighten(subject: LegSubject, symbol: str, factor: float) -> LegSubject:
+def tighten(subject: Subject, symbol: str, factor: float) -> Subject:
     """Return a study with the tolerance of a symbol so many times too tight."""
     posterior = subject.posterior
     priors = {
@@ -62,4 +72,4 @@ def tighten(subject: LegSubject, symbol: str, factor: float) -> LegSubject:
         for name, prior in posterior.priors.items()
     }
     tight = build_leg_posterior(posterior.likelihood, priors, posterior.errors.model_error, posterior.fixed)
-    return LegSubject(replace(subject.measured, posterior=tight, priors=priors))
+    return Subject(see_legs(replace(subject.measured.legs, posterior=tight, priors=priors)))

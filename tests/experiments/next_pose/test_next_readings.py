@@ -16,8 +16,7 @@ from scipy.optimize import least_squares
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.next_pose.inputs import read_next
-from bayescal.experiments.next_pose.readings import ReadingsState, ReadingsSubject
-from bayescal.experiments.next_pose.state import find_state
+from bayescal.experiments.next_pose.state import Poses, State, Subject, find_state
 from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.identifiability.requirements import Requirement
 from bayescal.pose_selection.next_pose import look_ahead
@@ -26,15 +25,34 @@ SEED = 3
 REQUIRED = [Requirement("x", 0.1, ("x", "y")), Requirement("position", 0.2, ("x", "y"))]
 
 
-@pytest.fixture(scope="module")
-def state() -> ReadingsState:
+def build_state(**settings) -> State:
     """Return what is known of a point on four lines after six poses, with 25 candidates."""
     rng = np.random.default_rng(1)
-    posterior, _, _ = problems.lines_posterior(rng, n_poses=6)
+    posterior, _, _ = problems.lines_posterior(rng, n_poses=6, **settings)
     half = np.full(2, 150.0)
     measured = MeasuredReadings("lines", "Simulated", posterior, -half, half, np.ones(4, dtype=bool))
     poses = rng.uniform(-150.0, 150.0, (65, 2))
-    return find_state(ReadingsSubject(measured, REQUIRED, poses[:40], poses[40:], {}), None, 400, SEED)
+    subject = Subject(measured, REQUIRED, Poses(poses[:40], {}), Poses(poses[40:], {}))
+    return find_state(subject, None, 400, SEED)
+
+
+@pytest.fixture(scope="module")
+def state() -> State:
+    return build_state()
+
+
+def test_correlated_noise_counts_in_what_a_pose_says():
+    """Rows' information against the readings' own precision with the pose projected out."""
+    found = build_state(correlation=problems.correlation_of(np.random.default_rng(4), 4))
+    likelihood, model = found.subject.posterior.likelihood, found.subject.model
+    sd = likelihood.data.sd[0]
+    precision = np.linalg.inv(likelihood.correlation.mean(axis=0) * np.outer(sd, sd))
+    here = model.linearise(found.calibrated, found.subject.candidates.values)
+    moved = here.by_parameters @ found.subject.posterior.around(found._y)[1]
+    for rows, slope, seen in zip(found.rows, here.by_pose, moved, strict=True):
+        weighed = precision @ slope
+        left = precision - weighed @ np.linalg.solve(slope.T @ weighed, weighed.T)
+        np.testing.assert_allclose(rows.T @ rows, seen.T @ left @ seen, rtol=1e-6, atol=1e-6)
 
 
 def test_a_step_is_the_posterior_with_the_pose_added(state):
@@ -45,7 +63,7 @@ def test_a_step_is_the_posterior_with_the_pose_added(state):
     steps = look_ahead(state.weight, np.linalg.inv(now), state.rows, np.ones(25, dtype=bool))
     best = next(steps)
     costs = []
-    for k, pose in enumerate(state.subject.candidates):
+    for k, pose in enumerate(state.subject.candidates.values):
         read = likelihood.model.read(state.calibrated, pose[None])
         data = Measurements(
             (*likelihood.data.poses, "N"),
@@ -68,7 +86,7 @@ def test_errors_over_the_workspace_are_those_of_solved_poses(state):
     model, subject = state.subject.posterior.likelihood.model, state.subject
     theta = state.theta[:5]
     followed = state.remaining.follow(theta)
-    for k, pose in enumerate(subject.workspace[:6]):
+    for k, pose in enumerate(subject.workspace.values[:6]):
         for s, true in enumerate(theta):
             read = model.read(true, pose[None])[0]
             found = least_squares(lambda v, r=read: model.read(state.calibrated, v[None])[0] - r, pose, xtol=1e-14)

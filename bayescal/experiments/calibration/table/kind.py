@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from bayescal.experiments.calibration.memory import list_variant
@@ -10,12 +9,11 @@ from bayescal.experiments.calibration.page.table import build_page
 from bayescal.experiments.calibration.table.compute import compute_table
 from bayescal.experiments.calibration.table.inputs import TableInputs, read_table
 from bayescal.experiments.calibration.table.schema import LookupTableConfig
-from bayescal.experiments.frame.experiment import Experiment
-from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import KEPT_DRAWS
+from bayescal.experiments.shared.of_another import OfAnother
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.experiments.shared.search_memory import list_sampling
 from bayescal.report.blocks import Page
@@ -24,22 +22,11 @@ RESPONSES, ELSEWHERE, SLOPES = 4, 64, 6
 """Arrays of all draws' responses at all places, poses beside the table's, and arrays of derivatives at all places."""
 
 
-class LookupTable(Experiment[LookupTableConfig, TableInputs]):
+class LookupTable(OfAnother[LookupTableConfig, TableInputs]):
     """What actuators have to do by elevation, temperature and the like."""
 
     schema = LookupTableConfig
-
-    def files(self, config: LookupTableConfig, folder: Path) -> list[str]:
-        """Return the calibration's file and its files."""
-        experiment, calibration = load(folder / config.calibration)
-        beside = Path(config.calibration).parent
-        own = [os.path.normpath(beside / name) for name in experiment.files(calibration, folder / beside)]
-        return [*super().files(config, folder), *own]
-
-    def modules(self, config: LookupTableConfig, folder: Path) -> dict[str, str]:
-        """Return the hashes of others' modules that the calibration's classes stand in."""
-        experiment, calibration = load(folder / config.calibration)
-        return experiment.modules(calibration, (folder / config.calibration).parent)
+    another = "calibration"
 
     def read(self, config: LookupTableConfig, folder: Path) -> TableInputs:
         """Return the calibration's variant and the places of the table."""

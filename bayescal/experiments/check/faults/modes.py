@@ -1,4 +1,4 @@
-"""Missed modes: searches from mirrored actuators, of one leg and of two, and from machines of the priors."""
+"""Missed modes: searches from where one jump leads or two, mirrored legs among them, and from draws of the priors."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ from itertools import combinations
 
 import numpy as np
 
-from bayescal.density.legs import LegPosterior
 from bayescal.errors import NumericalError
 from bayescal.experiments.check.faults.finding import Finding
 from bayescal.inference.mode import Mode, find_mode
 from bayescal.inference.target import Target
-from bayescal.machines.coordinates import mirror_direction
 from bayescal.numerics.geometry import Array
 
 CHECK, FAULT = "Modes", "mode"
@@ -45,37 +43,12 @@ def check_modes(posterior: Target, known: list[Mode], starts: list[Array]) -> Fi
     return Finding(CHECK, FAULT, "bad", text)
 
 
-def list_starts(posterior: LegPosterior, best: Array, rng: np.random.Generator) -> list[Array]:
-    """Return coordinates of mirrored machines and of draws of the priors, shape (n,) each."""
-    single = mirror(posterior, best)
-    starts = list(single.values())
-    for one, other in list(combinations(single, 2))[:PAIRS]:
-        again = mirror(posterior, single[one]).get(other)
-        if again is not None:
-            starts.append(again)
-    return starts + list(rng.standard_normal((STARTS, posterior.n_parameters)))
-
-
-def mirror(posterior: LegPosterior, y: Array) -> dict[int, Array]:
-    """Return y, shape (n,), with one leg's actuator turned to the other direction of its gain, by leg.
-
-    Only legs of which one component of u is free; where both are a ridge joins the two.
-    """
-    coordinates, layout = posterior.sampling.coordinates, posterior.likelihood.machine.layout
-    if not layout.direction_symbols or "rho0" not in layout.index:
-        return {}
-    theta = coordinates.theta_from_y(y[None, : posterior.n_geometry])[0]
-    free = np.stack([np.isin(layout.index[symbol], coordinates.free) for symbol in layout.direction_symbols])
-    images = {}
-    for leg in np.flatnonzero(free.sum(axis=0) == 1):
-        turned = mirror_direction(
-            layout, theta, int(leg), int(np.argmax(free[:, leg])), coordinates.legs[leg], coordinates.free
-        )
-        if turned is not None:
-            image = y.copy()
-            image[: posterior.n_geometry] = coordinates.y_from_theta(turned)
-            images[int(leg)] = image
-    return images
+def list_starts(posterior: Target, best: Array, rng: np.random.Generator) -> list[Array]:
+    """Return where jumps lead, one and two of them, and draws of the priors, coordinates (n,) each."""
+    single = dict(posterior.jumps(best))
+    pairs = [dict(posterior.jumps(single[one])).get(other) for one, other in list(combinations(single, 2))[:PAIRS]]
+    drawn = rng.standard_normal((STARTS, posterior.n_parameters))
+    return [*single.values(), *(one for one in pairs if one is not None), *drawn]
 
 
 def _is_same(one: Mode, other: Mode) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from bayescal.experiments.check.faults.finding import Finding
-from bayescal.experiments.check.subject import Checked
+from bayescal.experiments.shared.measured import Found
 from bayescal.limits import INFORMED
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import join_words
@@ -20,7 +20,7 @@ CHECK, FAULT = "Tolerances", "prior"
 IMPROBABLE = 1e-3  # of all groups together
 
 
-def check_priors(posterior: Checked, draws: Array) -> Finding:
+def check_priors(posterior: Found, draws: Array) -> Finding:
     """Return whether the machine lies within its tolerances; draws of the posterior in natural units, (S, n)."""
     names = posterior.names[: posterior.n_geometry]
     priors = [posterior.priors[name] for name in names]
