@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.machines.readings import Channel
-from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian
+from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, compute_left_jacobian
 
 SMALL = 1e-150  # of the sine of half a turn, whose square is no number
 CONSTRAINT = 1e-4
@@ -136,7 +136,7 @@ class Comparison:
         for three in self.rotations:
             vector, left = np.nan_to_num(read[..., three]), np.nan_to_num(error[..., three])
             # d log(M exp(-ω) Rᵀ) = -J_r⁻¹(r) ω with ω = J_l(v) dv, and J_r⁻¹(r) = J_l⁻¹(-r)
-            turn = compute_left_inverse_jacobian(-left) @ np.linalg.inv(compute_left_inverse_jacobian(vector))
+            turn = compute_left_inverse_jacobian(-left) @ compute_left_jacobian(vector)
             result[..., three, :] = turn @ slope[..., three, :]
         return result
 

@@ -174,35 +174,53 @@ class PoseElimination:
 
     # --- poses ---------------------------------------------------------------------------------------------------
 
+    @cached_property
+    def _correlated(self) -> np.ndarray:
+        """Where the channels stand whose noise, or model error, shows in that of others, too."""
+        n = len(self.model.channels)
+        apart, gain = ~np.eye(n, dtype=bool), self.error_gain
+        seen = (
+            (self.correlation != 0.0).any(axis=0)
+            if gain is None
+            else ((self.correlation != 0.0) | (gain != 0.0)).any(axis=0)
+        )
+        return np.flatnonzero(((seen | seen.T) & apart).any(axis=0))
+
     def whiten(self, own: Array, tau: Array) -> Whitening:
-        """Return the whitening for deviations s σ (C, P, K) and τ (C, 1, K)."""
-        there = self.data.present
-        if self.data.correlation is None and self.error_gain is None:
-            weight = np.where(there, 1.0 / np.sqrt(own**2 + tau**2), 0.0)
-            return Whitening(weight, None, np.log(np.where(there, weight, 1.0)).sum(axis=-1))
-        if len(own) > 1 and (own == own[:1]).all() and (tau == tau[:1]).all():  # noise that is known
-            one = self.whiten(own[:1], tau[:1])
-            assert one.matrix is not None
-            many = np.broadcast_to(one.matrix, (len(own), *one.matrix.shape[1:]))
-            return Whitening(None, many, np.broadcast_to(one.log_det, many.shape[:2]))
-        own, tau = np.where(there, own, 1.0), np.where(there, tau, 0.0)
-        covariance = own[..., :, None] * self.correlation * own[..., None, :]
-        spread = tau[..., None, :] * (np.eye(own.shape[-1]) if self.error_gain is None else self.error_gain)
-        return Whitening(None, *whiten_covariance(covariance + spread @ np.swapaxes(spread, -1, -2)))
+        """Return the whitening for deviations s σ (C, P, K) and τ (C, 1 or P, K)."""
+        there, places = self.data.present, self._correlated
+        weight = np.where(there, 1.0 / np.sqrt(own**2 + tau**2), 0.0)
+        log_weight = np.log(np.where(there, weight, 1.0))
+        if not len(places):
+            return Whitening(weight, None, places, log_weight.sum(axis=-1))
+        # noise of readings that depend on each other is often the same for all machines
+        own, tau = np.where(there, own, 1.0)[..., places], np.where(there, tau, 0.0)[..., places]
+        if (own == own[:1]).all() and (tau == tau[:1]).all():
+            own, tau = own[:1], tau[:1]
+        block = np.ix_(range(len(there)), places, places)
+        covariance = (
+            own[..., :, None] * np.broadcast_to(self.correlation, (len(there), *self.correlation.shape[1:]))[block]
+        )
+        covariance = covariance * own[..., None, :]
+        spread = tau[..., None, :] * (np.eye(len(places)) if self.error_gain is None else self.error_gain[block])
+        matrix, log_det = whiten_covariance(covariance + spread @ np.swapaxes(spread, -1, -2))
+        weight[..., places] = log_weight[..., places] = 0.0
+        return Whitening(weight, matrix, places, log_weight.sum(axis=-1) + log_det)
 
     def linearise(
         self, theta: Array, pose: Array, white: Whitening, with_parameters: bool = False
     ) -> tuple[Array, Array, Array]:
         """Return white errors (C, P, K), H (C, P, K, q) and A (C, P, K, D) of machines (C, D) at poses (C, P, q)."""
+        error, by_pose, by_parameters = self._linearise(theta, pose, with_parameters)
+        return white.vector(error), white.rows(by_pose), white.rows(by_parameters) if with_parameters else by_parameters
+
+    def _linearise(self, theta: Array, pose: Array, with_parameters: bool = False) -> tuple[Array, Array, Array]:
+        """Return the same as they are, not white; zero for readings that were not taken."""
         here = self.model.linearise(theta[:, None], pose, with_parameters, self._given)
         error = self.comparison.subtract(self.data.values, here.values)
-        there = self.data.present
-        by_pose = self._pull_back(error, here.values, here.by_pose)
-        rows = white.rows(by_pose)
-        left = white.vector(np.where(there, error, 0.0))
-        if not with_parameters:
-            return left, rows, here.by_parameters
-        return left, rows, white.rows(self._pull_back(error, here.values, here.by_parameters))
+        slopes = [here.by_pose, here.by_parameters][: 1 + with_parameters]
+        by_pose, *more = (self._pull_back(error, here.values, one) for one in slopes)
+        return np.where(self.data.present, error, 0.0), by_pose, more[0] if more else here.by_parameters
 
     def _pull_back(self, error: Array, values: Array, slope: Array) -> Array:
         result = np.array(self.comparison.pull_back(error, values, slope))
@@ -236,14 +254,15 @@ class PoseElimination:
     def _improve(self, found: Stand, going: np.ndarray, theta: Array, white: Whitening) -> Array:
         """Move some of the machines by a step, or two where H is as good as that of the next pose; return the sizes."""
         theta, white = theta[going], white.pick(going)
-        error, slope, _ = self.linearise(theta, found.pose[going], white)
+        error, raw, _ = self._linearise(theta, found.pose[going])
+        error, slope = white.vector(error), white.rows(raw)
         with np.errstate(all="ignore"):
             factor = factorise(slope)
             step, _ = solve_step(slope, factor, error)
             left = subtract_step(slope, step, error)
         assert found.known_volume is not None
         assert found.known_prior is not None
-        found.known_volume[going], found.known_prior[going] = log_root(factor), self._weigh_poses(slope, white)
+        found.known_volume[going], found.known_prior[going] = log_root(factor), self._weigh_poses(raw)
         pose, size = found.pose[going] + step, np.abs(error - left).max(axis=-1)
         largest = np.nanmax(size, axis=1, initial=0.0)
         near = np.flatnonzero((largest > CLOSE) & (largest <= NEAR))
@@ -297,11 +316,9 @@ class PoseElimination:
         """Return what machines near an anchor (D,) at the start have in common."""
         white = reference or self.whiten(self.sd[None], np.zeros((1, 1, len(self.model.channels))))
         with np.errstate(all="ignore"):
-            here = self.model.linearise(anchor[None, None], self.start[None], True, self._given)
-            error = self.comparison.subtract(self.data.values, here.values)
-            slope = self._pull_back(error, here.values, here.by_pose)
+            _, slope, by_parameters = self._linearise(anchor[None], self.start[None], with_parameters=True)
             inverse = invert(white.rows(slope)[0], 0.0)
-            moves = -inverse @ white.rows(self._pull_back(error, here.values, here.by_parameters))[0]
+            moves = -inverse @ white.rows(by_parameters)[0]
             first = Expansion(
                 anchor,
                 self.start,
@@ -338,7 +355,7 @@ class PoseElimination:
         bends = np.empty((len(free), *first.slope.shape))
         for part in self.batches(len(free)):
             up, down = (
-                self._raw_slopes(first.anchor + sign * change[part], first.pose + sign * pose[part])
+                self._linearise(first.anchor + sign * change[part], first.pose + sign * pose[part])[1]
                 for sign in (1.0, -1.0)
             )
             width = 2.0 * change[part].sum(axis=1)
@@ -388,10 +405,6 @@ class PoseElimination:
             own = np.where(commanded[..., None], near.predict(theta[None])[1][0], 0.0)
             result[near.free] += np.einsum("pik,fpki->f", invert(own, 0.0), bends, optimize=True)
         return result
-
-    def _raw_slopes(self, theta: Array, pose: Array) -> Array:
-        here = self.model.linearise(theta[:, None], pose, False, self._given)
-        return self._pull_back(self.comparison.subtract(self.data.values, here.values), here.values, here.by_pose)
 
     # --- density -------------------------------------------------------------------------------------------------
 
