@@ -40,7 +40,7 @@ def test_uniform_ranks_pass_and_their_coverage_has_an_error():
 
 
 def test_few_data_sets_are_no_fault():
-    """Of four data sets with eight parameters often none has a truth outside: their spread is zero, their chance not."""
+    """Of four data sets with eight parameters often none has a truth outside: no spread, and no fault."""
     rng, names = np.random.default_rng(4), tuple("abcdefgh")
     found = [judge_ranks("prior", names, one, norm.ppf(one), np.zeros((4, 2)), 4) for one in rng.random((300, 4, 8))]
     assert np.mean([one.level == "bad" for one in found]) < 0.03
