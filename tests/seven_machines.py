@@ -29,7 +29,7 @@ class Written:
 
     ``variant`` is the one that is used, ``together`` the study with all kinds of errors, ``commands`` the table of what
     actuators did, ``coordinates`` the columns that say where the machine is, ``recheck`` the options that say what a
-    pose is measured with.
+    pose is measured with, ``rigid`` the variant for formats of rigid platforms.
     """
 
     folder: Path
@@ -38,6 +38,7 @@ class Written:
     commands: Path
     coordinates: tuple[str, ...]
     recheck: tuple[object, ...] = ()
+    rigid: str = ""
 
 
 # --- sections ---------------------------------------------------------------------------------------------------------
@@ -74,7 +75,7 @@ SAMPLER = """
 [sampler]
 walkers = 24
 burn_in = 3
-steps = 40
+steps = {steps}
 
 [evidence]
 draws = 1000
@@ -105,7 +106,7 @@ draws = 200
 ahead = 3
 
 [requirements]
-{required} = 1.0
+{required} = {limit}
 """
 SESSIONS = """study = "study.toml"
 variant = "{variant}"
@@ -185,7 +186,7 @@ class Readings:
         """Write the machine, its readings and all configs."""
         self.prepare(folder)
         drift = self.drift + ("\nscale_arcsec = 20.0" if self.turns else "\nscale_um = 20.0")
-        asked = NEXT.format(variant="whole", required=self.required) + "\n[candidates]\ncount = 20\n"
+        asked = NEXT.format(variant="whole", required=self.required, limit=1.0) + "\n[candidates]\ncount = 20\n"
         _write_questions(folder, "whole", asked, drift, {"readings": ["data/readings.csv"]})
         commands = folder / "results" / "machine" / "commands_whole.csv"
         return Written(folder, "whole", folder / "together.toml", commands, self.coordinates)
@@ -204,12 +205,16 @@ class Readings:
         )
         read = read_simulation(load(folder / "simulate.toml")[1], folder)
         studies.write_texts(folder / "data", simulate(read, np.random.default_rng(3)).files)
-        _write(folder / "study.toml", "calibration", STUDY + known + VARIANTS.format(few=self.few) + SAMPLER)
+        _write(
+            folder / "study.toml",
+            "calibration",
+            STUDY + known + VARIANTS.format(few=self.few) + SAMPLER.format(steps=40),
+        )
         keys = {"scale": 1e-4, "function": "scale_arcsec = 5.0"} if self.turns else {}
         together = TOGETHER.format(
             **{"own": self.own, "few": self.few, "scale": 0.01, "function": "scale_um = 5.0"} | keys
         )
-        _write(folder / "together.toml", "calibration", STUDY + known + together + SAMPLER)
+        _write(folder / "together.toml", "calibration", STUDY + known + together + SAMPLER.format(steps=6))
 
 
 FIVE_BAR = '''"""A five-bar that grows with its temperature: two cranks turn, their couplers meet at the tool."""
@@ -334,13 +339,14 @@ UNFORCED = 'channels = ["motor"]\nignore = ["force_1", "force_2", "force_3", "fo
 def write_printer(folder: Path) -> Written:
     """Write the Hangprinter as it was measured, with two of its variants."""
     shutil.copytree(studies.EXPERIMENTS / "hangprinter", folder)
-    known = re.sub(r"(?ms)^\[unknown_noise\].*?^\[", "[", (folder / "study.toml").read_text())
-    known = known.partition("[[variants]]")[0].replace('channels = ["motor"]', UNFORCED)
-    (folder / "study.toml").write_text(known + PRINTER + SAMPLER)
+    known = (folder / "study.toml").read_text().partition("[[variants]]")[0]
+    known = known.replace('channels = ["motor"]', UNFORCED)
+    (folder / "study.toml").write_text(known + PRINTER + SAMPLER.format(steps=40))
     together = TOGETHER.format(own="motor", few='["A_x", "A_y", "A_z"]', scale=0.1, function="scale_deg = 5.0")
     together = together.replace('common = ["A_x", "A_y", "A_z"]\n', "")
-    (folder / "together.toml").write_text(known + together + SAMPLER)
-    asked = NEXT.format(variant="rigid", required="x") + "\n[candidates]\ncount = 20\n"
+    known = re.sub(r"(?ms)^\[unknown_noise\].*?^\[", "[", known)
+    (folder / "together.toml").write_text(known + together + SAMPLER.format(steps=6))
+    asked = NEXT.format(variant="rigid", required="x", limit=50.0) + "\n[candidates]\ncount = 20\n"
     tables = ["data/encoders.csv", "data/positions.csv"]
     _write_questions(folder, "rigid", asked, 'symbols = ["R"]\nscale_um = 20.0', {"readings": tables})
     commands = folder / "results" / "machine" / "commands_rigid.csv"
@@ -366,7 +372,7 @@ POSE = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 
 def _write_legs(folder: Path, variant: str, half: float, reach: float, more: str) -> Written:
     """Write what is asked of a study of legs that is there, and the same legs as a machine of readings."""
-    asked = NEXT.format(variant=variant, required="z") + ASKED_OF_LEGS.format(half=half, reach=reach)
+    asked = NEXT.format(variant=variant, required="z", limit=1.0) + ASKED_OF_LEGS.format(half=half, reach=reach)
     files = {one: [f"data/{one}.csv"] for one in PLACES}
     _write_questions(folder, variant, asked, 'symbols = ["l"]\nscale_um = 20.0\nper_leg = false', files)
     general = Readings(
@@ -377,11 +383,11 @@ def _write_legs(folder: Path, variant: str, half: float, reach: float, more: str
         few='["l"]',
         more=f"\n[workspace]\n{more}\n",
         beside=lambda there: shutil.copy(folder / "mechanism.toml", there),
-        n_poses=8,
+        n_poses=6,
     )
     general.prepare(folder / "general")
     together = folder / "general" / "together.toml"
-    return Written(folder, variant, together, folder / "data" / "actuators.csv", POSE, INSTRUMENT)
+    return Written(folder, variant, together, folder / "data" / "actuators.csv", POSE, INSTRUMENT, "six_pus/none")
 
 
 def write_telescope(folder: Path) -> Written:
@@ -396,7 +402,9 @@ def write_hexaglide(folder: Path) -> Written:
     shutil.copytree(studies.EXPERIMENTS / "hexaglide", folder)
     path = folder / "study.toml"
     text = path.read_text().replace('free = ["a_y", "a_z", "b_x", "l", "u_y", "u_z"]', 'free = ["l", "u_y"]')
-    path.write_text(text.replace('free = ["a_y", "a_z", "b_x", "l", "u_y", "u_z", "kappa"]', 'free = ["l", "kappa"]'))
+    path.write_text(
+        text.replace('free = ["a_y", "a_z", "b_x", "l", "u_y", "u_z", "kappa"]', 'free = ["l", "u_y", "kappa"]')
+    )
     _shrink(path)
     return _write_legs(folder, "six_pus/none", 20.0, 100.0, _around(folder, 50.0, 2.0))
 
