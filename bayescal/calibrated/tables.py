@@ -126,8 +126,9 @@ def read_commanded(path: Path, calibrated: CalibratedMachine) -> Commanded:
     tool = [] if is_pose(calibrated) else list_columns(model.tool_channels, TOOL)
     pose = [*list_columns(model.pose_channels), *(OTHER_COLUMNS if isinstance(model, Legs) else ())]
     upper, lower = name_covariances([one.name for one in model.pose_channels])
-    sds = [f"sd_{one}" for one in pose]
-    others = ("use", *sds, *_name_sd(model.pose_channels), *upper, *lower, *list_columns(list_commanded(calibrated)))
+    of_tool, _ = name_covariances([f"{TOOL}{one.stem}" for one in model.tool_channels])
+    sds = [*(f"sd_{one}" for one in pose), *_name_sd(model.pose_channels)]
+    others = ("use", *sds, *upper, *lower, *of_tool, *list_columns(list_commanded(calibrated)))
     expected = [name_column(one) for one in model.pose_channels]
     expected += [f"or {', '.join(TOOL + name_column(one) for one in model.tool_channels)}"] if tool else []
     table, names = read_named(path, [*pose, *tool, *model.given, *others], [*expected, *model.given])

@@ -7,6 +7,9 @@
 # because --trust-code says so; without it, it is not.
 set -e
 
+# Is the calibration sound? Few simulated data sets find the usual faults; without --data-sets it takes more, and longer.
+bayescal check study.toml --variant one_rod --data-sets 8 --out results/check --workers 1
+
 # Calibrate, then write the report again from the results alone.
 bayescal run study.toml --out results/study --workers 1
 bayescal report results/study

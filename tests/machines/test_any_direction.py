@@ -11,7 +11,7 @@ import telescope_machines as machines
 from scipy import stats
 
 from bayescal.density.errors import ModelError
-from bayescal.errors import InputError
+from bayescal.errors import InputError, NumericalError
 from bayescal.machines.coordinates import mirror_direction
 from bayescal.machines.directions import choose_chart
 from bayescal.machines.kinematics import (
@@ -285,3 +285,17 @@ def test_legs_that_do_not_reach_are_named():
     message = refuse(stated)
     assert "no home pose found, expected legs that close (leg " in message
     assert "mm apart with the platform level at 0, 0, 420 mm, where the search began)" in message
+
+
+def test_a_leg_at_right_angles_to_its_guide_leaves_the_other_poses_alone():
+    """No step of the carriage shortens it: that pose is out of reach, as one is whose legs are too short."""
+    machine = machines.build_machine("none", guided.build_hexaglide())
+    theta, home = machine.layout.nominal, np.array(machine.mechanism.home_position)
+    position = np.stack([home, home])
+    position[1, 0] = -380.0 - 40.0  # the first carriage's place less that of its joint on the platform
+    position[1, 2] += 600.0
+    rotation = np.tile(np.eye(3), (2, 1, 1))
+    found = solve_inverse_kinematics(machine, theta, position, rotation, check=False)
+    assert found.converged.tolist() == [True, False]
+    with pytest.raises(NumericalError, match=r"leg \d cannot reach pose 2 of 2"):
+        solve_inverse_kinematics(machine, theta, position, rotation)

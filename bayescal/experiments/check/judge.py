@@ -30,7 +30,8 @@ def judge_ranks(whence: str, names: tuple[str, ...], rank: Array, z: Array, qual
     said += f", estimates are off by {rms:.2f} sd (rms)"
     said += f", in {len(rank)} of {n} data sets" if len(rank) < n else f", in {n} data sets"
     said += f"; in {100 * poor:.0f} % of them ensembles took over from importance sampling" if poor else ""
-    off = abs(held - COVERAGE) > max(OFF * error, OFF_SHARE)
+    chance = np.sqrt(COVERAGE * (1.0 - COVERAGE) / rank.size)  # few data sets may all be held
+    off = abs(held - COVERAGE) > max(OFF * max(error, chance), OFF_SHARE)
     if not off and not uneven:
         return Finding(check, "", "good", f"all ranks are uniform; {said}.")
     how = "too narrow" if held < COVERAGE else "too wide"

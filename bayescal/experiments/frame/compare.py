@@ -25,5 +25,8 @@ def compare_results(folders: Sequence[Path], kind: str | None = None) -> tuple[A
     for folder, experiment in zip(folders, experiments, strict=True):
         if type(experiment) is not type(experiments[0]):
             one, other = type(experiment).__name__, type(experiments[0]).__name__
-            raise InputError(f"{folder}: found results of kind {one}, expected {other} as in {folders[0]}")
+            raise InputError(
+                f"{folder}: found results of kind {one}, expected {other} as in {folders[0]}: evidences compare only "
+                "of the same data, which tables of two kinds do not show"
+            )
     return experiments[0], experiments[0].compare({str(folder): read_results(folder) for folder in folders})

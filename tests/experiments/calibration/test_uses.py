@@ -40,12 +40,15 @@ def results(tmp_path_factory) -> Path:
     return folder / "moved"
 
 
+PAGES = ("check/report.html", "study/report.html", "next/report.html")
+
+
 def read(path: Path) -> pd.DataFrame:
     return pd.read_csv(path, comment="#").set_index("pose")
 
 
 def test_the_script_leaves_what_it_says(results):
-    for name in ("study/report.html", "certificate.html", "recheck.csv", "next/report.html", "machine/calibrated.toml"):
+    for name in (*PAGES, "certificate.html", "recheck.csv", "machine/calibrated.toml"):
         assert (results / name).is_file(), name
     poses, again = read(results / "poses.csv"), read(results / "poses_again.csv")
     pd.testing.assert_frame_equal(poses, again, rtol=1e-6)

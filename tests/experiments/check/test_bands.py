@@ -39,6 +39,15 @@ def test_uniform_ranks_pass_and_their_coverage_has_an_error():
     assert error == pytest.approx(np.sqrt(0.09 / 960), rel=0.3)
 
 
+def test_few_data_sets_are_no_fault():
+    """Of four data sets with eight parameters often none has a truth outside: no spread, and no fault."""
+    rng, names = np.random.default_rng(4), tuple("abcdefgh")
+    found = [judge_ranks("prior", names, one, norm.ppf(one), np.zeros((4, 2)), 4) for one in rng.random((300, 4, 8))]
+    assert np.mean([one.level == "bad" for one in found]) < 0.03
+    held = np.random.default_rng(5).uniform(0.06, 0.94, (4, 8))
+    assert judge_ranks("prior", names, held, norm.ppf(held), np.zeros((4, 2)), 4).level == "good"
+
+
 def test_too_few_posteriors_are_a_fault():
     rank = np.full((9, 2), 0.5)
     assert judge_ranks("prior", ("a", "b"), rank, rank, rank, 20).fault == "calibration"

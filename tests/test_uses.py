@@ -1,0 +1,309 @@
+"""The table of docs/uses.md, cell by cell, through the command line: what it says works, works; what not, is refused.
+
+Each machine is calibrated once, tiny, and all uses take that result.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from seven_machines import MACHINES, Written
+
+pytestmark = [pytest.mark.runs, pytest.mark.usefixtures("no_pictures", "search_little")]
+
+PAGE = Path(__file__).parents[1] / "docs" / "uses.md"
+REFUSED = "not meaningful: "
+UNCONVERGED = "not everything converged"
+OF_LEGS = {"mechanism": "mechanism", "URDF": "urdf", "genhexkins": "genhexkins"}
+PARAMETERS = ("parameters", "toml", "json", "csv")
+
+
+def read_page() -> tuple[list[str], dict[str, list[str]]]:
+    """Return the columns of the table and its cells by row."""
+    lines = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
+    head, _, *rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return head[1:], {row[0]: row[1:] for row in rows}
+
+
+COLUMNS, ROWS = read_page()
+
+
+@dataclass(eq=False)
+class Place:
+    """A machine's folder and its results, which are there once they are asked for."""
+
+    written: Written
+    run_tiny: Callable[..., Path]
+
+    @cached_property
+    def results(self) -> Path:
+        """Return the results of its study."""
+        return self.run_tiny(self.written.folder / "study.toml", self.written.folder / "results")
+
+
+@dataclass(frozen=True, eq=False)
+class Use:
+    """What a test of one cell needs: the machine, the command line, an empty folder, the words of the cell."""
+
+    place: Place
+    call: Callable[..., tuple[int, str, str]]
+    out: Path
+    cell: str
+
+    @property
+    def folder(self) -> Path:
+        """Return the machine's folder."""
+        return self.place.written.folder
+
+    def run(self, *arguments: object) -> str:
+        """Call a command that has to work; return what it says."""
+        code, said, complaint = self.call(*arguments)
+        assert code == 0, complaint
+        return said
+
+    def take(self, command: str, *arguments: object) -> str:
+        """Call a command of a calibrated machine that has to work."""
+        return self.run(command, self.place.results, *self.of_machine, *arguments)
+
+    @property
+    def of_machine(self) -> tuple[object, ...]:
+        """Return options of commands that take a calibrated machine: of its tiny run, by force."""
+        return ("--variant", self.place.written.variant, "--trust-code", "--force")
+
+    def refuse(self, reason: str, *arguments: object) -> None:
+        """Call a command that has to be refused in one line for a reason, with nothing written."""
+        code, said, complaint = self.call(*arguments)
+        assert (code, said, complaint.count("\n")) == (2, "", 1), complaint
+        assert reason in complaint
+        assert not list(self.out.iterdir())
+
+
+def run_tiny(call: Callable[..., tuple[int, str, str]]) -> Callable[..., Path]:
+    """Return a function that runs a study; so little may not converge, and is written all the same."""
+
+    def run(study: Path, out: Path) -> Path:
+        code, _, complaint = call("run", study, "--out", out, "--workers", 1)
+        assert code == 0 or (code == 3 and UNCONVERGED in complaint), complaint
+        return out
+
+    return run
+
+
+def read(path: Path, *columns: str) -> pd.DataFrame:
+    """Return a table that has rows, no infinities, and finite numbers in some columns."""
+    table = pd.read_csv(path, comment="#")
+    assert len(table), path
+    assert not np.isinf(table.select_dtypes("number").to_numpy()).any(), path
+    assert np.isfinite(table[list(columns)].to_numpy(dtype=float)).all(), path
+    return table
+
+
+def find(folder: Path, name: str) -> Path:
+    """Return the file of a name under a folder, where there is one."""
+    (found,) = folder.rglob(name)
+    return found
+
+
+def list_numbers(content: object) -> Iterator[float]:
+    """Return all numbers of a JSON file's content."""
+    for one in content.values() if isinstance(content, dict) else content if isinstance(content, list) else ():
+        yield from list_numbers(one)
+    if isinstance(content, int | float):
+        yield content
+
+
+# --- the uses ---------------------------------------------------------------------------------------------------------
+
+
+def calibrate(use: Use) -> None:
+    """Run, report, compare: a posterior with a spread, its page written again, results side by side."""
+    results = use.place.results
+    found = read(find(results, "parameters.csv"), "mean", "sd")
+    assert (found["sd"] > 0.0).all()
+    (results / "report.html").unlink()
+    use.run("report", results)
+    assert (results / "report.html").stat().st_size > 10_000
+    assert use.place.written.variant in use.run("compare", results, results)
+
+
+def predict_rows(use: Use) -> None:
+    """Rows left out, stacking, and how much the posterior depends on priors and data, of two variants."""
+    results = use.place.results
+    (path,) = (one for name in ("variants.csv", "ranking.csv") for one in results.rglob(name))
+    found = read(path, "elpd_loo", "elpd_loo_se", "log_evidence")
+    assert len(found) == 2
+    if path.name == "variants.csv":
+        weights, columns = list(found["stacking_weight"]), ("prior_sensitivity", "likelihood_sensitivity")
+        depends = read(results / "parameters.csv", *columns)
+    else:
+        stacked = json.loads((results / "summary.json").read_text()).get("stacked")
+        leads = found["elpd_loo_difference"].abs().max() > 2.0 * found["elpd_loo_difference_se"].max()
+        assert (stacked is None) == leads  # a study stacks the variants that predict alike
+        weights, columns = [1.0] if leads else list(stacked["weights"].values()), ("prior", "likelihood")
+        depends = read(results / "tables" / "power_scaling.csv", *columns)
+    assert sum(weights) == pytest.approx(1.0, abs=1e-6)
+    assert (depends[columns[1]] > 0.0).any()
+
+
+def combine_errors(use: Use) -> None:
+    """All kinds of errors in one variant."""
+    results = use.place.run_tiny(use.place.written.together, use.out / "results")
+    found = read(results / "parameters.csv", "mean", "sd")
+    kinds = {name.partition("(")[0] for name in found["parameter"]}
+    assert {"noise_factor", "model_error", "sigma_g"} <= kinds
+    assert read(results / "variants.csv", "log_evidence", "elpd_loo")["robust"].all()
+    if 'kind = "legs"' in use.cell:
+        code, said, complaint = use.call("compare", use.place.results, results)
+        assert (code, said, complaint.count("\n")) == (2, "", 1)
+        assert "evidences compare only of the same data" in complaint
+
+
+def validate(use: Use) -> None:
+    """Say before a run what the data can determine."""
+    said = use.run("validate", use.folder / "study.toml")
+    assert len(re.findall(r"combinations? of parameters will be determined", said)) == 2, said
+
+
+def check(use: Use) -> None:
+    """Look for the usual faults, and simulate from prior and posterior."""
+    variant = use.place.written.variant
+    options = ("--variant", variant, "--data-sets", 4, "--seed", 2, "--workers", 1)
+    use.run("check", use.folder / "study.toml", *options, "--out", use.out)
+    assert set(read(use.out / "tables" / "findings.csv")["level"]) == {"good"}
+    assert len(read(use.out / "tables" / "ranks.csv")) == 8
+
+
+def ask_next(use: Use) -> None:
+    """Name the next pose, and say whether to stop."""
+    use.run("next", use.folder / "next.toml", "--out", use.out, "--workers", 1)
+    poses = read(use.out / "next_poses.csv")
+    assert np.isfinite(poses.select_dtypes("number").to_numpy()).all()
+    assert json.loads((use.out / "summary.json").read_text())["decision"] in ("stop", "measure")
+
+
+def join_sessions(use: Use) -> None:
+    """Two sessions of one machine: nothing has moved between them."""
+    use.run("run", use.folder / "sessions.toml", "--out", use.out, "--workers", 1)
+    found = read(use.out / "tables" / "shifts.csv", "mean", "sd")
+    assert (np.abs(found["mean"]) < 5.0 * found["sd"]).all()
+
+
+def predict_and_command(use: Use) -> None:
+    """Commands of predicted poses take the machine there again."""
+    where, results = use.place.written.coordinates, use.place.results
+    names = ("told", "poses", "wanted", "commands", "again")
+    told, poses, wanted, commands, again = (use.out / f"{name}.csv" for name in names)
+    given = read(use.place.written.commands).head(4)
+    given.to_csv(told, index=False)
+    use.take("predict", told, "--out", poses)
+    found = read(poses, *where)
+    if any(name.startswith("tool_") for name in found):
+        code, _, complaint = use.call("command", results, poses, *use.of_machine)
+        assert (code, complaint.count("\n")) == (2, 1)
+        assert "expected the tool's or the coordinates" in complaint
+    known = [name for name in given if name in found and name not in ("pose", *where)]
+    found[["pose", *where, *known]].to_csv(wanted, index=False)
+    use.take("command", wanted, "--out", commands)
+    use.take("predict", commands, "--out", again)
+    np.testing.assert_allclose(read(again)[list(where)], found[list(where)], rtol=0, atol=1e-5)
+
+
+def export(use: Use) -> None:
+    """Write all formats that the cell names, and refuse the others."""
+    named = [one for name, one in OF_LEGS.items() if name in use.cell]
+    assert "parameters" in use.cell
+    for one in (*named, *PARAMETERS):
+        variant = use.place.written.rigid if one in named else use.place.written.variant
+        options = ("--variant", variant, "--trust-code", "--force", "--format", one)
+        use.run("export", use.place.results, *options, "--out", use.out / one)
+        covariance = [path for path in (use.out / one).iterdir() if path.name == "covariance.csv"]
+        assert np.isfinite(pd.read_csv(covariance[0], comment="#", index_col=0).to_numpy(dtype=float)).all()
+    before = sorted(use.out.iterdir())
+    for one in set(OF_LEGS.values()) - set(named):
+        code, said, complaint = use.call("export", use.place.results, *use.of_machine, "--format", one)
+        assert (code, said, complaint.count("\n")) == (2, "", 1), complaint
+    assert sorted(use.out.iterdir()) == before
+
+
+def certify(use: Use) -> None:
+    """Certify the poses, with figures of ISO or the reason of the cell why there are none."""
+    path = use.out / "certificate.html"
+    use.take("certificate", "--poses", 16, "--out", path)
+    found = json.loads(path.with_suffix(".json").read_text())
+    numbers = [*list_numbers(found["standard_uncertainty"]), *list_numbers(found["expanded_uncertainty"])]
+    assert len(numbers) > 5
+    assert np.isfinite(numbers).all()
+    page = path.read_text()
+    _, _, without = use.cell.partition("; no ISO figures: ")
+    assert ("ISO 9283 pose accuracy AP" in page) == ("with figures of ISO" in use.cell) == (not without)
+    assert without in page
+
+
+def recheck(use: Use) -> None:
+    """Plan the fewest poses; where the cell says that own sensors show nothing, they are refused."""
+    use.take("recheck", *use.place.written.recheck, "--out", use.out / "plan.csv")
+    read(use.out / "plan.csv")
+    alone = re.search(r"not by its (\w+)s alone: (.*)", use.cell)
+    if alone:
+        (use.out / "plan.csv").unlink()
+        use.refuse(alone[2], "recheck", use.place.results, *use.of_machine, "--sensors", alone[1])
+
+
+def tabulate(use: Use) -> None:
+    """A table by what is given beside the pose."""
+    options = ("--force", "--out", use.out / "table", "--workers", 1)
+    if use.cell.startswith(REFUSED):
+        use.refuse(use.cell.removeprefix(REFUSED), "table", use.folder / "table.toml", *options)
+        return
+    _ = use.place.results
+    use.run("table", use.folder / "table.toml", *options)
+    assert sum(len(read(path)) for path in (use.out / "table").rglob("*.csv")) > 3
+
+
+USES = {
+    "`run`, `report`, `compare`": calibrate,
+    "leave-one-out, stacking, prior and data sensitivity": predict_rows,
+    "errors: noise by group, model error, functions, outliers, together": combine_errors,
+    "`validate`: what the data can determine": validate,
+    "`check`": check,
+    "`next`": ask_next,
+    "`sessions`": join_sessions,
+    "`predict`, `command`": predict_and_command,
+    "`export`": export,
+    "`certificate`": certify,
+    "`recheck`": recheck,
+    "`table`": tabulate,
+}
+CELLS = [pytest.param(machine, row, id=f"{USES[row].__name__}: {machine}") for machine in MACHINES for row in USES]
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory) -> dict[str, Place]:
+    """Return the machines that tests have asked for so far."""
+    return {}
+
+
+@pytest.mark.parametrize(("machine", "row"), CELLS)
+def test_cell(machine, row, places, call, tmp_path, tmp_path_factory):
+    if machine not in places:
+        folder = tmp_path_factory.mktemp("uses") / re.sub(r"\W+", "_", machine)
+        places[machine] = Place(MACHINES[machine](folder), run_tiny(call))
+    place = places[machine]
+    place.run_tiny = run_tiny(call)  # of this test
+    cell = ROWS[row][COLUMNS.index(machine)]
+    assert cell.startswith(("yes", REFUSED)) or row == "`export`", cell
+    USES[row](Use(place, call, tmp_path, cell))
+
+
+def test_the_table_has_these_uses_and_machines():
+    assert list(ROWS) == list(USES)
+    assert sorted(COLUMNS) == sorted(MACHINES)
+    assert {len(cells) for cells in ROWS.values()} == {len(COLUMNS)}
