@@ -189,15 +189,15 @@ def is_file(name: str) -> bool:
 
 
 def list_sources(what: str, name: str, folder: Path) -> list[str]:
-    """Return the file of a class beside the config, and what it imports from beside itself, relative to the folder.
+    """Return the file that a class stands in, and what it imports from beside itself, relative to the config's folder.
 
     They are a part of what determines results. Of a class that stands elsewhere it is nothing.
     """
     if not is_file(name) or name in list_references(what):
         return []
     file = name.partition(":")[0]
-    local = find_local_imports(folder / file, folder).values()
-    return [file, *(one.relative_to(folder.resolve()).as_posix() for one in local)]
+    local = find_local_imports(folder / file).values()
+    return [file, *(one.relative_to(folder.resolve(), walk_up=True).as_posix() for one in local)]
 
 
 def hash_modules(classes: Iterable[type]) -> dict[str, str]:
@@ -238,7 +238,7 @@ def _import(location: str, folder: Path | None) -> ModuleType:
     path = (folder / location).resolve()
     if not path.is_file():
         raise InputError(f"{path}: no such file, expected a Python module")
-    local = find_local_imports(path, folder)
+    local = find_local_imports(path)
     content = zlib.crc32(str(path).encode())  # a file that was changed, or what it imports, is another module
     for file in (path, *local.values()):
         content = zlib.crc32(file.read_bytes(), content)

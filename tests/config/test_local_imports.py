@@ -65,21 +65,31 @@ def test_everything_that_is_imported_from_beside_is_listed(folder):
 def test_files_of_other_folders_do_not_count(folder):
     (folder / "deep").mkdir()
     (folder / "own.py").rename(folder / "deep" / "own.py")
+    (folder / "deep" / "helper.py").symlink_to(folder / "helper.py")
+    assert find_local_imports(folder / "deep" / "own.py") == {}
+    (folder / "deep" / "helper.py").unlink()
     (folder / "deep" / "helper.py").write_text("")
-    assert find_local_imports(folder / "deep" / "own.py", folder / "inner") == {}
-    assert set(find_local_imports(folder / "deep" / "own.py", folder)) == {"helper"}
+    assert set(find_local_imports(folder / "deep" / "own.py")) == {"helper"}
+
+
+def test_a_class_of_a_folder_beside_brings_what_it_imports(folder):
+    (folder / "study").mkdir()
+    assert set(list_sources("MACHINES", "../own.py:Own", folder / "study")) == {
+        f"../{one}" for one in LOCAL | {"own.py"}
+    }
+    assert load_class("MACHINES", "../own.py:Own", folder / "study")(None).read({}, 2.0, {}) == 17.0
 
 
 def test_installed_modules_go_first(folder):
     (folder / "numpy.py").write_text("")
     (folder / "json.py").write_text("")
     (folder / "own.py").write_text("import json\nimport numpy\n")
-    assert find_local_imports(folder / "own.py", folder) == {}
+    assert find_local_imports(folder / "own.py") == {}
 
 
 def test_a_file_that_is_no_python_is_left_to_its_import(folder):
     (folder / "own.py").write_text("import helper\nclass:\n")
-    assert find_local_imports(folder / "own.py", folder) == {}
+    assert find_local_imports(folder / "own.py") == {}
 
 
 def test_a_changed_import_is_another_class(folder):
