@@ -70,7 +70,8 @@ def _is_installed(top: str, root: Path) -> bool:
     if top in sys.stdlib_module_names or top in sys.builtin_module_names:
         return True
     elsewhere = [one for one in sys.path if Path(one or ".").resolve() != root]
-    return PathFinder.find_spec(top, elsewhere) is not None
+    found = PathFinder.find_spec(top, elsewhere)
+    return found is not None and found.origin is not None  # a mere folder of that name gives way to a module
 
 
 @contextmanager

@@ -23,6 +23,7 @@ from typing import Any
 
 import cloudpickle
 
+from bayescal.config.by_value import send_by_value
 from bayescal.config.load import describe_unknown
 from bayescal.config.local_imports import find_local_imports, import_from
 from bayescal.config.trust import are_own_classes_allowed
@@ -142,7 +143,11 @@ def load_class(what: str, name: str, folder: Path | None) -> type:
     if isinstance(listed := built_in.get(name), type):
         return listed
     if name not in references and (":" not in name or folder is None):
-        raise InputError(describe_unknown(references, name))
+        raise InputError(
+            describe_unknown(references, name)
+            if references
+            else f"found {name!r}, expected module:Class or file.py:Class"
+        )
     location, _, attribute = references.get(name, name).partition(":")
     if name not in built_in and not are_own_classes_allowed():
         raise InputError(f"found {name!r}, which is no built-in one, and --no-plugins; expected {_one_of(built_in)}")
@@ -257,10 +262,5 @@ def _import(location: str, folder: Path | None) -> ModuleType:
         del sys.modules[name]
         raise
     for one in (module, *(sys.modules[other] for other in local if other in sys.modules)):
-        _send_by_value(one)
+        send_by_value(one)
     return module
-
-
-def _send_by_value(module: ModuleType) -> None:
-    """Let worker processes, which cannot import a file's module by name, be sent its functions and classes whole."""
-    cloudpickle.register_pickle_by_value(module)  # between a run and its own workers, never to or from a file
