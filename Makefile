@@ -4,12 +4,13 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: study real audits test test-runs test-browser test-dask test-slow check docs dist data picture benchmark soak clean help
+.PHONY: study real audits reproduce test test-runs test-browser test-dask test-slow check docs dist data picture benchmark soak clean help
 
 help:
 	@echo "make study      the telescope study: environment, run, ranking, report (one to two minutes on two cores)"
 	@echo "make real       a real machine, really measured: the Hangprinter HP4 (one to two minutes)"
 	@echo "make audits     all shipped identifiability audits"
+	@echo "make reproduce  the papers: RR-8096, Yu 2023 and Sika 2008, all that their pages in docs name"
 	@echo "make test       environment and the quick tests"
 	@echo "make test-runs  whole small experiments, seconds each"
 	@echo "make test-slow  the slow statistical suites"
@@ -32,6 +33,15 @@ real: $(STAMP)
 audits: $(STAMP)
 	@for design in $(filter-out %_mechanism.toml %_tracker.toml,$(wildcard experiments/audit/*.toml)); do \
 	  echo "$$design" && $(THREADS) $(BIN)/bayescal audit $$design || exit $$?; \
+	done
+
+PAPERS := rr8096/figure5 telescope/study telescope/model_error telescope/ridges telescope/table5 telescope/table6 \
+  telescope/table7 yu2023/table4 yu2023/table8 yu2023/figure10 pose_selection/rr8096_figure14 \
+  pose_selection/yu2023_table1 sliding_star/calibrations
+
+reproduce: $(STAMP)
+	@for paper in $(PAPERS); do \
+	  echo "$$paper" && $(THREADS) $(BIN)/bayescal run experiments/$$paper.toml || exit $$?; \
 	done
 
 test: $(STAMP)

@@ -8,10 +8,11 @@ machines of each set; without derivatives it takes differences. One core; times 
 processor, which other work on the machine does not change.
 """
 
-# ruff: noqa: I001 - telescope_problem comes before NumPy: it sets the number of threads
+# ruff: noqa: E402, I001 - telescope_problem comes before NumPy: it sets the number of threads; the paper's from beside
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from pathlib import Path
 
@@ -20,13 +21,14 @@ from telescope_problem import write_results
 import numpy as np
 from scipy.optimize import least_squares
 
-from bayescal.reproductions.yu2023.angles import coordinates_from_pose, pose_from_coordinates
-from bayescal.reproductions.yu2023.least_squares import Weighting, calibrate, linearise, move
-from bayescal.reproductions.yu2023.setup import CommandedPoses, Setup, noise_scale, read_setup
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.numerics.geometry import Array
 
-EXPERIMENT = Path(__file__).parent.parent / "experiments" / "hexapod" / "table4.toml"
+EXPERIMENT = Path(__file__).parent.parent / "experiments" / "yu2023" / "table4.toml"
+sys.path.insert(0, str(EXPERIMENT.parent))
+from yu2023.least_squares import Weighting, calibrate, coordinates_from_pose, linearise, move, pose_from_coordinates
+from yu2023.setup import CommandedPoses, Setup, noise_scale, read_setup
+
 SETS = 5
 REPEATS = 3
 

@@ -40,10 +40,10 @@ from bayescal.report import page  # noqa: E402
 from bayescal.report.pictures import Picture  # noqa: E402
 
 EXPERIMENTS = (
-    "pose_extraction/figure5.toml",
-    "hexapod/figure10.toml",
+    "rr8096/figure5.toml",
+    "yu2023/figure10.toml",
     "sliding_star/calibrations.toml",
-    "hexapod/table8.toml",
+    "yu2023/table8.toml",
     "audit/m2_hexapod_tracker.toml",
     "own_machine/study.toml",
 )

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import studies
+from papers import YU as HEXAPOD
 
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.reproductions.yu2023.schema import HexapodCalibrationsConfig
-from bayescal.reproductions.yu2023.setup import Setup, read_setup
+from yu2023.schema import HexapodCalibrationsConfig
+from yu2023.setup import Setup, read_setup
 
-HEXAPOD = studies.EXPERIMENTS / "hexapod"
 SHIPPED = ("table4", "table8", "figure10")
 SCALE = np.repeat([1e-3, np.radians(1e-4)], 3)
 SMALL = {
@@ -39,9 +39,9 @@ def load_setting(name: str = "table8") -> Setup:
 
 def copy_tiny(name: str, folder: Path) -> Path:
     """Copy the shipped experiments to a folder, one of them with little to do; return its config."""
-    shutil.copytree(HEXAPOD, folder / "hexapod")
+    shutil.copytree(HEXAPOD, folder / "yu2023")
     shutil.copytree(studies.EXPERIMENTS / "audit", folder / "audit")
-    path = folder / "hexapod" / f"{name}.toml"
+    path = folder / "yu2023" / f"{name}.toml"
     text = path.read_text()
     for key, value in SMALL.items():
         text = re.sub(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)

@@ -18,6 +18,7 @@ from bayescal.machines.kinematics import STEP_TOLERANCE
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 TELESCOPE = EXPERIMENTS / "telescope"
+CLAIMS = f"{EXPERIMENTS}/rr8096/claims.py:Rr8096"
 N_CALIBRATION = 13
 N_VERIFICATION = 3
 SEED = 20
@@ -197,7 +198,7 @@ def copy_small(config: Path, folder: Path) -> Path:
     shutil.copytree(config.parent, folder, dirs_exist_ok=True)
     small = {"walkers": 8, "burn_in": 1, "steps": 4, "draws": 1000, "max_draws": 1000, "repeats": 2}
     lists = {"factor": "[1.0]", "n_targets": "[6, 8]"}
-    text = config.read_text()
+    text = config.read_text().replace('"../', f'"{config.parents[1]}/')
     for key, value in (small | lists).items():
         text = re.sub(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)
     (folder / config.name).write_text(text)

@@ -12,8 +12,8 @@ SHIPPED = Path(__file__).parents[1] / "experiments"
 SMALL = {
     "study": {"walkers": "8", "burn_in": "5", "steps": "10", "draws": "1000", "max_draws": "1000"}
     | {"factor": "[1.0]"},
-    "pose_methods": {"repeats": "2", "n_targets": "[6, 8]"},
-    "hexapod_calibrations": {
+    "pose_methods.py:PoseMethods": {"repeats": "2", "n_targets": "[6, 8]"},
+    "kind.py:HexapodCalibrations": {
         **{"candidates": "150", "list_length": "5", "iterations": "3", "verification_poses": "7", "repeats": "4"},
         **{"selections": "2", "parameter_sets": "3", "noise_draws": "4"},
     },
@@ -35,13 +35,13 @@ SMALL = {
 
 REPLACED: dict[str, tuple[tuple[str, str], ...]] = {
     "pose_selection": ((r"(?m)^n_poses = \[(\d+).*$", r"n_poses = [\1]"),),
-    "hexapod_calibrations": ((r"(?m)^poses = \[.*$", "poses = [12, 24]"),),
+    "kind.py:HexapodCalibrations": ((r"(?m)^poses = \[.*$", "poses = [12, 24]"),),
 }
 """What is replaced besides, as regular expressions."""
 
 ADDED = {
     "audit": ("sweep", "noise = [1.0]\nposes = [10, 40]\nworkspace = [1.0]"),
-    "hexapod_calibrations": ("selection", "candidates = 150\nlist_length = 5\niterations = 3"),
+    "kind.py:HexapodCalibrations": ("selection", "candidates = 150\nlist_length = 5\niterations = 3"),
 }
 """Sections that are shorter than what holds without them."""
 

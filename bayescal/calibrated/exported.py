@@ -10,13 +10,14 @@ import numpy as np
 from pydantic import Field
 
 from bayescal.calibrated.covariances import check_covariance
-from bayescal.calibrated.kept import hash_file, read_kept
+from bayescal.calibrated.kept import read_kept
 from bayescal.calibrated.machine import CalibratedMachine, Errors, LegErrors, Source
 from bayescal.calibrated.mechanism_file import format_mechanism, format_value
 from bayescal.calibrated.settle import find_hindrance
 from bayescal.calibrated.tables import read_given, read_quantities
 from bayescal.config.load import check_section, read_toml
 from bayescal.config.sections import InputFile, NotNegative, Number, Section
+from bayescal.config.trust import hash_file
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_matrix, read_table
 from bayescal.files.netcdf import read_netcdf

@@ -7,7 +7,6 @@ say so.
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Collection, Iterable
 from pathlib import Path
@@ -15,7 +14,7 @@ from pathlib import Path
 from bayescal.config.classes import CLASS
 from bayescal.config.load import read_toml
 from bayescal.config.registry import list_references
-from bayescal.errors import InputError
+from bayescal.config.trust import check_same, check_trust
 from bayescal.machines.read import READERS, list_machine_sources, read_reading_model
 from bayescal.machines.readings import ReadingModel
 
@@ -63,27 +62,3 @@ def _list_own_classes(path: Path) -> list[str]:
         named = [("MODELS", content.get("model")), ("DEFORMATIONS", content.get("deformation"))]
     found = [(what, one.get(CLASS) if isinstance(one, dict) else one) for what, one in named]
     return [one for what, one in found if isinstance(one, str) and one not in list_references(what)]
-
-
-def check_trust(path: Path, what: str, trust: bool) -> None:
-    """Raise InputError for somebody's own class that nobody has allowed to run."""
-    if not trust:
-        raise InputError(
-            f"{path}: found a {what}, whose code would be run, expected --trust-code (in Python trust=True) from "
-            "whoever knows it"
-        )
-
-
-def check_same(folder: Path, names: Iterable[str], known: Collection[str] | None) -> None:
-    """Raise InputError for a file that is none of those that results go back to, by their SHA-256."""
-    for name in names:
-        path = folder / name
-        if not path.is_file():
-            raise InputError(f"{path}: no such file, expected it as the results kept it")
-        if known is not None and hash_file(path.read_bytes()) not in known:
-            raise InputError(f"{path}: found another file than the results were computed with, expected the same")
-
-
-def hash_file(content: bytes) -> str:
-    """Return the SHA-256 of a file."""
-    return hashlib.sha256(content).hexdigest()

@@ -10,7 +10,8 @@ import typer
 
 from bayescal.cli.app import app
 from bayescal.cli.console import check_out, put
-from bayescal.cli.machine import Calibrated, Config, Force, Trust, Variant
+from bayescal.cli.machine import Calibrated, Config, Force, Variant
+from bayescal.cli.options import Trust
 from bayescal.errors import InputError
 from bayescal.limits import LARGEST_SEED
 

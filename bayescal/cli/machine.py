@@ -9,6 +9,7 @@ import typer
 
 from bayescal.cli.app import app
 from bayescal.cli.console import check_out, put
+from bayescal.cli.options import Trust
 from bayescal.limits import LARGEST_SEED
 
 if TYPE_CHECKING:
@@ -22,9 +23,6 @@ Config = Annotated[
     Path | None, typer.Option("--experiment", help="Config of results that do not hold the nominal machine.")
 ]
 Force = Annotated[bool, typer.Option("--force", help="Take a posterior that did not converge; files say so.")]
-Trust = Annotated[
-    bool, typer.Option("--trust-code", help="Run the code of a machine's own class that the results keep.")
-]
 COPIES, OF_A_DRAW = 6, 120
 """How often a pose's covariance is there, text among it, and doubles of a draw's pose and its text."""
 Table = Annotated[Path | None, typer.Option(help="CSV file; default standard output.")]

@@ -34,6 +34,11 @@ NoPlugins = Annotated[
 ]
 
 
+Trust = Annotated[
+    bool, typer.Option("--trust-code", help="Run the code of classes of their own that the results keep.")
+]
+
+
 @dataclass(frozen=True)
 class RunOptions:
     """How an experiment is run, whatever its kind."""

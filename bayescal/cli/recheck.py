@@ -12,7 +12,8 @@ import typer
 
 from bayescal.cli.app import app
 from bayescal.cli.console import check_out, put
-from bayescal.cli.machine import Calibrated, Config, Force, Table, Trust, Variant
+from bayescal.cli.machine import Calibrated, Config, Force, Table, Variant
+from bayescal.cli.options import Trust
 from bayescal.errors import InputError, name_faults
 
 if TYPE_CHECKING:

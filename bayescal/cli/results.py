@@ -9,16 +9,13 @@ import typer
 
 from bayescal.cli.app import app
 from bayescal.cli.console import WIDE, make_console, put
-
-Kind = Annotated[
-    str | None, typer.Option(help="module:Class or file.py:Class, for results of a kind that is not built in.")
-]
+from bayescal.cli.options import Trust
 
 
 @app.command(epilog="Example: bayescal report results/telescope")
 def report(
     results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Results directory.")],
-    kind: Kind = None,
+    trust: Trust = False,
 ) -> None:
     """Write the page of a results directory anew, from its files alone."""
     from joblib import cpu_count
@@ -26,7 +23,7 @@ def report(
     from bayescal.experiments.frame.engine import stop_workers
     from bayescal.experiments.frame.run import write_report
 
-    typer.echo(f"wrote {write_report(results, kind, cpu_count())}")
+    typer.echo(f"wrote {write_report(results, trust, cpu_count())}")
     stop_workers()
 
 
@@ -46,10 +43,10 @@ def show(
 @app.command(epilog="Example: bayescal compare results/telescope results/telescope_seed2")
 def compare(
     results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="Results directories of one kind.")],
-    kind: Kind = None,
+    trust: Trust = False,
 ) -> None:
     """Set several results side by side; of studies of the same data, rank their variants together."""
     from bayescal.experiments.frame.compare import compare_results
 
-    experiment, table = compare_results(results, kind)
+    experiment, table = compare_results(results, trust)
     experiment.show_comparison(table, make_console(WIDE))

@@ -1,7 +1,7 @@
-"""What a Python file beside a config imports from beside itself: other files that results depend on.
+"""What a Python file that a config names imports from beside itself: other files that results depend on.
 
 They are found in its text, without importing anything: modules and packages next to the file, and what these import in
-turn, as far as all of it lies in the folder of the config. Installed modules of the same name go first, as everywhere.
+turn, as far as all of it lies in the folder of the file. Installed modules of the same name go first, as everywhere.
 """
 
 from __future__ import annotations
@@ -14,24 +14,22 @@ from importlib.machinery import PathFinder
 from pathlib import Path
 
 
-def find_local_imports(path: Path, folder: Path) -> dict[str, Path]:
+def find_local_imports(path: Path) -> dict[str, Path]:
     """Return the files that a file imports from beside itself, and these in turn, by their modules' names.
 
     Parameters
     ----------
     path : Path
         A Python file; one that cannot be read as such imports nothing here, and fails when it is imported.
-    folder : Path
-        Files elsewhere do not count.
     """
-    root, folder = path.resolve().parent, folder.resolve()
+    root = path.resolve().parent
     found: dict[str, Path] = {}
     waiting = [(path.resolve(), "")]
     while waiting:
         file, package = waiting.pop()
         for name in _list_names(file, package):
             for module, place in _locate(name, root):
-                if module not in found and place.is_relative_to(folder) and place != path.resolve():
+                if module not in found and place.is_relative_to(root) and place != path.resolve():
                     found[module] = place
                     inside = module if place.name == "__init__.py" else module.rpartition(".")[0]
                     waiting.append((place, inside))
@@ -72,7 +70,8 @@ def _is_installed(top: str, root: Path) -> bool:
     if top in sys.stdlib_module_names or top in sys.builtin_module_names:
         return True
     elsewhere = [one for one in sys.path if Path(one or ".").resolve() != root]
-    return PathFinder.find_spec(top, elsewhere) is not None
+    found = PathFinder.find_spec(top, elsewhere)
+    return found is not None and found.origin is not None  # a mere folder of that name gives way to a module
 
 
 @contextmanager

@@ -23,6 +23,7 @@ from typing import Any
 
 import cloudpickle
 
+from bayescal.config.by_value import send_by_value
 from bayescal.config.load import describe_unknown
 from bayescal.config.local_imports import find_local_imports, import_from
 from bayescal.config.trust import are_own_classes_allowed
@@ -145,7 +146,11 @@ def load_class(what: str, name: str, folder: Path | None) -> type:
     if isinstance(listed := built_in.get(name), type):
         return listed
     if name not in references and (":" not in name or folder is None):
-        raise InputError(describe_unknown(references, name))
+        raise InputError(
+            describe_unknown(references, name)
+            if references
+            else f"found {name!r}, expected module:Class or file.py:Class"
+        )
     location, _, attribute = references.get(name, name).partition(":")
     if name not in built_in and not are_own_classes_allowed():
         raise InputError(f"found {name!r}, which is no built-in one, and --no-plugins; expected {_one_of(built_in)}")
@@ -192,15 +197,15 @@ def is_file(name: str) -> bool:
 
 
 def list_sources(what: str, name: str, folder: Path) -> list[str]:
-    """Return the file of a class beside the config, and what it imports from beside itself, relative to the folder.
+    """Return the file that a class stands in, and what it imports from beside itself, relative to the config's folder.
 
     They are a part of what determines results. Of a class that stands elsewhere it is nothing.
     """
     if not is_file(name) or name in list_references(what):
         return []
     file = name.partition(":")[0]
-    local = find_local_imports(folder / file, folder).values()
-    return [file, *(one.relative_to(folder.resolve()).as_posix() for one in local)]
+    local = find_local_imports(folder / file).values()
+    return [file, *(one.relative_to(folder.resolve(), walk_up=True).as_posix() for one in local)]
 
 
 def hash_modules(classes: Iterable[type]) -> dict[str, str]:
@@ -241,7 +246,7 @@ def _import(location: str, folder: Path | None) -> ModuleType:
     path = (folder / location).resolve()
     if not path.is_file():
         raise InputError(f"{path}: no such file, expected a Python module")
-    local = find_local_imports(path, folder)
+    local = find_local_imports(path)
     content = zlib.crc32(str(path).encode())  # a file that was changed, or what it imports, is another module
     for file in (path, *local.values()):
         content = zlib.crc32(file.read_bytes(), content)
@@ -260,10 +265,5 @@ def _import(location: str, folder: Path | None) -> ModuleType:
         del sys.modules[name]
         raise
     for one in (module, *(sys.modules[other] for other in local if other in sys.modules)):
-        _send_by_value(one)
+        send_by_value(one)
     return module
-
-
-def _send_by_value(module: ModuleType) -> None:
-    """Let worker processes, which cannot import a file's module by name, be sent its functions and classes whole."""
-    cloudpickle.register_pickle_by_value(module)  # between a run and its own workers, never to or from a file

@@ -65,21 +65,39 @@ def test_everything_that_is_imported_from_beside_is_listed(folder):
 def test_files_of_other_folders_do_not_count(folder):
     (folder / "deep").mkdir()
     (folder / "own.py").rename(folder / "deep" / "own.py")
+    (folder / "deep" / "helper.py").symlink_to(folder / "helper.py")
+    assert find_local_imports(folder / "deep" / "own.py") == {}
+    (folder / "deep" / "helper.py").unlink()
     (folder / "deep" / "helper.py").write_text("")
-    assert find_local_imports(folder / "deep" / "own.py", folder / "inner") == {}
-    assert set(find_local_imports(folder / "deep" / "own.py", folder)) == {"helper"}
+    assert set(find_local_imports(folder / "deep" / "own.py")) == {"helper"}
+
+
+def test_a_class_of_a_folder_beside_brings_what_it_imports(folder):
+    (folder / "study").mkdir()
+    assert set(list_sources("MACHINES", "../own.py:Own", folder / "study")) == {
+        f"../{one}" for one in LOCAL | {"own.py"}
+    }
+    assert load_class("MACHINES", "../own.py:Own", folder / "study")(None).read({}, 2.0, {}) == 17.0
 
 
 def test_installed_modules_go_first(folder):
     (folder / "numpy.py").write_text("")
     (folder / "json.py").write_text("")
     (folder / "own.py").write_text("import json\nimport numpy\n")
-    assert find_local_imports(folder / "own.py", folder) == {}
+    assert find_local_imports(folder / "own.py") == {}
+
+
+def test_a_mere_folder_of_the_same_name_is_no_installed_module(folder, tmp_path_factory, monkeypatch):
+    other = tmp_path_factory.mktemp("other")
+    (other / "helper").mkdir()
+    monkeypatch.syspath_prepend(other)
+    assert "helper.py" in list_sources("MACHINES", "own.py:Own", folder)
+    assert read_with(folder) == 17.0
 
 
 def test_a_file_that_is_no_python_is_left_to_its_import(folder):
     (folder / "own.py").write_text("import helper\nclass:\n")
-    assert find_local_imports(folder / "own.py", folder) == {}
+    assert find_local_imports(folder / "own.py") == {}
 
 
 def test_a_changed_import_is_another_class(folder):
@@ -108,6 +126,61 @@ def test_another_process_is_sent_the_whole(folder, tmp_path_factory):
     done = subprocess.run([sys.executable, "-c", script, kept], capture_output=True, text=True, cwd=kept.parent)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["(17.0,", "(3.0,))"]
+
+
+SCHEMA = """
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from bayescal.config.sections import Section
+
+
+class One(Section):
+    of: Literal["one"]
+    count: int
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.count == 3:
+            raise ValueError("three")
+        return self
+
+
+class Two(Section):
+    of: Literal["two"]
+
+
+type Either = Annotated[One | Two, Field(discriminator="of")]
+"""
+WITH_SCHEMA = """
+from schema_beside import Either
+
+from bayescal.config.sections import Section
+
+
+class Whole(Section):
+    study: Either
+
+
+class Own(Own):
+    Config = Whole
+"""
+
+
+def test_another_process_is_sent_a_schema_that_checks(folder, tmp_path_factory):
+    """Of sections within sections, chosen by a key, with a check of their own: pydantic's parts refer to each other."""
+    (folder / "schema_beside.py").write_text(SCHEMA)
+    (folder / "own.py").write_text(OWN + WITH_SCHEMA)
+    schema = load_class("MACHINES", "own.py:Own", folder).Config
+    kept = tmp_path_factory.mktemp("kept") / "schema.pkl"
+    kept.write_bytes(cloudpickle.dumps(schema.model_validate({"study": {"of": "one", "count": 2}})))
+    script = "import pickle, sys; found = pickle.load(open(sys.argv[1], 'rb')); print(found.study.count); "
+    script += "print(type(found).model_validate({'study': {'of': 'two'}}).model_dump()); "
+    script += "type(found).model_validate({'study': {'of': 'one', 'count': 3}})"
+    done = subprocess.run([sys.executable, "-c", script, kept], capture_output=True, text=True, cwd=kept.parent)
+    assert done.stdout == "2\n{'study': {'of': 'two'}}\n"
+    assert "Value error, three" in done.stderr
 
 
 def test_files_beside_are_no_installed_modules(folder):

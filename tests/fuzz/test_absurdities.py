@@ -24,7 +24,7 @@ from bayescal.machines.readings.strut_machine import StrutMachineConfig
 from bayescal.machines.schema import MechanismConfig
 
 AUDIT, STUDY, SELECTION = "audit/m2_hexapod.toml", "telescope/short.toml", "pose_selection/rr8096_figure14.toml"
-STAR, OWN, TABLE4 = "sliding_star/calibrations.toml", "own_machine/study.toml", "hexapod/table4.toml"
+STAR, OWN, TABLE4 = "sliding_star/calibrations.toml", "own_machine/study.toml", "yu2023/table4.toml"
 ROWS: dict[str, tuple[str, str, Any, str]] = {
     "a what-if of 100 GiB": (AUDIT, "what_if", [{"name": "more", "poses_factor": 1e4}], "expected at most 10000"),
     "a factor beyond everything": (
@@ -36,14 +36,14 @@ ROWS: dict[str, tuple[str, str, Any, str]] = {
     "two what-ifs of a name": (AUDIT, "what_if", [{"name": "x"}, {"name": "x"}], "found 'x' twice"),
     "a million targets": ("telescope/simulate.toml", "targets.base.0.count", 10**6, "less than or equal to 1000"),
     "targets on a pad": ("telescope/simulate.toml", "targets.per_pad", 10**9, "less than or equal to 100"),
-    "a million targets of a body": ("pose_extraction/figure5.toml", "n_targets", [10**6], "less than or equal to 1000"),
-    "numbers of targets twice": ("pose_extraction/figure5.toml", "n_targets", [6, 6], "found 6 twice"),
+    "a million targets of a body": ("rr8096/figure5.toml", "n_targets", [10**6], "less than or equal to 1000"),
+    "numbers of targets twice": ("rr8096/figure5.toml", "n_targets", [6, 6], "found 6 twice"),
     "condition of a kilometre": (TABLE4, "study.conditions.0.position_mm", 1e6, "expected less than or equal to 100"),
     "attitude of many turns": (TABLE4, "study.conditions.0.attitude_deg", 1e6, "expected"),
     "condition twice": (TABLE4, "study.conditions.1.name", "I", "found 'I' twice"),
     "index twice": (TABLE4, "study.indices", ["O1", "O1"], "found 'O1' twice"),
     "workspace among its scales": (TABLE4, "study.workspace_scales", [1.0], "found 1, the workspace itself"),
-    "poses twice": ("hexapod/figure10.toml", "study.poses", [12, 10, 12], "found 12 twice"),
+    "poses twice": ("yu2023/figure10.toml", "study.poses", [12, 10, 12], "found 12 twice"),
     "noise of kilometres": (STUDY, "data.target_noise_um", 1e9, "expected between 0.0001 and 100000"),
     "noise of nothing": (STUDY, "data.target_noise_um", 1e-9, "expected between 0.0001 and 100000"),
     "sensor's noise of kilometres": (AUDIT, "sensors.laser_tracker.position_um", 1e9, "expected between"),
@@ -73,8 +73,8 @@ ROWS: dict[str, tuple[str, str, Any, str]] = {
 }
 """Config, key, what is put there, and what the refusal says."""
 ZEROS = {
-    "hexapod/table4.toml": "published",
-    "hexapod/table8.toml": "published",
+    "yu2023/table4.toml": "published",
+    "yu2023/table8.toml": "published",
     STAR: "published.calibrability",
     "pose_selection/yu2023_table1.toml": "published.table",
 }

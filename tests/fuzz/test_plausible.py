@@ -133,9 +133,9 @@ def test_pads_that_nobody_uses_are_no_fault(tmp_path):
 
 
 def test_calibrations_that_all_fail_are_said(root, tmp_path):
-    content = tomllib.loads((root / "hexapod/figure10.toml").read_text())
+    content = tomllib.loads((root / "yu2023/figure10.toml").read_text())
     content["study"]["noise"] = {"position_mm": 100.0, "attitude_deg": 10.0}
-    path = root / "hexapod" / "noisy.toml"
+    path = root / "yu2023" / "noisy.toml"
     path.write_text(dump_toml(content))
     outcome = judge_call(["run", path, "--out", tmp_path / "out", "--quiet", "--workers", 1], tmp_path)
     assert outcome.faults == ()
@@ -161,9 +161,9 @@ def test_table_that_lacks_rows_is_named(tmp_path, monkeypatch, damage: Callable[
     folder = Path(shutil.copytree(RESULTS / "hexapod_figure10", tmp_path / "results"))
     whole = frame.read_results(folder)
     frame.write_json(folder / "provenance.json", whole.provenance | {"table_rows": count_rows(whole)})
-    assert judge_call([command, folder], tmp_path).code == 0
+    assert judge_call([command, folder, "--trust-code"], tmp_path).code == 0
     damage(folder / "figure10.csv")
-    outcome = judge_call([command, folder], tmp_path)
+    outcome = judge_call([command, folder, "--trust-code"], tmp_path)
     assert outcome.faults == ()
     assert outcome.code == 2
     assert "figure10.csv: found" in outcome.err

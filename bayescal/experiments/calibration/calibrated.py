@@ -28,7 +28,7 @@ from bayescal.experiments.calibration.schema import CalibrationConfig, Calibrati
 from bayescal.experiments.calibration.tables import choose_best
 from bayescal.experiments.calibration.workspace import build_workspace
 from bayescal.experiments.frame.results import Results, Writer
-from bayescal.experiments.shared.calibrating import KEPT, read_draws_of, read_hashes, write_bytes
+from bayescal.experiments.shared.calibrating import KEPT, read_draws_of, write_bytes
 from bayescal.experiments.shared.trees import name_file
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.read import list_machine_sources
@@ -136,7 +136,7 @@ def calibrate_machine(
             "those of a new run"
         )
     path = results.folder / KEPT / kept[file] if experiment is None else experiment.parent / file
-    model = read_kept(path, trust or experiment is not None, read_hashes(results))
+    model = read_kept(path, trust or experiment is not None, results.hashes)
     config, chosen = leave_instruments(config, chosen, model)
     fit = results.summary["variants"][chosen.name]
     theta, draws = _read_posterior(results, config, chosen, model)

@@ -13,7 +13,7 @@ from bayescal.experiments.frame.results import read_results
 from bayescal.experiments.frame.run import find_results_kind
 
 
-def compare_results(folders: Sequence[Path], kind: str | None = None) -> tuple[AnyExperiment, pd.DataFrame]:
+def compare_results(folders: Sequence[Path], trust: bool = False) -> tuple[AnyExperiment, pd.DataFrame]:
     """Return the kind of results, and what it says of them side by side.
 
     Raises
@@ -21,12 +21,13 @@ def compare_results(folders: Sequence[Path], kind: str | None = None) -> tuple[A
     InputError
         Where a directory holds no results, kinds differ, or the kind finds them not comparable.
     """
-    experiments = [find_results_kind(folder, kind) for folder in folders]
-    for folder, experiment in zip(folders, experiments, strict=True):
-        if type(experiment) is not type(experiments[0]):
-            one, other = type(experiment).__name__, type(experiments[0]).__name__
+    results = {str(folder): read_results(folder) for folder in folders}
+    kinds = [one.provenance.get("kind") for one in results.values()]
+    for folder, kind in zip(results, kinds, strict=True):
+        if kind != kinds[0]:
             raise InputError(
-                f"{folder}: found results of kind {one}, expected {other} as in {folders[0]}: evidences compare only "
-                "of the same data, which tables of two kinds do not show"
+                f"{folder}: found results of kind {kind!r}, expected {kinds[0]!r} as in {folders[0]}: evidences "
+                "compare only of the same data, which tables of two kinds do not show"
             )
-    return experiments[0], experiments[0].compare({str(folder): read_results(folder) for folder in folders})
+    experiment = find_results_kind(folders[0], trust)
+    return experiment, experiment.compare(results)

@@ -68,6 +68,12 @@ class Results:
         config: dict[str, Any] = self.provenance.get("config", {})
         return config
 
+    @property
+    def hashes(self) -> set[str]:
+        """SHA-256 of all files that the results go back to."""
+        files = self.provenance.get("files")
+        return {str(one) for one in files.values()} if isinstance(files, dict) else set()
+
     def _repr_html_(self) -> str:
         return show_in_notebook(self.summary, self.tables, FIRST)
 

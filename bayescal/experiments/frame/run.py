@@ -14,8 +14,9 @@ from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from bayescal.config.load import read_extended
-from bayescal.config.registry import hash_modules, list_sources
+from bayescal.config.registry import hash_modules, is_file, list_sources
 from bayescal.config.sections import ExperimentConfig
+from bayescal.config.trust import check_same, check_trust
 from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError, name_faults
 from bayescal.experiments.frame.engine import Processes, call_side_by_side, import_all, open_engine, start_ahead
 from bayescal.experiments.frame.identity import describe_provenance, identify
@@ -38,6 +39,8 @@ from bayescal.report.blocks import Page, Statement
 from bayescal.report.page import PAGE, write_page
 from bayescal.report.provenance import show_provenance
 
+CODE = "code"
+"""Folder of a results directory that keeps the files of a kind that is not built in."""
 MANY_PICTURES = 10  # fewer are drawn before other processes have started
 
 
@@ -137,7 +140,8 @@ def run_experiment(
                 store.discard()
                 raise
             provenance = describe_provenance(config, identity)
-            page = _write(experiment, replace(results, provenance=provenance), store.stage(), workers)
+            files = {**results.files, **_keep_code(config.kind, folder)}
+            page = _write(experiment, replace(results, files=files, provenance=provenance), store.stage(), workers)
             store.publish()
     return Finished(out, experiment, read_results(out), page)
 
@@ -203,6 +207,12 @@ def _list_files(experiment: AnyExperiment, config: ExperimentConfig, folder: Pat
     yield from list_sources("KINDS", config.kind, folder)
 
 
+def _keep_code(kind: str, folder: Path) -> dict[str, str]:
+    """Return the files of a kind in a file of its own, as they stand beside each other, by their names in results."""
+    files = [(folder / name).resolve() for name in list_sources("KINDS", kind, folder)]
+    return {f"{CODE}/{one.relative_to(files[0].parent).as_posix()}": one.read_text("utf-8") for one in files}
+
+
 def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1) -> Results:
     """Return what an experiment finds, without writing anything."""
     experiment = find_kind(config.kind, folder, folder)
@@ -252,24 +262,24 @@ def _write_page(
     return page
 
 
-def write_report(folder: Path, kind: str | None = None, workers: int = 1) -> Path:
+def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
     """Write the page of a results directory anew, from its files alone.
 
     Parameters
     ----------
     folder : Path
-    kind : str, optional
-        ``module:Class`` or ``file.py:Class`` of the experiment, for results of a kind that is not built in: results
-        name no code that is run.
+    trust : bool
+        Run the code of a kind that is not built in: results keep it, and a report of a stranger's runs none unasked.
     workers : int
         Processes that draw many pictures side by side; they are the same for any number.
 
     Raises
     ------
     InputError
-        Where a file is missing or not what an experiment of its kind writes; nothing is written then.
+        Where a file is missing or not what an experiment of its kind writes, and for code that nobody has allowed to
+        run; nothing is written then.
     """
-    experiment = find_results_kind(folder, kind)
+    experiment = find_results_kind(folder, trust)
     try:
         _write_page(experiment, folder, workers)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, AssertionError) as error:
@@ -289,17 +299,16 @@ def _find_version(folder: Path) -> str | None:
     return found.get("bayescal") if isinstance(found, dict) else None
 
 
-def find_results_kind(folder: Path, kind: str | None = None) -> AnyExperiment:
+def find_results_kind(folder: Path, trust: bool = False) -> AnyExperiment:
     """Return the kind of a results directory; see `write_report`."""
     results = read_results(folder)
     found = results.provenance.get("kind")
     if not isinstance(found, str):
         raise InputError(f"{folder}: found no kind of experiment in its provenance, expected one")
-    if kind is not None:
-        return find_kind(kind, folder, Path())
-    if ":" in found:
-        raise InputError(
-            f"{folder}: found results of kind {found!r}, whose code results do not decide on, "
-            f"expected --kind {found.partition(':')[0]}:... with where it is"
-        )
-    return find_kind(found, folder, None)
+    if ":" not in found:
+        return find_kind(found, folder, None)
+    check_trust(folder, f"kind of experiment {found!r}", trust)
+    if is_file(found):  # as the results keep it
+        found = found[found.rfind("/", 0, found.index(":")) + 1 :]
+        check_same(folder / CODE, list_sources("KINDS", found, folder / CODE), results.hashes)
+    return find_kind(found, folder, folder / CODE)

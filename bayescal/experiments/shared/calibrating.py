@@ -128,12 +128,6 @@ def load_same[C: ExperimentConfig](results: Results, path: Path, schema: type[C]
     return config
 
 
-def read_hashes(results: Results) -> set[str]:
-    """Return the SHA-256 of all files that results go back to."""
-    files = results.provenance.get("files")
-    return {str(one) for one in files.values()} if isinstance(files, dict) else set()
-
-
 def read_draws_of(results: Results, name: str) -> dict[str, Array] | None:
     """Return the posterior's draws by parameter, (S,) each, of a file of the results; None where there is none."""
     assert results.folder is not None

@@ -19,14 +19,14 @@ from bayescal.calibrated.exported import (
     read_matrix_covariance,
     read_measured,
 )
-from bayescal.calibrated.kept import check_same, check_trust
 from bayescal.calibrated.machine import CalibratedMachine, Source, build_calibrated_legs, build_leg_errors
 from bayescal.calibrated.mechanism_file import format_mechanism
 from bayescal.config.registry import list_references, list_sources
+from bayescal.config.trust import check_same, check_trust
 from bayescal.density.schema import FixedConfig
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.shared.calibrating import KEPT, read_draws_of, read_hashes
+from bayescal.experiments.shared.calibrating import KEPT, read_draws_of
 from bayescal.experiments.shared.per_leg import spread_over_legs
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
@@ -131,7 +131,7 @@ def _read_nominal(
                     "keep, expected the study's config: --experiment STUDY.toml"
                 )
             check_trust(folder / file, f"own class {name!r}", trust)
-            check_same(folder, list_sources(what, name, folder), read_hashes(results))
+            check_same(folder, list_sources(what, name, folder), results.hashes)
     mechanism = load_mechanism(folder / MECHANISM)
     nominal = NominalDeformation(
         config.deformation.kappa, lambda: PER_MILLE * read_matrix(folder / MATRIX, mechanism.n_legs)

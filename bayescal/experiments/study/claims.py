@@ -1,6 +1,6 @@
 """What a publication says of a study: its claims are tested, and the page refers to its figures and symbols.
 
-A reproduction supplies these; the study's config attaches them by name: ``claims = "..."``.
+A class of one's own supplies these; the study's config attaches it: ``claims = "file.py:Class"``.
 """
 
 from __future__ import annotations

@@ -210,7 +210,7 @@ class StudyConfig(ExperimentConfig):
     mechanism: InputFile
     """The machine's TOML file."""
     claims: Annotated[str, ClassMark("CLAIMS")] | None = None
-    """Statements of a publication that are put to the results; `bayescal list claims` shows all."""
+    """Statements of a publication that are put to the results: their class, as `file.py:Class`."""
     data: DataConfig
     """What was measured, and how well."""
     deformation: DeformationConfig = DeformationConfig()

@@ -146,12 +146,12 @@ def test_audit_of_a_study_runs_with_its_what_ifs(design):
         ("seed = 5", 'seed = 5\nmeasured_by = ["tracker"]', "found measured_by beside [data], expected none"),
         ("[data]", "[noise]\nactuator_um = 1.0\n[data]", "found noise beside [data], expected none"),
         ("tiny/study.toml", "tiny/nowhere.toml", "nowhere.toml"),
-        ("tiny/study.toml", "methods.toml", "kind: found 'pose_methods', expected 'study'"),
+        ("tiny/study.toml", "simulate.toml", "kind: found 'simulation', expected 'study'"),
     ],
 )
 def test_designs_at_fault_are_told_in_one_line(old, new, said, design):
-    figure = studies.EXPERIMENTS / "pose_extraction" / "figure5.toml"
-    (design.parent / "methods.toml").write_text(figure.read_text())
+    other = studies.TELESCOPE / "simulate.toml"
+    (design.parent / "simulate.toml").write_text(other.read_text())
     studies.edit(design, old, new)
     with pytest.raises(InputError) as caught:
         _read(design)

@@ -19,7 +19,7 @@ from bayescal.experiments.frame.store import Store
 
 pytestmark = pytest.mark.runs
 
-MODULE = "bayescal.reproductions.yu2023.angles"
+MODULE = "bayescal.data.photogrammetry.line_fit"
 
 
 @pytest.fixture(autouse=True)

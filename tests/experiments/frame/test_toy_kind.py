@@ -76,23 +76,29 @@ def test_run_report_workers_and_compare(call, tmp_path, monkeypatch):
     one, two = (read_all(tmp_path / f"out{n}") for n in (1, 2))
     assert one == two
     assert {"summary.json", "provenance.json", "report.html", "squares.csv", "notes/plain.txt"} <= set(one)
+    assert one["code/toy_kind.py"] == toys.KIND.encode()
     provenance = json.loads(one["provenance.json"])
     assert set(provenance["files"]) == {"numbers.txt", "toy_kind.py"}
     (tmp_path / "out1" / "report.html").unlink()
-    assert call("report", tmp_path / "out1", "--kind", "toy_kind.py:Toy")[0] == 0
+    (tmp_path / "toy_kind.py").unlink()
+    assert call("report", tmp_path / "out1", "--trust-code")[0] == 0
     assert read_all(tmp_path / "out1") == one
-    code, said, _ = call("compare", tmp_path / "out1", tmp_path / "out2", "--kind", "toy_kind.py:Toy")
+    code, said, _ = call("compare", tmp_path / "out1", tmp_path / "out2", "--trust-code")
     assert code == 0
     assert "total" in said
 
 
-def test_results_name_no_code_that_is_run(call, tmp_path):
-    path = toys.write_toy(tmp_path)
-    assert call("run", path, "--out", tmp_path / "out", "--workers", 1, "--quiet")[0] == 0
-    code, _, complaint = call("report", tmp_path / "out")
-    assert code == 2
-    assert "whose code results do not decide on, expected --kind" in complaint
-    assert complaint.count("\n") == 1
+def test_code_of_results_is_run_where_somebody_trusts_it(call, tmp_path):
+    path, out = toys.write_toy(tmp_path), tmp_path / "out"
+    assert call("run", path, "--out", out, "--workers", 1, "--quiet")[0] == 0
+    for options, spoil, message in (
+        ((), "", "found a kind of experiment 'toy_kind.py:Toy', whose code would be run, expected --trust-code"),
+        (("--trust-code",), "# another", "toy_kind.py: found another file than the results were computed with"),
+    ):
+        (out / "code" / "toy_kind.py").write_text(toys.KIND + spoil)
+        code, _, complaint = call("report", out, *options)
+        assert (code, complaint.count("\n")) == (2, 1)
+        assert message in complaint
 
 
 @pytest.mark.parametrize(

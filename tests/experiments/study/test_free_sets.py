@@ -45,7 +45,7 @@ def write_study(folder: Path, *changes: tuple[str, str]) -> Path:
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory) -> Path:
-    return write_study(tmp_path_factory.mktemp("free sets"), ("seed = 11", 'seed = 11\nclaims = "rr8096"'))
+    return write_study(tmp_path_factory.mktemp("free sets"), ("seed = 11", f'seed = 11\nclaims = "{studies.CLAIMS}"'))
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def test_compare_ranks_named_variants_too(call, result, tmp_path):
 
 def test_claims_take_the_variants_without_names(result, tmp_path, no_pictures):
     path = studies.write_tiny_study(tmp_path)
-    studies.edit(path, "seed = 11", 'seed = 11\nclaims = "rr8096"')
+    studies.edit(path, "seed = 11", f'seed = 11\nclaims = "{studies.CLAIMS}"')
     other = run_study(load_experiment(path), tmp_path, tmp_path / "out", 1)
     claims = [pd.read_csv(one.out / "tables" / "claims.csv") for one in (result, other)]
     pd.testing.assert_frame_equal(*claims)

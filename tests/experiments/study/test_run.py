@@ -345,7 +345,7 @@ def test_claims_are_tested_where_the_config_names_them(result, tmp_path):
     assert not (result.out / "tables" / "claims.csv").exists()
     assert "publication" not in result.summary
     path = studies.write_tiny_study(tmp_path)
-    studies.edit(path, "seed = 11", 'seed = 11\nclaims = "rr8096"')
+    studies.edit(path, "seed = 11", f'seed = 11\nclaims = "{studies.CLAIMS}"')
     claimed = run(path, tmp_path / "out")
     assert not pd.read_csv(claimed.out / "tables" / "claims.csv").empty
     assert claimed.summary["publication"]

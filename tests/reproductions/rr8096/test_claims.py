@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 import studies
 import telescope_machines as machines
+from papers import claims
 
 from bayescal.config.registry import find_class
 from bayescal.density.least_squares import LeastSquaresFit, identify
@@ -19,23 +20,11 @@ from bayescal.experiments.study.tables import identify_variants
 from bayescal.machines.deformations import NominalDeformation
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.models import MODELS, FixedStiffness, Jacobian, SixPus
-from bayescal.reproductions.rr8096 import claims
-from bayescal.reproductions.rr8096.claims import (
-    FAILS,
-    HOLDS,
-    UNTESTABLE,
-    ClaimEvidence,
-    accuracy,
-    geometry,
-    identifiability,
-    identification,
-    judge_claims,
-    tables,
-    tabulate_claims,
-)
-from bayescal.reproductions.rr8096.evidence import FREE
-from bayescal.reproductions.rr8096.information import compute_contraction, tolerance_of
+from rr8096 import accuracy, geometry, identifiability, identification
+from rr8096.evidence import FAILS, FREE, HOLDS, UNTESTABLE, ClaimEvidence
+from rr8096.identifiability import compute_contraction, tolerance_of
 
+judge_claims, tabulate_claims = claims.judge_claims, claims.tabulate_claims
 TWIN = "Reconstructed: simulated for the tests, never measured"
 COLUMNS = ["claim", "section", "statement", "expected", "found", "value", "unit", "verdict", "why"]
 
@@ -372,7 +361,7 @@ def test_stiffness_objective(telescope):
     evidence = with_fits(telescope, "six_pus/none", "stiffness/none")
     for share, verdict in ((1.0, HOLDS), (-1.0, FAILS), (50.0, UNTESTABLE)):
         published = published_move(evidence, share)
-        (claim,) = tables.stiffness_objective(replace(evidence, published=published))
+        (claim,) = identification.stiffness_objective(replace(evidence, published=published))
         assert claim.verdict == verdict
         assert claim.value == pytest.approx(math.copysign(1.0, share))
         assert claim.claim == "stiffness_objective_table5"
@@ -384,7 +373,7 @@ def test_beam_kappa(telescope, printed, verdict):
     evidence = with_offsets(telescope, {f"{model}/matrix": machines.TABLE_7A for model in ("six_pus", "beam")})
     published = {"six_pus/matrix": machines.TABLE_7A, "beam/matrix": machines.TABLE_7A | {"kappa": printed * kappa}}
     arrays = {name: {s: np.array(v) for s, v in table.items()} for name, table in published.items()}
-    assert verdict_of(tables.beam_kappa, replace(evidence, published=arrays)) == verdict
+    assert verdict_of(identification.beam_kappa, replace(evidence, published=arrays)) == verdict
 
 
 def test_claims_on_tables_need_the_reports_parameters(telescope):
@@ -535,5 +524,5 @@ def test_study_gives_its_evidence(tmp_path):
     assert evidence.best_machine().deformation.name == "matrix"
     table = tabulate_claims(evidence)
     assert table["claim"].is_unique
-    named = find_class("CLAIMS", "rr8096", Claims, "claims", tmp_path / "study.toml", tmp_path)
+    named = find_class("CLAIMS", studies.CLAIMS, Claims, "claims", tmp_path / "study.toml", tmp_path)
     pd.testing.assert_frame_equal(named().tabulate(inputs, {"variants": {}}, fits), table)

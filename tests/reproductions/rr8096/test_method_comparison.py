@@ -6,17 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import studies
+from papers import pose_methods
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import run_experiment, write_report
-from bayescal.reproductions.rr8096.pose_methods.comparison import (
-    compare_pose_methods,
-    draw_cylinder_targets,
-    summarise_comparison,
-)
-from bayescal.reproductions.rr8096.pose_methods.figure import draw_pose_methods
 
+compare_pose_methods, summarise_comparison = pose_methods.compare_pose_methods, pose_methods.summarise_comparison
 ERRORS = ["position_error_mm", "orientation_error_deg", "axis_error_deg", "whitened_squared_error"]
 
 
@@ -31,7 +27,7 @@ def test_rows_and_columns(comparison):
 
 
 def test_targets_are_on_the_cylinder():
-    targets = draw_cylinder_targets(500, 50.0, 1.0, np.random.default_rng(1))
+    targets = pose_methods.draw_cylinder_targets(500, 50.0, 1.0, np.random.default_rng(1))
     np.testing.assert_allclose(np.hypot(targets[:, 0], targets[:, 1]), 1.0)
     assert 0 <= targets[:, 2].min() < 2
     assert 48 < targets[:, 2].max() <= 50
@@ -76,7 +72,7 @@ def test_summary_is_mean_and_standard_deviation(comparison):
 
 def test_figure_shows_the_means(comparison):
     summary = summarise_comparison(comparison)
-    position, orientation = draw_pose_methods(summary).axes
+    position, orientation = pose_methods.draw_pose_methods(summary).axes
     assert position.get_yscale() == "linear"
     assert orientation.get_yscale() == "log"
     assert "µm" in position.get_ylabel()
@@ -88,7 +84,7 @@ def test_figure_shows_the_means(comparison):
 
 def test_shipped_experiment_runs_tiny(tmp_path, pictures):
     """Tables as computed, the means in the summary, and a page with the figure, from the files alone."""
-    path = studies.copy_small(studies.EXPERIMENTS / "pose_extraction" / "figure5.toml", tmp_path / "in")
+    path = studies.copy_small(studies.EXPERIMENTS / "rr8096" / "figure5.toml", tmp_path / "in")
     config, out = load_experiment(path), tmp_path / "out"
     finished = run_experiment(config, path.parent, out)
     expected = compare_pose_methods(
@@ -110,7 +106,7 @@ def test_shipped_experiment_runs_tiny(tmp_path, pictures):
     assert (out / "figures" / "figure5.png").stat().st_size > 0
     assert "figure 5" in (out / "report.html").read_text(encoding="utf-8")
     before = studies.snapshot(out)
-    write_report(out)
+    write_report(out, trust=True)
     assert studies.snapshot(out) == before
 
 

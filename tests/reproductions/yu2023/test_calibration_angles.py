@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hexapod_settings  # noqa: F401  # imports the paper's modules
 import numpy as np
 
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 from bayescal.pose_selection.observability import angle_rates
-from bayescal.reproductions.yu2023.angles import coordinates_from_pose, pose_from_coordinates
+from yu2023.least_squares import coordinates_from_pose, pose_from_coordinates
 
 
 def test_rotation_is_the_printed_one():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hexapod_settings import load_setting
 
-from bayescal.reproductions.yu2023.evaluate import PoseErrors, evaluate
+from yu2023.least_squares import PoseErrors, evaluate
 
 SETTING = load_setting()
 MACHINE = SETTING.machine

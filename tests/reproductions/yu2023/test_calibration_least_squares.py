@@ -14,9 +14,16 @@ from bayescal.machines.sensors import PoseSensor
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 from bayescal.pose_selection import candidates_at, even_candidates
 from bayescal.pose_selection.observability import angle_rates
-from bayescal.reproductions.yu2023.angles import coordinates_from_pose, pose_from_coordinates
-from bayescal.reproductions.yu2023.least_squares import Weighting, calibrate, find_lengths, linearise, move
-from bayescal.reproductions.yu2023.setup import CommandedPoses
+from yu2023.least_squares import (
+    Weighting,
+    calibrate,
+    coordinates_from_pose,
+    find_lengths,
+    linearise,
+    move,
+    pose_from_coordinates,
+)
+from yu2023.setup import CommandedPoses
 
 SETTING = load_setting()
 MACHINE = SETTING.machine

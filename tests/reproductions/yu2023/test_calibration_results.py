@@ -11,10 +11,11 @@ import studies
 from hexapod_settings import HEXAPOD, SHIPPED, load_setting
 
 from bayescal.experiments.frame.identity import hash_identity, identify
-from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.parallel import Run
-from bayescal.reproductions.yu2023 import accuracy
-from bayescal.reproductions.yu2023.setup import CommandedPoses
+from bayescal.experiments.frame.run import check_experiment
+from yu2023 import repeats
+from yu2023.setup import CommandedPoses
 
 RESULTS = studies.EXPERIMENTS.parent / "results"
 
@@ -29,10 +30,10 @@ def read_table(name: str, table: str) -> pd.DataFrame:
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_results_are_those_of_the_shipped_config(name):
-    kind, config = load(HEXAPOD / f"{name}.toml")
+    config = load_experiment(HEXAPOD / f"{name}.toml")
     assert config.name == f"hexapod_{name}"  # where the command writes by default
     provenance = json.loads((RESULTS / config.name / "provenance.json").read_text())
-    assert provenance["config_sha256"] == hash_identity(identify(config, HEXAPOD, kind.files(config, HEXAPOD)))
+    assert provenance["config_sha256"] == hash_identity(identify(config, HEXAPOD, check_experiment(config, HEXAPOD)[0]))
 
 
 def test_first_selection_is_the_committed_one():
@@ -51,9 +52,9 @@ def test_random_poses_give_the_committed_figures_again(monkeypatch):
         drawn = setup.draw_random(choices[0][1], len(choices), np.random.default_rng(0))
         return [CommandedPoses(*pair) for pair in zip(drawn.coordinates, drawn.actuators, strict=True)]
 
-    monkeypatch.setattr(accuracy, "select_all", draw_any)
+    monkeypatch.setattr(repeats, "select_all", draw_any)
     setup = load_setting("table8")
-    tables = accuracy.run_accuracy(setup, setup.config.study, Run()).tables
+    tables = repeats.run_accuracy(setup, setup.config.study, Run()).tables
     committed = read_table("table8", "table8")
     assert (committed["poses"] == "random").sum() == 12
     for method, alike in (("random", True), ("optimal", False)):

@@ -1,1 +1,0 @@
-"""RR-8096 figure 5: two methods of pose extraction."""

@@ -1,1 +1,0 @@
-"""Yu, Wu and Wang (2023): simulated calibrations of hexapods."""

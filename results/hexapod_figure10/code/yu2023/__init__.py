@@ -1,0 +1,1 @@
+"""Simulated calibrations of hexapods as in Yu, Wu and Wang (2023)."""
