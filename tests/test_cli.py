@@ -462,7 +462,7 @@ def test_report_of_what_is_no_results_directory(refuse, study):
         ('{"tables": {}}', "found no kind of experiment in its provenance"),
         ('{"kind": ["study"], "tables": {}}', "found no kind of experiment in its provenance"),
         ('{"kind": "studdy", "tables": {}}', "kind: found 'studdy', did you mean 'study'?"),
-        ('{"kind": "os:system", "tables": {}}', "whose code results do not decide on"),
+        ('{"kind": "os:system", "tables": {}}', "whose code would be run, expected --trust-code"),
         ('{"kind": "study", "tables": {}}', "summary.json: experiment: found nothing, expected str"),
         ('{"kind": "study", "tables": {"x.csv": {"a": ["text"]}}}', "x.csv: a: found kind ['text'] in provenance.json"),
         ('{"kind": "study", "tables": {}, "empty_tables": 3}', "empty_tables: found 3, expected lists of columns"),

@@ -7,13 +7,12 @@ what pydantic has built of a schema, whose parts lead back to the class that is 
 from __future__ import annotations
 
 import copyreg
+from collections.abc import Callable
 from types import ModuleType
 from typing import Any, TypeAliasType, cast
 
 import cloudpickle
 from pydantic_core import SchemaSerializer, SchemaValidator
-
-type Built = SchemaSerializer | SchemaValidator
 
 
 def send_by_value(module: ModuleType) -> None:
@@ -36,5 +35,5 @@ class _BuiltLater:
         return getattr(self.__dict__["built"], name)
 
 
-def _reduce_built(built: Built) -> tuple[Any, ...]:
+def _reduce_built(built: Any) -> tuple[Callable[..., object], tuple[()], dict[str, Any]]:
     return _BuiltLater, (), {"recipe": built.__reduce__()[:2]}
