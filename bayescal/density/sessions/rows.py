@@ -74,16 +74,17 @@ class ReadingRows:
         across = np.swapaxes(basis, 1, 2)
         spare = likelihood.n_spare
         constant = white.log_det[0] + volume - 0.5 * spare * np.log(2.0 * np.pi)
-        there, gain = likelihood.data.present, likelihood.error_gain
+        there, n = likelihood.data.present, own.shape[-1]
+        # of readings as they are to what no pose explains of white ones
+        left = across @ white.rows(np.eye(n)[None, None])[0] * there[:, None, :]
+        spread = left if likelihood.error_gain is None else left @ likelihood.error_gain
+        absent = across * ~there[:, None, :] @ basis
 
         def covariance(zeta: Array) -> Array:
             own, tau = (one[0] for one in likelihood.noise(self.posterior.errors, zeta[None]))
-            full = own[:, :, None] * likelihood.correlation * own[:, None, :]
-            spread = np.broadcast_to(tau, own.shape)[:, None, :] * (np.eye(own.shape[-1]) if gain is None else gain)
-            full = full + spread @ np.swapaxes(spread, 1, 2)
-            full = np.where(there[:, :, None] & there[:, None, :], full, 0.0)
-            seen = white.rows(np.swapaxes(white.rows(full[None]), -1, -2))[0]
-            return np.asarray(across @ (seen + np.eye(own.shape[-1]) * ~there[:, None, :]) @ basis)
+            stated, added = left * own[:, None, :], spread * tau[:, None, :]
+            found = stated @ likelihood.correlation @ np.swapaxes(stated, 1, 2) + added @ np.swapaxes(added, 1, 2)
+            return np.asarray(found + absent)
 
         errors = (across @ error[0][..., None])[..., 0]
         return LinearRows(errors, -(across @ by_parameters[0]), constant, covariance, basis)
