@@ -12,7 +12,7 @@ import tempfile
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from io import StringIO
 from pathlib import Path
@@ -172,13 +172,12 @@ def _extract(source: str, name: str) -> str:
 # --- data ------------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
 class Data:
     """Readings of a machine.
 
-    Attributes
+    Parameters
     ----------
-    table : DataFrame
+    table : DataFrame, or the CSV file of one
         A row a pose; columns by channel and unit such as ``s_1_mm``, what is given of each row, and optionally ``pose``
         (names; else the index) and ``use`` (``calibration`` or ``verification``). Empty cells were not read.
     noise : mapping
@@ -188,16 +187,22 @@ class Data:
         Channels that the machine was commanded by; poses that are kept for verification.
     origin : str or mapping
         Where they come from: a sentence, or a section [origin] as in a config.
-    truth : DataFrame or None
+    truth : DataFrame, optional
         The true parameters, of simulated readings.
     """
 
-    table: pd.DataFrame
-    noise: Mapping[str, Any]
-    commanded: Sequence[str] = ()
-    hold_back: Sequence[str] = ()
-    origin: str | Mapping[str, str] = field(default_factory=lambda: dict(UNSTATED))
-    truth: pd.DataFrame | None = None
+    def __init__(
+        self,
+        table: pd.DataFrame | Path | str,
+        noise: Mapping[str, Any],
+        commanded: Sequence[str] = (),
+        hold_back: Sequence[str] = (),
+        origin: str | Mapping[str, Any] = UNSTATED["text"],
+        truth: pd.DataFrame | None = None,
+    ) -> None:
+        self.table = table if isinstance(table, pd.DataFrame) else _read_file(Path(table))
+        self.noise, self.commanded, self.hold_back, self.truth = noise, commanded, hold_back, truth
+        self.origin = {**UNSTATED, "text": origin} if isinstance(origin, str) else _plain(origin)
 
     def write(self, path: Path) -> None:
         """Write the table as CSV."""
@@ -215,6 +220,12 @@ class Data:
         if not len(self.table):
             raise InputError("data: found no rows, expected some")
         return describe_noise(self.noise, model, list(self.table.columns))
+
+
+def _read_file(path: Path) -> pd.DataFrame:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file, expected a CSV table of readings")
+    return pd.read_csv(path, comment="#", skipinitialspace=True)
 
 
 def describe_noise(noise: Mapping[str, Any], model: ReadingModel, columns: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -345,7 +356,6 @@ def calibrate(
         For anything at fault, with the line that the shell prints; nothing is written then.
     """
     found = load_machine(machine)
-    origin = {**UNSTATED, "text": data.origin} if isinstance(data.origin, str) else _plain(data.origin)
     table = {"file": READINGS, "commanded": list(data.commanded), "hold_back": list(data.hold_back)}
     content = {
         "kind": "calibration",
@@ -353,7 +363,7 @@ def calibrate(
         "title": title or f"{found.name}: calibration",
         "seed": seed,
         "machine": found.entry,
-        "origin": origin,
+        "origin": data.origin,
         "data": [{key: value for key, value in table.items() if value}],
         "sensors": data.describe_sensors(found.model),
         "parameters": _describe_widths(tolerances),

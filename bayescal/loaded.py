@@ -33,6 +33,8 @@ SHOWN: dict[str, tuple[str, ...]] = {
     "calibration": ("variants",),
     "audit": ("parameters", "requirements"),
 }
+type Table = pd.DataFrame | Mapping[str, Any] | Path | str
+"""A table, or the CSV file of one."""
 WITHOUT = "-tau-zero"
 """What ends the name of a posterior's file without model error."""
 
@@ -244,7 +246,7 @@ class VariantResult:
 
         return load_calibrated(self.study.folder, self.name, trust=self.study.trust)
 
-    def predict(self, commands: pd.DataFrame | Mapping[str, Any]) -> pd.DataFrame:
+    def predict(self, commands: Table) -> pd.DataFrame:
         """Return where machine and tool are at commands, with standard deviations and covariances.
 
         Columns of the table are those of commanded channels, ``s_1_mm``, and of what is given of each row.
@@ -258,7 +260,7 @@ class VariantResult:
             check_found(path, names, found)
         return _read(format_prediction(self.machine, names, found, given))
 
-    def command(self, poses: pd.DataFrame | Mapping[str, Any]) -> pd.DataFrame:
+    def command(self, poses: Table) -> pd.DataFrame:
         """Return the commands that hold poses, or the tool (columns ``tool_x_mm``), with their uncertainty."""
         from bayescal.calibrated.predict import command_poses
         from bayescal.calibrated.tables import check_reached, format_command, read_commanded
@@ -299,8 +301,11 @@ class VariantResult:
 
 
 @contextmanager
-def _written(table: pd.DataFrame | Mapping[str, Any]) -> Iterator[Path]:
-    """Let a table be a CSV file for as long as it is read."""
+def _written(table: Table) -> Iterator[Path]:
+    """Let a table be a CSV file for as long as it is read, where it is none."""
+    if isinstance(table, str | Path):
+        yield Path(table)
+        return
     found = pd.DataFrame(table)
     if "pose" not in found.columns:
         found.insert(0, "pose", [f"P{k}" for k in range(1, len(found) + 1)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -176,3 +178,20 @@ def test_a_class_without_read_and_an_unknown_channel_are_refused():
         bc.load_machine(Empty)
     with pytest.raises(bc.InputError, match="sensor 'motor': unknown here"):
         faulty(lambda t: t, {"motor": 1.0})
+
+
+@pytest.mark.runs
+@pytest.mark.parametrize("page", ["README.md", "docs/howto/python.md"])
+def test_the_lines_of_a_page_run_as_they_stand(page, tmp_path, monkeypatch, capsys):
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    monkeypatch.chdir(tmp_path)
+    code = re.search(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL).group(1)
+    assert page != "README.md" or len(code.splitlines()) <= 12
+
+    namespace: dict = {}
+    exec(code, namespace)
+    assert namespace["study"].best.name in namespace["study"].variants
+    assert "standard uncertainty of the tool" in capsys.readouterr().out
+    if page == "README.md":
+        assert namespace["study"].summary["title"] in (tmp_path / "report.html").read_text()
+        assert list((tmp_path / "delta_calibrated").iterdir())
