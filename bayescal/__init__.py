@@ -17,6 +17,7 @@ _HOMES = {
     "audit": "bayescal.front",
     "calibrate": "bayescal.front",
     "load_machine": "bayescal.front",
+    "next_pose": "bayescal.front",
     "simulate": "bayescal.front",
     "CalibratedMachine": "bayescal.calibrated.machine",
     "Channel": "bayescal.machines.readings",

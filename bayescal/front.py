@@ -269,6 +269,52 @@ def _describe_widths(tolerances: Widths) -> dict[str, dict[str, Any]]:
     }
 
 
+def next_pose(
+    study: StudyResult,
+    requirements: Mapping[str, float] | None = None,
+    candidates: int = 300,
+    *,
+    seed: int = 1,
+    out: Path | str | None = None,
+    quiet: bool = False,
+    **sections: Any,
+) -> LoadedResults:
+    """Return which pose to measure next, what it will bring, and whether to stop.
+
+    Parameters
+    ----------
+    study : StudyResult
+        Of `calibrate`.
+    requirements : mapping of str to float, optional
+        By the tool's numbers: the largest error allowed anywhere in the workspace.
+    candidates : int
+        How many random poses are tried.
+    seed, out, quiet
+        As for `calibrate`.
+    **sections
+        Further sections of a config of kind ``next_pose``.
+
+    Raises
+    ------
+    InputError
+        Of results that were loaded: ``bayescal next`` takes their config.
+    """
+    if not isinstance(study.project, _Project):
+        raise InputError(f"{study.folder}: found loaded results, expected those of calibrate; or bayescal next")
+    content = {
+        "kind": "next_pose",
+        "name": "next",
+        "title": f"{study.summary['title']}: the pose to measure next",
+        "seed": seed,
+        "study": CONFIG,
+        "variants": [study.best.name],
+        "requirements": _plain(requirements or {}),
+        "candidates": {"count": candidates},
+        **_plain(sections),
+    }
+    return study.project.run({key: one for key, one in content.items() if one != {}}, out, 1, quiet, "next.toml")
+
+
 @contextmanager
 def _leave_out(folder: Path) -> Iterator[None]:
     """Leave a folder that nobody knows out of messages about what is in it."""
@@ -286,7 +332,6 @@ class _Project:
     """A folder with a config and its files, which is there for as long as what was made in it."""
 
     machine: MachineFiles
-    config: str = CONFIG
 
     @cached_property
     def folder(self) -> Path:
@@ -295,17 +340,19 @@ class _Project:
         weakref.finalize(self, shutil.rmtree, found, ignore_errors=True)
         return Path(found)
 
-    def write(self, content: Mapping[str, Any]) -> Path:
+    def write(self, content: Mapping[str, Any], name: str = CONFIG) -> Path:
         """Write machine and config; return the config's file."""
         self.machine.write(self.folder)
-        path = self.folder / self.config
+        path = self.folder / name
         path.write_text(write_toml(content), encoding="utf-8")
         return path
 
-    def run(self, content: Mapping[str, Any], out: Path | str | None, workers: int, quiet: bool) -> LoadedResults:
+    def run(
+        self, content: Mapping[str, Any], out: Path | str | None, workers: int, quiet: bool, name: str = CONFIG
+    ) -> LoadedResults:
         """Run an experiment; its results."""
-        path = self.write(content)
-        where = self.folder / "results" if out is None else Path(out)
+        path = self.write(content, name)
+        where = self.folder / "results" / path.stem if out is None else Path(out)
         with _leave_out(self.folder):
             run_experiment(load(path)[1], self.folder, where, workers, quiet=quiet)
         return load_results(where, trust=True).keep(self)
@@ -470,4 +517,4 @@ def audit(
     return _Project(found).run({key: one for key, one in content.items() if one != {}}, out, workers, quiet)
 
 
-__all__ = ["Data", "MachineFiles", "audit", "calibrate", "load_machine", "simulate"]
+__all__ = ["Data", "MachineFiles", "audit", "calibrate", "load_machine", "next_pose", "simulate"]

@@ -102,7 +102,7 @@ class LoadedResults:
         if folder is not None:
             ignored = shutil.ignore_patterns("results", "__pycache__")
             shutil.copytree(self.project.folder, folder, ignore=ignored, dirs_exist_ok=True)
-        return str((self.project.folder / self.project.config).read_text(encoding="utf-8"))
+        return str((self.project.folder / "study.toml").read_text(encoding="utf-8"))
 
     def __repr__(self) -> str:
         said = [str(self.summary.get("headline", "")), *map(_say, self.summary.get("verdict", []))]

@@ -106,6 +106,14 @@ def force(variant):
     return bc.load_calibrated(variant.study.folder, variant.name, force=True, trust=True)
 
 
+def test_the_next_pose_is_asked_of_what_was_calibrated():
+    study = calibrate("own file")
+    found = bc.next_pose(study, {"x": 0.05, "z": 0.05}, 20, quiet=True)
+    assert found.summary["headline"] in repr(found)
+    assert found.folder.name == "next"
+    assert 'study = "study.toml"' in (found.folder.parents[1] / "next.toml").read_text()
+
+
 SCRIPT = """
 import numpy as np
 import bayescal as bc
