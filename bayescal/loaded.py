@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import pandas as pd
@@ -15,15 +21,20 @@ from bayescal.config.load import describe_unknown
 from bayescal.errors import InputError
 from bayescal.experiments.frame.notebook import show_in_notebook
 from bayescal.experiments.frame.results import Results, read_results
+from bayescal.report.page import PAGE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from bayescal.calibrated.machine import CalibratedMachine
 
 SHOWN: dict[str, tuple[str, ...]] = {
     "study": ("ranking",),
     "calibration": ("variants",),
     "audit": ("parameters", "requirements"),
 }
+type Table = pd.DataFrame | Mapping[str, Any] | Path | str
+"""A table, or the CSV file of one."""
 WITHOUT = "-tau-zero"
 """What ends the name of a posterior's file without model error."""
 
@@ -36,9 +47,19 @@ class LoadedResults:
     ----------
     results : Results
         Summary, tables and provenance as they were written.
+    trust : bool
+        Whether the code of classes of its own that the results keep may be run.
+    project : object
+        What the files that the results were made of are kept by; None where nobody keeps them.
     """
 
     results: Results
+    trust: bool = False
+    project: Any = None
+
+    def keep(self, project: Any) -> Self:
+        """Return the same results with what their files are kept by."""
+        return replace(self, project=project)
 
     @property
     def folder(self) -> Path:
@@ -61,9 +82,33 @@ class LoadedResults:
         """All tables by their names."""
         return self.results.tables
 
+    def page(self, path: Path | str) -> Path:
+        """Write the report, one HTML file without anything beside it."""
+        source, target = self.folder / PAGE, Path(path)
+        if not source.is_file():
+            raise InputError(f"{source}: no such file, expected the page; bayescal report writes it")
+        return Path(shutil.copyfile(source, target))
+
+    def to_toml(self, folder: Path | str | None = None) -> str:
+        """Return the config that gives these results; written with machine and readings to a folder if one is named.
+
+        Raises
+        ------
+        InputError
+            Of results that were loaded: their config stands where they were made.
+        """
+        if self.project is None:
+            raise InputError(f"{self.folder}: found loaded results, expected those of calibrate, audit or simulate")
+        if folder is not None:
+            ignored = shutil.ignore_patterns("results", "__pycache__")
+            shutil.copytree(self.project.folder, folder, ignore=ignored, dirs_exist_ok=True)
+        return str((self.project.folder / "study.toml").read_text(encoding="utf-8"))
+
     def __repr__(self) -> str:
-        headline = self.summary.get("headline", "")
-        return f"{type(self).__name__}({str(self.folder)!r}, kind={self.kind!r}): {headline}"
+        said = [str(self.summary.get("headline", "")), *map(_say, self.summary.get("verdict", []))]
+        tables = [self.tables[name] for name in SHOWN.get(self.kind, ()) if name in self.tables]
+        shown = [one.to_string(index=False, max_cols=8, float_format="{:.4g}".format) for one in tables[:1]]
+        return "\n".join(one for one in (*said, *shown) if one)
 
     def _repr_html_(self) -> str:
         return show_in_notebook(self.summary, self.tables, SHOWN.get(self.kind, ()))
@@ -110,9 +155,13 @@ class StudyResult(LoadedResults):
         return list(self.ranking.index)
 
     @property
-    def best(self) -> str:
+    def best(self) -> VariantResult:
         """The variant of the largest log-evidence."""
-        return self.variants[0]
+        return self[self.variants[0]]
+
+    def __getitem__(self, variant: str) -> VariantResult:
+        """Return a variant by its name; InputError for an unknown one."""
+        return VariantResult(self, self._check(variant))
 
     @property
     def parameters(self) -> pd.DataFrame:
@@ -160,17 +209,127 @@ class StudyResult(LoadedResults):
 
     def _check(self, variant: str | None) -> str:
         if variant is None:
-            return self.best
+            return self.variants[0]
         if variant not in self.variants:
             raise InputError(f"{self.folder}: variant: {describe_unknown(self.variants, variant)}")
         return variant
 
 
+@dataclass(frozen=True, eq=False)
+class VariantResult:
+    """One variant of a study: its posterior, and the machine as calibrated.
+
+    Attributes
+    ----------
+    study : StudyResult
+    name : str
+    """
+
+    study: StudyResult
+    name: str
+
+    @property
+    def posterior(self) -> xr.DataTree:
+        """The posterior, as ArviZ takes it."""
+        return self.study.posterior(self.name)
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Every parameter with its posterior."""
+        table = self.study.parameters
+        return table[table["variant"] == self.name].drop(columns="variant").reset_index(drop=True)
+
+    @cached_property
+    def machine(self) -> CalibratedMachine:
+        """The calibrated machine; InputError where its posterior did not converge."""
+        from bayescal.experiments.shared.calibrating import load_calibrated
+
+        return load_calibrated(self.study.folder, self.name, trust=self.study.trust)
+
+    def predict(self, commands: Table) -> pd.DataFrame:
+        """Return where machine and tool are at commands, with standard deviations and covariances.
+
+        Columns of the table are those of commanded channels, ``s_1_mm``, and of what is given of each row.
+        """
+        from bayescal.calibrated.predict import predict_poses
+        from bayescal.calibrated.tables import check_found, format_prediction, read_commands
+
+        with _written(commands) as path:
+            names, positions, given = read_commands(path, self.machine)
+            found = predict_poses(self.machine, positions, given)
+            check_found(path, names, found)
+        return _read(format_prediction(self.machine, names, found, given))
+
+    def command(self, poses: Table) -> pd.DataFrame:
+        """Return the commands that hold poses, or the tool (columns ``tool_x_mm``), with their uncertainty."""
+        from bayescal.calibrated.predict import command_poses
+        from bayescal.calibrated.tables import check_reached, format_command, read_commanded
+
+        with _written(poses) as path:
+            wanted = read_commanded(path, self.machine)
+            found = command_poses(self.machine, wanted.poses, wanted.given, wanted.coordinates)
+            check_reached(wanted, found)
+        return _read(format_command(self.machine, wanted.names, found, wanted.given))
+
+    def tool_accuracy(self, coverage: float = 0.95, poses: int = 512) -> pd.DataFrame:
+        """Return how well the tool's numbers are known over the workspace, rms over its poses, and at the worst.
+
+        Standard uncertainty, and the expanded one of a coverage probability; in µm, µrad or the number's own unit.
+        """
+        from bayescal.experiments.shared.certify import Wishes, certify
+
+        found = certify(self.machine, self.study.folder, Wishes(coverage, poses))
+        stated = found.list_figures()
+        return pd.DataFrame(
+            {
+                "unit": dict(zip(found.axis_names, found.units, strict=True)),
+                "standard": stated["standard_uncertainty"]["combined"],
+                "expanded": stated["expanded_uncertainty"]["stated"],
+                "largest": stated["expanded_uncertainty"]["largest"],
+            }
+        )
+
+    def export(self, folder: Path | str, name: str | None = None) -> list[Path]:
+        """Write the machine as calibrated, with covariance and draws; see `export_machine`."""
+        from bayescal.calibrated.export import export_machine
+
+        return export_machine(self.machine, Path(folder), name)
+
+    def __repr__(self) -> str:
+        row = self.study.ranking.loc[self.name]
+        return f"variant {self.name!r}: log-evidence {row['log_evidence']:.2f}, {len(self.parameters)} parameters"
+
+
+@contextmanager
+def _written(table: Table) -> Iterator[Path]:
+    """Let a table be a CSV file for as long as it is read, where it is none."""
+    if isinstance(table, str | Path):
+        yield Path(table)
+        return
+    found = pd.DataFrame(table)
+    if "pose" not in found.columns:
+        found.insert(0, "pose", [f"P{k}" for k in range(1, len(found) + 1)])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "table.csv"
+        found.to_csv(path, index=False)
+        yield path
+
+
+def _read(text: str) -> pd.DataFrame:
+    return pd.read_csv(StringIO(text), comment="#")
+
+
+def _say(one: Mapping[str, Any]) -> str:
+    return f"{one.get('lead', '')}. {one.get('text', '')}".strip(". ")
+
+
 CLASSES: dict[str, type[LoadedResults]] = {"study": StudyResult, "calibration": StudyResult, "audit": Audit}
 
 
-def load_results(folder: Path | str) -> LoadedResults:
+def load_results(folder: Path | str, trust: bool = False) -> LoadedResults:
     """Return the results of a finished run: `StudyResult`, `Audit`, or `LoadedResults` of any other kind.
+
+    With ``trust`` the code of a machine's own class that they keep is run where that is asked for.
 
     Raises
     ------
@@ -178,7 +337,7 @@ def load_results(folder: Path | str) -> LoadedResults:
         Where the folder holds no results, or a table of them is missing.
     """
     results = read_results(Path(folder))
-    return CLASSES.get(str(results.provenance.get("kind")), LoadedResults)(results)
+    return CLASSES.get(str(results.provenance.get("kind")), LoadedResults)(results, trust)
 
 
 def _make_axes(axes: Axes | None) -> Axes:

@@ -118,7 +118,7 @@ def test_figures_to_hold_name_files_that_are_there():
 def test_python_snippet_runs(tmp_path, monkeypatch):
     """The example from Python, without its long middle part: running the whole study."""
     text = (DOCS / "howto" / "python.md").read_text()
-    code = re.search(r"```python\n(.*?)```", text, re.DOTALL).group(1)
+    code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[1]
     lines = [line for line in code.splitlines() if "run_study(" not in line and "result." not in line]
     monkeypatch.chdir(ROOT)
     namespace: dict = {}

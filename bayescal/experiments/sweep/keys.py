@@ -1,9 +1,8 @@
-"""Values by dotted keys: set in a config, found in a summary; and TOML of what was changed."""
+"""Values by dotted keys: set in a config, found in a summary."""
 
 from __future__ import annotations
 
 import copy
-import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -85,21 +84,3 @@ def look_up(summary: Any, key: str) -> Any:
         if head in summary and (found := look_up(summary[head], ".".join(parts[n:]))) is not None:
             return found
     return None
-
-
-def write_toml(content: Mapping[str, Any]) -> str:
-    """Return TOML that reads as a content of tables, lists, texts, numbers and truth values."""
-    return "".join(f"{json.dumps(key, ensure_ascii=False)} = {_write(value)}\n" for key, value in content.items())
-
-
-def _write(value: Any) -> str:
-    if isinstance(value, dict):
-        inner = ", ".join(f"{json.dumps(key, ensure_ascii=False)} = {_write(one)}" for key, one in value.items())
-        return f"{{ {inner} }}" if inner else "{}"
-    if isinstance(value, list):
-        return f"[{', '.join(map(_write, value))}]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return (
-        str(value).lower() if isinstance(value, bool) else repr(value) if isinstance(value, int | float) else str(value)
-    )

@@ -28,7 +28,8 @@ from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.load import AnyExperiment, find_kind, read_inputs
 from bayescal.experiments.frame.memory import check_memory
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.sweep.keys import Setting, change, write_toml
+from bayescal.experiments.sweep.keys import Setting, change
+from bayescal.files.toml import write_toml
 
 type Files = dict[str, bytes]
 

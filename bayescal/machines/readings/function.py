@@ -58,7 +58,7 @@ class ReadingMachine(ABC):
     coordinates: Sequence[Coordinate]
     channels: Sequence[Channel]
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: Any = None) -> None:
         """Take the machine's section of its file."""
         self.config = config
 

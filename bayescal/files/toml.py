@@ -1,0 +1,44 @@
+"""TOML as it is written: plain keys first, then a table for each section."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+
+def write_toml(content: Mapping[str, Any]) -> str:
+    """Return TOML that reads as a content of tables, lists, texts, numbers and truth values."""
+    plain = {key: value for key, value in content.items() if not _is_section(value)}
+    lines = [f"{_quote(key)} = {_write(value)}\n" for key, value in plain.items()]
+    for key, value in content.items():
+        if isinstance(value, Mapping) and key not in plain:
+            lines += [f"\n[{_quote(key)}]\n", *(f"{_quote(k)} = {_write(one)}\n" for k, one in value.items())]
+        elif key not in plain:
+            for one in value:
+                lines += [f"\n[[{_quote(key)}]]\n", *(f"{_quote(k)} = {_write(v)}\n" for k, v in one.items())]
+    return "".join(lines)
+
+
+def _is_section(value: Any) -> bool:
+    return isinstance(value, Mapping) or (
+        isinstance(value, list) and bool(value) and all(isinstance(one, Mapping) for one in value)
+    )
+
+
+def _quote(key: str) -> str:
+    plain = key.isascii() and key.replace("_", "").replace("-", "").isalnum()
+    return key if plain else json.dumps(key, ensure_ascii=False)
+
+
+def _write(value: Any) -> str:
+    if isinstance(value, Mapping):
+        inner = ", ".join(f"{_quote(key)} = {_write(one)}" for key, one in value.items())
+        return f"{{ {inner} }}" if inner else "{}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_write, value))}]"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(value) if isinstance(value, int | float) else str(value)

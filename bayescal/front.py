@@ -1,0 +1,520 @@
+"""The way in from Python: a machine, a table of readings, tolerances.
+
+Everything here writes the files that the shell runs, and runs these: the same numbers come out of both.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import shutil
+import tempfile
+import weakref
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from bayescal.calibrated.kept import keep_machines
+from bayescal.config.local_imports import find_local_imports
+from bayescal.config.sections import Section
+from bayescal.errors import InputError
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.run import run_experiment
+from bayescal.files.toml import write_toml
+from bayescal.identifiability.units import units_like
+from bayescal.loaded import LoadedResults, StudyResult, load_results
+from bayescal.machines.read import read_reading_model
+from bayescal.machines.readings import Channel, ReadingMachine, ReadingModel
+
+MACHINE, CONFIG, READINGS = "machine.toml", "study.toml", "data/readings.csv"
+UNSTATED = {"status": "measured", "text": "a table given in Python", "source": "given in Python", "licence": "not said"}
+EVERYTHING = {"everything": {"title": "Everything free"}}
+
+type Widths = Mapping[str, float | Sequence[float] | Mapping[str, Any]]
+"""By symbol: a standard deviation, one per leg, or a section as in a config."""
+
+
+# --- machines --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MachineFiles:
+    """A machine with the files that it is read from; see `load_machine`.
+
+    Attributes
+    ----------
+    files : dict of str to bytes
+        By their names in one folder.
+    entry : str
+        The machine's own file there.
+    model : ReadingModel
+    """
+
+    files: dict[str, bytes]
+    entry: str
+    model: ReadingModel
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return str(getattr(self.model, "name", self.entry))
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Nominal values of its parameters, with their units."""
+        layout = self.model.layout
+        return pd.DataFrame({"parameter": layout.names, "nominal": layout.nominal, "unit": layout.units})
+
+    def read(self, pose: Any, parameters: Any = None, **given: Any) -> pd.DataFrame:
+        """Return what its channels read at poses (P, q), of the nominal machine or of parameters (D,).
+
+        What a class's `given` names is stated by keywords, a number or one for each pose.
+        """
+        pose = np.atleast_2d(np.asarray(pose, dtype=np.float64))
+        theta = self.model.layout.nominal if parameters is None else np.asarray(parameters, dtype=np.float64)
+        known = {name: np.broadcast_to(np.asarray(value, np.float64), len(pose)) for name, value in given.items()}
+        columns = [f"{one.stem}_{one.unit}" for one in self.model.channels]
+        return pd.DataFrame(self.model.read(theta, pose, known), columns=columns)
+
+    def write(self, folder: Path) -> None:
+        """Write the files to a folder."""
+        for name, content in self.files.items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+
+    def __repr__(self) -> str:
+        model = self.model
+        tool = ", ".join(one.name for one in model.tool_channels) if model.states_tool else "not stated"
+        return (
+            f"machine {self.name!r}: {model.layout.size} parameters ({', '.join(model.layout.symbols)}), "
+            f"channels {', '.join(model.names)}, coordinates {', '.join(one.name for one in model.coordinates)}, "
+            f"tool {tool}"
+        )
+
+
+def load_machine(machine: Path | str | ReadingMachine | type[ReadingMachine] | MachineFiles) -> MachineFiles:
+    """Return a machine: of its TOML file, or of a class of one's own, or an instance of it.
+
+    Raises
+    ------
+    InputError
+        For anything wrong with the file or the class.
+    """
+    if isinstance(machine, MachineFiles):
+        return machine
+    if isinstance(machine, str | Path):
+        path = Path(machine)
+        model = read_reading_model(path)
+        files, names = keep_machines([path])
+        return MachineFiles(files, names[path], model)
+    found = machine if isinstance(machine, type) else type(machine)
+    config = getattr(machine, "config", None)
+    section = config.model_dump(exclude_none=True) if isinstance(config, Section) else {}
+    with tempfile.TemporaryDirectory() as folder:
+        module, files = _list_sources(found)
+        content = {"kind": f"{module}:{found.__qualname__}", "name": found.__name__.lower(), "title": found.__name__}
+        files[MACHINE] = write_toml(content | ({"machine": section} if section else {})).encode()
+        MachineFiles(files, MACHINE, None).write(Path(folder))  # type: ignore[arg-type]  # only its files are written
+        with _leave_out(Path(folder)):
+            return MachineFiles(files, MACHINE, read_reading_model(Path(folder) / MACHINE))
+
+
+def _list_sources(found: type) -> tuple[str, dict[str, bytes]]:
+    """Return the name of the file that a class stands in, and that with the files it imports from beside itself."""
+    try:
+        path = Path(inspect.getsourcefile(found) or "")
+    except (OSError, TypeError):
+        path = Path()
+    if not path.is_file():
+        raise InputError(
+            f"class {found.__name__}: found no file that it stands in, expected one: write it to a file beside the "
+            "notebook and import it from there"
+        )
+    local = {one.name: one for one in find_local_imports(path, path.parent).values()}
+    content = path.read_bytes()
+    if found.__module__ == "__main__":  # a script is not run again for the sake of a class
+        return f"{path.stem}.py", {f"{path.stem}.py": _extract(content.decode(), found.__name__).encode()} | {
+            name: one.read_bytes() for name, one in local.items()
+        }
+    return path.name, {path.name: content} | {name: one.read_bytes() for name, one in local.items()}
+
+
+def _extract(source: str, name: str) -> str:
+    """Return the definition of a class with what it uses of its module, and all imports."""
+    tree = ast.parse(source)
+    defined: dict[str, ast.stmt] = {}
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            defined[node.name] = node
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        for target in (one for whole in targets if whole is not None for one in ast.walk(whole)):
+            if isinstance(target, ast.Name):
+                defined[target.id] = node
+    wanted, waiting = set(), [name]
+    while waiting:
+        one = waiting.pop()
+        if one in defined and one not in wanted:
+            wanted.add(one)
+            waiting += [node.id for node in ast.walk(defined[one]) if isinstance(node, ast.Name)]
+    kept = {id(defined[one]) for one in wanted}
+    body = [n for n in tree.body if isinstance(n, ast.Import | ast.ImportFrom) or id(n) in kept]
+    return "\n\n".join(ast.unparse(node) for node in body) + "\n"
+
+
+# --- data ------------------------------------------------------------------------------------------------------------
+
+
+class Data:
+    """Readings of a machine.
+
+    Parameters
+    ----------
+    table : DataFrame, or the CSV file of one
+        A row a pose; columns by channel and unit such as ``s_1_mm``, what is given of each row, and optionally ``pose``
+        (names; else the index) and ``use`` (``calibration`` or ``verification``). Empty cells were not read.
+    noise : mapping
+        By channel, or kind of channels: the standard deviation of a reading, in the unit of its column, one or one
+        each; or a section as in a config, ``{"noise_um": 5.0, "group": "camera"}``.
+    commanded, hold_back : sequence of str
+        Channels that the machine was commanded by; poses that are kept for verification.
+    origin : str or mapping
+        Where they come from: a sentence, or a section [origin] as in a config.
+    truth : DataFrame, optional
+        The true parameters, of simulated readings.
+    """
+
+    def __init__(
+        self,
+        table: pd.DataFrame | Path | str,
+        noise: Mapping[str, Any],
+        commanded: Sequence[str] = (),
+        hold_back: Sequence[str] = (),
+        origin: str | Mapping[str, Any] = UNSTATED["text"],
+        truth: pd.DataFrame | None = None,
+    ) -> None:
+        self.table = table if isinstance(table, pd.DataFrame) else _read_file(Path(table))
+        self.noise, self.commanded, self.hold_back, self.truth = noise, commanded, hold_back, truth
+        self.origin = {**UNSTATED, "text": origin} if isinstance(origin, str) else _plain(origin)
+
+    def write(self, path: Path) -> None:
+        """Write the table as CSV."""
+        table = self.table
+        if "pose" not in table.columns:
+            plain = isinstance(table.index, pd.RangeIndex)
+            names = [f"P{k}" for k in range(1, len(table) + 1)] if plain else [str(one) for one in table.index]
+            table = table.reset_index(drop=True)
+            table.insert(0, "pose", names)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        table.to_csv(path, index=False)
+
+    def describe_sensors(self, model: ReadingModel) -> dict[str, dict[str, Any]]:
+        """Return the sections [sensors] of a config; InputError for a channel or a column that is not there."""
+        if not len(self.table):
+            raise InputError("data: found no rows, expected some")
+        return describe_noise(self.noise, model, list(self.table.columns))
+
+
+def _read_file(path: Path) -> pd.DataFrame:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file, expected a CSV table of readings")
+    return pd.read_csv(path, comment="#", skipinitialspace=True)
+
+
+def describe_noise(noise: Mapping[str, Any], model: ReadingModel, columns: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the sections [sensors] of noises by channel or kind, in the units of their columns where there are any."""
+    found: dict[str, dict[str, Any]] = {}
+    for name, value in noise.items():
+        channels = [model.channels[k] for k in model.select([name])]
+        if isinstance(value, Mapping):
+            found[name] = _plain(value)
+            continue
+        (unit, factor), *_ = [_find_unit(one, columns) for one in channels]
+        scaled = [factor * one for one in np.atleast_1d(np.asarray(value, dtype=np.float64)).tolist()]
+        key = f"noise_{unit}" if unit in ("mm", "rad") else "noise"
+        found[name] = {key: scaled[0] if np.ndim(value) == 0 else scaled}
+    return found
+
+
+def _find_unit(channel: Channel, columns: Sequence[str]) -> tuple[str, float]:
+    """Return a channel's own unit and how many of it are one of its column's."""
+    units = units_like(channel.unit)
+    there = [unit for unit in units if f"{channel.stem}_{unit}" in columns]
+    if columns and not there:
+        expected = " or ".join(f"{channel.stem}_{unit}" for unit in units)
+        raise InputError(f"data: found no column of channel {channel.name!r}, expected {expected}")
+    return channel.unit, units[there[0]] if there else 1.0
+
+
+def _plain(value: Any) -> Any:
+    """Return a value with Python's own numbers, lists and mappings."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items() if one is not None}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    return [_plain(one) for one in value] if isinstance(value, list | tuple) else value
+
+
+def _describe_widths(tolerances: Widths) -> dict[str, dict[str, Any]]:
+    return {
+        name: _plain(value) if isinstance(value, Mapping) else {"prior": "normal", "sd": _plain(value)}
+        for name, value in tolerances.items()
+    }
+
+
+def next_pose(
+    study: StudyResult,
+    requirements: Mapping[str, float] | None = None,
+    candidates: int = 300,
+    *,
+    seed: int = 1,
+    out: Path | str | None = None,
+    quiet: bool = False,
+    **sections: Any,
+) -> LoadedResults:
+    """Return which pose to measure next, what it will bring, and whether to stop.
+
+    Parameters
+    ----------
+    study : StudyResult
+        Of `calibrate`.
+    requirements : mapping of str to float, optional
+        By the tool's numbers: the largest error allowed anywhere in the workspace.
+    candidates : int
+        How many random poses are tried.
+    seed, out, quiet
+        As for `calibrate`.
+    **sections
+        Further sections of a config of kind ``next_pose``.
+
+    Raises
+    ------
+    InputError
+        Of results that were loaded: ``bayescal next`` takes their config.
+    """
+    if not isinstance(study.project, _Project):
+        raise InputError(f"{study.folder}: found loaded results, expected those of calibrate; or bayescal next")
+    content = {
+        "kind": "next_pose",
+        "name": "next",
+        "title": f"{study.summary['title']}: the pose to measure next",
+        "seed": seed,
+        "study": CONFIG,
+        "variants": [study.best.name],
+        "requirements": _plain(requirements or {}),
+        "candidates": {"count": candidates},
+        **_plain(sections),
+    }
+    return study.project.run({key: one for key, one in content.items() if one != {}}, out, 1, quiet, "next.toml")
+
+
+@contextmanager
+def _leave_out(folder: Path) -> Iterator[None]:
+    """Leave a folder that nobody knows out of messages about what is in it."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(str(error).replace(f"{folder.resolve()}/", "").replace(f"{folder}/", "")) from None
+
+
+# --- experiments -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Project:
+    """A folder with a config and its files, which is there for as long as what was made in it."""
+
+    machine: MachineFiles
+
+    @cached_property
+    def folder(self) -> Path:
+        """The folder; gone with this object."""
+        found = tempfile.mkdtemp(prefix="bayescal-")
+        weakref.finalize(self, shutil.rmtree, found, ignore_errors=True)
+        return Path(found)
+
+    def write(self, content: Mapping[str, Any], name: str = CONFIG) -> Path:
+        """Write machine and config; return the config's file."""
+        self.machine.write(self.folder)
+        path = self.folder / name
+        path.write_text(write_toml(content), encoding="utf-8")
+        return path
+
+    def run(
+        self, content: Mapping[str, Any], out: Path | str | None, workers: int, quiet: bool, name: str = CONFIG
+    ) -> LoadedResults:
+        """Run an experiment; its results."""
+        path = self.write(content, name)
+        where = self.folder / "results" / path.stem if out is None else Path(out)
+        with _leave_out(self.folder):
+            run_experiment(load(path)[1], self.folder, where, workers, quiet=quiet)
+        return load_results(where, trust=True).keep(self)
+
+
+def calibrate(
+    machine: Path | str | ReadingMachine | type[ReadingMachine] | MachineFiles,
+    data: Data,
+    tolerances: Widths,
+    *,
+    variants: Mapping[str, Mapping[str, Any]] = EVERYTHING,
+    seed: int = 1,
+    name: str = "study",
+    title: str | None = None,
+    out: Path | str | None = None,
+    workers: int = 1,
+    quiet: bool = False,
+    **sections: Any,
+) -> StudyResult:
+    """Return a machine calibrated from its readings: posteriors of all variants, ranked.
+
+    Parameters
+    ----------
+    machine : Path, str, ReadingMachine or MachineFiles
+        See `load_machine`.
+    data : Data
+    tolerances : mapping
+        By symbol: standard deviation about nominal, mm and degrees (or as ``units`` says), one or one per leg; or a
+        section such as ``{"prior": "uniform", "half_width": 0.5}``. What has none is known.
+    variants : mapping of str to mapping
+        Models to compare by name, each with the keys of a config's [[variants]].
+    seed : int
+    name, title : str
+        Of the study.
+    out : Path or str, optional
+        Folder for the results; by default they are gone with what is returned.
+    workers : int
+        Processes side by side; the numbers do not depend on it.
+    quiet : bool
+        Say nothing of the progress.
+    **sections
+        Further sections of a config of kind ``calibration``: ``errors``, ``unknown_noise``, ``model_error``,
+        ``workspace``, ``validation``, ``sensitivity``, ``units``, ``sampler``, ``evidence`` ...
+
+    Raises
+    ------
+    InputError
+        For anything at fault, with the line that the shell prints; nothing is written then.
+    """
+    found = load_machine(machine)
+    table = {"file": READINGS, "commanded": list(data.commanded), "hold_back": list(data.hold_back)}
+    content = {
+        "kind": "calibration",
+        "name": name,
+        "title": title or f"{found.name}: calibration",
+        "seed": seed,
+        "machine": found.entry,
+        "origin": data.origin,
+        "data": [{key: value for key, value in table.items() if value}],
+        "sensors": data.describe_sensors(found.model),
+        "parameters": _describe_widths(tolerances),
+        "variants": [{"name": key, "title": key, **_plain(one)} for key, one in variants.items()],
+        **_plain(sections),
+    }
+    project = _Project(found)
+    data.write(project.folder / READINGS)
+    result = project.run(content, out, workers, quiet)
+    assert isinstance(result, StudyResult)
+    return result
+
+
+def simulate(
+    machine: Path | str | ReadingMachine | type[ReadingMachine] | MachineFiles,
+    noise: Mapping[str, Any],
+    tolerances: Widths,
+    n_poses: int = 25,
+    *,
+    seed: int = 1,
+    **sections: Any,
+) -> Data:
+    """Return readings of a machine drawn within its tolerances, with its true parameters; never measured.
+
+    Parameters
+    ----------
+    machine, tolerances
+        As for `calibrate`.
+    noise : mapping
+        By channel, in mm, rad or the channel's own unit; or a section as in a config.
+    n_poses : int
+        Poses of the workspace.
+    seed : int
+    **sections
+        Further sections of a config of kind ``calibration_simulation``: ``workspace``, ``given`` ...
+    """
+    found = load_machine(machine)
+    content = {
+        "kind": "calibration_simulation",
+        "name": "simulated",
+        "title": f"{found.name}: simulated readings",
+        "origin": "Simulated: one machine drawn within its tolerances, never measured",
+        "seed": seed,
+        "machine": found.entry,
+        "n_poses": n_poses,
+        "sensors": describe_noise(noise, found.model, []),
+        "parameters": _describe_widths(tolerances),
+        **_plain(sections),
+    }
+    project = _Project(found)
+    path = project.write(content)
+    with _leave_out(project.folder):
+        experiment, config = load(path)
+        kind: Any = experiment
+        simulated = kind.simulate(kind.read(config, project.folder), np.random.default_rng(seed))
+    table = pd.read_csv(StringIO(simulated.files["readings.csv"]), comment="#")
+    origin = {"status": "simulated", "text": str(content["origin"])}
+    return Data(table, content["sensors"], origin=origin, truth=simulated.truth)
+
+
+def audit(
+    machine: Path | str | ReadingMachine | type[ReadingMachine] | MachineFiles,
+    noise: Mapping[str, Any],
+    tolerances: Widths,
+    poses: int = 40,
+    *,
+    requirements: Mapping[str, float] | None = None,
+    variants: Mapping[str, Mapping[str, Any]] = EVERYTHING,
+    seed: int = 1,
+    out: Path | str | None = None,
+    workers: int = 1,
+    quiet: bool = False,
+    **sections: Any,
+) -> LoadedResults:
+    """Return what planned readings would determine of a machine, before any are taken.
+
+    Parameters
+    ----------
+    machine, noise, tolerances
+        As for `simulate`.
+    poses : int
+        How many random poses of the workspace are planned.
+    requirements : mapping of str to float, optional
+        By the tool's numbers: the largest rms error over the workspace.
+    variants : mapping
+        Sets of sensors to judge, as in a config of kind ``calibration_audit``.
+    seed, out, workers, quiet, **sections
+        As for `calibrate`.
+    """
+    found = load_machine(machine)
+    content = {
+        "kind": "calibration_audit",
+        "name": "audit",
+        "title": f"{found.name}: audit",
+        "seed": seed,
+        "machine": found.entry,
+        "sensors": describe_noise(noise, found.model, []),
+        "parameters": _describe_widths(tolerances),
+        "poses": {"count": poses},
+        "requirements": _plain(requirements or {}),
+        "variants": [{"name": key, "title": key, **_plain(one)} for key, one in variants.items()],
+        **_plain(sections),
+    }
+    return _Project(found).run({key: one for key, one in content.items() if one != {}}, out, workers, quiet)
+
+
+__all__ = ["Data", "MachineFiles", "audit", "calibrate", "load_machine", "next_pose", "simulate"]

@@ -1,0 +1,205 @@
+"""From Python as from the shell: the same config, the same numbers; and what a faulty table is refused with."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import planar_rrr
+import pytest
+
+import bayescal as bc
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.run import run_experiment
+
+ROOT = Path(__file__).parents[1]
+TINY = {
+    "sampler": {"walkers": 96, "burn_in": 3, "steps": 6},
+    "evidence": {"draws": 1000, "max_draws": 1000},
+    "validation": {"draws": 100},
+    "next": {"candidates": 0},
+}
+DELTA = {"x": 0.5, "y": 0.5, "l": 0.3, "s0": 0.5, "t_x": 0.1, "t_y": 0.1}
+CASES = {
+    "own file": (
+        ROOT / "examples" / "own_machine" / "machine.toml",
+        {"s": 0.005, "cam_x": 0.02, "cam_y": {"noise_um": 20.0, "group": "camera"}, "height": 0.01},
+        DELTA,
+    ),
+    "own class": (
+        planar_rrr.PlanarRRR(None),
+        {"theta": 1e-4, "cam_x": 0.02, "cam_y": 0.02, "cam_phi": 2e-4},
+        {"x": 0.5, "y": 0.5, "l": [0.3, 0.3, 0.2], "theta0": {"prior": "uniform", "half_width": 0.5}},
+    ),
+    "sliding platform": (
+        str(ROOT / "experiments" / "sliding_star" / "machine.toml"),
+        {"s": 0.001, "phi": 5e-6},
+        {"l": 0.3, "gamma0": 2.0},
+        {"workspace": {"x": [-200.0, 200.0], "y": [-200.0, 200.0], "phi": [-0.5, 0.5]}},
+    ),
+}
+
+
+def calibrate(case, **options):
+    machine, noise, tolerances, *more = CASES[case]
+    sections = dict(*more)
+    found = bc.load_machine(machine)
+    symbols = set(found.model.layout.symbols)
+    tolerances = {name: width for name, width in tolerances.items() if name in symbols}
+    data = bc.simulate(machine, noise, tolerances, 8, seed=2, **sections)
+    return bc.calibrate(machine, data, tolerances, quiet=True, **TINY, **sections, **options)
+
+
+@pytest.fixture(scope="module")
+def delta(tmp_path_factory):
+    return calibrate("own file", out=tmp_path_factory.mktemp("front") / "results")
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_shell_gives_the_same_numbers(case, tmp_path):
+    study = calibrate(case)
+    text = study.to_toml(tmp_path / "project")
+    path = tmp_path / "project" / "study.toml"
+    assert path.read_text() == text
+    finished = run_experiment(load(path)[1], path.parent, tmp_path / "results")
+    for name, table in finished.results.tables.items():
+        pd.testing.assert_frame_equal(table, study.tables[name], check_exact=True, obj=name)
+
+
+def test_a_study_says_what_it_found(delta, tmp_path):
+    assert delta.summary["headline"] in repr(delta)
+    assert delta.best.name == "everything"
+    assert delta["everything"].parameters.equals(delta.best.parameters)
+    assert "<table" in delta._repr_html_()
+    assert "<html" in delta.page(tmp_path / "report.html").read_text()[:200]
+    assert set(delta.best.posterior.children) >= {"posterior", "observed_data", "log_likelihood"}
+    with pytest.raises(bc.InputError, match="did you mean 'everything'"):
+        delta["everythin"]
+
+
+def test_results_loaded_later_are_the_same(delta):
+    again = bc.load_results(str(delta.folder), trust=True)
+    assert isinstance(again, bc.StudyResult)
+    pd.testing.assert_frame_equal(again.best.parameters, delta.best.parameters)
+    with pytest.raises(bc.InputError, match="loaded results"):
+        again.to_toml()
+
+
+def test_a_calibrated_machine_predicts_what_it_was_commanded(delta, monkeypatch, tmp_path):
+    monkeypatch.setattr(type(delta.best), "machine", property(lambda one: force(one)))
+    commands = pd.DataFrame({"s_1_mm": [250.0, 240.0], "s_2_mm": [250.0, 250.0], "s_3_mm": [250.0, 260.0]})
+    found = delta.best.predict(commands)
+    back = delta.best.command(found[["pose", "x_mm", "y_mm", "z_mm"]])
+    np.testing.assert_allclose(back[list(commands)], commands, atol=1e-6)
+    accuracy = delta.best.tool_accuracy(poses=16)
+    assert list(accuracy.index) == ["x", "y", "z"]
+    assert (accuracy["standard"] < accuracy["expanded"]).all()
+    assert [path.name for path in delta.best.export(tmp_path / "out")]
+
+
+def force(variant):
+    return bc.load_calibrated(variant.study.folder, variant.name, force=True, trust=True)
+
+
+def test_the_next_pose_is_asked_of_what_was_calibrated():
+    study = calibrate("own file")
+    found = bc.next_pose(study, {"x": 0.05, "z": 0.05}, 20, quiet=True)
+    assert found.summary["headline"] in repr(found)
+    assert found.folder.name == "next"
+    assert 'study = "study.toml"' in (found.folder.parents[1] / "next.toml").read_text()
+
+
+SCRIPT = """
+import numpy as np
+import bayescal as bc
+
+HOME = 10.0
+def stretch(v):
+    return HOME + v
+
+class Slide(bc.ReadingMachine):
+    parameters = [bc.ParameterBlock("o", (0.0,), per_leg=False)]
+    coordinates = [bc.Coordinate("x", "mm", 0.0, 50.0)]
+    channels = [bc.Channel("scale", "mm"), bc.Channel("laser", "mm", external=True)]
+
+    def read(self, parameters, v, given):
+        away = v[..., 0] - parameters["o"]
+        return np.stack(np.broadcast_arrays(stretch(away), stretch(v[..., 0])), axis=-1)
+
+data = bc.simulate(Slide, {"scale": 0.001, "laser": 0.01}, {"o": 0.5}, 6)
+study = bc.calibrate(Slide(), data, {"o": 0.5}, quiet=True, sampler={"walkers": 24, "burn_in": 20, "steps": 60})
+print("mean", float(study.best.parameters["mean"][0]), float(data.truth["true"][0]))
+"""
+
+
+def test_a_class_of_a_script_is_taken_with_what_it_uses(tmp_path):
+    path = tmp_path / "slide_script.py"
+    path.write_text(SCRIPT)
+    done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    lines = [line for line in done.stdout.splitlines() if line.startswith("mean")]
+    assert len(lines) == 1  # the script was run once
+    mean, truth = map(float, lines[0].split()[1:])
+    assert abs(mean - truth) < 5 * 0.01 / np.sqrt(6)
+
+
+# --- what is refused -------------------------------------------------------------------------------------------------
+
+
+def faulty(change, noise=None):
+    machine, own, tolerances = CASES["own file"]
+    data = bc.simulate(machine, own, tolerances, 8, seed=2)
+    return bc.calibrate(
+        machine, bc.Data(change(data.table.copy()), own if noise is None else noise), tolerances, quiet=True
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda t: t.drop(columns="s_2_mm"), r"no column of channel 's\[2\]', expected s_2_"),
+        (lambda t: t.rename(columns={"s_1_mm": "s_1_kg"}), r"no column of channel 's\[1\]', expected s_1_"),
+        (lambda t: t.assign(pose="A"), "stands already"),
+        (lambda t: t.head(0), "found no rows, expected some"),
+        (lambda t: t.assign(**dict.fromkeys([c for c in t if c.endswith("_mm")], np.nan)), "found no reading"),
+    ],
+    ids=["missing channel", "wrong unit", "one name twice", "no rows", "nothing but NaN"],
+)
+def test_a_faulty_table_is_refused_in_one_line(change, said):
+    with pytest.raises(bc.InputError, match=said) as caught:
+        faulty(change)
+    assert "\n" not in str(caught.value)
+    assert "/tmp" not in str(caught.value)
+
+
+class Empty(bc.ReadingMachine):
+    pass
+
+
+def test_a_class_without_read_and_an_unknown_channel_are_refused():
+    with pytest.raises(bc.InputError, match=r"^machine.toml: kind: .*without read"):
+        bc.load_machine(Empty)
+    with pytest.raises(bc.InputError, match="sensor 'motor': unknown here"):
+        faulty(lambda t: t, {"motor": 1.0})
+
+
+@pytest.mark.runs
+@pytest.mark.parametrize("page", ["README.md", "docs/howto/python.md"])
+def test_the_lines_of_a_page_run_as_they_stand(page, tmp_path, monkeypatch, capsys):
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    monkeypatch.chdir(tmp_path)
+    code = re.search(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL).group(1)
+    assert page != "README.md" or len(code.splitlines()) <= 12
+
+    namespace: dict = {}
+    exec(code, namespace)
+    assert namespace["study"].best.name in namespace["study"].variants
+    assert "standard uncertainty of the tool" in capsys.readouterr().out
+    if page == "README.md":
+        assert namespace["study"].summary["title"] in (tmp_path / "report.html").read_text()
+        assert list((tmp_path / "delta_calibrated").iterdir())
