@@ -138,7 +138,7 @@ def _list_sources(found: type) -> tuple[str, dict[str, bytes]]:
             f"class {found.__name__}: found no file that it stands in, expected one: write it to a file beside the "
             "notebook and import it from there"
         )
-    local = {one.name: one for one in find_local_imports(path, path.parent).values()}
+    local = {one.name: one for one in find_local_imports(path).values()}
     content = path.read_bytes()
     if found.__module__ == "__main__":  # a script is not run again for the sake of a class
         return f"{path.stem}.py", {f"{path.stem}.py": _extract(content.decode(), found.__name__).encode()} | {
