@@ -86,7 +86,6 @@ TOGETHER = """
 name = "together"
 title = "Noise by group, model error, functions and outliers"
 free = {few}
-common = {few}
 robust = 4.0
 
 [unknown_noise]
@@ -181,6 +180,7 @@ class Readings:
     coordinates: tuple[str, ...] = ("x_mm", "y_mm", "z_mm")
     n_poses: int = 16
     turns: bool = False
+    recheck: tuple[object, ...] = ()
 
     def write(self, folder: Path) -> Written:
         """Write the machine, its readings and all configs."""
@@ -189,7 +189,7 @@ class Readings:
         asked = NEXT.format(variant="whole", required=self.required, limit=1.0) + "\n[candidates]\ncount = 20\n"
         _write_questions(folder, "whole", asked, drift, {"readings": ["data/readings.csv"]})
         commands = folder / "results" / "machine" / "commands_whole.csv"
-        return Written(folder, "whole", folder / "together.toml", commands, self.coordinates)
+        return Written(folder, "whole", folder / "together.toml", commands, self.coordinates, self.recheck)
 
     def prepare(self, folder: Path) -> None:
         """Write the machine, its readings, the study and that of all errors together."""
@@ -276,11 +276,11 @@ READINGS = {
     "sliding platform": Readings(
         (studies.EXPERIMENTS / "sliding_star" / "machine.toml").read_text(),
         _noise({"s": 1.0, "x_V": 10.0, "y_V": 10.0}, {"phi_V": 2.0}),
-        _normal(l=0.3, **{'"beta[1]"': 0.0005}),
+        _normal(l=0.3, y_P=0.005),
         own="s",
         few='["l"]',
         required="x_V",
-        drift='symbols = ["l"]',
+        drift='symbols = ["l"]\nper_leg = false',
         more="\n[workspace]\nx = [-50.0, 250.0]\ny = [-150.0, 150.0]\nphi = [120.0, 150.0]\n",
         coordinates=("x_mm", "y_mm", "phi_rad"),
     ),
@@ -290,7 +290,7 @@ READINGS = {
         _normal(l=0.01, s0=0.5),
         own="s",
         few='["s0"]',
-        drift='symbols = ["s0"]',
+        drift='symbols = ["s0"]\nper_leg = false',
         beside=lambda folder: shutil.copy(calibrations.OWN_MACHINE / "linear_delta.py", folder),
     ),
     "arm": Readings(
@@ -299,7 +299,7 @@ READINGS = {
         _normal(h=0.005, o=0.1),
         own="encoder",
         few='["o"]',
-        drift='symbols = ["o"]',
+        drift='symbols = ["o"]\nper_leg = false',
         beside=lambda folder: shutil.copy(own_arm.__file__, folder),
         coordinates=("q1_rad", "q2_rad", "q3_rad"),
         turns=True,
@@ -310,11 +310,12 @@ READINGS = {
         _normal(l=0.3, o=0.1, e=0.5),
         own="motor",
         few='["l", "o"]',
-        drift='symbols = ["o"]',
+        drift='symbols = ["o"]\nper_leg = false',
         given="\n[given]\ntemperature_c = [10.0, 30.0]\n",
         beside=lambda folder: (folder / "five_bar.py").write_text(FIVE_BAR),
         coordinates=("x_mm", "y_mm"),
         turns=True,
+        recheck=("--shift-of", "o"),
     ),
 }
 
@@ -343,7 +344,6 @@ def write_printer(folder: Path) -> Written:
     known = known.replace('channels = ["motor"]', UNFORCED)
     (folder / "study.toml").write_text(known + PRINTER + SAMPLER.format(steps=40))
     together = TOGETHER.format(own="motor", few='["A_x", "A_y", "A_z"]', scale=0.1, function="scale_deg = 5.0")
-    together = together.replace('common = ["A_x", "A_y", "A_z"]\n', "")
     known = re.sub(r"(?ms)^\[unknown_noise\].*?^\[", "[", known)
     (folder / "together.toml").write_text(known + together + SAMPLER.format(steps=6))
     asked = NEXT.format(variant="rigid", required="x", limit=50.0) + "\n[candidates]\ncount = 20\n"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -68,7 +68,7 @@ def compute_calibration(inputs: CalibrationInputs, run: Run) -> Results:
         tables["sensitivity"] = tabulate_widths(fits, widths, factors)
     summary = summarise(inputs, tables)
     slip = find_calibration_slip(one.suspicion() for one in inputs.variants.values())
-    summary |= {} if slip is None else {"slip": asdict(slip)}
+    summary |= {} if slip is None else {"slip": slip.record()}
     return Results(summary, tables, {**_list_files(fits), **keep_machine(inputs)})
 
 

@@ -63,7 +63,7 @@ def compute_next(inputs: NextInputs) -> Results:
             ),
         }
         summary = _summarise(inputs, state, best, float(probabilities.max()), ahead)
-        return Results(summary if inputs.slip is None else summary | {"slip": asdict(inputs.slip)}, tables)
+        return Results(summary if inputs.slip is None else summary | {"slip": inputs.slip.record()}, tables)
 
 
 # --- what is known -----------------------------------------------------------------------------------------------

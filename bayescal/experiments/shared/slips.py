@@ -9,7 +9,7 @@ the list of what may have happened to columns of numbers.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import combinations
 from typing import Annotated, Any, Literal
 
@@ -111,6 +111,10 @@ class FoundSlip:
     def say(self) -> str:
         """Return it in words."""
         return f"the data {_say_factor(self.factor)} if corrected: {self.text}"
+
+    def record(self) -> dict[str, str | float | None]:
+        """Return it for a summary, where an infinite gain is none."""
+        return {**asdict(self), "gain": self.gain if np.isfinite(self.gain) else None}
 
 
 def _say_factor(factor: float | None) -> str:

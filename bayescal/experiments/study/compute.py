@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -66,7 +66,7 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
     summary, files = _summarise(inputs, posteriors)
     slip = find_study_slip(inputs)
     if slip is not None:
-        summary["slip"] = asdict(slip)
+        summary["slip"] = slip.record()
     before = {
         "ranking": tabulate_ranking(summary, compare_variants({name: fit.left_out for name, fit in free.items()})),
         "parameters": tabulate_parameters(summary),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -69,3 +70,14 @@ def test_a_denied_slip_is_said_and_not_refused(tmp_path, denied, refused):
     assert (statement.level, statement.lead) == ("warning", "Data")
     assert "rows seem to be shifted by one" in statement.text
     assert "The config denies that" in statement.text
+
+
+def test_a_slip_without_which_nothing_fits_is_written():
+    """Its gain is infinite, which a summary cannot hold."""
+    found = FoundSlip("unit", "readings of s in µm", np.inf, None).record()
+    assert json.loads(json.dumps(found, allow_nan=False)) == {
+        "fault": "unit",
+        "text": "readings of s in µm",
+        "gain": None,
+        "factor": None,
+    }

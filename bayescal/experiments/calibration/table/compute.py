@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import numpy as np
 
 from bayescal.errors import NumericalError
@@ -38,7 +36,7 @@ def compute_table(inputs: TableInputs, run: Run) -> Results:
     actuators = inputs.actuators.channels
     text = format_polynomial(table.polynomial, inputs.actuators.names, [one.unit for one in actuators])
     summary, slip = summarise(inputs, table, problems), find_calibration_slip([inputs.variant.suspicion()])
-    summary |= {} if slip is None else {"slip": asdict(slip)}
+    summary |= {} if slip is None else {"slip": slip.record()}
     return Results(summary, tabulate(inputs, table), {POLYNOMIAL_FILE: text})
 
 
