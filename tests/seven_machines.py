@@ -13,8 +13,10 @@ import numpy as np
 import own_arm
 import studies
 
+from bayescal.data.simulation import build_twin, format_survey, simulate_survey
 from bayescal.experiments.calibration.simulate import read_simulation, simulate
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.simulation.load import load_simulation
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.kinematics import guess_home_pose
 from bayescal.machines.read import load_mechanism
@@ -398,8 +400,13 @@ def write_telescope(folder: Path) -> Written:
 
 
 def write_hexaglide(folder: Path) -> Written:
-    """Write the shipped hexaglide with few of its poses and parameters."""
+    """Write the shipped hexaglide with few of its parameters, surveyed again with these alone off nominal."""
     shutil.copytree(studies.EXPERIMENTS / "hexaglide", folder)
+    twin = folder / "simulate.toml"
+    twin.write_text(re.sub(r"(?m)^(a_y|a_z|b_x|u_z) = .*\n", "", twin.read_text()))
+    config = load_simulation(twin)
+    survey = simulate_survey(build_twin(config, folder), np.random.default_rng(config.seed))
+    studies.write_texts(folder / "data", format_survey(survey, config.origin))
     path = folder / "study.toml"
     text = path.read_text().replace('free = ["a_y", "a_z", "b_x", "l", "u_y", "u_z"]', 'free = ["l", "u_y"]')
     path.write_text(

@@ -5,6 +5,7 @@ Each machine is calibrated once, tiny, and all uses take that result.
 
 from __future__ import annotations
 
+import html
 import json
 import re
 from collections.abc import Callable, Iterator
@@ -228,7 +229,8 @@ def export(use: Use) -> None:
         assert np.isfinite(pd.read_csv(covariance[0], comment="#", index_col=0).to_numpy(dtype=float)).all()
     before = sorted(use.out.iterdir())
     for one in set(OF_LEGS.values()) - set(named):
-        code, said, complaint = use.call("export", use.place.results, *use.of_machine, "--format", one)
+        options = (*use.of_machine, "--format", one, "--out", use.out / one)
+        code, said, complaint = use.call("export", use.place.results, *options)
         assert (code, said, complaint.count("\n")) == (2, "", 1), complaint
     assert sorted(use.out.iterdir()) == before
 
@@ -241,7 +243,7 @@ def certify(use: Use) -> None:
     numbers = [*list_numbers(found["standard_uncertainty"]), *list_numbers(found["expanded_uncertainty"])]
     assert len(numbers) > 5
     assert np.isfinite(numbers).all()
-    page = path.read_text()
+    page = html.unescape(re.sub(r"<[^>]+>", "", path.read_text()))
     _, _, without = use.cell.partition("; no ISO figures: ")
     assert ("ISO 9283 pose accuracy AP" in page) == ("with figures of ISO" in use.cell) == (not without)
     assert without in page
