@@ -24,7 +24,7 @@ N_VERIFICATION = 3
 SEED = 20
 
 NUMBER = re.compile(r"-?\d+\.\d+(?:e[+-]?\d+)?")
-PROGRESS = re.compile(r"[A-Za-z -]+: \d+ of \d+ done, \d+ s(, about \d+ s left)?")
+PROGRESS = re.compile(r"[A-Za-z -]+: \d+ of \d+ done, \d+ s(, about \d+ s left)?(; .*)?")
 
 SIMULATION = """
 kind = "simulation"
