@@ -257,10 +257,6 @@ class ReadingModel(ABC):
         """
         del poses, given, free
 
-    def frame_parameters(self) -> tuple[str, ...]:
-        """Names of the parameters that define the frames of base and platform: given, where no instrument does it."""
-        return ()
-
     def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
         """Return the names of the parameters that some sensors were found to depend on, in the layout's order."""
         seen = self._seen[self.select(channels)].any(axis=0)

@@ -263,10 +263,6 @@ class Placed(ReadingModel):
         """Check as the machine does."""
         self.whole.check_given(poses, given, free)
 
-    def frame_parameters(self) -> tuple[str, ...]:
-        """Return those of the machine."""
-        return self.whole.frame_parameters()
-
     def rotation(self, pose: Array) -> Array:
         """Return the machine's."""
         return self.whole.rotation(pose)
