@@ -18,7 +18,6 @@ class StarMachine(ReadingMachine):
     def __init__(self, whole: SlidingPlatform) -> None:
         self.parameters = whole.layout.blocks
         self.coordinates, self.channels = whole.coordinates, whole.channels
-        self.frame_parameters = whole.frame_parameters()
         self.commanded, self.tool_channels = ["s"], whole.tool_channels
         self.sign = np.where(whole.forward, 1.0, -1.0)
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison
+from bayescal.identifiability.alignment import Alignment, find_alignment
 from bayescal.machines.readings import Given, ReadingModel, Readings
 from bayescal.numerics.geometry import Array
 
@@ -40,7 +41,8 @@ class Slopes:
 
     ``noise`` (K, K): its covariance, zero of channels without any; ``by_pose`` (W, K, q) and ``by_parameters``
     (W, K, D) of the readings, ``tool_by_pose`` (W, t, q) and ``tool_by_parameters`` (W, t, D) of the tool; ``moves``
-    (m, D): what the posterior's coordinates move; ``half`` (q,): half widths of the workspace.
+    (m, D): what the posterior's coordinates move; ``half`` (q,): half widths of the workspace; ``alignment`` of base
+    and tool, which mends errors of the tool, or None.
     """
 
     pose: Array
@@ -52,6 +54,7 @@ class Slopes:
     moves: Array
     half: Array
     places: np.ndarray
+    alignment: Alignment | None = None
 
     @cached_property
     def seen(self) -> Array:
@@ -59,9 +62,16 @@ class Slopes:
         return self.by_parameters @ self.moves.T
 
     @cached_property
-    def tool_seen(self) -> Array:
-        """Derivatives of the tool by the same, (W, t, m)."""
+    def _tool_seen(self) -> Array:
         return self.tool_by_parameters @ self.moves.T
+
+    def mislocate(self, located: Array, seen: Array) -> Array:
+        """Return what the tool errs by the posterior's coordinates, (W, t, m), after any alignment.
+
+        It is located by derivatives (W, t, k) from readings with the derivatives (W, k, m) by these coordinates.
+        """
+        error = self._tool_seen - located @ seen
+        return error if self.alignment is None else self.alignment.remove(error)
 
     @property
     def white(self) -> Array:
@@ -77,13 +87,15 @@ class Slopes:
         told = np.linalg.matrix_rank(slope * self.half) == slope.shape[-1]
         rows = seen - slope @ (gain @ seen)
         located = self.tool_by_pose @ gain
-        tool = self.tool_seen - self.tool_by_pose @ (gain @ seen)
+        tool = self.mislocate(located, seen)
         unknown = ~told[:, None]
         noise = np.where(unknown, np.nan, (located**2).sum(axis=-1))
         return View(self.pose, rows, np.where(unknown[..., None], np.nan, tool), noise, located)
 
 
-def differentiate_poses(posterior: CalibrationPosterior, half: Array, y: Array, pose: Array, given: Given) -> Slopes:
+def differentiate_poses(
+    posterior: CalibrationPosterior, half: Array, y: Array, pose: Array, given: Given, aligned: bool = False
+) -> Slopes:
     """Return what moves readings and tool at poses (W, q) of one machine, of which any channels make a `View`.
 
     Parameters
@@ -95,17 +107,19 @@ def differentiate_poses(posterior: CalibrationPosterior, half: Array, y: Array, 
         The machine and its noise, in the posterior's coordinates.
     pose : ndarray, shape (W, q)
     given : mapping of str to ndarray, shape (W,)
+    aligned : bool
+        Whether errors of the tool are those that remain after base and tool were aligned over these poses.
     """
     theta, model = posterior.theta(y[None])[0], posterior.likelihood.model
     here = linearise_near(model, theta, pose, given)
     good = np.isfinite(here.by_pose).all(axis=(1, 2)) & np.isfinite(here.by_parameters).all(axis=(1, 2))
     pose = pose[good]
-    _, by_pose, direct = turn_tool(model, theta, pose)
+    place, by_pose, direct = turn_tool(model, theta, pose)
+    alignment = find_alignment(model, place, pose) if aligned else None
     here = Readings(here.values[good], here.by_pose[good], here.by_parameters[good])
     moves, places = posterior.around(y)[1].T, np.flatnonzero(good)
-    return Slopes(
-        pose, typical_covariance(posterior, y), here.by_pose, here.by_parameters, by_pose, direct, moves, half, places
-    )
+    noise = typical_covariance(posterior, y)
+    return Slopes(pose, noise, here.by_pose, here.by_parameters, by_pose, direct, moves, half, places, alignment)
 
 
 def linearise_near(model: ReadingModel, theta: Array, pose: Array, given: Given) -> Readings:

@@ -53,6 +53,8 @@ class Variant:
     start : ndarray, shape (P, q)
         Where the machine as expected explains the readings best.
     workspace : Workspace
+    aligned : bool
+        Whether accuracy is the error that remains after base and tool were aligned over the workspace.
     """
 
     config: CalibrationVariantConfig
@@ -66,6 +68,7 @@ class Variant:
     verification: np.ndarray
     start: Array
     workspace: Workspace
+    aligned: bool = False
 
     @property
     def name(self) -> str:

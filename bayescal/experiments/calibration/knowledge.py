@@ -146,7 +146,7 @@ def differentiate(
     What the machine has to know of each pose is the median of the data's where nothing is given.
     """
     given = typical_given(variant.data.given, len(pose)) if given is None else given
-    return differentiate_poses(posterior, variant.workspace.half, y, pose, given)
+    return differentiate_poses(posterior, variant.workspace.half, y, pose, given, variant.aligned)
 
 
 def _rank(

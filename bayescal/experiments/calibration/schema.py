@@ -403,6 +403,8 @@ class CalibrationAuditConfig(ExperimentConfig):
     """Where it is planned to measure."""
     requirements: dict[str, Positive] = Field(default={})
     """By coordinate: largest rms error over the workspace [units]."""
+    aligned: bool = Field(default=False, exclude_if=lambda value: not value)
+    """Accuracy of variants, requirements and sets is the error that remains after base and tool were aligned anew."""
     variants: Annotated[list[AuditVariantConfig], Field(min_length=1)]
     """Sets of sensors to judge."""
     next: NextConfig = NextConfig()

@@ -224,6 +224,26 @@ class ReadingModel(ABC):
         """Whether the machine says what has to be accurate; otherwise its coordinates stand in for it."""
         return True
 
+    @property
+    def places_tool(self) -> bool:
+        """Whether the machine says where its tool is: up to three of its numbers are lengths, along x, y and z."""
+        return self.states_tool and 0 < len(self.tool_lengths) <= 3
+
+    @cached_property
+    def tool_lengths(self) -> list[int]:
+        """Which of the tool's numbers are x, y and z."""
+        return [k for k, one in enumerate(self.tool_channels) if one.unit == "mm"]
+
+    @cached_property
+    def tool_turned(self) -> list[int]:
+        """Which of the tool's numbers are its rotation vector; none where it has none."""
+        return [k for k, one in enumerate(self.tool_channels) if one.rotation][:3]
+
+    @property
+    def tells_rotation(self) -> bool:
+        """Whether the machine says how its tool is turned."""
+        return bool(self.tool_turned) or type(self).rotation is not ReadingModel.rotation
+
     def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
         """Raise InputError where what `given` names cannot be so, or does not tell free parameters; by default nowhere.
 
@@ -236,10 +256,6 @@ class ReadingModel(ABC):
             Names of the free parameters.
         """
         del poses, given, free
-
-    def frame_parameters(self) -> tuple[str, ...]:
-        """Names of the parameters that define the frames of base and platform: given, where no instrument does it."""
-        return ()
 
     def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
         """Return the names of the parameters that some sensors were found to depend on, in the layout's order."""
@@ -370,6 +386,13 @@ class ReadingModel(ABC):
         """
         m = max(1, self.pose_units.count("mm"))
         return np.broadcast_to(np.eye(m), (*pose.shape[:-1], m, m))
+
+    def rotation_in_space(self, pose: Array) -> Array:
+        """Return the same for a platform in a plane or on a line, too, shape (..., 3, 3)."""
+        found = self.rotation(np.nan_to_num(pose))
+        result = np.zeros((*found.shape[:-2], 3, 3), dtype=found.dtype) + np.eye(3)
+        result[..., : found.shape[-1], : found.shape[-1]] = found
+        return result
 
     @cached_property
     def names(self) -> tuple[str, ...]:

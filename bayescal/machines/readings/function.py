@@ -40,8 +40,6 @@ class ReadingMachine(ABC):
         Columns of the data that `read` needs beside coordinates: a temperature, a commanded value.
     commanded : sequence of str
         Channels, or kinds of them, that a controller can command; all that are not external where it is empty.
-    frame_parameters : tuple of str
-        Names of parameters that only say where a frame is, such as ``a_x[1]``.
     member : str
         What one of many is called in texts: leg, line, joint, belt.
     tool_channels : sequence of Channel
@@ -51,7 +49,6 @@ class ReadingMachine(ABC):
     Config: ClassVar[type[Section]] = Section
     given: tuple[str, ...] = ()
     commanded: Sequence[str] = ()
-    frame_parameters: tuple[str, ...] = ()
     member: str = "leg"
     tool_channels: Sequence[Channel] = ()
     parameters: Sequence[ParameterBlock]
@@ -217,10 +214,6 @@ class FunctionModel(ReadingModel):
     def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
         """Check as the machine does."""
         self.machine.check_given(poses, given, free)
-
-    def frame_parameters(self) -> tuple[str, ...]:
-        """Return what the machine says of its frames."""
-        return tuple(self.machine.frame_parameters)
 
     # --- readings ------------------------------------------------------------------------------------------------
 

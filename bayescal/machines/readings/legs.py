@@ -156,14 +156,6 @@ class Legs(ReadingModel):
         """x, y and z of the tool's centre, or the pose."""
         return POSE_CHANNELS if self.tool_point is None else tuple(Channel(name, "mm") for name in POSE[:3])
 
-    def frame_parameters(self) -> tuple[str, ...]:
-        """Return six coordinates each of joints 1, 2 and 3 of base and platform: a plane, a line in it, a point on it.
-
-        They place a frame where their hold leaves no motion; those are chosen that the nominal points determine best.
-        """
-        points = {"a": self.machine.mechanism.base_points, "b": self.machine.mechanism.platform_points}
-        return tuple(name for symbol, value in points.items() for name in _choose_frame(symbol, value[:3]))
-
     # --- readings ------------------------------------------------------------------------------------------------
 
     @cached_property
@@ -338,20 +330,3 @@ def divide_closure(actuators: Array, rows: Array) -> Array:
     good = np.isfinite(actuators).all(axis=(-1, -2), keepdims=True)
     inverse = np.where(good, np.linalg.inv(np.where(good, actuators, np.eye(n))), np.nan)
     return np.asarray(inverse @ rows)
-
-
-def _choose_frame(symbol: str, points: Array) -> tuple[str, ...]:
-    """Return the six coordinates of three points (3, 3) that move most independently with their frame."""
-    arms = points - points.mean(axis=0)
-    size = float(np.linalg.norm(arms, axis=1).max())
-    motion = np.concatenate([np.tile(np.eye(3), (3, 1)), -skew_matrix(arms / size).reshape(9, 3)], axis=1)
-    chosen: list[int] = []
-    for _ in range(motion.shape[1]):
-        # pivoted elimination: the coordinate that moves most in what the chosen ones leave free
-        length = np.linalg.norm(motion, axis=1)
-        length[chosen] = 0.0
-        best = int(np.argmax(np.round(length, 9)))
-        along = motion[best] / np.linalg.norm(motion[best])
-        motion = motion - np.outer(motion @ along, along)
-        chosen.append(best)
-    return tuple(f"{symbol}_{'xyz'[k % 3]}[{k // 3 + 1}]" for k in sorted(chosen))

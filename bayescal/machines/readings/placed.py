@@ -254,13 +254,14 @@ class Placed(ReadingModel):
         """What the machine says."""
         return self.whole.states_tool
 
+    @property
+    def tells_rotation(self) -> bool:
+        """What the machine says."""
+        return self.whole.tells_rotation
+
     def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
         """Check as the machine does."""
         self.whole.check_given(poses, given, free)
-
-    def frame_parameters(self) -> tuple[str, ...]:
-        """Return those of the machine."""
-        return self.whole.frame_parameters()
 
     def rotation(self, pose: Array) -> Array:
         """Return the machine's."""
@@ -273,47 +274,25 @@ class Placed(ReadingModel):
 
     # --- the tool's pose ---------------------------------------------------------------------------------------------
 
-    @cached_property
-    def _lengths(self) -> list[int]:
-        """Which of the tool's numbers are x, y and z."""
-        return [k for k, one in enumerate(self.tool_channels) if one.unit == "mm"]
-
-    @cached_property
-    def _turned(self) -> list[int]:
-        """Which of the tool's numbers are its rotation vector; none where it has none."""
-        return [k for k, one in enumerate(self.tool_channels) if one.rotation][:3]
-
-    @property
-    def tells_rotation(self) -> bool:
-        """Whether the machine says how its tool is turned."""
-        return bool(self._turned) or type(self.whole).rotation is not ReadingModel.rotation
-
-    def _rotate(self, pose: Array) -> Array:
-        """Return how the tool is turned by `ReadingModel.rotation`, in space, (..., 3, 3)."""
-        found = self.whole.rotation(np.nan_to_num(pose))
-        result = np.zeros((*found.shape[:-2], 3, 3), dtype=found.dtype) + np.eye(3)
-        result[..., : found.shape[-1], : found.shape[-1]] = found
-        return result
-
     def _place_tool(self, numbers: Array, pose: Array) -> Array:
         """Return position and rotation vector (..., 6) from the tool's numbers (..., m) at poses (..., q)."""
         found = np.zeros((*numbers.shape[:-1], len(TOOL)))
-        found[..., : len(self._lengths)] = numbers[..., self._lengths]
-        if self._turned:
-            found[..., 3:] = numbers[..., self._turned]
+        found[..., : len(self.tool_lengths)] = numbers[..., self.tool_lengths]
+        if self.tool_turned:
+            found[..., 3:] = numbers[..., self.tool_turned]
         elif self.tells_rotation:
-            found[..., 3:] = rotation_vector(self._rotate(pose))
+            found[..., 3:] = rotation_vector(self.rotation_in_space(pose))
         return np.where(np.isfinite(pose).all(axis=-1, keepdims=True), found, np.nan)
 
     def _linearise_tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
         """Return position and rotation vector (..., 6) with their derivatives, by the pose and by the parameters."""
         numbers, *slopes = self.whole.tool(theta, pose)
-        tool, places = self._place_tool(numbers, pose), self._lengths + self._turned
-        rows = [*range(len(self._lengths)), *range(3, 3 + len(self._turned))]
+        tool, places = self._place_tool(numbers, pose), self.tool_lengths + self.tool_turned
+        rows = [*range(len(self.tool_lengths)), *range(3, 3 + len(self.tool_turned))]
         by_pose, by_parameters = (np.zeros((*tool.shape, one.shape[-1])) for one in slopes)
         by_pose[..., rows, :], by_parameters[..., rows, :] = (one[..., places, :] for one in slopes)
-        if self.tells_rotation and not self._turned:
-            turned = rotation_vector(self._rotate(pose[..., None, :] + 1j * STEP * np.eye(pose.shape[-1])))
+        if self.tells_rotation and not self.tool_turned:
+            turned = rotation_vector(self.rotation_in_space(pose[..., None, :] + 1j * STEP * np.eye(pose.shape[-1])))
             by_pose[..., 3:, :] = np.swapaxes(turned.imag, -1, -2) / STEP
         return tool, by_pose, by_parameters
 
@@ -396,7 +375,7 @@ def place(machine: ReadingModel, instruments: Mapping[str, Instrument]) -> Readi
     placed = []
     for name, one in instruments.items():
         with name_faults(f"instruments.{name}"):
-            if not machine.states_tool or not 0 < len(bare._lengths) <= 3:
+            if not machine.places_tool:
                 raise InputError(
                     f"sees where the tool is, machine {title!r} does not say it; expected tool_channels of its class, "
                     "up to three in mm"

@@ -65,7 +65,9 @@ def _noise(model: ReadingModel, place: int, sensors: Mapping[str, ReadingSensorC
     return config.noise_arcsec * ARCSECOND
 
 
-def free_parameters(model: ReadingModel, names: Iterable[str], tolerances: ReadingTolerancesConfig) -> FreeParameters:
+def free_parameters(
+    model: SlidingPlatform, names: Iterable[str], tolerances: ReadingTolerancesConfig
+) -> FreeParameters:
     """Return what a calibration with some sensors frees: what they see, but for what defines the frames.
 
     An instrument beside the machine would define the base frame too; here it is taken to be set up in that frame.

@@ -44,9 +44,11 @@ def names_of(inputs, found, place):
     return [one.name for one, there in zip(inputs.choices, found.sets[place], strict=True) if there]
 
 
-def test_a_set_is_as_good_as_an_audit_of_the_same_sensors_says(folder, read, no_pictures):
+@pytest.mark.parametrize("aligned", [False, True])
+def test_a_set_is_as_good_as_an_audit_of_the_same_sensors_says(aligned, folder, no_pictures):
     path = folder / "audit.toml"
     path.write_text(f"{path.read_text()}\n[sensor_choice]\n{ALL}\n")
+    calibrations.change(path, "seed = 4", f"seed = 4\naligned = {str(aligned).lower()}")
     done = run_experiment(load(path)[1], folder, folder / "out", quiet=True).results
     sets, accuracy = done.table("sensor_sets").set_index("sensors"), done.table("requirements")
     for variant, sensors in (("both", "s[1], s[2], s[3], cam_x, cam_y, height"), ("probe", "s[1], s[2], s[3], height")):
@@ -58,8 +60,10 @@ def test_a_set_is_as_good_as_an_audit_of_the_same_sensors_says(folder, read, no_
     best = best[best["n_sensors"] == 6].set_index("parameter")["sd"]
     np.testing.assert_allclose(best, told[best.index], rtol=1e-6)
     page = html.unescape((folder / "out" / "report.html").read_text()).replace("\xa0", " ")
-    assert "The fewest sensors that meet what is required: s[1], s[2], s[3], cam_x, cam_y and height, 6 of 6" in page
+    fewest = "s[1], s[2], s[3], cam_x, cam_y and height, 6 of 6"
+    assert (f"The fewest sensors that meet what is required: {fewest}" in page) != aligned
     assert "the machine's own sensors of the set do not tell where it stands in use" in page
+    assert ("All accuracies are after alignment" in page) == aligned
 
 
 def test_adding_and_exchanging_finds_the_best_of_all_sets(read):
@@ -114,6 +118,17 @@ def test_faulty_choices_are_one_line(case, read):
     choice, message = REFUSED[case]
     with pytest.raises(InputError, match=message):
         read(choice)
+
+
+def test_a_machine_without_a_tool_is_not_aligned(folder, call):
+    source = folder / "linear_delta.py"
+    lines = source.read_text().splitlines()
+    source.write_text("\n".join(line for line in lines if "self.tool_channels" not in line))
+    calibrations.change(folder / "audit.toml", "seed = 4", "seed = 4\naligned = true")
+    code, out, err = call("run", folder / "audit.toml", "--out", folder / "out", "--quiet")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "audit.toml: aligned: machine 'delta' does not say where its tool is; expected tool_channels" in err
+    assert not (folder / "out").exists()
 
 
 def test_exchanged_poses_tell_more_and_curves_fall(read):

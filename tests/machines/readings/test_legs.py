@@ -196,19 +196,6 @@ def test_encoders_do_not_see_where_the_base_stands(struts):
     np.testing.assert_allclose(struts.read(*moved)[..., :6], struts.read(theta, pose)[..., :6], atol=1e-9)
 
 
-@pytest.mark.parametrize("symbol", ["a", "b"])
-def test_given_frames_leave_no_motion(model, symbol):
-    names = [name for name in model.frame_parameters() if name.startswith(f"{symbol}_")]
-    assert len(set(names)) == 6
-    points = model.layout.take_vector(model.layout.nominal, symbol)
-    rows = []
-    for name in names:
-        axis, leg = "xyz".index(name[2]), int(name[4]) - 1
-        turn = np.cross(np.eye(3), points[leg] / 1000.0)[:, axis]
-        rows.append(np.concatenate([np.eye(3)[axis], turn]))
-    assert np.linalg.svd(np.array(rows), compute_uv=False)[-1] > 0.005
-
-
 # --- model errors ----------------------------------------------------------------------------------------------------
 
 

@@ -64,6 +64,11 @@ class AuditInputs:
 def read_audit(config: CalibrationAuditConfig, folder: Path) -> AuditInputs:
     """Return the inputs of an audit; InputError names the file, the variant, the pose, the coordinate."""
     model = read_machine(config, folder)
+    if config.aligned and not model.places_tool:
+        raise InputError(
+            f"aligned: machine {getattr(model, 'name', '')!r} does not say where its tool is; expected tool_channels "
+            "of its class, up to three in mm"
+        )
     noise = noise_of_channels(config.sensors, model)
     workspace = build_workspace(model, config.workspace, config.units)
     planned = plan_poses(config, folder, model, workspace)
@@ -124,6 +129,7 @@ def _build(
         np.zeros(len(planned.names), dtype=bool),
         planned.pose,
         workspace,
+        config.aligned,
     )
     values = _read(model, variant.posterior().sampling.start, planned)
     variant = replace(variant, data=replace(data, values=values))

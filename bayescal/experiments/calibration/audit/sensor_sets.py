@@ -181,7 +181,7 @@ def judge_set(sets: SensorSets, chosen: np.ndarray) -> SetAccuracy:
     covariance = information_of_rows(rows, np.ones(rows.shape[-1])).covariance
     gain = np.swapaxes(turned * at.half, -1, -2) / sizes[:, None] @ np.swapaxes(in_use, -1, -2)
     located = at.tool_by_pose @ gain
-    after = rms(at.tool_seen - located @ (white * at.seen[:, own]), covariance)
+    after = rms(at.mislocate(located, white * at.seen[:, own]), covariance)
     noise = np.sqrt((located**2).sum(axis=-1).mean(axis=0))
     error = np.hypot(after, noise)
     deviations = np.sqrt(np.diagonal(covariance))

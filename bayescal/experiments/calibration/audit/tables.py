@@ -183,6 +183,7 @@ def summarise(inputs: AuditInputs, tables: Mapping[str, pd.DataFrame]) -> dict[s
         "selection": None if selection is None else selection.method,
         "sensor_choice": _summarise_choice(inputs),
         "requirements": dict(config.requirements),
+        "aligned": config.aligned,
         "variants": {str(row.pop("variant")): plain(row) for row in tables["variants"].to_dict("records")},
     }
 

@@ -46,7 +46,8 @@ def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> 
 def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Statement]:
     """Return what was found, the most important first."""
     best = choose_best(tables)
-    found = [*_state_requirements(tables, summary), *_state_data(tables), *_state_ignorance(tables, summary["member"])]
+    found = [*_state_requirements(tables, summary), *_state_alignment(summary), *_state_data(tables)]
+    found += _state_ignorance(tables, summary["member"])
     found += [*state_sets(tables, summary), *state_next(tables, best, summary["units"])]
     return [*found, *_state_selected(tables, summary, best), *state_counts(tables, best)]
 
@@ -77,6 +78,11 @@ def _compare(row: Row, asked: Asked) -> str:
     if row["noise"] > row["limit"]:
         return f"{words}: the noise of its own sensors alone is too much, no calibration helps"
     return f"{words}, {format_percent(-row['margin'])} too much"
+
+
+def _state_alignment(summary: dict[str, Any]) -> list[Statement]:
+    text = "All accuracies are after alignment: one motion each of base and tool, the same at all poses, is no error."
+    return [Statement(text, "plain", "Frames")] if summary["aligned"] else []
 
 
 def _state_data(tables: dict[str, pd.DataFrame]) -> list[Statement]:
