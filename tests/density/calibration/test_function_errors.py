@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reading_machines import SETS, find_poses_of, sensors_of, small_posterior
+from reading_machines import find_poses_of, sensors_of, small_posterior
 from scipy.linalg import block_diag, null_space
 from scipy.stats import multivariate_normal
+from sliding_platforms import SETS
 
 from bayescal.density.calibration.functions import FunctionErrors, Travel
 from bayescal.density.calibration.likelihood import CalibrationPosterior
