@@ -240,7 +240,11 @@ def _run_one(shared: tuple[Setup, NoiseSweepConfig], noise: float) -> tuple[pd.D
     }
     plans = build_plans(setup.machine, setup.config, sensors)
     measured = measure(plans, setup.pose, setup.targets, config.calibrations, setup.rng(SWEEP))
-    found = simulate_all(setup, plans, measured, Run())
+    found = {
+        (plan.name, procedure): simulate(plans, plan, procedure, measured, setup.pose, setup.targets)
+        for plan in plans.plans
+        for procedure in PROCEDURES
+    }
     tables = list_errors(setup, found), list_steps(plans, found)
     for table in tables:
         table.insert(0, "angle_noise_arcsec", noise)

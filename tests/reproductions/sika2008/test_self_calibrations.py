@@ -16,8 +16,8 @@ from sika_problems import copy_tiny
 from sliding_platforms import make_content
 
 from bayescal.experiments.frame.identity import hash_identity, identify
-from bayescal.experiments.frame.load import load, load_experiment
-from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.run import check_experiment, run_experiment
 from bayescal.machines.read import build_sliding_platform
 from sika2008.documented import QUANTILE, cover, list_calibrabilities, list_steps, name_parts, ratio_of, rms_of
 from sika2008.machines import GEOMETRY, draw_candidate, lay_out
@@ -360,9 +360,9 @@ def test_calibrations_without_solution_are_a_numerical_failure(call, path):
 def test_committed_results_are_those_of_the_committed_config():
     """And what they say: the published pattern, and intervals that hold what they state."""
     experiment, results = SIKA / "calibrations.toml", SIKA.parents[1] / "results" / "sliding_star_calibrations"
-    kind, config = load(experiment)
+    config = load_experiment(experiment)
     provenance = json.loads((results / "provenance.json").read_text())
-    assert provenance["config_sha256"] == hash_identity(identify(config, SIKA, kind.files(config, SIKA)))
+    assert provenance["config_sha256"] == hash_identity(identify(config, SIKA, check_experiment(config, SIKA)[0]))
     summary = json.loads((results / "summary.json").read_text())
     assert all(row["reached"] for row in summary["judged"])
     assert all(0.85 <= row["share"] <= 0.95 for row in summary["coverage"])
