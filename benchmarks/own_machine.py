@@ -13,19 +13,19 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from telescope_problem import write_results
 
 import numpy as np
 
-from bayescal.reproductions.sika2008.reading_machine import draw_poses
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from function_machines import star_function
-from reading_machines import WORKSPACE, sliding_star
+from sliding_platforms import WORKSPACE, sliding_star
 
 REPEATS = 15
 AGREEMENT = 1e-11  # of the largest entry
@@ -42,7 +42,7 @@ def compare(n_machines: int, n_poses: int) -> dict[str, object]:
     """Time both, print and return the figures."""
     by_hand, rng = sliding_star(), np.random.default_rng(1)
     function = star_function(by_hand)
-    pose = draw_poses(by_hand, WORKSPACE.model_copy(update={"n_poses": n_poses}), rng)
+    pose = replace(WORKSPACE, n_poses=n_poses).draw(by_hand, rng)
     theta = by_hand.layout.nominal + 0.01 * rng.standard_normal((n_machines, 1, by_hand.layout.size))
     figures: dict[str, object] = {"machines": n_machines, "poses": n_poses, "rounds": len(function._all_steps.places)}
     for label, with_parameters in (("both", True), ("by_pose", False)):

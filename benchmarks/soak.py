@@ -42,7 +42,7 @@ from bayescal.report.pictures import Picture  # noqa: E402
 EXPERIMENTS = (
     "rr8096/figure5.toml",
     "yu2023/figure10.toml",
-    "sliding_star/calibrations.toml",
+    "sika2008/calibrations.toml",
     "yu2023/table8.toml",
     "audit/m2_hexapod_tracker.toml",
     "own_machine/study.toml",

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 from function_machines import point_on_lines
-from reading_machines import WORKSPACE, LinearModel, sliding_star
+from reading_machines import LinearModel
+from sliding_platforms import WORKSPACE, sliding_star
 
 from bayescal.density.calibration.functions import FunctionErrors, Travel
 from bayescal.density.calibration.joint_fit import JointFit
@@ -17,7 +18,6 @@ from bayescal.density.calibration.terms import Errors, ErrorTerm, ModelErrorTerm
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import LogNormalPrior, NormalPrior, Prior, UniformPrior
 from bayescal.machines.readings import ReadingModel
-from bayescal.reproductions.sika2008.reading_machine import draw_poses
 
 
 def measurements(values: np.ndarray, sd: np.ndarray | float, correlation: np.ndarray | None = None) -> Measurements:
@@ -145,7 +145,7 @@ def star_problem(seed: int = 3, n_poses: int = 10) -> tuple[CalibrationLikelihoo
     model = whole.pick(chosen)
     sd = np.repeat([1e-3, 5e-6], 4)
     theta = whole.layout.nominal + np.where(np.array(whole.layout.units) == "mm", 0.1, 1e-4) * rng.standard_normal(34)
-    pose = draw_poses(whole, WORKSPACE.model_copy(update={"n_poses": n_poses}), rng)
+    pose = replace(WORKSPACE, n_poses=n_poses).draw(whole, rng)
     data = measurements(model.read(theta, pose) + sd * rng.standard_normal((n_poses, 8)), sd)
     near = theta + np.where(np.array(whole.layout.units) == "mm", 1e-2, 1e-5) * rng.standard_normal((4, 34))
     return density(model, data, pose, 200.0), near

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from reading_machines import sliding_star
+from sliding_platforms import sliding_star
 
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings import Channel, Coordinate, FunctionModel, Parameters, ReadingMachine, SlidingPlatform

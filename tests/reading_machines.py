@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import null_space
 from scipy.optimize import least_squares
 from scipy.stats import multivariate_normal
+from sliding_platforms import WORKSPACE, sliding_star
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
@@ -18,46 +19,59 @@ from bayescal.density.calibration.terms import Errors, ErrorTerm
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
-from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings import Channel, Coordinate, Given, ReadingModel, Readings, SlidingPlatform
 from bayescal.machines.readings.base import NOTHING
-from bayescal.machines.readings.schema import PlanarPosesConfig, ReadingSensorConfig, ReadingTolerancesConfig
-from bayescal.reproductions.sika2008.reading_machine import build_sensors, draw_poses, free_parameters
-from bayescal.reproductions.sika2008.sensor_sets import SensorSet
-
-EXPERIMENT = Path(__file__).parents[1] / "experiments" / "sliding_star"
-TOLERANCES = ReadingTolerancesConfig(length_mm=0.3, angle_deg=0.05, zero_deg=2.0)
-SENSORS = {
-    "s": ReadingSensorConfig(noise_um=1.0),
-    "phi": ReadingSensorConfig(noise_arcsec=1.0),
-    "psi": ReadingSensorConfig(noise_arcsec=1.0),
-}
-WORKSPACE = PlanarPosesConfig(n_poses=12, position_mm=200.0, angle_deg=30.0)
-SETS = {4: ("s",), 8: ("s", "phi"), 12: ("s", "phi", "psi")}
+from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
 
-def workspace_volume(config: PlanarPosesConfig) -> float:
-    """Return the volume that poses may lie in, mm² rad."""
-    return float((2 * config.position_mm) ** 2 * 2 * np.radians(config.angle_deg))
+class Tolerances(NamedTuple):
+    """Standard deviations of lengths and places, of guide angles, of zeros of angle sensors, mm and rad."""
+
+    length: float
+    angle: float
+    zero: float
+
+    def scale(self, model: ReadingModel, names: Iterable[str]) -> np.ndarray:
+        """Return those of all parameters (D,): zero for what these sensors do not see, and for what defines frames."""
+        layout, free = model.layout, set(model.seen_parameters(names)) - set(model.frame_parameters())
+        kinds = [name.partition("[")[0] for name in layout.names]
+        angles = [self.zero if kind in ("phi0", "psi0") else self.angle for kind in kinds]
+        scale = np.where(np.array(layout.units) == "mm", self.length, angles)
+        return np.where(np.isin(layout.names, list(free)), scale, 0.0)
 
 
-def sliding_star() -> SlidingPlatform:
-    """Return the shipped machine of four legs."""
-    return read_sliding_platform(EXPERIMENT / "machine.toml")
+TOLERANCES = Tolerances(0.3, float(np.radians(0.05)), float(np.radians(2.0)))
 
 
-def star_of(n_legs: int) -> SlidingPlatform:
-    """Return the same with another number of legs, a turn's n-th apart."""
-    around = 2 * np.pi * np.arange(n_legs) / n_legs
-    ring = np.stack([np.cos(around), np.sin(around)], axis=1)
-    first, second = 100.0 * ring[:2]
-    along = (second - first) / np.linalg.norm(second - first)
-    own = np.array([along, [-along[1], along[0]]])
-    points = (100.0 * ring - first) @ own.T
-    home = np.array([*first, np.arctan2(along[1], along[0])])
-    ahead = np.full(n_legs, True)
-    legs = np.full(n_legs, 800.0)
-    return SlidingPlatform("star", 600.0 * ring, around + np.pi / 2, legs, points, -own @ first, home, ahead)
+def draw_machines(model: ReadingModel, scale: np.ndarray, rng: np.random.Generator, n: int) -> np.ndarray:
+    """Return machines (n, D) within standard deviations (D,) of nominal."""
+    theta, free = np.tile(model.layout.nominal, (n, 1)), np.flatnonzero(scale)
+    theta[:, free] += scale[free] * rng.standard_normal((n, len(free)))
+    return theta
+
+
+@dataclass(frozen=True, eq=False)
+class Sensors:
+    """A machine with some of its sensors, each with its noise (K,), mm and rad."""
+
+    model: ReadingModel
+    noise: np.ndarray
+
+    @classmethod
+    def of(cls, model: ReadingModel, names: Iterable[str]) -> Sensors:
+        """Return some sensors with a noise of 1 µm or 1 arcsec each."""
+        picked = model.pick(model.select(names))
+        return cls(picked, np.array([MICROMETRE if one.unit == "mm" else ARCSECOND for one in picked.channels]))
+
+    def measure(self, theta: np.ndarray, pose: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Return readings (P, K) with their noise."""
+        return self.model.read(theta, pose) + self.noise * rng.standard_normal((len(pose), len(self.noise)))
+
+    def linearise(self, theta: np.ndarray, pose: np.ndarray, with_parameters: bool = True) -> Readings:
+        """Return readings and derivatives in units of the noise."""
+        found, scale = self.model.linearise(theta, pose, with_parameters), self.noise[:, None]
+        by_parameters = found.by_parameters / scale if with_parameters else found.by_parameters
+        return Readings(found.values / self.noise, found.by_pose / scale, by_parameters)
 
 
 def small_posterior(
@@ -65,41 +79,38 @@ def small_posterior(
     n_poses: int,
     seed: int,
     model: SlidingPlatform | None = None,
-    tolerances: ReadingTolerancesConfig = TOLERANCES,
+    tolerances: Tolerances = TOLERANCES,
     common: Iterable[str] = (),
     terms: tuple[ErrorTerm, ...] = (),
 ) -> CalibrationPosterior:
     """Return the posterior of a machine drawn within its tolerances, from readings with noise."""
     model = model or sliding_star()
     rng = np.random.default_rng(seed)
-    sensors = build_sensors(model, SENSORS, names)
-    free = free_parameters(model, sensors.names, tolerances)
-    pose = draw_poses(model, WORKSPACE.model_copy(update={"n_poses": n_poses}), rng)
-    theta = free.draw(rng, 1)[0]
-    measured = sensors.read(theta, pose) + sensors.noise * rng.standard_normal((n_poses, len(sensors.chosen)))
-    likelihood = star_density(sensors, measured, pose)
+    sensors, scale = Sensors.of(model, names), tolerances.scale(model, names)
+    pose = replace(WORKSPACE, n_poses=n_poses).draw(model, rng)
+    theta = draw_machines(model, scale, rng, 1)[0]
+    likelihood = star_density(sensors, sensors.measure(theta, pose, rng), pose)
     tied = {symbol: tuple(model.layout.names[k] for k in model.layout.index[symbol]) for symbol in common}
     shared = {member: symbol for symbol, members in tied.items() for member in members}
     priors: dict[str, Prior] = {}
-    for place, scale in zip(free.places, free.scale, strict=True):
-        name = model.layout.names[place]
-        priors.setdefault(shared.get(name, name), NormalPrior(float(free.centre[place]), float(scale)))
+    for place in np.flatnonzero(scale):
+        name, nominal = model.layout.names[place], float(model.layout.nominal[place])
+        priors.setdefault(shared.get(name, name), NormalPrior(nominal, float(scale[place])))
     return Posterior(likelihood, priors, Errors(terms), common=tied)
 
 
 def star_density(
-    sensors: SensorSet, measured: np.ndarray, start: np.ndarray, volume: float | None = None
+    sensors: Sensors, measured: np.ndarray, start: np.ndarray, volume: float = WORKSPACE.volume
 ) -> CalibrationLikelihood:
     """Return the density of readings (P, K), poses looked for from some (P, 3)."""
     names = tuple(f"C{k + 1}" for k in range(len(measured)))
     data = Measurements(names, measured, np.broadcast_to(sensors.noise, measured.shape))
-    space = workspace_volume(WORKSPACE) if volume is None else volume
-    return CalibrationLikelihood(sensors.model.pick(sensors.chosen), data, space, start)
+    return CalibrationLikelihood(sensors.model, data, volume, start)
 
 
-def sensors_of(likelihood: CalibrationLikelihood) -> SensorSet:
+def sensors_of(likelihood: CalibrationLikelihood) -> Sensors:
     """Return the sensors of a density whose noise is that of the first pose."""
-    return SensorSet(likelihood.model, np.arange(len(likelihood.model.channels)), likelihood.sd[0])
+    return Sensors(likelihood.model, likelihood.sd[0])
 
 
 def find_poses_of(likelihood: CalibrationLikelihood, theta: np.ndarray) -> np.ndarray:
@@ -123,8 +134,8 @@ class JointTarget:
         slope = self.sensors.linearise(posterior.sampling.start, self.start, with_parameters=False).by_pose
         self.unit = np.linalg.cholesky(np.linalg.inv(np.swapaxes(slope, 1, 2) @ slope))
         self.n_poses = len(self.measured)
-        k = len(self.sensors.chosen)
-        volume = self.n_poses * np.log(workspace_volume(WORKSPACE))
+        k = len(self.sensors.noise)
+        volume = self.n_poses * np.log(WORKSPACE.volume)
         noise = self.n_poses * (np.log(self.sensors.noise).sum() + 0.5 * k * np.log(2 * np.pi))
         self.constant = -volume - noise + np.linalg.slogdet(self.unit)[1].sum()
 
@@ -156,7 +167,7 @@ class JointTarget:
 
     def residual(self, y: np.ndarray) -> np.ndarray:
         theta, pose = self.split(y)
-        return (self.measured - self.sensors.read(theta[..., None, :], pose)) / self.sensors.noise
+        return (self.measured - self.sensors.model.read(theta[..., None, :], pose)) / self.sensors.noise
 
     def log_density(self, y: np.ndarray) -> np.ndarray:
         own = self.posterior.n_parameters
@@ -169,7 +180,7 @@ class JointTarget:
         theta, pose = self.split(y)
         here = self.sensors.linearise(theta, pose)
         own = self.posterior.n_parameters
-        result = np.zeros((self.n_poses, len(self.sensors.chosen), len(y)))
+        result = np.zeros((self.n_poses, len(self.sensors.noise), len(y)))
         result[..., :own] = -here.by_parameters @ self.posterior.around(y)[1].T.T
         for p in range(self.n_poses):
             result[p, :, own + 3 * p : own + 3 * p + 3] = -here.by_pose[p] @ self.unit[p]
@@ -253,7 +264,7 @@ class LinearModel(ReadingModel):
 
 
 def gaussian_log_evidence(
-    sensors: SensorSet, measured: np.ndarray, pose: np.ndarray, moves: np.ndarray, volume: float
+    sensors: Sensors, measured: np.ndarray, pose: np.ndarray, moves: np.ndarray, volume: float
 ) -> float:
     """Return the evidence of readings that are linear about a machine at poses, in closed form.
 

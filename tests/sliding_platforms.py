@@ -1,37 +1,38 @@
-"""Planar platforms on sliding legs that the tests share."""
+"""Planar platforms on sliding legs that the tests share, and poses about their homes."""
 
 from __future__ import annotations
 
-import re
-import shutil
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 import studies
 
 from bayescal.machines.read import build_sliding_platform, read_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
-from bayescal.machines.readings.schema import (
-    PlanarPosesConfig,
-    ReadingSensorConfig,
-    ReadingTolerancesConfig,
-    SlidingPlatformConfig,
-)
-from bayescal.reproductions.sika2008.reading_machine import build_sensors, draw_poses, free_parameters
+from bayescal.machines.readings.schema import SlidingPlatformConfig
+from bayescal.machines.readings.sliding_platform import matrix_of_angle
 
 STAR = studies.EXPERIMENTS / "sliding_star"
-NOISE = {
-    "s": ReadingSensorConfig(noise_um=1.0),
-    "phi": ReadingSensorConfig(noise_arcsec=0.5),
-    "psi": ReadingSensorConfig(noise_arcsec=0.5),
-}
-TOLERANCES = ReadingTolerancesConfig(length_mm=0.3, angle_deg=0.05, zero_deg=2.0)
-SETS = {4: ["s"], 8: ["s", "phi"], 12: ["s", "phi", "psi"]}
+SETS = {4: ("s",), 8: ("s", "phi"), 12: ("s", "phi", "psi")}
 
 
-def read_star() -> SlidingPlatform:
-    """Return the shipped machine."""
+def sliding_star() -> SlidingPlatform:
+    """Return the shipped machine of four legs."""
     return read_sliding_platform(STAR / "machine.toml")
+
+
+def star_of(n_legs: int) -> SlidingPlatform:
+    """Return the same with another number of legs, a turn's n-th apart."""
+    around = 2 * np.pi * np.arange(n_legs) / n_legs
+    ring = np.stack([np.cos(around), np.sin(around)], axis=1)
+    first, second = 100.0 * ring[:2]
+    along = (second - first) / np.linalg.norm(second - first)
+    own = np.array([along, [-along[1], along[0]]])
+    points = (100.0 * ring - first) @ own.T
+    home = np.array([*first, np.arctan2(along[1], along[0])])
+    ahead = np.full(n_legs, True)
+    legs = np.full(n_legs, 800.0)
+    return SlidingPlatform("star", 600.0 * ring, around + np.pi / 2, legs, points, -own @ first, home, ahead)
 
 
 def make_content(n_legs: int, points: str = "along", turn_deg: float = 0.0) -> dict:
@@ -57,30 +58,37 @@ def build(content: dict) -> SlidingPlatform:
     return build_sliding_platform(SlidingPlatformConfig.model_validate(content))
 
 
-def make_problem(n_sensors: int = 12, n_poses: int = 40, seed: int = 1, noise=NOISE):
-    """Return sensors, free parameters and poses of the shipped machine."""
-    model = read_star()
-    sensors = build_sensors(model, noise, SETS[n_sensors])
-    free = free_parameters(model, sensors.names, TOLERANCES)
-    config = PlanarPosesConfig(n_poses=n_poses, position_mm=200.0, angle_deg=30.0)
-    return sensors, free, draw_poses(model, config, np.random.default_rng(seed))
+def poses_about_home(model: SlidingPlatform, displacement: np.ndarray) -> np.ndarray:
+    """Return poses (P, 3) from displacements of the tool's centre and angle from home (P, 3), mm and rad."""
+    angle = model.home[2] + displacement[:, 2]
+    home = model.home[:2] + matrix_of_angle(model.home[2:])[0] @ model.tool_point
+    origin = home + displacement[:, :2] - np.einsum("pij,j->pi", matrix_of_angle(angle), model.tool_point)
+    return np.column_stack([origin, angle])
 
 
-TINY = {
-    "calibrations": "6",
-    "verification_poses": "5",
-    "n_poses": "20",
-    "count": "3",
-    "angle_noise_arcsec": "[0.5, 2.0]",
-}
+@dataclass(frozen=True)
+class Workspace:
+    """Half widths about home of the tool's centre and of the platform's angle, and how many poses lie between."""
+
+    n_poses: int = 12
+    position_mm: float = 200.0
+    angle_deg: float = 30.0
+
+    @property
+    def width(self) -> np.ndarray:
+        """Half widths of x, y and the angle, mm and rad."""
+        return np.array([self.position_mm, self.position_mm, np.radians(self.angle_deg)])
+
+    @property
+    def volume(self) -> float:
+        """Volume that poses may lie in, mm² rad."""
+        return float(np.prod(2 * self.width))
+
+    def draw(self, model: SlidingPlatform, rng: np.random.Generator) -> np.ndarray:
+        """Return poses (P, 3) that the machine reaches."""
+        pose = poses_about_home(model, self.width * rng.uniform(-1.0, 1.0, (self.n_poses, 3)))
+        model.check_poses(pose)
+        return pose
 
 
-def copy_tiny(folder: Path) -> Path:
-    """Copy the shipped experiments to a folder and give that of many calibrations little to do; return its config."""
-    shutil.copytree(STAR, folder / "sliding_star")
-    path = folder / "sliding_star" / "calibrations.toml"
-    text = path.read_text()
-    for key, value in TINY.items():
-        text = re.sub(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)
-    path.write_text(text)
-    return path
+WORKSPACE = Workspace()

@@ -572,7 +572,7 @@ def test_every_shipped_experiment_is_run_here():
         *(f"yu2023/{name}.toml" for name in (*hexapod_settings.SHIPPED, "small_mechanism")),  # in reproductions/yu2023
         "rr8096/figure5.toml",
         *(f"pose_selection/{name}.toml" for name in ("hexapod_i_optimal", "rr8096_figure14", "yu2023_table1")),
-        "sliding_star/calibrations.toml",  # in test_self_calibrations
+        "sika2008/calibrations.toml",  # in test_self_calibrations
         *(f"sliding_star/{name}.toml" for name in SLIDING_STAR),  # in calibration/test_sliding_star.py
         *(f"hangprinter/{name}.toml" for name in ("machine", "hanging", "forces", "study")),  # in test_hangprinter
         *(

@@ -52,11 +52,10 @@ class Registry:
     members: tuple[str, ...] = ()
 
 
-_EXPERIMENTS = ("bayescal.experiments", "bayescal.reproductions")
 _MACHINES, _POSES = "bayescal.machines", "bayescal.pose_selection"
 REGISTRIES = {
-    "KINDS": Registry(_EXPERIMENTS, "bayescal.kinds", "bayescal.experiments.frame.experiment:Experiment"),
-    "CLAIMS": Registry(_EXPERIMENTS, "bayescal.claims", "bayescal.experiments.study.claims:Claims"),
+    "KINDS": Registry(("bayescal.experiments",), "bayescal.kinds", "bayescal.experiments.frame.experiment:Experiment"),
+    "CLAIMS": Registry(("bayescal.experiments",), "bayescal.claims", "bayescal.experiments.study.claims:Claims"),
     "MACHINES": Registry((f"{_MACHINES}.readings",), "bayescal.machines", f"{_MACHINES}.readings:ReadingMachine"),
     "INSTRUMENTS": Registry(
         (f"{_MACHINES}.readings",), "bayescal.instruments", f"{_MACHINES}.readings.placed:Instrument"

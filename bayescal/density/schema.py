@@ -59,7 +59,7 @@ class KernelConfig(Section):
 
     ``kernel_scale_um`` is what one actuator at the end of its range makes a leg err by, one standard deviation, where
     there is a structured error; ``kernel_spread`` the standard deviation of its logarithm, ``kernel_length`` in units
-    of the actuators' range. In a self-calibration each sensor has a function of its own reading in a leg's place.
+    of the actuators' range.
     """
 
     kernel: KernelName = Field(default=INDEPENDENT, exclude_if=lambda value: value == INDEPENDENT)

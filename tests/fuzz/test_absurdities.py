@@ -24,7 +24,7 @@ from bayescal.machines.readings.strut_machine import StrutMachineConfig
 from bayescal.machines.schema import MechanismConfig
 
 AUDIT, STUDY, SELECTION = "audit/m2_hexapod.toml", "telescope/short.toml", "pose_selection/rr8096_figure14.toml"
-STAR, OWN, TABLE4 = "sliding_star/calibrations.toml", "own_machine/study.toml", "yu2023/table4.toml"
+STAR, OWN, TABLE4 = "sika2008/calibrations.toml", "own_machine/study.toml", "yu2023/table4.toml"
 ROWS: dict[str, tuple[str, str, Any, str]] = {
     "a what-if of 100 GiB": (AUDIT, "what_if", [{"name": "more", "poses_factor": 1e4}], "expected at most 10000"),
     "a factor beyond everything": (

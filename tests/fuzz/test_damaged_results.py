@@ -27,7 +27,7 @@ MADE = (
     "yu2023/table8.toml",
     "own_machine/audit.toml",
     "pose_selection/yu2023_table1.toml",
-    "sliding_star/calibrations.toml",
+    "sika2008/calibrations.toml",
     "sliding_star/sensors.toml",
     "sliding_star/short.toml",
     "telescope/short.toml",

@@ -5,13 +5,13 @@ Keys carry their units; angles of a machine are in degrees, readings in files in
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from bayescal.config.classes import ClassMark
 from bayescal.config.sections import InputFile, Number, Positive, Section, Vector
-from bayescal.limits import LARGEST, LARGEST_KAPPA
+from bayescal.limits import LARGEST_KAPPA
 
 type Count = Annotated[int, Field(ge=1, le=100_000)]
 type Turn = Annotated[float, Field(ge=-360.0, le=360.0, allow_inf_nan=False)]
@@ -95,42 +95,3 @@ class LegsMachineConfig(MachineFileConfig):
     """CSV file of the matrix K for the deformation `matrix`, in thousandths."""
     tool_mm: Vector = Field(default=[0.0, 0.0, 0.0])
     """The tool's centre, platform frame."""
-
-
-class ReadingSensorConfig(Section):
-    """A sensor, or one on every leg: its noise, in µm or arcsec, and its price."""
-
-    noise_um: Positive | None = None
-    """Standard deviation of a reading of length."""
-    noise_arcsec: Positive | None = None
-    """Standard deviation of a reading of an angle."""
-    price: Annotated[float, Field(ge=0.0, le=LARGEST, allow_inf_nan=False)] = 1.0
-    """Price of one sensor [any currency]."""
-
-    @model_validator(mode="after")
-    def _check_one(self) -> Self:
-        if (self.noise_um is None) == (self.noise_arcsec is None):
-            raise ValueError("expected either noise_um or noise_arcsec")
-        return self
-
-
-class ReadingTolerancesConfig(Section):
-    """Standard deviations beforehand: of lengths, of guide angles, of the zeros of angle sensors."""
-
-    length_mm: Positive
-    """Standard deviation of lengths and places about nominal."""
-    angle_deg: Positive
-    """Standard deviation of the guides' angles about nominal."""
-    zero_deg: Positive
-    """Standard deviation of the zeros of angle sensors."""
-
-
-class PlanarPosesConfig(Section):
-    """Poses spread evenly at random about home: tool's centre and angle within half widths."""
-
-    n_poses: Count = 100
-    """Number of poses."""
-    position_mm: Positive
-    """Half width about home of the tool's centre, in x and in y."""
-    angle_deg: Annotated[float, Field(gt=0.0, le=180.0)]
-    """Half width about home of the platform's angle."""

@@ -17,7 +17,7 @@ from calibration_problems import (
     star_problem,
     unknown_noise,
 )
-from reading_machines import LinearModel, gaussian_log_evidence
+from reading_machines import LinearModel, Sensors, gaussian_log_evidence
 from scipy.integrate import quad
 from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
@@ -27,7 +27,6 @@ from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.poses import search_poses
 from bayescal.machines.readings import Channel
-from bayescal.reproductions.sika2008.sensor_sets import SensorSet
 
 VOLUME = 50.0
 
@@ -44,7 +43,7 @@ def closed_form(model, values, covariance, theta):
 def test_linear_readings_have_the_closed_form(rng):
     model, sd = linear_model(rng), rng.uniform(0.5, 2.0, 6)
     values, theta = rng.standard_normal((7, 6)), rng.standard_normal((4, 3))
-    sensors = SensorSet(model, np.arange(6), sd)
+    sensors = Sensors(model, sd)
     found = pointwise(density(model, measurements(values, sd), volume=VOLUME), theta)
     for machine, total in zip(theta, found.sum(axis=1), strict=True):
         shifted = values - model.read(machine, np.zeros(2))

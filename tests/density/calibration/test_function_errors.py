@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reading_machines import SETS, find_poses_of, sensors_of, small_posterior
-from scipy.linalg import block_diag
+from reading_machines import find_poses_of, sensors_of, small_posterior
+from scipy.linalg import block_diag, null_space
 from scipy.stats import multivariate_normal
+from sliding_platforms import SETS
 
 from bayescal.density.calibration.functions import FunctionErrors, Travel
 from bayescal.density.calibration.likelihood import CalibrationPosterior
@@ -17,7 +18,6 @@ from bayescal.density.elimination import project_out
 from bayescal.density.model_error import OFF, build_kernel
 from bayescal.density.priors import LogNormalPrior
 from bayescal.errors import InputError
-from bayescal.reproductions.sika2008.sensor_sets import null_basis
 
 N_POSES = 9
 KERNELS = [("linear", 5.0, None), ("quadratic", 2.0, None), ("smooth", 1.5, None), ("smooth", 0.6, None)]
@@ -76,7 +76,7 @@ def list_of(posterior, y):
     """Return what no pose explains, in bases of each pose's own, with the dense covariance of all, and constants."""
     likelihood, functions, sensors = posterior.likelihood, posterior.errors.terms[0], sensors_of(posterior.likelihood)
     _, at = posterior.likelihood.explain(*posterior.at(y[None]))
-    bases = [null_basis(slope) / sensors.noise for slope in at.slope[0]]
+    bases = [null_space(slope.T).T / sensors.noise for slope in at.slope[0]]
     error = np.concatenate([b @ (sensors.noise * e) for b, e in zip(bases, at.error[0], strict=True)])
     zeta = posterior.zeta(y)
     scales = functions.scales(zeta)[functions.group]
@@ -246,7 +246,7 @@ def test_what_the_geometry_imitates_of_scales_that_are_off(n, of_one, of_an_enco
     _, slope, rows = posterior.likelihood.rows(*posterior.around(y), white, at.pose)
     geometry = (project_out(slope) @ rows).reshape(-1, posterior.n_geometry)
     model = sensors.model
-    travel = posterior.likelihood.data.values - sensors.read(model.layout.nominal, np.array(model.home))
+    travel = posterior.likelihood.data.values - model.read(model.layout.nominal, np.array(model.home))
 
     def left_of(some) -> float:
         seen = np.einsum("pij,pj->pi", project_out(slope), np.where(some, travel, 0.0) / sensors.noise).ravel()

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from calibration_problems import evaluate_rows
 from numpy.polynomial.hermite_e import hermegauss
 from reading_machines import (
-    SENSORS,
-    SETS,
     TOLERANCES,
-    WORKSPACE,
     JointTarget,
+    Sensors,
+    Tolerances,
+    draw_machines,
     find_poses_of,
     gaussian_log_evidence,
     sensors_of,
-    sliding_star,
     small_posterior,
     star_density,
-    star_of,
-    workspace_volume,
 )
+from sliding_platforms import SETS, WORKSPACE, sliding_star, star_of
 
 from bayescal.density.calibration.terms import NO_ERRORS
 from bayescal.density.posterior import Posterior
@@ -31,11 +31,8 @@ from bayescal.inference.exploration import explore
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import find_modes
 from bayescal.inference.sampling import sample_posterior
-from bayescal.machines.readings.schema import ReadingTolerancesConfig
-from bayescal.reproductions.sika2008.reading_machine import build_sensors, draw_poses, free_parameters
 
-VOLUME = workspace_volume(WORKSPACE)
-TINY = ReadingTolerancesConfig(length_mm=1e-3, angle_deg=1e-4, zero_deg=1e-3)
+TINY = Tolerances(1e-3, *np.radians([1e-4, 1e-3]))
 
 
 def sample(target, seed, steps=120):
@@ -117,9 +114,8 @@ def test_evidence_has_the_closed_form_where_tolerances_are_tiny(names):
     posterior = small_posterior(names, n_poses, 7, tolerances=TINY)
     likelihood = posterior.likelihood
     pose = find_poses_of(likelihood, posterior.sampling.start[None])[0]
-    expected = gaussian_log_evidence(
-        sensors_of(likelihood), likelihood.data.values, pose, posterior.around(posterior.approach())[1].T, VOLUME
-    )
+    moves = posterior.around(posterior.approach())[1].T
+    expected = gaussian_log_evidence(sensors_of(likelihood), likelihood.data.values, pose, moves, WORKSPACE.volume)
     _, importance, bridge = sample(posterior, 3, steps=25)
     assert importance == pytest.approx(expected, abs=0.02)
     assert bridge == pytest.approx(expected, abs=0.02)
@@ -223,12 +219,11 @@ def make(names, seed=2, model=None):
     """Return sensors, a likelihood of noisy readings, and machines within the tolerances."""
     model = model or sliding_star()
     rng = np.random.default_rng(seed)
-    sensors = build_sensors(model, SENSORS, names)
-    free = free_parameters(model, sensors.names, TOLERANCES)
-    pose = draw_poses(model, WORKSPACE, rng)
-    theta = free.draw(rng, 1)[0]
-    measured = sensors.read(theta, pose) + sensors.noise * rng.standard_normal((len(pose), len(sensors.chosen)))
-    near = theta + 1e-3 * free.draw(rng, 4) - 1e-3 * free.centre
+    sensors, scale = Sensors.of(model, names), TOLERANCES.scale(model, names)
+    pose = WORKSPACE.draw(model, rng)
+    theta = draw_machines(model, scale, rng, 1)[0]
+    measured = sensors.measure(theta, pose, rng)
+    near = theta + 1e-3 * (draw_machines(model, scale, rng, 4) - model.layout.nominal)
     return sensors, star_density(sensors, measured, pose), near
 
 
@@ -249,11 +244,11 @@ def test_it_is_the_integral_over_the_pose(names):
     slope = sensors.linearise(theta[0], pose[0], with_parameters=False).by_pose
     factor = np.linalg.cholesky(np.linalg.inv(np.swapaxes(slope, 1, 2) @ slope))
     stand = pose[0][:, None] + np.einsum("pij,gj->pgi", factor, grid)
-    error = (likelihood.data.values[:, None] - sensors.read(theta[0], stand)) / sensors.noise
+    error = (likelihood.data.values[:, None] - sensors.model.read(theta[0], stand)) / sensors.noise
     scale = -np.log(sensors.noise).sum() - 0.5 * len(sensors.noise) * np.log(2 * np.pi)
     inside = -0.5 * (error**2).sum(axis=-1) + 0.5 * (grid**2).sum(axis=-1)
     log_integral = np.log(np.sum(weight * np.exp(inside - inside[:, :1]), axis=1)) + inside[:, 0]
-    expected = log_integral + scale + np.linalg.slogdet(factor)[1] - np.log(VOLUME)
+    expected = log_integral + scale + np.linalg.slogdet(factor)[1] - np.log(WORKSPACE.volume)
     np.testing.assert_allclose(evaluate(likelihood, theta[:1])[0], expected, rtol=0, atol=1e-4)
 
 
@@ -264,20 +259,20 @@ def test_the_density_is_normalised():
     """
     model = star_of(3)
     names = ("s", "phi[1]")
-    sensors = build_sensors(model, SENSORS, names)
+    sensors = Sensors.of(model, names)
     rng = np.random.default_rng(1)
-    small = WORKSPACE.model_copy(update={"n_poses": 400, "angle_deg": 10.0})
-    pose, volume = draw_poses(model, small, rng), workspace_volume(small)
+    small = replace(WORKSPACE, n_poses=400, angle_deg=10.0)
+    pose = small.draw(model, rng)
     nominal, direction = model.layout.nominal, np.array([0.0, 0.0, 0.0, 1.0])
-    slope = model.linearise(nominal, pose, with_parameters=False).by_pose[:, sensors.chosen]
+    slope = sensors.model.linearise(nominal, pose, with_parameters=False).by_pose
     element = np.abs(np.linalg.det(np.concatenate([slope, np.broadcast_to(direction[:, None], (400, 4, 1))], axis=2)))
     width = 5.0 * sensors.noise[3]
     # what of t stands out of the image is seen less of, where the other readings make up for it
     steps = np.linspace(-8.0 * width, 8.0 * width, 161)
     total = np.zeros(400)
     for t in steps:
-        measured = sensors.read(nominal, pose) + t * direction
-        likelihood = star_density(sensors, measured, pose, volume)
+        measured = sensors.model.read(nominal, pose) + t * direction
+        likelihood = star_density(sensors, measured, pose, small.volume)
         total += np.exp(evaluate(likelihood, nominal[None])[0]) * element * (steps[1] - steps[0])
     # E over v of ∫ p |ds/d(v, t)| dt, times the volume that v is drawn from
-    assert total.mean() * volume == pytest.approx(1.0, abs=2e-3)
+    assert total.mean() * small.volume == pytest.approx(1.0, abs=2e-3)

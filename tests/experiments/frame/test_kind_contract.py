@@ -79,7 +79,7 @@ MAKE = {
     "next_pose": write_next,
     "pose_methods.py:PoseMethods": take_tiny("rr8096/figure5"),
     "pose_selection": write_selection,
-    "self_calibrations": take_tiny("sliding_star/calibrations"),
+    "self_calibrations.py:SelfCalibrations": take_tiny("sika2008/calibrations"),
     "sessions": session_studies.write_sessions,
     "simulation": take_tiny("telescope/simulate"),
     "study": studies.write_tiny_study,

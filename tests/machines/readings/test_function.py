@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from function_machines import point_on_lines, star_function
-from reading_machines import WORKSPACE, sliding_star, star_of
-from sliding_platforms import build, make_content
+from sliding_platforms import WORKSPACE, build, make_content, sliding_star, star_of
 
 from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings import Channel, Coordinate, FunctionModel, ReadingMachine
 from bayescal.machines.readings.colours import colour
 from bayescal.numerics.analytic import absolute, atan2, norm
-from bayescal.reproductions.sika2008.reading_machine import draw_poses
 
 STARS = {
     "shipped": sliding_star,
@@ -28,7 +27,7 @@ STARS = {
 
 def places(whole, rng, n_machines=4, n_poses=9):
     """Return machines (C, 1, D) near nominal and poses (P, 3) near home."""
-    pose = draw_poses(whole, WORKSPACE.model_copy(update={"n_poses": n_poses, "angle_deg": 10.0}), rng)
+    pose = replace(WORKSPACE, n_poses=n_poses, angle_deg=10.0).draw(whole, rng)
     return whole.layout.nominal + 0.02 * rng.standard_normal((n_machines, 1, whole.layout.size)), pose
 
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from sliding_platforms import SETS, build, make_content, read_star
+from sliding_platforms import SETS, STAR, build, make_content, poses_about_home, sliding_star
 
 from bayescal.errors import InputError
+from bayescal.machines.read import read_sliding_platform
 from bayescal.machines.readings.sliding_platform import segments_cross
-from bayescal.reproductions.sika2008.reading_machine import poses_about_home
 
 CASES = [(n, points) for n in (3, 4, 6) for points in ("along", "against")]
 LISTED = {
@@ -83,7 +84,7 @@ def test_tool_and_its_derivatives(rng):
 
 def test_readings_of_one_pose_by_hand():
     """The shipped machine at home: by symmetry sqrt(800² - 500²) from guide to joint, angle sensors at zero."""
-    model = read_star()
+    model = sliding_star()
     found = model.read(model.layout.nominal, model.home)
     np.testing.assert_allclose(found[:4], -np.sqrt(800.0**2 - 500.0**2), rtol=1e-12)
     np.testing.assert_allclose(found[4:12], 0.0, atol=1e-12)
@@ -109,7 +110,7 @@ def test_angles_are_continuous_where_a_leg_passes_its_guide(points):
 
 @pytest.mark.parametrize("n", SETS)
 def test_calibrated_parameters_are_those_listed(n):
-    model = read_star()
+    model = sliding_star()
     names = [model.names[k] for k in model.select(SETS[n])]
     assert len(names) == n
     free = [name for name in model.seen_parameters(names) if name not in model.frame_parameters()]
@@ -134,7 +135,7 @@ def test_sensors_of_one_leg_see_that_leg():
 
 
 def test_select_takes_kinds_and_names_in_the_machines_order():
-    model = read_star()
+    model = sliding_star()
     assert [model.names[k] for k in model.select(["phi[2]", "s", "phi[2]"])] == [
         *(f"s[{k}]" for k in (1, 2, 3, 4)),
         "phi[2]",
@@ -144,11 +145,47 @@ def test_select_takes_kinds_and_names_in_the_machines_order():
             model.select(["s", name])
 
 
+@pytest.mark.parametrize("n_legs", [3, 4, 6])
+def test_platform_frame_has_its_origin_in_b1_and_its_axis_through_b2(n_legs):
+    content = make_content(n_legs)
+    model = build(content)
+    np.testing.assert_allclose(model.platform_points[0], 0.0, atol=1e-12)
+    assert model.platform_points[1, 1] == pytest.approx(0.0, abs=1e-12)
+    assert model.platform_points[1, 0] > 0.0
+    home = model.home
+    position, _, _ = model.tool(model.layout.nominal, home)
+    np.testing.assert_allclose(position, content["home"]["tool_mm"], atol=1e-12)
+    # joints in the base frame as the config has them: about the tool, turned by the angle at home
+    given = np.array([leg["platform_point_mm"] for leg in content["legs"]]) - content["tool"]["point_mm"]
+    turn = np.radians(content["home"]["angle_deg"])
+    wanted = np.exp(1j * turn) * (given[:, 0] + 1j * given[:, 1]) + 3.0 - 2.0j
+    own = model.platform_points
+    found = home[0] + 1j * home[1] + np.exp(1j * home[2]) * (own[:, 0] + 1j * own[:, 1])
+    np.testing.assert_allclose(found, wanted, atol=1e-10)
+
+
+def test_the_configs_own_platform_frame_does_not_matter():
+    one, content = build(make_content(4)), make_content(4)
+    turn, shift = np.radians(33.0), 12.0 - 40.0j
+
+    def move(point):
+        moved = np.exp(1j * turn) * complex(*point) + shift
+        return [moved.real, moved.imag]
+
+    for leg in content["legs"]:
+        leg["platform_point_mm"] = move(leg["platform_point_mm"])
+    content["tool"]["point_mm"] = move(content["tool"]["point_mm"])
+    content["home"]["angle_deg"] -= 33.0
+    two = build(content)
+    np.testing.assert_allclose(two.layout.nominal, one.layout.nominal, atol=1e-9)
+    np.testing.assert_allclose(two.home, one.home, atol=1e-9)
+
+
 # --- faults ----------------------------------------------------------------------------------------------------------
 
 
 def test_unreachable_pose_and_leg_are_named():
-    model = read_star()
+    model = sliding_star()
     moves = np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [0.0, 320.0, 0.0]])
     with pytest.raises(
         InputError, match=r"'sliding_star': pose 3: leg 4 cannot reach it, found 820 mm from its guide, "
@@ -159,14 +196,14 @@ def test_unreachable_pose_and_leg_are_named():
 
 
 def test_crossed_legs_are_named():
-    model = read_star()
+    model = sliding_star()
     turned = poses_about_home(model, np.array([[0.0, 0.0, 0.1], [0.0, 0.0, np.pi]]))
     with pytest.raises(InputError, match=r"path 2: legs \d and \d cross, expected legs that do not"):
         model.check_poses(turned, lambda k: f"path {k + 1}")
 
 
 def test_faults_at_home_are_named():
-    star = read_star()
+    star = sliding_star()
     with pytest.raises(
         InputError, match="home: leg 2 cannot reach it, found 500 mm from its guide, expected at most 300"
     ):
@@ -184,3 +221,45 @@ def test_segments_cross_as_their_equations_say(rng):
     crossing = ((shares > 0.0) & (shares < 1.0)).all(axis=1)
     assert 50 < crossing.sum() < 450
     np.testing.assert_array_equal(segments_cross(a, b, c, d), crossing)
+
+
+def edited(**changes):
+    content = copy.deepcopy(make_content(4))
+    for leg in content["legs"]:
+        leg |= changes
+    return content
+
+
+def test_faults_of_machines_are_named():
+    with pytest.raises(InputError, match="machine 'star': found B_1 and B_2 in one place, expected them apart"):
+        build(edited(platform_point_mm=[1.0, 2.0]))
+    with pytest.raises(InputError, match=r"home: leg 1 cannot reach it"):
+        build(edited(length_mm=90.0))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        (
+            "guide_angle_deg = 90.0",
+            "guide_angle_deg = 5400.0",
+            "legs.0.guide_angle_deg: found 5400.0, expected less than",
+        ),
+        (
+            "guide_angle_deg = 90.0",
+            "guide_angle_rad = 1.57",
+            "guide_angle_rad: unknown key, did you mean 'guide_angle_deg'",
+        ),
+        ("length_mm = 800.0", "length_mm = -8.0", "legs.0.length_mm: found -8.0"),
+        ("point_mm = [0.0, 0.0]", "point_mm = [0.0]", "tool.point_mm"),
+        ('kind = "sliding_platform"', 'kind = "hexapod"', "kind: found 'hexapod'"),
+    ],
+)
+def test_faults_of_machine_files_name_file_and_field(tmp_path, old, new, match):
+    path, text = tmp_path / "machine.toml", (STAR / "machine.toml").read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=match) as caught:
+        read_sliding_platform(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sliding_platforms import make_problem
+from sika_problems import make_problem
 
-from bayescal.reproductions.sika2008.calibrability import compute_calibrability
+from sika2008.sensors import compute_calibrability
 
 DEGREE = np.pi / 180
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from sliding_platforms import make_problem
+from sika_problems import make_problem
 
 from bayescal.errors import InputError
-from bayescal.reproductions.sika2008.calibrate import BATCH, calibrate, unweighted
-from bayescal.reproductions.sika2008.sensor_sets import find_poses
+from sika2008.sensors import find_poses
+from sika2008.simulate import BATCH, calibrate, unweighted
 
 
 def measure(sensors, free, pose, n, seed=2, noise=1.0):

@@ -10,20 +10,29 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from papers import SIKA
 from rich.console import Console
-from sliding_platforms import STAR, copy_tiny, make_content
+from sika_problems import copy_tiny
+from sliding_platforms import make_content
 
 from bayescal.experiments.frame.identity import hash_identity, identify
-from bayescal.experiments.frame.load import load, load_experiment
-from bayescal.experiments.frame.run import run_experiment
-from bayescal.reproductions.sika2008 import machines as machines_module
-from bayescal.reproductions.sika2008.documented import QUANTILE, list_calibrabilities, list_steps, name_parts
-from bayescal.reproductions.sika2008.machines import GEOMETRY, draw_candidate, lay_out
-from bayescal.reproductions.sika2008.predict import predict_covariance, predict_tool
-from bayescal.reproductions.sika2008.published import band_of, read_published
-from bayescal.reproductions.sika2008.setup import read_setup
-from bayescal.reproductions.sika2008.simulate import BAYESIAN, PAPER, PROCEDURES, measure, simulate, state_spread
-from bayescal.reproductions.sika2008.statistics import cover, ratio_of, rms_of
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.run import check_experiment, run_experiment
+from bayescal.machines.read import build_sliding_platform
+from sika2008.documented import QUANTILE, cover, list_calibrabilities, list_steps, name_parts, ratio_of, rms_of
+from sika2008.machines import GEOMETRY, draw_candidate, lay_out
+from sika2008.published import band_of, read_published
+from sika2008.setup import read_setup
+from sika2008.simulate import (
+    BAYESIAN,
+    PAPER,
+    PROCEDURES,
+    measure,
+    predict_covariance,
+    predict_tool,
+    simulate,
+    state_spread,
+)
 
 TABLES = {
     "calibrability",
@@ -93,7 +102,7 @@ def write_legs(path, n_legs):
     for leg in content["legs"]:
         lines += ["[[legs]]", *(f"{key} = {json.dumps(value)}" for key, value in leg.items())]
     lines += ["[tool]", "point_mm = [5.0, 7.0]", "[home]", "tool_mm = [3.0, -2.0]", "angle_deg = 4.0"]
-    (path.parent / "machine.toml").write_text("\n".join(lines) + "\n")
+    (path.parents[1] / "sliding_star" / "machine.toml").write_text("\n".join(lines) + "\n")
 
 
 @pytest.mark.parametrize(
@@ -254,7 +263,7 @@ def test_machines_are_drawn_from_their_ranges(setup):
 def test_the_documented_machine_is_one_of_them(setup):
     geometry = dict.fromkeys(GEOMETRY, 0.0) | {"guide_radius_mm": 600.0, "leg_length_mm": 800.0}
     ours = lay_out(geometry | {"platform_radius_mm": 100.0}, 4)
-    found = machines_module.build_sliding_platform(ours)
+    found = build_sliding_platform(ours)
     off = found.layout.nominal - setup.machine.layout.nominal
     turns = np.array(found.layout.units) == "rad"
     np.testing.assert_allclose(off[~turns], 0.0, atol=1e-9)
@@ -308,7 +317,10 @@ FAULTS = [
         "line 4: set: found '9 sensors', expected one of 4 s",
     ),
     (("published/improvements.csv", "8 sensors,12 sensors", "4 sensors,12 sensors"), "expected neighbours in"),
-    (("machine.toml", "length_mm = 800.0", "length_mm = 400.0"), r"machine.toml: machine 'sliding_star': home: leg 1"),
+    (
+        ("../sliding_star/machine.toml", "length_mm = 800.0", "length_mm = 400.0"),
+        r"machine.toml: machine 'sliding_star': home: leg 1",
+    ),
 ]
 
 
@@ -347,14 +359,14 @@ def test_calibrations_without_solution_are_a_numerical_failure(call, path):
 
 def test_committed_results_are_those_of_the_committed_config():
     """And what they say: the published pattern, and intervals that hold what they state."""
-    experiment, results = STAR / "calibrations.toml", STAR.parents[1] / "results" / "sliding_star_calibrations"
-    kind, config = load(experiment)
+    experiment, results = SIKA / "calibrations.toml", SIKA.parents[1] / "results" / "sliding_star_calibrations"
+    config = load_experiment(experiment)
     provenance = json.loads((results / "provenance.json").read_text())
-    assert provenance["config_sha256"] == hash_identity(identify(config, STAR, kind.files(config, STAR)))
+    assert provenance["config_sha256"] == hash_identity(identify(config, SIKA, check_experiment(config, SIKA)[0]))
     summary = json.loads((results / "summary.json").read_text())
     assert all(row["reached"] for row in summary["judged"])
     assert all(0.85 <= row["share"] <= 0.95 for row in summary["coverage"])
-    setup = read_setup(config, STAR)
+    setup = read_setup(config, SIKA)
     found = list_calibrabilities(setup.plans, setup.pose)
     committed = pd.DataFrame(summary["calibrability"])
     np.testing.assert_allclose(found["metres_radians"], committed["metres_radians"], rtol=1e-6)

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from reading_machines import SENSORS, SETS, WORKSPACE, LinearModel, sliding_star, star_of
+from reading_machines import LinearModel
+from sika_problems import NOISE
+from sliding_platforms import SETS, WORKSPACE, sliding_star, star_of
 
 from bayescal.errors import InputError, NumericalError
-from bayescal.reproductions.sika2008.reading_machine import build_sensors, draw_poses
-from bayescal.reproductions.sika2008.sensor_sets import (
+from sika2008.sensors import (
     SensorSet,
     eliminate_poses,
     find_poses,
     null_basis,
     solve_least_squares,
 )
+from sika2008.setup import build_sensors
 
 
 def setting(names=("s", "phi"), model=None):
     model = model or sliding_star()
-    sensors = build_sensors(model, SENSORS, names)
-    return model, sensors, draw_poses(model, WORKSPACE, np.random.default_rng(4))
+    sensors = build_sensors(model, NOISE, names)
+    return model, sensors, WORKSPACE.draw(model, np.random.default_rng(4))
 
 
 @pytest.mark.parametrize("names", [*SETS.values(), ("s[1]", "s[2]", "phi[2]", "psi[4]"), ("psi",)])
@@ -36,8 +40,8 @@ def test_exact_readings_lead_back_to_their_poses_from_home(names, rng):
 @pytest.mark.parametrize("n_legs", [3, 5, 6])
 def test_any_number_of_legs(n_legs):
     model = star_of(n_legs)
-    sensors = build_sensors(model, SENSORS, ("s", "psi[1]"))
-    pose = draw_poses(model, WORKSPACE.model_copy(update={"angle_deg": 10.0}), np.random.default_rng(4))
+    sensors = build_sensors(model, NOISE, ("s", "psi[1]"))
+    pose = replace(WORKSPACE, angle_deg=10.0).draw(model, np.random.default_rng(4))
     start = np.tile(model.home, (len(pose), 1))
     found = find_poses(sensors, model.layout.nominal, sensors.read(model.layout.nominal, pose), start)
     np.testing.assert_allclose(found.pose, pose, rtol=0, atol=1e-8)

@@ -11,7 +11,7 @@ import pandas as pd
 
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import Table, read_table
-from bayescal.reproductions.sika2008.schema import SelfCalibrationsConfig
+from sika2008.schema import SelfCalibrationsConfig
 
 SET_COLUMNS = ("set", "n_parameters", "calibrability")
 STEP_COLUMNS = ("from", "to", "calibrability", "parameters", "tool")

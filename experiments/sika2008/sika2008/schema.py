@@ -6,18 +6,13 @@ Keys carry their units.
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from bayescal.config.sections import ExperimentConfig, InputFile, Names, Number, Positive, Section, check_once
-from bayescal.machines.readings.schema import (
-    Count,
-    PlanarPosesConfig,
-    ReadingSensorConfig,
-    ReadingTolerancesConfig,
-)
 
+type Count = Annotated[int, Field(ge=1, le=100_000)]
 type Repeats = Annotated[int, Field(ge=2, le=100_000)]
 type SetName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_. +-]+$")]
 
@@ -36,6 +31,43 @@ def _within(largest: float, values: list[float]) -> list[float]:
 
 type Span = Annotated[list[Number], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
 type PositiveSpan = Annotated[list[Positive], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
+
+
+class SensorConfig(Section):
+    """A sensor, or one on every leg: its noise, in µm or arcsec."""
+
+    noise_um: Positive | None = None
+    """Standard deviation of a reading of length."""
+    noise_arcsec: Positive | None = None
+    """Standard deviation of a reading of an angle."""
+
+    @model_validator(mode="after")
+    def _check_one(self) -> Self:
+        if (self.noise_um is None) == (self.noise_arcsec is None):
+            raise ValueError("expected either noise_um or noise_arcsec")
+        return self
+
+
+class TolerancesConfig(Section):
+    """Standard deviations beforehand: of lengths, of guide angles, of the zeros of angle sensors."""
+
+    length_mm: Positive
+    """Standard deviation of lengths and places about nominal."""
+    angle_deg: Positive
+    """Standard deviation of the guides' angles about nominal."""
+    zero_deg: Positive
+    """Standard deviation of the zeros of angle sensors."""
+
+
+class PosesConfig(Section):
+    """Poses spread evenly at random about home: tool's centre and angle within half widths."""
+
+    n_poses: Count = 100
+    """Number of poses."""
+    position_mm: Positive
+    """Half width about home of the tool's centre, in x and in y."""
+    angle_deg: Annotated[float, Field(gt=0.0, le=180.0)]
+    """Half width about home of the platform's angle."""
 
 
 class SensorSetConfig(Section):
@@ -109,17 +141,15 @@ class PublishedSetsConfig(Section):
 class SelfCalibrationsConfig(ExperimentConfig):
     """Simulated self-calibrations with different sets of sensors, as in Šika et al. (2008)."""
 
-    kind: Literal["self_calibrations"]
-    """`"self_calibrations"`."""
     machine: InputFile
     """The machine's TOML file."""
     calibrations: Repeats = 200
     """Number of simulated calibrations of the documented machine."""
-    sensors: dict[str, ReadingSensorConfig]
+    sensors: dict[str, SensorConfig]
     """Noise of each sensor, or of all of a kind."""
-    tolerances: ReadingTolerancesConfig
+    tolerances: TolerancesConfig
     """How far dimensions may be off."""
-    poses: PlanarPosesConfig
+    poses: PosesConfig
     """Poses to calibrate with."""
     verification_poses: Count = 50
     """Poses at which the tool's error is judged."""

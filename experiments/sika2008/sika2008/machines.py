@@ -12,17 +12,13 @@ from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.parallel import Run
 from bayescal.machines.read import build_sliding_platform
 from bayescal.machines.readings import SlidingPlatform
-from bayescal.machines.readings.schema import PlanarPosesConfig, SlidingPlatformConfig
+from bayescal.machines.readings.schema import SlidingPlatformConfig
 from bayescal.numerics.geometry import Array
-from bayescal.reproductions.sika2008.calibrability import compute_calibrability
-from bayescal.reproductions.sika2008.documented import name_parts, squares_of
-from bayescal.reproductions.sika2008.predict import predict_covariance, predict_tool
-from bayescal.reproductions.sika2008.reading_machine import ZEROS, draw_poses
-from bayescal.reproductions.sika2008.schema import PlausibleMachinesConfig
-from bayescal.reproductions.sika2008.sensor_sets import FreeParameters
-from bayescal.reproductions.sika2008.setup import MACHINES, Plan, Plans, Setup, build_plans
-from bayescal.reproductions.sika2008.simulate import PAPER, Measured, measure, simulate
-from bayescal.reproductions.sika2008.statistics import rms_of
+from sika2008.documented import name_parts, rms_of, squares_of
+from sika2008.schema import PlausibleMachinesConfig, PosesConfig
+from sika2008.sensors import FreeParameters, compute_calibrability
+from sika2008.setup import MACHINES, ZEROS, Plan, Plans, Setup, build_plans, draw_poses
+from sika2008.simulate import PAPER, Measured, measure, predict_covariance, predict_tool, simulate
 
 GEOMETRY = (
     "guide_radius_mm",
@@ -95,7 +91,7 @@ def draw_candidate(setup: Setup, config: PlausibleMachinesConfig, rng: np.random
     try:
         machine = build_sliding_platform(lay_out(geometry, setup.machine.n_legs))
         numbers = (setup.config.poses.n_poses, setup.config.verification_poses)
-        pose, targets = (draw_poses(machine, PlanarPosesConfig(n_poses=n, **workspace), rng) for n in numbers)
+        pose, targets = (draw_poses(machine, PosesConfig(n_poses=n, **workspace), rng) for n in numbers)
         plans = build_plans(machine, setup.config, setup.config.sensors)
         measured = measure(plans, pose, targets, config.calibrations, rng)
     except InputError:
