@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from calibration_problems import fit_jointly
 from function_machines import point_on_lines, star_function
-from sliding_platforms import read_star
+from sliding_platforms import sliding_star
 
 from bayescal.calibrated.machine import CalibratedMachine, Errors, Source, build_calibrated
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
@@ -75,7 +75,7 @@ def calibrate(planned: Planned, n_poses: int, rng: np.random.Generator, n_draws:
     """Return a machine of the tolerances, calibrated by simulated readings, its posterior by Laplace."""
     model, sd = planned.model, planned.sd
     layout = model.layout
-    frame = read_star().frame_parameters()  # symbols that no other of the machines has
+    frame = sliding_star().frame_parameters()  # symbols that no other of the machines has
     priors = {
         name: NormalPrior(value, planned.tolerances[name.partition("[")[0]])
         for name, value in zip(layout.names, layout.nominal, strict=True)

@@ -66,7 +66,7 @@ LEVEL = {
 TURNING = {
     "legs": read_legs,
     "struts": lambda _: read_reading_model(ROOT / "experiments" / "m2_hexapod_table" / "machine.toml"),
-    "sliding platform": lambda _: sliding_platforms.read_star(),
+    "sliding platform": lambda _: sliding_platforms.sliding_star(),
     "turning arm": lambda _: FunctionModel("arm", TurningArm(None)),
 }
 
