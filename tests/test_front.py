@@ -60,6 +60,7 @@ def delta(tmp_path_factory):
     return calibrate("own file", out=tmp_path_factory.mktemp("front") / "results")
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("case", CASES)
 def test_the_shell_gives_the_same_numbers(case, tmp_path):
     study = calibrate(case)
@@ -137,6 +138,7 @@ print("mean", float(study.best.parameters["mean"][0]), float(data.truth["true"][
 """
 
 
+@pytest.mark.runs
 def test_a_class_of_a_script_is_taken_with_what_it_uses(tmp_path):
     path = tmp_path / "slide_script.py"
     path.write_text(SCRIPT)

@@ -10,6 +10,7 @@ import ast
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from importlib.machinery import PathFinder
 from pathlib import Path
 
@@ -24,11 +25,15 @@ def find_local_imports(path: Path) -> dict[str, Path]:
     """
     root = path.resolve().parent
     found: dict[str, Path] = {}
+    installed: dict[str, bool] = {}
     waiting = [(path.resolve(), "")]
     while waiting:
         file, package = waiting.pop()
-        for name in _list_names(file, package):
-            for module, place in _locate(name, root):
+        for name in _list_names(_read(file), package):
+            top = name.partition(".")[0]
+            if top and top not in installed:
+                installed[top] = _is_installed(top, root)
+            for module, place in () if installed.get(top, True) else _locate(name, root):
                 if module not in found and place.is_relative_to(root) and place != path.resolve():
                     found[module] = place
                     inside = module if place.name == "__init__.py" else module.rpartition(".")[0]
@@ -36,27 +41,34 @@ def find_local_imports(path: Path) -> dict[str, Path]:
     return dict(sorted(found.items()))
 
 
-def _list_names(file: Path, package: str) -> Iterator[str]:
-    """Yield the dotted names that a file imports, wherever it does; those of members may be modules, too."""
+def _read(file: Path) -> bytes:
     try:
-        tree = ast.parse(file.read_bytes())
-    except (SyntaxError, ValueError, OSError):
-        return
+        return file.read_bytes()
+    except OSError:
+        return b""
+
+
+@lru_cache(maxsize=256)
+def _list_names(content: bytes, package: str) -> tuple[str, ...]:
+    """Return the dotted names that a file imports, wherever it does; those of members may be modules, too."""
+    try:
+        tree = ast.parse(content)
+    except (SyntaxError, ValueError):
+        return ()
+    found: list[str] = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            yield from (one.name for one in node.names)
+            found += [one.name for one in node.names]
         elif isinstance(node, ast.ImportFrom):
             parents = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
             base = ".".join([*parents, *([node.module] if node.module else [])])
-            yield base
-            yield from (f"{base}.{one.name}" for one in node.names)
+            found += [base, *(f"{base}.{one.name}" for one in node.names)]
+    return tuple(dict.fromkeys(found))
 
 
 def _locate(name: str, root: Path) -> Iterator[tuple[str, Path]]:
     """Yield the modules of a dotted name that are files beside a root, its packages first."""
     parts = name.split(".")
-    if not parts[0] or _is_installed(parts[0], root):
-        return
     for n in range(1, len(parts) + 1):
         place = root.joinpath(*parts[:n])
         for file in (place / "__init__.py", place.with_suffix(".py")):

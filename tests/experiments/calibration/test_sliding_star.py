@@ -143,6 +143,7 @@ def test_truth_stands_beside_what_is_free(tiny, tmp_path, no_pictures):
     assert (((beside["value"] - beside["mean"]) / beside["sd"]).abs() < 4.5).all()
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("name", ["sensors", "m2_hexapod_sensors"])
 def test_sets_have_prices_and_a_front(name, tiny, tmp_path, no_pictures):
     done = run_experiment(load(tiny / f"{name}.toml")[1], tiny, tmp_path / "out", quiet=True).results
