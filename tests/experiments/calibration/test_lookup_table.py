@@ -79,7 +79,7 @@ def test_a_table_is_zero_at_its_reference_and_nowhere_else(folder):
     at = read(path)
     change(path, "elevation_deg = 45.0\n", "elevation_deg = 60.0\n")
     change(path, "temperature_c = 20.0\n", "temperature_c = 10.0\n")
-    drawn = respond(at, at.variant.posterior().centre[None], at.cells)
+    drawn = respond(at, at.variant.posterior().sampling.start[None], at.cells)
     zero = [tuple(cell) == (45.0, 20.0) for cell in at.cells]
     assert sum(zero) == 1
     np.testing.assert_array_equal(drawn.correction[:, zero], 0.0)
