@@ -34,7 +34,7 @@ from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import Channel, ReadingMachine, ReadingModel
 
 MACHINE, CONFIG, READINGS = "machine.toml", "study.toml", "data/readings.csv"
-UNSTATED = {"status": "measured", "text": "a table given in Python", "source": "given in Python", "licence": "not said"}
+UNSTATED = {"status": "unstated", "text": "a table given in Python"}
 EVERYTHING = {"everything": {"title": "Everything free"}}
 
 type Widths = Mapping[str, float | Sequence[float] | Mapping[str, Any]]

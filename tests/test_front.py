@@ -83,6 +83,11 @@ def test_a_study_says_what_it_found(delta, tmp_path):
         delta["everythin"]
 
 
+def test_data_are_not_called_measured_unasked(delta):
+    assert bc.Data(pd.DataFrame({"s_1_mm": [1.0]}), {"s": 0.1}).origin["status"] == "unstated"
+    assert delta.summary["origin"]["status"] == "simulated"
+
+
 def test_results_loaded_later_are_the_same(delta):
     again = bc.load_results(str(delta.folder), trust=True)
     assert isinstance(again, bc.StudyResult)

@@ -29,8 +29,8 @@ NOISE_UNITS = {"noise_um": "um", "noise_mm": "mm", "noise_arcsec": "arcsec", "no
 class OriginConfig(Section):
     """Where the data come from: measured ones name their source and its licence."""
 
-    status: Literal["measured", "simulated", "reconstructed"]
-    """Whether the data are `measured`, `simulated` or `reconstructed`."""
+    status: Literal["measured", "simulated", "reconstructed", "unstated"]
+    """Whether the data are `measured`, `simulated` or `reconstructed`; `unstated` where nobody says it."""
     text: str
     """What they are, in a sentence."""
     source: str = ""

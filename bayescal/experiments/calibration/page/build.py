@@ -39,7 +39,12 @@ from bayescal.report.scene import Triple
 
 KIND = "Calibration"
 VERDICT_LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad", "noise": "plain"}
-STATUS = {"measured": "Measured", "simulated": "Simulated, never measured", "reconstructed": "Reconstructed"}
+STATUS = {
+    "measured": "Measured",
+    "simulated": "Simulated, never measured",
+    "reconstructed": "Reconstructed",
+    "unstated": "Not stated",
+}
 
 
 def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page:
