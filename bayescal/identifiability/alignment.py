@@ -16,7 +16,7 @@ from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, skew_
 
 LEAST = 0.05
 """Rms of a motion of 1 mm over the workspace, in mm, below which nobody would notice it when aligning: where a
-workspace hardly turns the tool, its offset cannot be told from a shift of the base."""
+workspace hardly turns the tool, its offset is no other motion than a shift of the base."""
 SMALLEST = 1e-3  # mm, least size of a workspace, by which turns are compared with shifts
 
 

@@ -52,7 +52,7 @@ class Session:
 
     @property
     def by_leg(self) -> bool:
-        """Whether what moved is told by leg."""
+        """Whether what moved is stated by leg."""
         return self.measured.legs is not None
 
     @property
