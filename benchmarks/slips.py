@@ -22,13 +22,13 @@ from scipy.spatial.transform import Rotation
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.legs import build_leg_posterior
 from bayescal.errors import BayescalError
-from bayescal.experiments.calibration.inputs import Variant, read_inputs
-from bayescal.experiments.calibration.workspace import find_starts
 from bayescal.experiments.check.subject import Subject
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.leg_slips import find_leg_slip, state_error, suspect_poses
 from bayescal.experiments.shared.measured import MeasuredVariant, see_legs
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
+from bayescal.experiments.shared.readings.inputs import Variant, read_inputs
+from bayescal.experiments.shared.readings.workspace import find_starts
 from bayescal.numerics.geometry import Array
 
 ROOT = Path(__file__).parents[1]

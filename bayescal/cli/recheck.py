@@ -232,8 +232,8 @@ def _read_readings(path: Path, plan: Path | None, sd: Array, calibrated: Calibra
 
 def _read_table(path: Path, calibrated: CalibratedMachine) -> Measurements:
     from bayescal.density.calibration.measurements import Measurements
-    from bayescal.experiments.calibration.reading_tables import read_tables
-    from bayescal.experiments.calibration.schema import DataTableConfig
+    from bayescal.experiments.shared.readings.reading_tables import read_tables
+    from bayescal.experiments.shared.readings.schema import DataTableConfig
 
     section = DataTableConfig.model_construct(file=path.name)
     found = read_tables([section], path.parent, calibrated.model.channels, calibrated.model.given)

@@ -20,15 +20,15 @@ from bayescal.calibrated.machine import (
     build_calibrated_legs,
 )
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
-from bayescal.experiments.calibration.instruments import leave_instruments
-from bayescal.experiments.calibration.noise import group_channels, noise_of_channels
-from bayescal.experiments.calibration.priors import choose_priors
-from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
 from bayescal.experiments.calibration.tables import choose_best
-from bayescal.experiments.calibration.workspace import build_workspace
 from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.shared.calibrating import KEPT, read_draws_of, write_bytes
+from bayescal.experiments.shared.readings.inputs import CalibrationInputs, Variant
+from bayescal.experiments.shared.readings.instruments import leave_instruments
+from bayescal.experiments.shared.readings.noise import group_channels, noise_of_channels
+from bayescal.experiments.shared.readings.priors import choose_priors
+from bayescal.experiments.shared.readings.schema import CalibrationConfig, CalibrationVariantConfig
+from bayescal.experiments.shared.readings.workspace import build_workspace
 from bayescal.experiments.shared.trees import name_file
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.read import list_machine_sources

@@ -11,8 +11,6 @@ import pandas as pd
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.experiments.calibration.calibrated import ERRORS, keep_machine, tabulate_errors
-from bayescal.experiments.calibration.inputs import CalibrationInputs
-from bayescal.experiments.calibration.knowledge import Knowledge, assess
 from bayescal.experiments.calibration.tables import Findings, Residuals, summarise, tabulate
 from bayescal.experiments.calibration.validation import Held, hold_back, list_folds
 from bayescal.experiments.frame.parallel import Run
@@ -21,6 +19,8 @@ from bayescal.experiments.shared.estimate import TREE, Fit
 from bayescal.experiments.shared.prior_widths import WidthTask, begin_widths, tabulate_widths, weigh_widths
 from bayescal.experiments.shared.reading_fit import ReadingFit, ReadingSubject, fit_readings
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
+from bayescal.experiments.shared.readings.inputs import CalibrationInputs
+from bayescal.experiments.shared.readings.knowledge import Knowledge, assess
 from bayescal.experiments.shared.trees import name_file, write_packed
 from bayescal.inference.importance import ImportanceEvidence
 from bayescal.inference.stages import stage

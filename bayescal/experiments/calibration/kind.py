@@ -11,12 +11,8 @@ from rich.console import Console
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.compute import compute_calibration
-from bayescal.experiments.calibration.inputs import CalibrationInputs, list_machines, read_inputs
-from bayescal.experiments.calibration.machine_kind import MachineExperiment
-from bayescal.experiments.calibration.memory import estimate_calibration
 from bayescal.experiments.calibration.page.build import build_page, list_variants
 from bayescal.experiments.calibration.page.verdict import NO_TOOL
-from bayescal.experiments.calibration.schema import CalibrationConfig
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
@@ -24,6 +20,10 @@ from bayescal.experiments.shared.calibrating import Calibrating, load_same
 from bayescal.experiments.shared.measured import MeasuredReadings, MeasuringReadings
 from bayescal.experiments.shared.outlook import join_outlooks
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
+from bayescal.experiments.shared.readings.inputs import CalibrationInputs, list_machines, read_inputs
+from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
+from bayescal.experiments.shared.readings.memory import estimate_calibration
+from bayescal.experiments.shared.readings.schema import CalibrationConfig
 from bayescal.report.blocks import Page
 
 

@@ -16,12 +16,12 @@ from bayescal.data.truth import (
     round_as_written,
 )
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
-from bayescal.experiments.calibration.instruments import read_machine
-from bayescal.experiments.calibration.noise import noise_of_channels
-from bayescal.experiments.calibration.priors import choose_priors
-from bayescal.experiments.calibration.reading_tables import USES
-from bayescal.experiments.calibration.schema import CalibrationSimulationConfig
-from bayescal.experiments.calibration.workspace import (
+from bayescal.experiments.shared.readings.instruments import read_machine
+from bayescal.experiments.shared.readings.noise import noise_of_channels
+from bayescal.experiments.shared.readings.priors import choose_priors
+from bayescal.experiments.shared.readings.reading_tables import USES
+from bayescal.experiments.shared.readings.schema import CalibrationSimulationConfig
+from bayescal.experiments.shared.readings.workspace import (
     Workspace,
     build_workspace,
     check_given,

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.experiments.calibration.machine_kind import MachineExperiment
-from bayescal.experiments.calibration.schema import CalibrationSimulationConfig
 from bayescal.experiments.calibration.simulate import SimulationInputs, read_simulation, simulate
+from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
+from bayescal.experiments.shared.readings.schema import CalibrationSimulationConfig
 from bayescal.experiments.shared.simulated_data import Simulated, SimulatedData
 
 

@@ -10,18 +10,18 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
-from bayescal.experiments.calibration.knowledge import Knowledge
-from bayescal.experiments.calibration.knowledge_tables import (
+from bayescal.experiments.calibration.validation import Held
+from bayescal.experiments.shared.function_errors import tabulate_functions
+from bayescal.experiments.shared.reading_fit import ReadingFit
+from bayescal.experiments.shared.readings.inputs import CalibrationInputs, Variant
+from bayescal.experiments.shared.readings.knowledge import Knowledge
+from bayescal.experiments.shared.readings.knowledge_tables import (
     list_next,
     list_ridges,
     name_data,
     plain,
     tabulate_accuracy,
 )
-from bayescal.experiments.calibration.validation import Held
-from bayescal.experiments.shared.function_errors import tabulate_functions
-from bayescal.experiments.shared.reading_fit import ReadingFit
 from bayescal.experiments.shared.stacking import tabulate_comparison
 from bayescal.numerics.geometry import Array
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayescal.density.calibration.prediction import ReadingPredictions, predict_readings
 from bayescal.density.prediction import compute_elpd
-from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
+from bayescal.experiments.shared.readings.inputs import CalibrationInputs, Variant
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import resample
 from bayescal.numerics.geometry import Array

@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 
 from bayescal.experiments.calibration.audit.inputs import read_audit
-from bayescal.experiments.calibration.inputs import read_inputs
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import resample
 

@@ -10,10 +10,10 @@ import pandas as pd
 import pytest
 
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.inputs import read_inputs
-from bayescal.experiments.calibration.knowledge import _inform, see
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.shared.readings.inputs import read_inputs
+from bayescal.experiments.shared.readings.knowledge import _inform, see
 from bayescal.report.pictures import Picture
 
 OWN = '''

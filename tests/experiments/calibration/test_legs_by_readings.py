@@ -5,8 +5,8 @@ import pytest
 import studies
 from eliminated_legs import list_coordinates
 
-from bayescal.experiments.calibration.inputs import read_inputs
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.experiments.study.load import load_inputs
 from bayescal.inference.importance import resample
 from bayescal.inference.integration import Effort, integrate_posterior

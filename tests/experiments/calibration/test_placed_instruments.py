@@ -14,8 +14,8 @@ import pytest
 import studies
 
 from bayescal.density.calibration.measurements import Comparison
-from bayescal.experiments.calibration.inputs import read_inputs
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import POSE
 

@@ -13,12 +13,12 @@ import tiny_experiments
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.audit.inputs import read_audit
 from bayescal.experiments.calibration.audit.set_tables import find_front
-from bayescal.experiments.calibration.inputs import read_inputs
-from bayescal.experiments.calibration.knowledge import look_around
 from bayescal.experiments.calibration.simulate import read_simulation, simulate
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.shared.readings.inputs import read_inputs
+from bayescal.experiments.shared.readings.knowledge import look_around
 from bayescal.identifiability.information import information_of_rows
 from bayescal.identifiability.reading_rows import rms, see
 

@@ -15,9 +15,9 @@ from bayescal.experiments.calibration.audit.sensor_sets import build_sensor_sets
 from bayescal.experiments.calibration.audit.set_search import FoundSets, search_sets
 from bayescal.experiments.calibration.audit.set_tables import tabulate_sets
 from bayescal.experiments.calibration.audit.tables import Prospect, summarise, tabulate
-from bayescal.experiments.calibration.knowledge import Knowledge, assess, look_around
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.readings.knowledge import Knowledge, assess, look_around
 from bayescal.identifiability.information import information_of_rows
 from bayescal.identifiability.reading_rows import name_tool, see
 

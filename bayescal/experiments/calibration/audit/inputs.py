@@ -17,17 +17,17 @@ from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.calibration.audit.planned_poses import PlannedPoses, plan_poses
 from bayescal.experiments.calibration.audit.sensor_sets import Choice, list_choices
-from bayescal.experiments.calibration.inputs import Variant
-from bayescal.experiments.calibration.instruments import read_machine
-from bayescal.experiments.calibration.noise import noise_of_channels
-from bayescal.experiments.calibration.priors import choose_priors
-from bayescal.experiments.calibration.schema import (
+from bayescal.experiments.shared.readings.inputs import Variant
+from bayescal.experiments.shared.readings.instruments import read_machine
+from bayescal.experiments.shared.readings.noise import noise_of_channels
+from bayescal.experiments.shared.readings.priors import choose_priors
+from bayescal.experiments.shared.readings.schema import (
     AuditVariantConfig,
     CalibrationAuditConfig,
     CalibrationVariantConfig,
     FreeConfig,
 )
-from bayescal.experiments.calibration.workspace import Workspace, build_workspace, check_told
+from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, check_told
 from bayescal.identifiability.reading_rows import name_tool
 from bayescal.identifiability.units import Units
 from bayescal.machines.readings import ReadingModel

@@ -8,13 +8,13 @@ from rich.console import Console
 
 from bayescal.experiments.calibration.audit.compute import compute_audit
 from bayescal.experiments.calibration.audit.inputs import AuditInputs, read_audit
-from bayescal.experiments.calibration.machine_kind import MachineExperiment
-from bayescal.experiments.calibration.memory import find_largest, list_variant
 from bayescal.experiments.calibration.page.audit import build_page, list_variants
-from bayescal.experiments.calibration.schema import CalibrationAuditConfig
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
+from bayescal.experiments.shared.readings.memory import find_largest, list_variant
+from bayescal.experiments.shared.readings.schema import CalibrationAuditConfig
 from bayescal.report.blocks import Page
 
 

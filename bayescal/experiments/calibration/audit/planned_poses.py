@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
-from bayescal.experiments.calibration.priors import choose_priors
-from bayescal.experiments.calibration.schema import CalibrationAuditConfig, FreeConfig
-from bayescal.experiments.calibration.workspace import Workspace, check_given, draw_given, draw_standing
+from bayescal.experiments.shared.readings.priors import choose_priors
+from bayescal.experiments.shared.readings.schema import CalibrationAuditConfig, FreeConfig
+from bayescal.experiments.shared.readings.workspace import Workspace, check_given, draw_given, draw_standing
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.experiments.calibration.inputs import Variant
-from bayescal.experiments.calibration.knowledge import look, look_around, weigh
-from bayescal.experiments.calibration.schema import CalibrationAuditConfig
+from bayescal.experiments.shared.readings.inputs import Variant
+from bayescal.experiments.shared.readings.knowledge import look, look_around, weigh
+from bayescal.experiments.shared.readings.schema import CalibrationAuditConfig
 from bayescal.identifiability.reading_rows import rms
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.next_pose import add_poses, compute_gains, learn_in_turn

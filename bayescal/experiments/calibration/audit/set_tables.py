@@ -10,7 +10,7 @@ import pandas as pd
 
 from bayescal.experiments.calibration.audit.inputs import AuditInputs
 from bayescal.experiments.calibration.audit.set_search import FoundSets, find_hopeless
-from bayescal.experiments.calibration.inputs import Variant
+from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.identifiability.reading_rows import name_tool
 
 DIGITS = 9  # of a price, for sums of the same prices to be the same

@@ -12,9 +12,9 @@ import pandas as pd
 from bayescal.experiments.calibration.audit.inputs import AuditInputs
 from bayescal.experiments.calibration.audit.outlook import Outlook
 from bayescal.experiments.calibration.audit.selection import Selection
-from bayescal.experiments.calibration.inputs import Variant
-from bayescal.experiments.calibration.knowledge import Knowledge
-from bayescal.experiments.calibration.knowledge_tables import (
+from bayescal.experiments.shared.readings.inputs import Variant
+from bayescal.experiments.shared.readings.knowledge import Knowledge
+from bayescal.experiments.shared.readings.knowledge_tables import (
     list_next,
     list_ridges,
     name_data,

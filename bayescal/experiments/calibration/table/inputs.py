@@ -11,10 +11,10 @@ import numpy as np
 
 from bayescal.density.elimination import RANK
 from bayescal.errors import InputError, name_faults
-from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant, read_inputs
-from bayescal.experiments.calibration.schema import CalibrationConfig
 from bayescal.experiments.calibration.table.schema import LookupTableConfig
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.shared.readings.inputs import CalibrationInputs, Variant, read_inputs
+from bayescal.experiments.shared.readings.schema import CalibrationConfig
 from bayescal.identifiability.units import Units
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bayescal.experiments.calibration.memory import list_variant
 from bayescal.experiments.calibration.page.table import build_page
 from bayescal.experiments.calibration.table.compute import compute_table
 from bayescal.experiments.calibration.table.inputs import TableInputs, read_table
@@ -15,6 +14,7 @@ from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import KEPT_DRAWS
 from bayescal.experiments.shared.of_another import OfAnother
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
+from bayescal.experiments.shared.readings.memory import list_variant
 from bayescal.experiments.shared.search_memory import list_sampling
 from bayescal.report.blocks import Page
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.calibration.inputs import Variant
-from bayescal.experiments.calibration.knowledge import Knowledge
+from bayescal.experiments.shared.readings.inputs import Variant
+from bayescal.experiments.shared.readings.knowledge import Knowledge
 from bayescal.numerics.geometry import Array
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.schema import DataTableConfig
+from bayescal.experiments.shared.readings.schema import DataTableConfig
 from bayescal.files.csv_tables import Table, read_table
 from bayescal.identifiability.units import units_like
 from bayescal.machines.readings import Channel

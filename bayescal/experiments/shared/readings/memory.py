@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bayescal.experiments.calibration.inputs import CalibrationInputs, Variant
 from bayescal.experiments.frame.memory import Need, estimate_arrays
+from bayescal.experiments.shared.readings.inputs import CalibrationInputs, Variant
 from bayescal.experiments.shared.search_memory import list_readings, list_sampling, list_saved
 
 

@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.experiments.calibration.inputs import Variant
-from bayescal.experiments.calibration.schema import NextConfig
+from bayescal.experiments.shared.readings.inputs import Variant
+from bayescal.experiments.shared.readings.schema import NextConfig
 from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.identifiability.directions import find_directions
 from bayescal.identifiability.information import Information, information_of_rows

@@ -12,10 +12,10 @@ from bayescal.density.calibration.functions import FunctionErrors
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import ErrorTerm, TermRows, check_term
 from bayescal.errors import InputError, name_faults
-from bayescal.experiments.calibration.noise import group_channels
-from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
-from bayescal.experiments.calibration.workspace import Workspace
 from bayescal.experiments.shared.function_errors import check_functions
+from bayescal.experiments.shared.readings.noise import group_channels
+from bayescal.experiments.shared.readings.schema import CalibrationConfig, CalibrationVariantConfig
+from bayescal.experiments.shared.readings.workspace import Workspace
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 

@@ -8,14 +8,14 @@ import numpy as np
 
 from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, NoiseFactor
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.reading_tables import PoseReadings
-from bayescal.experiments.calibration.schema import (
+from bayescal.experiments.shared.per_leg import spread_over_legs
+from bayescal.experiments.shared.readings.reading_tables import PoseReadings
+from bayescal.experiments.shared.readings.schema import (
     NOISE_UNITS,
     CalibrationConfig,
     CalibrationVariantConfig,
     ChannelConfig,
 )
-from bayescal.experiments.shared.per_leg import spread_over_legs
 from bayescal.identifiability.units import units_like
 from bayescal.machines.readings import Channel, ReadingModel
 from bayescal.numerics.geometry import Array

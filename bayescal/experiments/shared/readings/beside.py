@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.schema import BesideConfig
+from bayescal.experiments.shared.readings.schema import BesideConfig
 from bayescal.files.csv_tables import read_table
 from bayescal.identifiability.units import units_like
 from bayescal.machines.readings import ReadingModel

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.schema import FixedConfig, NormalConfig, PriorConfig
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.schema import (
+from bayescal.experiments.shared.per_leg import spread_over_legs, spread_widths
+from bayescal.experiments.shared.readings.schema import (
     CalibrationAuditConfig,
     CalibrationConfig,
     CalibrationSimulationConfig,
     FreeConfig,
 )
-from bayescal.experiments.shared.per_leg import spread_over_legs, spread_widths
 from bayescal.identifiability.units import Units
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings import ReadingModel

@@ -17,16 +17,16 @@ from bayescal.density.elimination import project_out
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, name_faults
-from bayescal.experiments.calibration.beside import Beside, read_beside
-from bayescal.experiments.calibration.errors import build_terms
-from bayescal.experiments.calibration.instruments import read_machine
-from bayescal.experiments.calibration.noise import build_noise, stated_noise
-from bayescal.experiments.calibration.priors import choose_priors, widen
-from bayescal.experiments.calibration.reading_tables import PoseReadings, read_tables
-from bayescal.experiments.calibration.schema import CalibrationConfig, CalibrationVariantConfig
-from bayescal.experiments.calibration.workspace import Workspace, build_workspace, find_starts
 from bayescal.experiments.shared.outlook import tell_outlook
 from bayescal.experiments.shared.reading_slips import Suspicion, check_reach
+from bayescal.experiments.shared.readings.beside import Beside, read_beside
+from bayescal.experiments.shared.readings.errors import build_terms
+from bayescal.experiments.shared.readings.instruments import read_machine
+from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
+from bayescal.experiments.shared.readings.priors import choose_priors, widen
+from bayescal.experiments.shared.readings.reading_tables import PoseReadings, read_tables
+from bayescal.experiments.shared.readings.schema import CalibrationConfig, CalibrationVariantConfig
+from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, find_starts
 from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array

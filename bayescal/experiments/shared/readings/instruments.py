@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from bayescal.config.classes import choose, name_failures
-from bayescal.experiments.calibration.schema import (
+from bayescal.experiments.shared.readings.schema import (
     CalibrationAuditConfig,
     CalibrationConfig,
     CalibrationSimulationConfig,

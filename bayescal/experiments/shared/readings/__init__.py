@@ -1,0 +1,1 @@
+"""Machines known by what their channels read: configs and tables to posteriors, whatever the kind of experiment."""
