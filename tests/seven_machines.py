@@ -14,9 +14,9 @@ import own_arm
 import studies
 
 from bayescal.data.simulation import build_twin, format_survey, simulate_survey
-from bayescal.experiments.calibration.simulate import read_simulation, simulate
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.simulation.readings import read_simulation, simulate
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.kinematics import guess_home_pose
 from bayescal.machines.read import load_mechanism
@@ -149,7 +149,7 @@ def _write_questions(
             halves = [_halve(folder / name, half) for name in names]
             text += f"{key} = {halves if key == 'readings' else halves[0]!r}\n".replace("'", '"')
     _write(folder / "sessions.toml", "sessions", text)
-    _write(folder / "table.toml", "lookup_table", TABLE.format(variant=variant))
+    _write(folder / "table.toml", "table", TABLE.format(variant=variant))
 
 
 def _halve(path: Path, half: int) -> str:

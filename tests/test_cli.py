@@ -472,8 +472,8 @@ def test_report_of_what_is_no_results_directory(refuse, study):
             '{"kind": "simulation", "tables": {}, "versions": {"bayescal": "0.0.1"}}',
             "found results of bayescal 0.0.1 (KeyError: 'n_poses'), expected those of",
         ),
-        ('{"kind": "pose_selection", "tables": {}}', "found a config in its provenance that is none"),
-        ('{"kind": "pose_selection", "tables": {}, "config": 1}', "found damaged results (TypeError: "),
+        ('{"kind": "selection", "tables": {}}', "found a config in its provenance that is none"),
+        ('{"kind": "selection", "tables": {}, "config": 1}', "found damaged results (TypeError: "),
     ],
 )
 def test_report_of_results_that_no_experiment_wrote(refuse, tmp_path, provenance, expected):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator
 
@@ -51,7 +51,15 @@ InputFile = Annotated[str, FileMark()]
 
 
 class Section(BaseModel):
-    """A table of a config: unknown keys and wrong types are errors; docstrings of its fields describe the keys."""
+    """A table of a config: unknown keys and wrong types are errors; docstrings of its fields describe the keys.
+
+    Attributes
+    ----------
+    gone : mapping of str to str
+        Keys that are no more, and what replaces each, as the message says it.
+    """
+
+    gone: ClassVar[Mapping[str, str]] = {}
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
 

@@ -140,7 +140,7 @@ def write_arm(folder):
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
     """Return the config of the arm's calibration, its readings simulated before the same instruments."""
-    from bayescal.experiments.calibration.simulate import read_simulation, simulate
+    from bayescal.experiments.simulation.readings import read_simulation, simulate
 
     path = write_arm(tmp_path_factory.mktemp("arm"))
     config = load(path.parent / "simulate.toml")[1]

@@ -1,8 +1,6 @@
 """A machine calibrated by its own sensors is a calibration: fixed frames, truth beside it, sets with prices."""
 
 import json
-import shutil
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -13,12 +11,12 @@ import tiny_experiments
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.audit.inputs import read_audit
 from bayescal.experiments.calibration.audit.set_tables import find_front
-from bayescal.experiments.calibration.simulate import read_simulation, simulate
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.experiments.shared.readings.knowledge import look_around
+from bayescal.experiments.simulation.readings import read_simulation, simulate
 from bayescal.identifiability.information import information_of_rows
 from bayescal.identifiability.reading_rows import rms, see
 
@@ -59,23 +57,6 @@ def test_what_is_fixed_is_at_its_nominal_value_in_every_machine(variants, rng):
 def test_what_cannot_be_fixed_is_named():
     with pytest.raises(InputError, match=r"variant 's4': fixed: found 'x_Q', expected some of x_P"):
         read_star(fixed=["x_Q"])
-
-
-@pytest.mark.parametrize(
-    ("kind", "successor"),
-    [
-        ("self_calibration", "calibration"),
-        ("reading_simulation", "calibration_simulation"),
-        ("sensor_placement", "calibration_audit"),
-    ],
-)
-def test_a_kind_that_is_gone_names_its_successor(kind, successor, tmp_path, call):
-    path = Path(shutil.copy(STAR / "study.toml", tmp_path))
-    studies.edit(path, 'kind = "calibration"', f'kind = "{kind}"')
-    code, out, err = call("run", path, "--out", tmp_path / "out")
-    assert (code, out) == (2, "")
-    assert err.rstrip().endswith(f"study.toml: kind: found '{kind}', which is gone, expected '{successor}'")
-    assert not (tmp_path / "out").exists()
 
 
 def test_simulated_readings_are_of_the_machine_that_the_data_are_of():

@@ -23,6 +23,7 @@ from bayescal.experiments.shared.function_page import judge_functions, show_func
 from bayescal.experiments.shared.joints import MOST_POSES
 from bayescal.experiments.shared.judgement_page import tabulate_power_scaling, tabulate_widths
 from bayescal.experiments.shared.machine_scene import AXES, build_line_scene
+from bayescal.experiments.shared.origin import name_origin
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.report.blocks import (
     Cell,
@@ -39,12 +40,6 @@ from bayescal.report.scene import Triple
 
 KIND = "Calibration"
 VERDICT_LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad", "noise": "plain"}
-STATUS = {
-    "measured": "Measured",
-    "simulated": "Simulated, never measured",
-    "reconstructed": "Reconstructed",
-    "unstated": "Not stated",
-}
 
 
 def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page:
@@ -75,14 +70,6 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
         tuple(sections),
         (("Machine", str(summary["machine"])), ("Data of the best variant", str(row["data"]))),
     )
-
-
-def name_origin(origin: dict[str, str]) -> str:
-    """Return where the data come from, in words: measured or not, source, licence."""
-    words = f"{STATUS[origin['status']]}: {origin['text']}"
-    for name in ("source", "licence"):
-        words += f"; {name} {origin[name]}" if origin[name] else ""
-    return words
 
 
 def list_variants(tables: dict[str, pd.DataFrame]) -> list[str]:

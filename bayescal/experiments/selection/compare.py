@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.pose_selection.tasks import DESIGN
+from bayescal.experiments.selection.tasks import DESIGN
 
 CLEAR = 2.0
 """Standard errors beyond which a difference counts."""

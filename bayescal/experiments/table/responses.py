@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.density.calibration.measurements import Comparison
-from bayescal.experiments.calibration.table.inputs import TableInputs
+from bayescal.experiments.table.inputs import TableInputs
 from bayescal.machines.readings import Given
 from bayescal.numerics.geometry import Array
 

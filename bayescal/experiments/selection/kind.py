@@ -8,11 +8,11 @@ from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.pose_selection.compute import compute_selections
-from bayescal.experiments.pose_selection.inputs import SelectionInputs, read_selection
-from bayescal.experiments.pose_selection.page import build_page
-from bayescal.experiments.pose_selection.published import check_published
-from bayescal.experiments.pose_selection.schema import SelectionConfig
+from bayescal.experiments.selection.compute import compute_selections
+from bayescal.experiments.selection.inputs import SelectionInputs, read_selection
+from bayescal.experiments.selection.page import build_page
+from bayescal.experiments.selection.published import check_published
+from bayescal.experiments.selection.schema import SelectionConfig
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
 from bayescal.pose_selection.candidates import AT_ONCE
 from bayescal.report.blocks import Page
@@ -21,7 +21,7 @@ COPIES, DERIVATIVES, PLACING = 3, 8, 12
 """Arrays held of the rows of all candidates, of some candidates' derivatives, and where poses are placed."""
 
 
-class PoseSelection(Experiment[SelectionConfig, SelectionInputs]):
+class Selection(Experiment[SelectionConfig, SelectionInputs]):
     """Which poses to measure, by criteria and methods set side by side."""
 
     schema = SelectionConfig

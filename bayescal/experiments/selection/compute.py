@@ -8,9 +8,9 @@ import pandas as pd
 
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.pose_selection.compare import name_ways
-from bayescal.experiments.pose_selection.inputs import SelectionInputs
-from bayescal.experiments.pose_selection.tables import (
+from bayescal.experiments.selection.compare import name_ways
+from bayescal.experiments.selection.inputs import SelectionInputs
+from bayescal.experiments.selection.tables import (
     compare_published,
     format_plans,
     summarise_errors,
@@ -23,7 +23,7 @@ from bayescal.experiments.pose_selection.tables import (
     tabulate_timings,
     tabulate_traces,
 )
-from bayescal.experiments.pose_selection.tasks import JudgedPoses, run_tasks
+from bayescal.experiments.selection.tasks import JudgedPoses, run_tasks
 
 
 def compute_selections(inputs: SelectionInputs, run: Run) -> Results:

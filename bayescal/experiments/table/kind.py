@@ -4,10 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bayescal.experiments.calibration.page.table import build_page
-from bayescal.experiments.calibration.table.compute import compute_table
-from bayescal.experiments.calibration.table.inputs import TableInputs, read_table
-from bayescal.experiments.calibration.table.schema import LookupTableConfig
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
@@ -16,19 +12,22 @@ from bayescal.experiments.shared.of_another import OfAnother
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.experiments.shared.readings.memory import list_variant
 from bayescal.experiments.shared.search_memory import list_sampling
+from bayescal.experiments.table.compute import compute_table
+from bayescal.experiments.table.inputs import TableInputs, read_table
+from bayescal.experiments.table.page import build_page
+from bayescal.experiments.table.schema import TableConfig
 from bayescal.report.blocks import Page
 
 RESPONSES, ELSEWHERE, SLOPES = 4, 64, 6
 """Arrays of all draws' responses at all places, poses beside the table's, and arrays of derivatives at all places."""
 
 
-class LookupTable(OfAnother[LookupTableConfig, TableInputs]):
+class LookUpTable(OfAnother[TableConfig, TableInputs]):
     """What actuators have to do by elevation, temperature and the like."""
 
-    schema = LookupTableConfig
-    another = "calibration"
+    schema = TableConfig
 
-    def read(self, config: LookupTableConfig, folder: Path) -> TableInputs:
+    def read(self, config: TableConfig, folder: Path) -> TableInputs:
         """Return the calibration's variant and the places of the table."""
         return read_table(config, folder)
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from bayescal.config.classes import label_class
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.pose_selection.accuracy import Accuracy, judge_poses
-from bayescal.experiments.pose_selection.inputs import SelectionInputs, is_histogram
-from bayescal.experiments.pose_selection.schema import label_of
+from bayescal.experiments.selection.accuracy import Accuracy, judge_poses
+from bayescal.experiments.selection.inputs import SelectionInputs, is_histogram
+from bayescal.experiments.selection.schema import label_of
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection import Selection, SelectionProblem, select
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.calibration.table.inputs import TableInputs
-from bayescal.experiments.calibration.table.plan import Plan
-from bayescal.experiments.calibration.table.polynomial import Polynomial
-from bayescal.experiments.calibration.table.responses import Responses
+from bayescal.experiments.table.inputs import TableInputs
+from bayescal.experiments.table.plan import Plan
+from bayescal.experiments.table.polynomial import Polynomial
+from bayescal.experiments.table.responses import Responses
 from bayescal.machines.readings import Channel
 from bayescal.numerics.geometry import Array
 
@@ -114,7 +114,7 @@ def summarise(inputs: TableInputs, found: Found, problems: list[str]) -> dict[st
         "title": config.title,
         "origin": calibration.config.origin.model_dump(),
         "machine": calibration.machine,
-        "calibration": config.calibration,
+        "study": config.study,
         "variant": inputs.variant.name,
         "converged": not problems,
         "problems": problems,

@@ -11,10 +11,10 @@ import numpy as np
 
 from bayescal.density.elimination import RANK
 from bayescal.errors import InputError, name_faults
-from bayescal.experiments.calibration.table.schema import LookupTableConfig
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.readings.inputs import CalibrationInputs, Variant, read_inputs
 from bayescal.experiments.shared.readings.schema import CalibrationConfig
+from bayescal.experiments.table.schema import TableConfig
 from bayescal.identifiability.units import Units
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
@@ -26,7 +26,7 @@ class TableInputs:
 
     Attributes
     ----------
-    config : LookupTableConfig
+    config : TableConfig
     calibration : CalibrationInputs
         With the one variant that the table is made of.
     cells : ndarray, shape (G, A)
@@ -37,7 +37,7 @@ class TableInputs:
         The commanded one, mm and rad.
     """
 
-    config: LookupTableConfig
+    config: TableConfig
     calibration: CalibrationInputs
     cells: Array
     reference: dict[str, float]
@@ -64,7 +64,7 @@ class TableInputs:
         }
 
 
-def read_table(config: LookupTableConfig, folder: Path) -> TableInputs:
+def read_table(config: TableConfig, folder: Path) -> TableInputs:
     """Return a table, read.
 
     Raises
@@ -73,7 +73,7 @@ def read_table(config: LookupTableConfig, folder: Path) -> TableInputs:
         Where the file is no calibration's, an axis is no column that its machine has to know or its values cannot be,
         a coordinate is unknown, or the actuators do not tell the pose.
     """
-    path = folder / config.calibration
+    path = folder / config.study
     calibration = _read_calibration(config, path)
     variant = next(iter(calibration.variants.values()))
     reference = _check_reference(config, variant)
@@ -97,7 +97,7 @@ def load_calibration(path: Path) -> CalibrationConfig:
     return found
 
 
-def _read_calibration(config: LookupTableConfig, path: Path) -> CalibrationInputs:
+def _read_calibration(config: TableConfig, path: Path) -> CalibrationInputs:
     """Return the calibration with the table's variant alone."""
     found = load_calibration(path)
     names = [one.name for one in found.variants]
@@ -108,7 +108,7 @@ def _read_calibration(config: LookupTableConfig, path: Path) -> CalibrationInput
     return read_inputs(found.model_copy(update={"variants": chosen}), path.parent)
 
 
-def _check_reference(config: LookupTableConfig, variant: Variant) -> dict[str, float]:
+def _check_reference(config: TableConfig, variant: Variant) -> dict[str, float]:
     """Return the reference, for what the machine has to know in the machine's order."""
     known = variant.whole.given
     if not known:
@@ -125,7 +125,7 @@ def _check_reference(config: LookupTableConfig, variant: Variant) -> dict[str, f
     return {name: float(config.reference[name]) for name in known}
 
 
-def _place(config: LookupTableConfig, calibration: CalibrationConfig, variant: Variant) -> Array:
+def _place(config: TableConfig, calibration: CalibrationConfig, variant: Variant) -> Array:
     """Return the commanded pose, shape (q,)."""
     coordinates, units = variant.model.coordinates, Units(calibration.units.length, calibration.units.angle)
     names = [one.name for one in coordinates]

@@ -9,7 +9,7 @@ import pandas as pd
 
 from bayescal.config.classes import label_class
 from bayescal.errors import InputError
-from bayescal.experiments.pose_selection.schema import SelectionConfig, label_of
+from bayescal.experiments.selection.schema import SelectionConfig, label_of
 from bayescal.files.csv_tables import read_table
 
 KEY = ["label", "criterion", "n_poses"]

@@ -230,8 +230,8 @@ class PublishedConfig(Section):
 class SelectionConfig(ExperimentConfig):
     """An experiment on pose selection."""
 
-    kind: Literal["pose_selection"]
-    """`"pose_selection"`."""
+    kind: Literal["selection"]
+    """`"selection"`."""
     origin: str
     """What the page says of where machine and numbers come from."""
     mechanism: InputFile

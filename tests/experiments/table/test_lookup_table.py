@@ -12,12 +12,12 @@ import studies
 from lookup_tables import change
 
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.page.table import build_page
-from bayescal.experiments.calibration.table.compute import find_table
-from bayescal.experiments.calibration.table.plan import plan_measurements
-from bayescal.experiments.calibration.table.responses import differentiate_correction, respond
-from bayescal.experiments.calibration.table.tables import summarise, tabulate
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.table.compute import find_table
+from bayescal.experiments.table.page import build_page
+from bayescal.experiments.table.plan import plan_measurements
+from bayescal.experiments.table.responses import differentiate_correction, respond
+from bayescal.experiments.table.tables import summarise, tabulate
 
 pytestmark = pytest.mark.runs
 
@@ -180,7 +180,7 @@ def rail(tmp_path_factory):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('calibration = "study.toml"', 'calibration = "table.toml"', "expected 'calibration'"),
+        ('study = "study.toml"', 'study = "table.toml"', "expected 'calibration'"),
         ("force = true", 'variant = "al"', "found 'al', expected one of all"),
         ("elevation_deg = [0.0, 45.0, 90.0]", "azimuth_deg = [0.0, 45.0]", "reference: found no azimuth_deg"),
         ("elevation_deg = [0.0, 45.0, 90.0]", "elevation_deg = [45.0, 0.0]", "found values that do not rise"),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from bayescal.config.sections import ExperimentConfig, InputFile, Number, Section
+from bayescal.config.sections import Number, Section
+from bayescal.experiments.shared.of_another import OfAnotherConfig
 
 type Axis = Annotated[list[Number], Field(min_length=2, max_length=1000)]
 
@@ -23,7 +25,7 @@ class TablePlanConfig(Section):
     """Whether they come beside the calibration's data, or in place of it."""
 
 
-class LookupTableConfig(ExperimentConfig):
+class TableConfig(OfAnotherConfig):
     """What the actuators have to do where what is known of each pose changes, of a calibration's posterior.
 
     Attributes
@@ -32,10 +34,10 @@ class LookupTableConfig(ExperimentConfig):
         One or two, the first of which figures have as their abscissa.
     """
 
-    kind: Literal["lookup_table"]
-    """`"lookup_table"`."""
-    calibration: InputFile
-    """The calibration's TOML file."""
+    gone: ClassVar[Mapping[str, str]] = {"calibration": "study"}
+
+    kind: Literal["table"]
+    """`"table"`."""
     variant: str = ""
     """Its variant; needed where it has several."""
     axes: Annotated[dict[str, Axis], Field(min_length=1, max_length=2)]

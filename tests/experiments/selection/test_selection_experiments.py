@@ -24,11 +24,11 @@ from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import read_results
 from bayescal.experiments.frame.run import find_results_kind, run_experiment, write_report
-from bayescal.experiments.pose_selection.accuracy import judge_poses
-from bayescal.experiments.pose_selection.inputs import read_selection
-from bayescal.experiments.pose_selection.tables import tabulate_random_sets
-from bayescal.experiments.pose_selection.tasks import run_tasks
-from bayescal.experiments.pose_selection.verdict import Tables
+from bayescal.experiments.selection.accuracy import judge_poses
+from bayescal.experiments.selection.inputs import read_selection
+from bayescal.experiments.selection.tables import tabulate_random_sets
+from bayescal.experiments.selection.tasks import run_tasks
+from bayescal.experiments.selection.verdict import Tables
 from bayescal.identifiability.requirements import find_limits
 from bayescal.identifiability.sensitivity import compute_sensitivity
 

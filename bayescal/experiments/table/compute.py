@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from bayescal.errors import NumericalError
-from bayescal.experiments.calibration.table.inputs import TableInputs
-from bayescal.experiments.calibration.table.plan import plan_measurements
-from bayescal.experiments.calibration.table.polynomial import build_terms, fit_polynomial, format_polynomial
-from bayescal.experiments.calibration.table.responses import measure_elsewhere, respond
-from bayescal.experiments.calibration.table.tables import Found, summarise, tabulate
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import Estimate, estimate_posterior
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
+from bayescal.experiments.table.inputs import TableInputs
+from bayescal.experiments.table.plan import plan_measurements
+from bayescal.experiments.table.polynomial import build_terms, fit_polynomial, format_polynomial
+from bayescal.experiments.table.responses import measure_elsewhere, respond
+from bayescal.experiments.table.tables import Found, summarise, tabulate
 
 POLYNOMIAL_FILE = "polynomial.json"
 ELSEWHERE = 64  # poses of the workspace

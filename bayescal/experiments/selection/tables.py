@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 
 from bayescal.config.registry import is_own
-from bayescal.experiments.pose_selection.inputs import SelectionInputs
-from bayescal.experiments.pose_selection.published import KEY
-from bayescal.experiments.pose_selection.tasks import DESIGN, JudgedPoses, Task
+from bayescal.experiments.selection.inputs import SelectionInputs
+from bayescal.experiments.selection.published import KEY
+from bayescal.experiments.selection.tasks import DESIGN, JudgedPoses, Task
 from bayescal.files.csv_tables import format_table
 from bayescal.identifiability.pose_volume import AXES
 from bayescal.pose_selection import Criterion, SelectionMethod

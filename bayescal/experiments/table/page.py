@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 from matplotlib import figure as mpl
 
-from bayescal.experiments.calibration.page.build import name_origin
-from bayescal.experiments.calibration.page.verdict import list_rows
+from bayescal.experiments.shared.function_page import list_rows
+from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.slips import state_slip
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 from bayescal.report.blocks import (
@@ -54,7 +54,7 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
         ),
         (
             ("Machine", str(summary["machine"])),
-            ("Calibration", f"{summary['calibration']}, variant {summary['variant']}"),
+            ("Study", f"{summary['study']}, variant {summary['variant']}"),
             ("Zero at", _name_place(summary["reference"])),
         ),
     )

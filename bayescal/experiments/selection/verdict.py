@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.pose_selection.compare import Ratio, count_wins, pair_errors, rank_ways
-from bayescal.experiments.pose_selection.schema import PublishedConfig, SelectionConfig
-from bayescal.experiments.pose_selection.tables import NEAR
-from bayescal.experiments.pose_selection.tasks import DESIGN
+from bayescal.experiments.selection.compare import Ratio, count_wins, pair_errors, rank_ways
+from bayescal.experiments.selection.schema import PublishedConfig, SelectionConfig
+from bayescal.experiments.selection.tables import NEAR
+from bayescal.experiments.selection.tasks import DESIGN
 from bayescal.pose_selection import CRITERIA, METHODS
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import (

@@ -13,8 +13,8 @@ import pandas as pd
 from bayescal.config.classes import Choice, choose, name_failures
 from bayescal.data.actuators import read_moves
 from bayescal.errors import InputError
-from bayescal.experiments.pose_selection.published import read_published
-from bayescal.experiments.pose_selection.schema import (
+from bayescal.experiments.selection.published import read_published
+from bayescal.experiments.selection.schema import (
     ActuatorDomainConfig,
     ContinuousChoiceConfig,
     OwnChoiceConfig,

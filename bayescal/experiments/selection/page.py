@@ -9,8 +9,8 @@ from functools import partial
 import pandas as pd
 
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.pose_selection.compare import tabulate_pairs
-from bayescal.experiments.pose_selection.figures import (
+from bayescal.experiments.selection.compare import tabulate_pairs
+from bayescal.experiments.selection.figures import (
     Quantity,
     draw_errors,
     draw_paired,
@@ -18,9 +18,9 @@ from bayescal.experiments.pose_selection.figures import (
     draw_ratios,
     draw_traces,
 )
-from bayescal.experiments.pose_selection.schema import SelectionConfig
-from bayescal.experiments.pose_selection.tasks import DESIGN
-from bayescal.experiments.pose_selection.verdict import PRINTED, Tables, state_headline, state_verdict
+from bayescal.experiments.selection.schema import SelectionConfig
+from bayescal.experiments.selection.tasks import DESIGN
+from bayescal.experiments.selection.verdict import PRINTED, Tables, state_headline, state_verdict
 from bayescal.report.blocks import Cell, Column, Figure, Page, Section, Statement, Table, make_section, make_table
 from bayescal.report.numbers import (
     MINUS,

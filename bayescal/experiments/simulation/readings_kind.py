@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.experiments.calibration.simulate import SimulationInputs, read_simulation, simulate
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
 from bayescal.experiments.shared.readings.schema import CalibrationSimulationConfig
 from bayescal.experiments.shared.simulated_data import Simulated, SimulatedData
+from bayescal.experiments.simulation.readings import SimulationInputs, read_simulation, simulate
 
 
 class CalibrationSimulation(

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.experiments.calibration.table.inputs import TableInputs
-from bayescal.experiments.calibration.table.responses import differentiate_correction
 from bayescal.experiments.shared.readings.knowledge import look
+from bayescal.experiments.table.inputs import TableInputs
+from bayescal.experiments.table.responses import differentiate_correction
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.next_pose import add_poses, learn_in_turn
 
