@@ -1,9 +1,10 @@
-"""The twin: files and back recover the true poses and K; the shipped data are what the shipped config gives."""
+"""Simulations: readings are of the machine that is told; the twin's files and back recover the true poses and K; the shipped data are what the shipped config gives."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import calibrations
 import numpy as np
 import pytest
 import studies
@@ -11,21 +12,24 @@ from scipy import stats
 
 from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.data.photogrammetry.survey import read_survey
-from bayescal.data.simulation import Twin, build_twin, format_survey, format_truth, simulate_survey, survey_twin
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.simulation.kind import Simulation
-from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.simulation.machine import read_model
+from bayescal.experiments.simulation.twin import Twin, build_twin, format_survey, simulate_survey
 from bayescal.files.csv_tables import read_matrix, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.machines.read import read_reading_model
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
 FILES = ("targets.csv", "actuators.csv", "target_reference.csv")
 POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
 RARE = 1e-4
+STAR = studies.EXPERIMENTS / "sliding_star"
+FRAMES = ("x_P", "y_P", "phi_P", "x_Q")
 
 
 def load_twin(path: Path) -> Twin:
-    return build_twin(load_simulation(path), path.parent)
+    return build_twin(load_experiment(path), path.parent)
 
 
 @pytest.fixture(scope="module")
@@ -98,13 +102,10 @@ def test_measurement_frame_differs_from_pose_to_pose(config):
     assert np.ptp(first, axis=0).min() > 500
 
 
-@pytest.mark.parametrize("folder", ["telescope", "m2_hexapod", "hexaglide"])
+@pytest.mark.parametrize("folder", ["telescope", "m2_hexapod", "m2_hexapod_table", "hexaglide", "camera_hexapod"])
 def test_shipped_data_are_those_of_the_shipped_config(folder):
     path = studies.EXPERIMENTS / folder / "simulate.toml"
-    config = load_simulation(path)
-    twin = build_twin(config, path.parent)
-    survey, poses = survey_twin(twin, np.random.default_rng(config.seed))
-    texts = format_survey(survey, config.origin) | format_truth(twin, survey.poses, poses)
+    texts = studies.simulate(path).files
     assert set(texts) == {file.name for file in (path.parent / "data").iterdir()}
     for name, text in texts.items():
         studies.assert_same_text(text, (path.parent / "data" / name).read_text(), name)
@@ -155,10 +156,7 @@ def test_true_poses_are_those_that_the_targets_show(shipped):
 
 def test_truth_fed_back_gives_the_same_bytes(config, tmp_path):
     def simulate(seed: int) -> dict[str, str]:
-        simulation = load_simulation(config).model_copy(update={"seed": seed})
-        task = Simulation()
-        inputs = task.read(simulation, config.parent)
-        return task.simulate(inputs, np.random.default_rng(task.seed(inputs))).files
+        return studies.simulate(config, seed=seed).files
 
     first = simulate(4)
     (tmp_path / "true_parameters.csv").write_text(first["true_parameters.csv"])
@@ -223,6 +221,59 @@ def test_offset_of_kappa_leaves_the_ring_alone(config):
         local = np.einsum("pmi,pi->pm", survey.platform.measured[:, pads] - fit.position[:, None], fit.rotation[..., 2])
         lift = local - survey.platform.reference[pads, 2]
         np.testing.assert_allclose(lift, np.repeat(expected, 2, axis=1), atol=2e-5)
+
+
+# --- readings of any machine -----------------------------------------------------------------------------------------
+
+
+def test_simulated_readings_are_of_the_machine_that_the_data_are_of():
+    files, data = studies.simulate(STAR / "simulate.toml", seed=1).files, STAR / "data"
+    written, given = (
+        [line for line in text.splitlines() if line[:1] != "#"]
+        for text in (files["true_parameters.csv"], (data / "true_parameters.csv").read_text())
+    )
+    assert written == given
+    readings = (data / "readings.csv").read_text().splitlines()
+    assert files["readings.csv"].splitlines()[2].split(",") == readings[2].split(",")
+
+
+def test_simulated_frames_are_not_drawn():
+    prior = load_experiment(STAR / "study.toml").parameters
+    changed = {"truth": None, "parameters": prior, "fixed": [*FRAMES], "common": ["l"]}
+    truth = studies.simulate(STAR / "simulate.toml", seed=1, **changed).tables["truth"].set_index("parameter")
+    names = read_reading_model(STAR / "machine.toml").layout.names
+    assert set(names) - set(truth.index) == set(FRAMES)  # the table has what is off its nominal value
+    assert truth["true"][["l[1]", "l[2]", "l[3]", "l[4]"]].nunique() == 1
+
+
+def test_offsets_state_the_truth_of_any_machine_in_the_configs_units(tmp_path):
+    path = calibrations.write_simulation(tmp_path)
+    studies.edit(path, "[sensors]", "[truth.offsets]\nt_x = 0.5\nl = [1.0, 0.0, -2.0]\n\n[sensors]")
+    truth = studies.simulate(path).tables["truth"].set_index("parameter")
+    assert set(truth.index) == {"t_x", "l[1]", "l[3]"}
+    off = truth["true"] - truth["nominal"]
+    assert off[["l[1]", "l[3]", "t_x"]].to_list() == pytest.approx([1.0, -2.0, np.radians(0.5)], abs=1e-11)
+
+
+def test_a_mechanism_has_readings_as_every_machine(config):
+    """Its actuators' and its pose's, of the machine of the same truth as the survey is of."""
+    text = config.read_text()
+    truth = text[text.index("[truth]") : text.index("[poses]")]
+    head = text[: text.index("[origin]")] + "n_poses = 4\n\n" + text[text.index("[origin]") : text.index("[truth]")]
+    config.write_text(head + truth + "[sensors]\nrho = { noise_um = 0.0 }\nx = { noise_um = 0.0 }\n")
+    (config.parent / "readings").mkdir()
+    made = studies.simulate(config)
+    studies.write_texts(config.parent / "readings", made.files)
+    twin_truth = studies.simulate(config, seed=9).tables["truth"]
+    assert made.tables["truth"].equals(twin_truth)
+    read = read_table(config.parent / "readings" / "readings.csv", ("pose", "x_mm"))
+    actuators = read.numbers(tuple(f"rho_{leg}_mm" for leg in range(1, 7)))
+    machine = read_model(load_experiment(config), config.parent)
+    theta = machine.layout.nominal.copy()
+    for _, row in made.tables["truth"].iterrows():
+        theta[machine.layout.names.index(row["parameter"])] = row["true"]
+    found = solve_forward_kinematics(machine.machine, theta, actuators)
+    np.testing.assert_allclose(found.position[:, 0], read.numbers(("x_mm",))[:, 0], atol=2e-5)
 
 
 # --- faults ----------------------------------------------------------------------------------------------------------
