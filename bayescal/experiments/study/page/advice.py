@@ -28,9 +28,8 @@ def state_headline(results: StudyResults) -> str:
     if model and chosen not in results.own_names:
         name = f"{label_model(results, model)} {describe_deformation(deformation)}"
     choice = say_choice(list_candidates(results, results.ranking), name, has_doubts(results))
-    return write_headline(
-        [f"{choice}; {_state_accuracy(results)}", f"{say_requirements({})}; to judge them run an audit of this study"]
-    )
+    required = f"{say_requirements({})}; to judge them run an audit of this study"
+    return write_headline([f"{choice}; {_state_accuracy(results)}", required])
 
 
 def _state_accuracy(results: StudyResults) -> str:
