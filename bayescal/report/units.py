@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from bayescal.numerics.units import ARCSECOND, MICROMETRE
 from bayescal.report.numbers import format_fixed, format_significant
 
 INNER = {"mm": "length", "rad": "angle"}
 SHOWN = {
-    "um": (1.0 / MICROMETRE, "µm"),
+    "um": (1e3, "µm"),
     "mm": (1.0, "mm"),
     "m": (1e-3, "m"),
-    "arcsec": (1.0 / ARCSECOND, "arcsec"),
+    "arcsec": (3600.0 * math.degrees(1.0), "arcsec"),
     "mrad": (1e3, "mrad"),
     "deg": (math.degrees(1.0), "°"),
     "rad": (1.0, "rad"),
