@@ -6,12 +6,14 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import studies
 
 SHIPPED = Path(__file__).parents[1] / "experiments" / "m2_hexapod_table"
 LITTLE = {"walkers": "24", "burn_in": "4", "steps": "10", "ensembles": "4", "draws": "1000", "max_draws": "1000"}
 RAIL = """from typing import Any
 
+import numpy as np
 import studies
 
 from bayescal.machines.parameters import ParameterBlock

@@ -9,12 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import calibrations
-import numpy as np
 import own_arm
 import studies
 
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.twin import build_twin, format_survey, simulate_survey
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.kinematics import guess_home_pose
 from bayescal.machines.read import load_mechanism
@@ -401,9 +398,7 @@ def write_hexaglide(folder: Path) -> Written:
     shutil.copytree(studies.EXPERIMENTS / "hexaglide", folder)
     twin = folder / "simulate.toml"
     twin.write_text(re.sub(r"(?m)^(a_y|a_z|b_x|u_z) = .*\n", "", twin.read_text()))
-    config = load_experiment(twin)
-    survey = simulate_survey(build_twin(config, folder), np.random.default_rng(config.seed))
-    studies.write_texts(folder / "data", format_survey(survey, config.origin.text))
+    studies.write_texts(folder / "data", studies.simulate(twin).files)
     path = folder / "study.toml"
     text = path.read_text().replace('free = ["a_y", "a_z", "b_x", "l", "u_y", "u_z"]', 'free = ["l", "u_y"]')
     path.write_text(

@@ -189,7 +189,7 @@ def test_missing_config(refuse, study):
 
 
 def test_kind_of_another_command(refuse, study):
-    assert "kind: found 'study', expected a kind that simulates data" in refuse("simulate", study, "--out", "x")
+    assert "kind: found 'study', expected 'simulation'" in refuse("simulate", study, "--out", "x")
     for path, kind in ((study, "study"), ("simulate.toml", "simulation")):
         assert f"kind: found {kind!r}, expected 'audit'" in refuse("audit", path)
     studies.edit(Path(study), 'kind = "study"', 'kind = "mechanism"')

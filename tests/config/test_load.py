@@ -221,7 +221,7 @@ def test_missing_kind(study):
 
 
 def test_study_is_no_simulation_and_the_reverse(study):
-    assert "kind: found 'study', expected 'simulation'" in fail(load_experiment, study)
+    assert "kind: found 'study', expected 'simulation'" in fail(lambda path: load_kind(path, "simulation"), study)
     simulation = study.with_name("simulate.toml")
     assert "kind: found 'simulation', expected 'study'" in fail(lambda path: load_kind(path, "study"), simulation)
     assert isinstance(load_experiment(simulation), SimulationConfig)

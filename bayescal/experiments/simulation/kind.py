@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,6 +13,7 @@ from bayescal.data.truth import round_as_written
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.look import look_at_machine
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
 from bayescal.experiments.simulation.instruments import InstrumentPlan, plan_instrument
 from bayescal.experiments.simulation.readings import ReadingPlan, plan_readings
@@ -40,6 +43,10 @@ class Simulation(MachineExperiment[SimulationConfig, Plan]):
     def read(self, config: SimulationConfig, folder: Path) -> Plan:
         """Return the machine, its truth, its noise and where it is measured."""
         return plan_instrument(config, folder) if config.sees_platform else plan_readings(config, folder)
+
+    def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
+        """Return what is wrong with the machine's file by itself."""
+        return look_at_machine(content, folder)[1]
 
     def estimate_memory(self, inputs: Plan) -> Need:
         """Return what the data and their texts take."""

@@ -1,11 +1,13 @@
-"""Simulations: readings are of the machine that is told; the twin's files and back recover the true poses and K; the shipped data are what the shipped config gives."""
+"""Simulations: the twin's files and back recover poses and K; shipped data are what the shipped config gives."""
 
 from __future__ import annotations
 
+from io import StringIO
 from pathlib import Path
 
 import calibrations
 import numpy as np
+import pandas as pd
 import pytest
 import studies
 from scipy import stats
@@ -23,9 +25,10 @@ from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vec
 
 FILES = ("targets.csv", "actuators.csv", "target_reference.csv")
 POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
+INSTRUMENT = '[instrument]\nkind = "poses"\nposition_um = 1.0\n'
 RARE = 1e-4
 STAR = studies.EXPERIMENTS / "sliding_star"
-FRAMES = ("x_P", "y_P", "phi_P", "x_Q")
+FRAMES = ("x_P[1]", "y_P[1]", "beta[1]", "xi_B[1]", "eta_B[1]", "eta_B[2]")
 
 
 def load_twin(path: Path) -> Twin:
@@ -261,19 +264,16 @@ def test_a_mechanism_has_readings_as_every_machine(config):
     truth = text[text.index("[truth]") : text.index("[poses]")]
     head = text[: text.index("[origin]")] + "n_poses = 4\n\n" + text[text.index("[origin]") : text.index("[truth]")]
     config.write_text(head + truth + "[sensors]\nrho = { noise_um = 0.0 }\nx = { noise_um = 0.0 }\n")
-    (config.parent / "readings").mkdir()
     made = studies.simulate(config)
-    studies.write_texts(config.parent / "readings", made.files)
-    twin_truth = studies.simulate(config, seed=9).tables["truth"]
-    assert made.tables["truth"].equals(twin_truth)
-    read = read_table(config.parent / "readings" / "readings.csv", ("pose", "x_mm"))
-    actuators = read.numbers(tuple(f"rho_{leg}_mm" for leg in range(1, 7)))
+    assert made.tables["truth"].equals(studies.simulate(config, seed=9).tables["truth"])
+    read = pd.read_csv(StringIO(made.files["readings.csv"]), comment="#")
+    actuators = read[[f"rho_{leg}_mm" for leg in range(1, 7)]].to_numpy()
     machine = read_model(load_experiment(config), config.parent)
     theta = machine.layout.nominal.copy()
     for _, row in made.tables["truth"].iterrows():
         theta[machine.layout.names.index(row["parameter"])] = row["true"]
     found = solve_forward_kinematics(machine.machine, theta, actuators)
-    np.testing.assert_allclose(found.position[:, 0], read.numbers(("x_mm",))[:, 0], atol=2e-5)
+    np.testing.assert_allclose(found.position[:, 0], read["x_mm"], atol=2e-5)
 
 
 # --- faults ----------------------------------------------------------------------------------------------------------
@@ -289,6 +289,12 @@ def test_a_mechanism_has_readings_as_every_machine(config):
         ('calibration = "calibration_conf', 'calibration = "deformation_conf', "no such file"),
         ("[truth.offsets]", 'parameters = "t.csv"\n[truth.offsets]', "truth: expected either offsets or parameters"),
         ("pad_radius_mm = 12.0", "", "found per_pad 2 without pad_radius_mm, expected both"),
+        ('model = "six_pus"', "", "model: found none, expected the kinematic model of the mechanism"),
+        ('status = "reconstructed"', 'status = "measured"', "origin.status: found 'measured', expected"),
+        ("[poses]", "[sensors]\nrho = { noise_um = 1.0 }\n[poses]", "sensors: found beside targets, expected either"),
+        ("target_um = 3.0", "", "noise.target_um: found none beside targets, expected it"),
+        ("[poses]", INSTRUMENT + "[poses]", "measurement_frame: found beside instrument, expected either"),
+        ('machine = "mechanism.toml"', 'mechanism = "mechanism.toml"', "mechanism: key is gone, expected machine"),
     ],
 )
 def test_faulty_simulation(config, old, new, expected):
@@ -297,6 +303,36 @@ def test_faulty_simulation(config, old, new, expected):
         load_twin(config)
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("n_poses = 6", "", "n_poses: found none, expected it, or [targets] or [instrument] of a machine on legs"),
+        ("[sensors]", "[noise]\nactuator_um = 1.0\n[sensors]", "noise: found beside sensors, expected either"),
+        ("[sensors]", 'model = "six_ups"\n[sensors]', "origin.model: unknown key"),
+        (
+            "n_poses = 6",
+            'n_poses = 6\nmodel = "six_ups"',
+            "model: found 'six_ups' beside a machine whose",
+        ),
+        ("[sensors]", "[truth.offsets]\nt_x = [0.5, 1.0]\n[sensors]", "truth.offsets.t_x: found 2 values, expected 1"),
+    ],
+)
+def test_faulty_simulation_of_readings(tmp_path, old, new, expected):
+    path = calibrations.write_simulation(tmp_path)
+    studies.edit(path, old, new)
+    with pytest.raises(InputError) as caught:
+        studies.simulate(path)
+    assert expected in str(caught.value)
+
+
+def test_only_legs_are_seen_by_an_instrument_of_their_platform(config):
+    path = calibrations.copy_delta(config.parent) / "machine.toml"
+    studies.edit(config, 'machine = "mechanism.toml"\nmodel = "six_pus"', f'machine = "{path}"')
+    studies.edit(config, 'deformation_matrix = "deformation_matrix.csv"', "")
+    with pytest.raises(InputError, match="which has no legs, expected a mechanism"):
+        load_twin(config)
 
 
 def test_table_of_another_machine(config):
