@@ -65,9 +65,9 @@ def _describe(content: Mapping[str, Any]) -> str:
     return repr(content.get("kind"))
 
 
-def load_experiment(path: Path) -> Any:
-    """Return the checked config of an experiment of any kind."""
-    return load(path)[1]
+def load_experiment(path: Path | str) -> Any:
+    """Return the checked config of an experiment of any kind; InputError for anything at fault."""
+    return load(Path(path))[1]
 
 
 def load_kind(path: Path, kind: str) -> Any:

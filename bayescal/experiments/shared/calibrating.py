@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from bayescal.calibrated.exported import CALIBRATED, read_exported
 from bayescal.calibrated.machine import CalibratedMachine
@@ -12,10 +12,12 @@ from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
 from bayescal.experiments.frame.identity import identify
 from bayescal.experiments.frame.load import find_kind, load
-from bayescal.experiments.frame.results import PROVENANCE_FILE, Results, Writer, read_results
 from bayescal.experiments.shared.trees import read_draws
 from bayescal.files.atomic import read_json
 from bayescal.numerics.geometry import Array
+
+if TYPE_CHECKING:
+    from bayescal.experiments.frame.results import Results, Writer
 
 KEPT = "machine"
 """Folder of the results that holds what the machine is read from."""
@@ -95,6 +97,8 @@ def load_calibrated(
 
 
 def _calibrate(path: Path, variant: str | None, experiment: Path | None, trust: bool) -> CalibratedMachine:
+    from bayescal.experiments.frame.results import PROVENANCE_FILE, read_results
+
     name = read_json(path / PROVENANCE_FILE).get("kind")
     kind: object = None if not isinstance(name, str) or ":" in name else find_kind(name, path, None)
     if not isinstance(kind, Calibrating):
