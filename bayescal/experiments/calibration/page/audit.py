@@ -9,11 +9,12 @@ import pandas as pd
 from bayescal.experiments.calibration.page import audit_figures as figures
 from bayescal.experiments.calibration.page.audit_sets import show_counts, show_sets
 from bayescal.experiments.calibration.page.audit_verdict import choose_best, state_headline, state_verdict
-from bayescal.experiments.calibration.page.build import VERDICT_LEVELS, show_accuracy, show_next, show_ridges
-from bayescal.experiments.calibration.page.verdict import Asked, format_place, list_rows, name_unit, shown_in
+from bayescal.experiments.shared.knowledge_page import VERDICT_LEVELS, show_accuracy, show_next, show_ridges
 from bayescal.files.plain_text import add_article
 from bayescal.report.blocks import Cell, Column, Figure, Page, Section, make_section, make_table
 from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant
+from bayescal.report.reading import list_rows
+from bayescal.report.units import Asked, format_place, name_unit, shown_in
 
 KIND = "Audit of a calibration"
 
@@ -21,10 +22,11 @@ KIND = "Audit of a calibration"
 def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page:
     """Return the page of an experiment's tables."""
     best, asked = choose_best(tables), summary["units"]
+    accuracy = show_accuracy(tables, asked)
     sections = [
         _show_variants(tables),
         *_show_requirements(tables, summary),
-        show_accuracy(tables, asked),
+        *([] if accuracy is None else [accuracy]),
         _show_parameters(tables, best, summary),
         *show_ridges(tables, best),
         *show_sets(tables, summary),

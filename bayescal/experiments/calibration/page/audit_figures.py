@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from bayescal.experiments.calibration.page.verdict import Asked, shown_in
 from bayescal.report.numbers import format_plain
 from bayescal.report.style import GREY, INK, LEG_COLOURS, MARKERS, PALE, RED
 from bayescal.report.symbols import quote
+from bayescal.report.units import Asked, shown_in
 
 BEST = LEG_COLOURS[4]
 HALVED = 0.75  # contraction that halves a tolerance

@@ -7,7 +7,6 @@ from typing import Any
 import pandas as pd
 
 from bayescal.experiments.calibration.page import audit_figures as figures
-from bayescal.experiments.calibration.page.verdict import Asked, Row, list_rows, shown_in
 from bayescal.report.blocks import Cell, Column, Figure, Section, Statement, make_section, make_table
 from bayescal.report.numbers import (
     format_count,
@@ -17,6 +16,8 @@ from bayescal.report.numbers import (
     format_significant,
     join_words,
 )
+from bayescal.report.reading import Row, list_rows
+from bayescal.report.units import Asked, shown_in
 
 ENOUGH = 1.1  # times the error of the best set, which a smaller one may have
 WORTH = 0.02  # of the error, by which one more pose should lower it

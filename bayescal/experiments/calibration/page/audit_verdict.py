@@ -9,9 +9,11 @@ from typing import Any
 import pandas as pd
 
 from bayescal.experiments.calibration.page.audit_sets import state_counts, state_sets
-from bayescal.experiments.calibration.page.verdict import Asked, Row, format_amount, list_rows, state_next
+from bayescal.experiments.shared.knowledge_page import state_next
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_percent, join_words
+from bayescal.report.reading import Row, list_rows
+from bayescal.report.units import Asked, format_amount
 
 LIKELY = 0.9  # probability, from which what is required counts as safely met
 
