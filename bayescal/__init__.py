@@ -31,7 +31,6 @@ _HOMES = {
     "Instrument": "bayescal.machines.readings",
     "ErrorTerm": "bayescal.density.calibration.terms",
     "Section": "bayescal.config.sections",
-    "Experiment": "bayescal.experiments.frame.experiment",
     "BayescalError": "bayescal.errors",
     "InputError": "bayescal.errors",
     "NumericalError": "bayescal.errors",

@@ -114,6 +114,17 @@ def load_machine(machine: AnyMachine) -> MachineFiles:
     ------
     InputError
         For anything wrong with the file or the class.
+
+    Examples
+    --------
+    >>> import bayescal as bc
+    >>> machine = bc.load_machine("examples/own_machine/machine.toml")
+    >>> machine
+    machine 'delta': 14 parameters (x, y, l, s0, t_x, t_y), channels s[1], s[2], s[3], cam_x, cam_y, height,
+    coordinates x, y, z, tool x, y, z
+    >>> machine.read([0.0, 0.0, 30.0]).round(3)
+       s_1_mm  s_2_mm  s_3_mm  cam_x_mm  cam_y_mm  height_mm
+    ...
     """
     if isinstance(machine, MachineFiles):
         return machine
@@ -196,6 +207,11 @@ class Data:
         Where they come from: a sentence, or a section [origin] as in a config.
     truth : DataFrame, optional
         The true parameters, of simulated readings.
+
+    Examples
+    --------
+    >>> bc.Data(data.table, noise, hold_back=["C001", "C002"])
+    data: 12 rows of s, cam_x, cam_y, height; a table given in Python
     """
 
     def __init__(
@@ -318,6 +334,11 @@ def run_experiment(
         For anything at fault, with the line that the shell prints; nothing is written then.
     NumericalError
         Where a computation fails; the finished tasks are kept for ``resume``.
+
+    Examples
+    --------
+    >>> bc.run_experiment(config, "out", folder="examples/own_machine", quiet=True).folder.name
+    'out'
     """
     from bayescal.experiments.frame.run import run_experiment as run
 
@@ -414,6 +435,14 @@ def calibrate(
     ------
     InputError
         For anything at fault, with the line that the shell prints; nothing is written then.
+
+    Examples
+    --------
+    >>> study = bc.calibrate(machine, data, tolerances, quiet=True)
+    >>> print(study.summary["headline"])
+    Use “Everything free”...
+    >>> study.best.parameters[["parameter", "unit", "mean", "sd"]].head(2)
+      parameter unit ...
     """
     found = load_machine(machine)
     project = _Project(found)
@@ -462,6 +491,11 @@ def next_pose(
     ------
     InputError
         Of results that were loaded: ``bayescal next`` takes their config.
+
+    Examples
+    --------
+    >>> print(bc.next_pose(study, {"x": 0.1, "z": 0.1}, candidates=20, quiet=True).summary["headline"])
+    Stop: after 12 poses the requirements hold...
     """
     if not isinstance(study.project, _Project):
         raise InputError(f"{study.folder}: found loaded results, expected those of calibrate; or bayescal next")
@@ -501,6 +535,12 @@ def simulate(
     seed : int
     **sections
         Further sections of a config of kind ``calibration_simulation``: ``workspace``, ``given`` ...
+
+    Examples
+    --------
+    >>> data = bc.simulate(machine, noise, tolerances, n_poses=12)
+    >>> data.table.shape, len(data.truth)
+    ((12, 8), 9)
     """
     found = load_machine(machine)
     content = {
@@ -556,6 +596,14 @@ def audit(
         Sets of sensors to judge, as in a config of kind ``calibration_audit``.
     seed, out, workers, quiet, **sections
         As for `calibrate`.
+
+    Examples
+    --------
+    >>> noise = {"s": 0.005, "cam_x": 0.02, "cam_y": 0.02, "height": 0.01}  # mm, each of them
+    >>> tolerances = {"x": 0.5, "y": 0.5, "l": 0.3}
+    >>> plan = bc.audit(machine, noise, tolerances, poses=12, requirements={"x": 0.05}, quiet=True)
+    >>> plan.folder.joinpath("report.html").is_file()
+    True
     """
     found = load_machine(machine)
     content = {

@@ -166,7 +166,15 @@ class Audit(LoadedResults):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StudyResult(LoadedResults):
-    """Results of a study or of a calibration: variants, their posteriors and predictions."""
+    """Results of a study or of a calibration: variants, their posteriors and predictions.
+
+    Examples
+    --------
+    >>> isinstance(study, bc.StudyResult), study.variants, study.best
+    (True, ['everything'], variant 'everything': log-evidence ..., 9 parameters)
+    >>> study.best.predict({"s_1_mm": [250.0], "s_2_mm": [250.0], "s_3_mm": [250.0]}).columns[:4]
+    Index(['pose', 'x_mm', 'y_mm', 'z_mm'], ...)
+    """
 
     @property
     def ranking(self) -> pd.DataFrame:
@@ -393,6 +401,11 @@ def load_results(folder: Path | str, trust: bool = False) -> LoadedResults:
     ------
     InputError
         Where the folder holds no results, or a table of them is missing.
+
+    Examples
+    --------
+    >>> bc.load_results(study.folder).ranking.index
+    Index(['everything'], ...)
     """
     from bayescal.experiments.frame.results import read_results
 

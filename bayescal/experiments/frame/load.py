@@ -66,7 +66,14 @@ def _describe(content: Mapping[str, Any]) -> str:
 
 
 def load_experiment(path: Path | str) -> Any:
-    """Return the checked config of an experiment of any kind; InputError for anything at fault."""
+    """Return the checked config of an experiment of any kind; InputError for anything at fault.
+
+    Examples
+    --------
+    >>> config = bc.load_experiment("examples/own_machine/audit.toml")
+    >>> config.name, config.model_copy(update={"seed": 7}).seed
+    ('own_machine_audit', 7)
+    """
     return load(Path(path))[1]
 
 

@@ -82,6 +82,12 @@ def load_calibrated(
     InputError
         For results without a machine or such a variant, for a posterior that did not converge, and for code that nobody
         has allowed to run.
+
+    Examples
+    --------
+    >>> calibrated = bc.load_calibrated(study.folder, trust=True)
+    >>> calibrated.theta.shape, calibrated.covariance.shape
+    ((14,), (9, 9))
     """
     path = Path(path)
     if (path / CALIBRATED).is_file():
