@@ -534,7 +534,7 @@ def simulate(
         Poses of the workspace.
     seed : int
     **sections
-        Further sections of a config of kind ``calibration_simulation``: ``workspace``, ``given`` ...
+        Further sections of a config of kind ``simulation``: ``workspace``, ``given`` ...
 
     Examples
     --------
@@ -542,12 +542,16 @@ def simulate(
     >>> data.table.shape, len(data.truth)
     ((12, 8), 9)
     """
+    import pandas as pd
+
+    from bayescal.experiments.frame.run import compute_experiment
+
     found = load_machine(machine)
     content = {
-        "kind": "calibration_simulation",
+        "kind": "simulation",
         "name": "simulated",
         "title": f"{found.name}: simulated readings",
-        "origin": "Simulated: one machine drawn within its tolerances, never measured",
+        "origin": {"status": "simulated", "text": "Simulated: one machine drawn within its tolerances, never measured"},
         "seed": seed,
         "machine": found.entry,
         "n_poses": n_poses,
@@ -557,15 +561,10 @@ def simulate(
     }
     project = _Project(found)
     path = project.write(content)
-    with _leave_out(project.folder):
-        experiment, config = load(path)
-        kind: Any = experiment
-        simulated = kind.simulate(kind.read(config, project.folder), np.random.default_rng(seed))
-    import pandas as pd
-
-    table = pd.read_csv(StringIO(simulated.files["readings.csv"]), comment="#")
-    origin = {"status": "simulated", "text": str(content["origin"])}
-    return Data(table, content["sensors"], origin=origin, truth=simulated.truth)
+    with _leave_out(project.folder), name_faults(path):
+        simulated = compute_experiment(load(path)[1], project.folder)
+    table = pd.read_csv(StringIO(str(simulated.files["readings.csv"])), comment="#")
+    return Data(table, content["sensors"], origin=content["origin"], truth=simulated.tables["truth"])
 
 
 def audit(

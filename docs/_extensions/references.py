@@ -338,8 +338,8 @@ def write_commands() -> str:
 def write_names() -> str:
     """Return the page of the public names."""
     parts = [
-        "# Public names\n\nWhat `import bayescal` offers, in the order in which it is needed; everything else may change. "
-        "Examples go on from one to the next.\n"
+        "# Public names\n\nWhat `import bayescal` offers, in the order in which it is needed; everything else may "
+        "change. Examples go on from one to the next.\n"
     ]
     for name in bayescal.__all__:
         found = getattr(bayescal, name)
