@@ -26,7 +26,7 @@ from bayescal.config.local_imports import find_local_imports
 from bayescal.config.sections import Section
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.frame.run import compute_experiment, run_experiment
 from bayescal.files.toml import write_toml
 from bayescal.identifiability.units import units_like
 from bayescal.loaded import LoadedResults, StudyResult, load_results
@@ -445,14 +445,14 @@ def simulate(
         Poses of the workspace.
     seed : int
     **sections
-        Further sections of a config of kind ``calibration_simulation``: ``workspace``, ``given`` ...
+        Further sections of a config of kind ``simulation``: ``workspace``, ``given`` ...
     """
     found = load_machine(machine)
     content = {
-        "kind": "calibration_simulation",
+        "kind": "simulation",
         "name": "simulated",
         "title": f"{found.name}: simulated readings",
-        "origin": "Simulated: one machine drawn within its tolerances, never measured",
+        "origin": {"status": "simulated", "text": "Simulated: one machine drawn within its tolerances, never measured"},
         "seed": seed,
         "machine": found.entry,
         "n_poses": n_poses,
@@ -463,12 +463,9 @@ def simulate(
     project = _Project(found)
     path = project.write(content)
     with _leave_out(project.folder):
-        experiment, config = load(path)
-        kind: Any = experiment
-        simulated = kind.simulate(kind.read(config, project.folder), np.random.default_rng(seed))
-    table = pd.read_csv(StringIO(simulated.files["readings.csv"]), comment="#")
-    origin = {"status": "simulated", "text": str(content["origin"])}
-    return Data(table, content["sensors"], origin=origin, truth=simulated.truth)
+        simulated = compute_experiment(load(path)[1], project.folder)
+    table = pd.read_csv(StringIO(str(simulated.files["readings.csv"])), comment="#")
+    return Data(table, content["sensors"], origin=content["origin"], truth=simulated.tables["truth"])
 
 
 def audit(

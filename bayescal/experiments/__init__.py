@@ -4,7 +4,6 @@ KINDS = {
     "audit": "bayescal.experiments.audit.kind:Audit",
     "calibration": "bayescal.experiments.calibration.kind:Calibration",
     "calibration_audit": "bayescal.experiments.audit.reading_kind:CalibrationAudit",
-    "calibration_simulation": "bayescal.experiments.simulation.readings_kind:CalibrationSimulation",
     "check": "bayescal.experiments.check.kind:Check",
     "next_pose": "bayescal.experiments.next_pose.kind:NextPose",
     "selection": "bayescal.experiments.selection.kind:Selection",
@@ -16,9 +15,10 @@ KINDS = {
 }
 
 GONE = {
+    "calibration_simulation": "simulation",
     "lookup_table": "table",
     "pose_selection": "selection",
-    "reading_simulation": "calibration_simulation",
+    "reading_simulation": "simulation",
     "self_calibration": "calibration",
     "sensor_placement": "calibration_audit",
 }

@@ -7,7 +7,7 @@ import pytest
 from bayescal.experiments import GONE, KINDS
 
 STUDY = 'name = "old"\ntitle = "Old"\nseed = 1\n'
-KEYS = [("table", "calibration", "study")]
+KEYS = [("table", "calibration", "study"), ("simulation", "mechanism", "machine")]
 
 
 def run_text(text: str, folder: Path, call) -> str:

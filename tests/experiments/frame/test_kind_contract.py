@@ -72,7 +72,6 @@ MAKE = {
     "audit": write_audit,
     "calibration": calibrations.write_delta,
     "calibration_audit": calibrations.write_audit,
-    "calibration_simulation": calibrations.write_simulation,
     "check": write_check,
     "kind.py:HexapodCalibrations": take_tiny("yu2023/figure10"),
     "table": lookup_tables.write_rail,
@@ -88,7 +87,6 @@ MAKE = {
 """What writes a small experiment of a kind to a folder and returns its config."""
 WITHOUT_TASKS = (
     "simulation",
-    "calibration_simulation",
     "next_pose",
 )  # over in an instant: nothing is worth keeping
 
