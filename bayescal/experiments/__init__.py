@@ -3,7 +3,7 @@
 KINDS = {
     "audit": "bayescal.experiments.audit.kind:Audit",
     "calibration": "bayescal.experiments.calibration.kind:Calibration",
-    "calibration_audit": "bayescal.experiments.calibration.audit.kind:CalibrationAudit",
+    "calibration_audit": "bayescal.experiments.audit.reading_kind:CalibrationAudit",
     "check": "bayescal.experiments.check.kind:Check",
     "next_pose": "bayescal.experiments.next_pose.kind:NextPose",
     "selection": "bayescal.experiments.selection.kind:Selection",
