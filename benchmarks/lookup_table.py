@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.calibration.table.inputs import TableInputs, read_table
-from bayescal.experiments.calibration.table.responses import respond
-from bayescal.experiments.calibration.table.schema import LookupTableConfig
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.table.inputs import TableInputs, read_table
+from bayescal.experiments.table.responses import respond
+from bayescal.experiments.table.schema import TableConfig
 
 SHIPPED = Path(__file__).parent.parent / "experiments" / "m2_hexapod_table"
 DRAWS, CHECKED = 300, 60
@@ -31,7 +31,7 @@ AXES = {"elevation_deg": [0.0, 30.0, 60.0, 90.0], "temperature_c": [-5.0, 10.0, 
 def read_shipped() -> TableInputs:
     """Return the shipped table with few places."""
     table = load(SHIPPED / "table.toml")[1]
-    assert isinstance(table, LookupTableConfig)
+    assert isinstance(table, TableConfig)
     return read_table(table.model_copy(update={"axes": AXES}), SHIPPED)
 
 

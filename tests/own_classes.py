@@ -147,7 +147,7 @@ free = ["l"]
 """
 
 SELECTION = """
-kind = "pose_selection"
+kind = "selection"
 name = "own"
 title = "Own criterion and method"
 origin = "Simulated for the tests; nothing was measured"

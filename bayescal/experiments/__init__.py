@@ -3,20 +3,22 @@
 KINDS = {
     "audit": "bayescal.experiments.audit.kind:Audit",
     "calibration": "bayescal.experiments.calibration.kind:Calibration",
-    "calibration_audit": "bayescal.experiments.calibration.audit.kind:CalibrationAudit",
-    "calibration_simulation": "bayescal.experiments.calibration.simulation_kind:CalibrationSimulation",
+    "calibration_audit": "bayescal.experiments.audit.reading_kind:CalibrationAudit",
     "check": "bayescal.experiments.check.kind:Check",
-    "lookup_table": "bayescal.experiments.calibration.table.kind:LookupTable",
     "next_pose": "bayescal.experiments.next_pose.kind:NextPose",
-    "pose_selection": "bayescal.experiments.pose_selection.kind:PoseSelection",
+    "selection": "bayescal.experiments.selection.kind:Selection",
     "sessions": "bayescal.experiments.sessions.kind:Sessions",
     "simulation": "bayescal.experiments.simulation.kind:Simulation",
     "study": "bayescal.experiments.study.kind:Study",
     "sweep": "bayescal.experiments.sweep.kind:Sweep",
+    "table": "bayescal.experiments.table.kind:LookUpTable",
 }
 
 GONE = {
-    "reading_simulation": "calibration_simulation",
+    "calibration_simulation": "simulation",
+    "lookup_table": "table",
+    "pose_selection": "selection",
+    "reading_simulation": "simulation",
     "self_calibration": "calibration",
     "sensor_placement": "calibration_audit",
 }

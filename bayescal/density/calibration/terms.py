@@ -100,6 +100,19 @@ class ErrorTerm(ABC):
         Of what is unknown of it.
     priors : tuple of Prior, length n
         Of the same, in these units.
+
+    Examples
+    --------
+    Vibration, a noise beside the stated one that all channels have:
+
+    >>> from bayescal.density.priors import HalfNormalPrior
+    >>> class Vibration(bc.ErrorTerm):
+    ...     names, units, priors = ("vibration",), ("mm",), (HalfNormalPrior(0.01),)
+    ...
+    ...     def variance(self, zeta, data):
+    ...         return np.broadcast_to(self.natural(zeta)[:, :, None] ** 2, (len(zeta), *data.sd.shape))
+    >>> Vibration().natural(np.array([0.0])).round(4)
+    array([0.0067])
     """
 
     Config: ClassVar[type[Section]] = Section

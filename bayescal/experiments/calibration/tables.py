@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from bayescal.experiments.calibration.validation import Held
 from bayescal.experiments.shared.function_errors import tabulate_functions
+from bayescal.experiments.shared.headline import Candidate, choose_candidate
 from bayescal.experiments.shared.reading_fit import ReadingFit
 from bayescal.experiments.shared.readings.inputs import CalibrationInputs, Variant
 from bayescal.experiments.shared.readings.knowledge import Knowledge
@@ -237,12 +238,27 @@ def summarise(inputs: CalibrationInputs, tables: Mapping[str, pd.DataFrame]) -> 
     }
 
 
-def choose_best(summary: Mapping[str, Any]) -> str:
-    """Return the variant to use: of those with the most readings the one that explains them best, if it converged."""
+def list_candidates(summary: Mapping[str, Any]) -> list[Candidate]:
+    """Return the variants of the most readings, of which one is to be used, the first of the experiment first."""
     rows = summary["variants"]
     ranking = max(summary["rankings"], key=lambda names: (rows[names[0]]["n_equations"], len(names)))
-    sound = [name for name in ranking if rows[name]["converged"]]
-    return str((sound or ranking)[0])
+    return [
+        Candidate(
+            name,
+            f"“{row['title']}”",
+            float(row["log_evidence"]),
+            float(row["log_evidence_se"]),
+            bool(row["converged"]),
+            (int(row["n_parameters"]),),
+        )
+        for name, row in rows.items()
+        if name in ranking
+    ]
+
+
+def choose_best(summary: Mapping[str, Any]) -> str:
+    """Return the variant to use."""
+    return choose_candidate(list_candidates(summary)).name
 
 
 def rank_variants(variants: pd.DataFrame) -> list[list[str]]:

@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from bayescal.config.load import MEASURED
-from bayescal.config.sections import ExperimentConfig, InputFile, Names, Number, Positive, Section
+from bayescal.config.sections import InputFile, Names, Number, Positive, Section
+from bayescal.experiments.shared.of_another import OfAnotherConfig
 from bayescal.experiments.shared.schema import Extent, Turns, UnitsConfig, WorkspaceConfig
 from bayescal.numerics.geometry import Array
 
@@ -59,13 +60,11 @@ def _tag_workspace(section: Any) -> str:
     return OF_LEGS if isinstance(section, WorkspaceConfig) or legs & set(section or ()) else OF_BOUNDS
 
 
-class NextConfig(ExperimentConfig):
+class NextConfig(OfAnotherConfig):
     """Which pose to measure next, and whether to stop."""
 
     kind: Literal["next_pose"]
     """`"next_pose"`."""
-    study: InputFile
-    """TOML file of a study or a calibration; its calibration poses are those measured so far."""
     first: Annotated[int, Field(ge=1, le=100_000)] | None = None
     """Only the first so many of these poses, to see what would have been said then; all where nothing is said."""
     variants: Names = Field(default=[])

@@ -6,7 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
-from bayescal.config.sections import ExperimentConfig, InputFile, Number, Positive, Section, check_once
+from bayescal.config.sections import InputFile, Number, Positive, Section, check_once
+from bayescal.experiments.shared.of_another import OfAnotherConfig
 from bayescal.experiments.shared.slips import DeniedSlips
 
 type Temperature = Annotated[FiniteFloat, Field(ge=-273.15, le=2000.0)]
@@ -123,7 +124,7 @@ class ThermalConfig(Section):
     """Bodies of any machine by their names, each with the symbols of its lengths."""
 
 
-class SessionsConfig(ExperimentConfig):
+class SessionsConfig(OfAnotherConfig):
     """Sessions of one machine, or of machines of one design.
 
     Attributes
@@ -141,8 +142,6 @@ class SessionsConfig(ExperimentConfig):
 
     kind: Literal["sessions"]
     """`"sessions"`."""
-    study: InputFile
-    """The study's TOML file: machine, priors, noise and model error are those of one of its variants."""
     variant: str
     """The variant, by its name."""
     origin: str

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bayescal.experiments.calibration.audit.outlook import foresee
-from bayescal.experiments.calibration.page.verdict import format_amount, format_place, shown_in
+from bayescal.experiments.audit.outlook import foresee
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.identifiability.reading_rows import View
+from bayescal.report.units import format_amount, format_place, shown_in
 
 
 def view(tool, located):
@@ -106,4 +106,4 @@ def test_values_are_shown_in_the_units_of_the_config():
     assert format_amount(1250.0, "mm", 3, asked) == "1.25 m"
     assert format_place("phi_rad", np.radians(12.34), asked) == "12.3"
     assert shown_in("K", asked) == (1.0, "K")
-    assert shown_in("rad") == (1e3, "mrad")
+    assert shown_in("rad") == (np.degrees(1.0), "°")

@@ -72,13 +72,12 @@ MAKE = {
     "audit": write_audit,
     "calibration": calibrations.write_delta,
     "calibration_audit": calibrations.write_audit,
-    "calibration_simulation": calibrations.write_simulation,
     "check": write_check,
     "kind.py:HexapodCalibrations": take_tiny("yu2023/figure10"),
-    "lookup_table": lookup_tables.write_rail,
+    "table": lookup_tables.write_rail,
     "next_pose": write_next,
     "pose_methods.py:PoseMethods": take_tiny("rr8096/figure5"),
-    "pose_selection": write_selection,
+    "selection": write_selection,
     "self_calibrations.py:SelfCalibrations": take_tiny("sika2008/calibrations"),
     "sessions": session_studies.write_sessions,
     "simulation": take_tiny("telescope/simulate"),
@@ -88,7 +87,6 @@ MAKE = {
 """What writes a small experiment of a kind to a folder and returns its config."""
 WITHOUT_TASKS = (
     "simulation",
-    "calibration_simulation",
     "next_pose",
 )  # over in an instant: nothing is worth keeping
 

@@ -23,7 +23,7 @@ from bayescal.experiments.frame.identity import identify
 from bayescal.experiments.frame.load import load, load_experiment
 from bayescal.experiments.frame.run import compute_experiment
 from bayescal.experiments.frame.store import Store
-from bayescal.experiments.pose_selection.inputs import read_selection
+from bayescal.experiments.selection.inputs import read_selection
 from bayescal.experiments.study.load import load_inputs
 from bayescal.machines.read import load_mechanism
 
@@ -279,7 +279,7 @@ def test_an_installed_package_offers_its_classes_by_name(tmp_path):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")])}
 
     def run(*options):
-        command = [sys.executable, "-m", "bayescal.cli", "run", str(path), "--out", str(tmp_path / "out"), *options]
+        command = [sys.executable, "-m", "bayescal", "run", str(path), "--out", str(tmp_path / "out"), *options]
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
     done = run("--workers", "2", "--quiet")
