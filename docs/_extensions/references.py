@@ -273,6 +273,12 @@ def list_schemas() -> dict[str, tuple[str, str, type[BaseModel]]]:
     return pages
 
 
+def describe(schema: type) -> str:
+    """Return a section's docstring without its attributes and examples, in one line."""
+    text = re.split(r"\n\n(?:Attributes|Examples)\n", inspect.getdoc(schema) or "")[0]
+    return " ".join(text.split()).replace("``", "`")
+
+
 def summarise(found: type) -> str:
     """Return the first sentence of a docstring, in one line."""
     return " ".join((inspect.getdoc(found) or "").partition("\n\n")[0].split()).replace("``", "`")
@@ -285,7 +291,7 @@ def write_page(title: str, text: str, schema: type[BaseModel], examples: Example
         lines = "\n".join(write_row(place.schema, name, examples) for name in place.schema.model_fields)
         parts.append(
             f"## {write_heading(place)}\n\n"
-            f"{' '.join((inspect.getdoc(place.schema) or '').split()).replace('``', '`')}\n\n"
+            f"{describe(place.schema)}\n\n"
             f"| key | meaning, and an example | unit | takes | default |\n|---|---|---|---|---|\n{lines}\n"
         )
     return "\n".join(parts)
@@ -332,7 +338,10 @@ def write_commands() -> str:
 
 def write_names() -> str:
     """Return the page of the public names."""
-    parts = ["# Public names\n\nWhat `import bayescal` offers; everything else may change.\n"]
+    parts = [
+        "# Public names\n\nWhat `import bayescal` offers, in the order in which it is needed; everything else may "
+        "change. Examples go on from one to the next.\n"
+    ]
     for name in bayescal.__all__:
         found = getattr(bayescal, name)
         what = "class" if inspect.isclass(found) else "function"

@@ -70,9 +70,16 @@ def _describe(content: Mapping[str, Any]) -> str:
     return repr(content.get("kind"))
 
 
-def load_experiment(path: Path) -> Any:
-    """Return the checked config of an experiment of any kind."""
-    return load(path)[1]
+def load_experiment(path: Path | str) -> Any:
+    """Return the checked config of an experiment of any kind; InputError for anything at fault.
+
+    Examples
+    --------
+    >>> config = bc.load_experiment("examples/own_machine/audit.toml")
+    >>> config.name, config.model_copy(update={"seed": 7}).seed
+    ('own_machine_audit', 7)
+    """
+    return load(Path(path))[1]
 
 
 def load_kind(path: Path, kind: str) -> Any:
