@@ -485,7 +485,7 @@ def next_pose(
     seed, out, quiet
         As for `calibrate`.
     **sections
-        Further sections of a config of kind ``next_pose``.
+        Further sections of a question: ``workspace``, ``aim`` ...
 
     Raises
     ------
@@ -500,7 +500,6 @@ def next_pose(
     if not isinstance(study.project, _Project):
         raise InputError(f"{study.folder}: found loaded results, expected those of calibrate; or bayescal next")
     content = {
-        "kind": "next_pose",
         "name": "next",
         "title": f"{study.summary['title']}: the pose to measure next",
         "seed": seed,
