@@ -3,7 +3,6 @@
 KINDS = {
     "audit": "bayescal.experiments.audit.kind:Audit",
     "calibration": "bayescal.experiments.calibration.kind:Calibration",
-    "calibration_audit": "bayescal.experiments.audit.reading_kind:CalibrationAudit",
     "check": "bayescal.experiments.check.kind:Check",
     "next_pose": "bayescal.experiments.next_pose.kind:NextPose",
     "selection": "bayescal.experiments.selection.kind:Selection",
@@ -15,11 +14,12 @@ KINDS = {
 }
 
 GONE = {
+    "calibration_audit": "audit",
     "calibration_simulation": "simulation",
     "lookup_table": "table",
     "pose_selection": "selection",
     "reading_simulation": "simulation",
     "self_calibration": "calibration",
-    "sensor_placement": "calibration_audit",
+    "sensor_placement": "audit",
 }
 """Kinds that are no more, and what does the same."""

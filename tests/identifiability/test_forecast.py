@@ -277,7 +277,10 @@ def _write(tmp_path, text, base=REFERENCE):
 FAULTS = {
     "zero tolerance": ('[parameters]\nl = { prior = "normal", sd = 0.0 }', "parameters.l.*found 0"),
     "unknown parameter": ('[parameters]\nq_x = { prior = "normal", sd = 1.0 }', "found 'q_x'.*expected one of"),
-    "unknown sensor": ('measured_by = ["theodolite"]', "found sensor 'theodolite', expected one of laser_tracker"),
+    "unknown sensor": (
+        '[[variants]]\nmodel = "six_pus"\nsensors = ["theodolite"]',
+        "found sensor 'theodolite', expected one of laser_tracker",
+    ),
     "unknown sensor in a what-if": (
         '[[what_if]]\nname = "w"\nsensors = ["theodolite"]',
         "what_if 'w': sensors: found sensor 'theodolite'",
@@ -292,10 +295,10 @@ FAULTS = {
         '[sensors.photogrammetry]\nkind = "targets"\nbase = { points_mm = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]] }',
         "sensors.photogrammetry.base: found 2 targets",
     ),
-    "unknown model": ('[variant]\nmodel = "seven_pus"', "found 'seven_pus', did you mean"),
+    "unknown model": ('[[variants]]\nmodel = "seven_pus"', "found 'seven_pus', did you mean"),
     "missing table": ('[poses]\nconfigurations = "nothing.csv"', "nothing.csv: no such file"),
     "unknown key": ("[workspace]\ndepth_mm = 3", "workspace.depth_mm: unknown key"),
-    "no prior": ('[variant]\nfree = ["u_z"]', "found 'u_z'"),
+    "no prior": ('[[variants]]\nmodel = "six_pus"\nfree = ["u_z"]', "found 'u_z'"),
     "unit": ('[units]\nlength = "inch"', "units.length: found 'inch', expected"),
 }
 
