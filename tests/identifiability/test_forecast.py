@@ -317,7 +317,7 @@ def test_poses_that_the_machine_cannot_take_are_named(tmp_path):
     (tmp_path / "far.toml").write_text(mechanism.replace("actuator_range_mm = 1.3", "actuator_range_mm = 900.0"))
     moves = "r1,r2,r3,r4,r5,r6\n0,0,0,0,0,0\n600,-600,600,-600,600,-600\n"
     (tmp_path / "moves.csv").write_text(moves)
-    text = 'mechanism = "far.toml"\n[poses]\nplan = "file"\nconfigurations = "moves.csv"\nunit_mm = 1.0\n'
+    text = 'machine = "far.toml"\n[poses]\nplan = "file"\nconfigurations = "moves.csv"\nunit_mm = 1.0\n'
     path = _write(tmp_path, text)
     with pytest.raises(InputError, match="pose 2: found no pose at displacements 600, -600"):
         read_inputs(load_audit(path), path.parent)
