@@ -4,7 +4,6 @@ KINDS = {
     "audit": "bayescal.experiments.audit.kind:Audit",
     "calibration": "bayescal.experiments.calibration.kind:Calibration",
     "check": "bayescal.experiments.check.kind:Check",
-    "next_pose": "bayescal.experiments.next_pose.kind:NextPose",
     "selection": "bayescal.experiments.selection.kind:Selection",
     "sessions": "bayescal.experiments.sessions.kind:Sessions",
     "simulation": "bayescal.experiments.simulation.kind:Simulation",
@@ -13,8 +12,12 @@ KINDS = {
     "table": "bayescal.experiments.table.kind:LookUpTable",
 }
 
+USES = {"next": "bayescal.experiments.next.kind:NextPose"}
+"""What is asked of a study: it has results of its own, but no kind in its file, which names the study."""
+
 GONE = {
     "calibration_audit": "audit",
+    "next_pose": "no kind in a file that names a study, which `bayescal next` takes",
     "calibration_simulation": "simulation",
     "lookup_table": "table",
     "pose_selection": "selection",
@@ -22,4 +25,4 @@ GONE = {
     "self_calibration": "calibration",
     "sensor_placement": "audit",
 }
-"""Kinds that are no more, and what does the same."""
+"""Kinds that are no more, and what does the same: another kind, or what to write."""
