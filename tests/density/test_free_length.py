@@ -227,7 +227,7 @@ def test_length_prior():
     drawn = LENGTHS.draw(200_000, np.random.default_rng(0))
     assert drawn.mean() == pytest.approx(LENGTHS.mean, rel=0.01)
     assert drawn.std() == pytest.approx(LENGTHS.sd, rel=0.03)
-    np.testing.assert_allclose(LENGTHS.at_quantile(np.array([0.5])), 1.5)
+    np.testing.assert_allclose(LENGTHS.value(np.array([0.0])), 1.5)
 
 
 def test_very_many_poses_have_fewer_nodes():
