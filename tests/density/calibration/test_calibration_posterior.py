@@ -55,8 +55,8 @@ CASES = {
     },
     "contaminated": {"nu": Contaminated(SharePrior(0.1)), "terms": unknown_noise(4)},
     "functions, contaminated": {
-        "nu": Contaminated(SharePrior(0.05)),
-        "terms": (line_functions("quadratic"), *unknown_noise(4)),
+        "nu": Contaminated(SharePrior(0.02)),
+        "terms": (line_functions("quadratic"),),
         "n_poses": 30,
     },
     "everything": {
