@@ -1,8 +1,8 @@
 """What a file beside a config defines, sent to processes that cannot import it: whole, and not by its name.
 
-Functions and classes are sent so by cloudpickle. Three things it leaves by name or out of order: an alias of a type, what
-a dataclass's fields are where their annotations are texts, and what pydantic has built of a schema, whose parts lead back
-to the class that is being sent.
+Functions and classes are sent so by cloudpickle. Three things it leaves by name or out of order: an alias of a type,
+what a dataclass's fields are where their annotations are texts, and what pydantic has built of a schema, whose parts
+lead back to the class that is being sent.
 """
 
 from __future__ import annotations
