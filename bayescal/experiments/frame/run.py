@@ -279,9 +279,9 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
         Where a file is missing or not what an experiment of its kind writes, and for code that nobody has allowed to
         run; nothing is written then.
     """
-    experiment, blocks = find_results_kind(folder, trust), _find_results_blocks(folder, trust)
+    experiment = find_results_kind(folder, trust)
     try:
-        _write_page(experiment, blocks, folder, workers)
+        _write_page(experiment, _find_results_blocks(folder, trust), folder, workers)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, AssertionError) as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
         written, here = _find_version(folder), version("bayescal")
