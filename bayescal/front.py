@@ -496,7 +496,7 @@ def next_pose(
     seed, out, quiet
         As for `calibrate`.
     **sections
-        Further sections of a config of kind ``next_pose``.
+        Further sections of a question: ``workspace``, ``aim`` ...
 
     Raises
     ------
@@ -511,7 +511,6 @@ def next_pose(
     if not isinstance(study.project, _Project):
         raise InputError(f"{study.folder}: found loaded results, expected those of calibrate; or bayescal next")
     content = {
-        "kind": "next_pose",
         "name": "next",
         "title": f"{study.summary['title']}: the pose to measure next",
         "seed": seed,
@@ -603,7 +602,7 @@ def audit(
     requirements : mapping of str to float, optional
         By the tool's numbers: the largest rms error over the workspace.
     variants : mapping
-        Sets of sensors to judge, as in a config of kind ``calibration_audit``.
+        Sets of sensors to judge, as in a config of kind ``audit``.
     seed, out, workers, quiet, **sections
         As for `calibrate`.
 
@@ -618,7 +617,7 @@ def audit(
     found = load_machine(machine)
     project = _Project(found)
     content = {
-        "kind": "calibration_audit",
+        "kind": "audit",
         "name": "audit",
         "title": f"{found.name}: audit",
         "seed": seed,

@@ -25,6 +25,7 @@ import bayescal
 from bayescal.config.load import read_toml
 from bayescal.config.registry import find_class, list_references
 from bayescal.config.sections import FileMark, Section
+from bayescal.experiments import USES
 from bayescal.experiments.frame.load import find_kind, load
 from bayescal.machines.readings import ReadingMachine
 from bayescal.machines.readings.schema import LegsMachineConfig, MachineFileConfig, SlidingPlatformConfig
@@ -266,7 +267,7 @@ def list_schemas() -> dict[str, tuple[str, str, type[BaseModel]]]:
         for name in sorted(list_references(what)):
             found = find_class(what, name, ReadingMachine, "kind", ROOT, None)
             pages[name] = (f"{title}: options of {name}", summarise(found), getattr(found, "Config", Section))
-    for kind in sorted(list_references("KINDS")):
+    for kind in sorted({**list_references("KINDS"), **USES}):
         found = find_kind(kind, ROOT, None)
         pages[f"kind_{kind}"] = (f'kind = "{kind}"', summarise(type(found)), found.schema)
     return pages
