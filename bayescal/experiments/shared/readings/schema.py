@@ -19,6 +19,8 @@ from bayescal.config.sections import (
     Section,
     check_once,
 )
+from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
+from bayescal.density.priors import SharePrior
 from bayescal.density.schema import PriorConfig
 from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
@@ -161,8 +163,25 @@ class CalibrationVariantConfig(FreeConfig, SensorSetConfig):
     """Sections of [errors] that it has; all whose channels it takes in where nothing is said."""
     robust: Annotated[float, Field(ge=1.0, le=100.0)] | None = None
     """Degrees of freedom of a density that lets single poses be wrong; fewer forgive more [1]."""
+    outlier_share: Annotated[float, Field(gt=0.0, lt=0.5)] | None = Field(
+        default=None, exclude_if=lambda value: value is None
+    )
+    """Share of poses that are expected to be outliers, whose posterior is inferred; in place of `robust` [1]."""
     poses_with: Names = Field(default=[])
     """Keep to poses for which these columns are known."""
+
+    @model_validator(mode="after")
+    def _check_outliers(self) -> Self:
+        if self.robust is not None and self.outlier_share is not None:
+            raise ValueError("found robust and outlier_share, expected one of them")
+        return self
+
+    @property
+    def outliers(self) -> Outliers:
+        """What poses are like that are wrong as a whole."""
+        if self.outlier_share is not None:
+            return Contaminated(SharePrior(self.outlier_share))
+        return NORMAL if self.robust is None else StudentT(self.robust)
 
 
 class ValidationConfig(Section):
