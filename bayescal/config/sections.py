@@ -57,6 +57,14 @@ class Section(BaseModel):
     ----------
     gone : mapping of str to str
         Keys that are no more, and what replaces each, as the message says it.
+
+    Examples
+    --------
+    >>> class RodConfig(bc.Section):
+    ...     length_mm: float
+    ...     '''Between the centres of its joints.'''
+    >>> RodConfig(length_mm=120.0)
+    RodConfig(length_mm=120.0)
     """
 
     gone: ClassVar[Mapping[str, str]] = {}
@@ -105,3 +113,5 @@ class ExperimentConfig(Section):
     """Headline of the page."""
     seed: Annotated[int, Field(ge=0, le=LARGEST_SEED)]
     """Seed of all random numbers: the same seed gives the same results."""
+    blocks: list[str] = Field(default=[], exclude_if=lambda value: not value)
+    """Blocks of one's own that the page has besides, each `file.py:Class`."""

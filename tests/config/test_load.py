@@ -52,7 +52,7 @@ def fail(loader, path: Path) -> str:
 def test_every_shipped_config_loads(path):
     text = path.read_text()
     found = re.search(r'^kind = "([\w.:]+)"', text, flags=re.MULTILINE)
-    default = load_experiment if text.startswith("extends") or "\nextends" in text else load_mechanism
+    default = load_experiment if re.search(r"(?m)^(extends|study) = ", text) else load_mechanism
     config = (LOADERS.get(found[1], load_experiment) if found else default)(path)
     assert config.name
 
