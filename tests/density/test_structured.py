@@ -181,16 +181,8 @@ def test_lengths_follow_the_joints(poses):
     assert np.abs(likelihood.leg_errors(plain).mean(axis=1) - moved[0]).max() > 0.1
 
 
-def test_switch_has_the_probability_of_its_prior():
+def test_a_switch_jumps_to_its_other_place():
     errors = LegErrors.of_legs(6, (NO_MODEL_ERROR, KernelScale(0.02, 0.3)))
-    (prior,) = errors.priors
-    c = np.concatenate([np.random.default_rng(5).standard_normal(100_000) + place for place in (0.0, OFF)])
-    values = prior.value(c)
-    assert (values == 0.0).mean() == pytest.approx(0.5, abs=1e-3)
-    assert values.mean() == pytest.approx(prior.mean, rel=0.01)
-    assert values.std() == pytest.approx(prior.sd, rel=0.01)
-    grid = np.geomspace(1e-3, 0.2, 20_000)
-    assert np.trapezoid(np.exp(prior.log_density(grid)), grid) == pytest.approx(0.5, abs=1e-3)
     for start, flipped in ((0.3, 0.0), (OFF, 0.02)):
         ((place, image),) = errors.jumps(np.array([start]))
         assert place == 0
