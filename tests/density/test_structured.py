@@ -20,8 +20,6 @@ from bayescal.density.structured import StructuredLikelihood, map_covariance
 from bayescal.density.structured_prediction import pointwise_given, predict_structured
 from bayescal.errors import InputError
 from bayescal.inference.exploration import explore
-from bayescal.inference.mode import Mode
-from bayescal.inference.straightening import straighten
 
 N_POSES, N_HELD = 12, 3
 KERNELS = [LinearKernel(), QuadraticKernel(2.0), SmoothKernel(1.5)]
@@ -274,17 +272,3 @@ def test_information_of_a_pose_is_what_is_lost_without_it(wrong):
     found = posterior.row_information(y, 5)
     assert np.abs(found - (whole - without)).max() < 1e-7 * np.abs(whole).max()
     assert np.abs(found).max() > 1e-3 * np.abs(whole).max()
-
-
-def test_straight_coordinates_lead_back_and_keep_volumes(wrong):
-    posterior, y = wrong
-    straight = straighten(posterior, Mode(y, 0.0, np.eye(len(y)), True))
-    x = straight.x_from_y(y[None])[0]
-    x[-1] += 1.5
-    x[: posterior.n_geometry] += 0.01
-    there = straight.y_from_x(x[None])
-    np.testing.assert_allclose(straight.x_from_y(there)[0], x, atol=1e-9)
-    slope = machines.stencil_derivative(straight.y_from_x, x, np.full(len(x), 1e-3))
-    volume = straight.log_density(x[None]) - posterior.log_density(there)
-    assert volume[0] == pytest.approx(np.linalg.slogdet(slope)[1], abs=1e-5)
-    assert abs(volume[0]) > 1.0
