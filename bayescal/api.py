@@ -11,7 +11,7 @@ from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.frame.run import Finished, compute_experiment, run_experiment
 from bayescal.experiments.shared.calibrating import load_calibrated
-from bayescal.experiments.study.schema import StudyConfig
+from bayescal.experiments.shared.study_schema import StudyConfig
 
 __all__ = [
     "command_poses",

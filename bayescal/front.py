@@ -394,7 +394,7 @@ def calibrate(
     quiet : bool
         Say nothing of the progress.
     **sections
-        Further sections of a config of kind ``calibration``: ``errors``, ``unknown_noise``, ``model_error``,
+        Further sections of a config of kind ``study``: ``errors``, ``unknown_noise``, ``model_error``,
         ``workspace``, ``validation``, ``sensitivity``, ``units``, ``sampler``, ``evidence`` ...
 
     Raises
@@ -405,7 +405,7 @@ def calibrate(
     found = load_machine(machine)
     table = {"file": READINGS, "commanded": list(data.commanded), "hold_back": list(data.hold_back)}
     content = {
-        "kind": "calibration",
+        "kind": "study",
         "name": name,
         "title": title or f"{found.name}: calibration",
         "seed": seed,
@@ -414,7 +414,7 @@ def calibrate(
         "data": [{key: value for key, value in table.items() if value}],
         "sensors": data.describe_sensors(found.model),
         "parameters": _describe_widths(tolerances),
-        "variants": [{"name": key, "title": key, **_plain(one)} for key, one in variants.items()],
+        "variants": [{"name": key, **_plain(one)} for key, one in variants.items()],
         **_plain(sections),
     }
     project = _Project(found)

@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from bayescal.calibrated.machine import CalibratedMachine
 
 SHOWN: dict[str, tuple[str, ...]] = {
-    "study": ("ranking",),
-    "calibration": ("variants",),
+    "study": ("ranking", "variants"),
     "audit": ("parameters", "requirements"),
 }
 type Table = pd.DataFrame | Mapping[str, Any] | Path | str
@@ -141,7 +140,7 @@ class Audit(LoadedResults):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StudyResult(LoadedResults):
-    """Results of a study or of a calibration: variants, their posteriors and predictions."""
+    """Results of a study: variants, their posteriors and predictions."""
 
     @property
     def ranking(self) -> pd.DataFrame:
@@ -323,7 +322,7 @@ def _say(one: Mapping[str, Any]) -> str:
     return f"{one.get('lead', '')}. {one.get('text', '')}".strip(". ")
 
 
-CLASSES: dict[str, type[LoadedResults]] = {"study": StudyResult, "calibration": StudyResult, "audit": Audit}
+CLASSES: dict[str, type[LoadedResults]] = {"study": StudyResult, "audit": Audit}
 
 
 def load_results(folder: Path | str, trust: bool = False) -> LoadedResults:

@@ -6,7 +6,7 @@ import pytest
 
 from bayescal.experiments.shared.schema import PoseSensorConfig
 from bayescal.experiments.simulation.schema import PoseInstrumentConfig
-from bayescal.experiments.study.schema import PoseDataConfig
+from bayescal.experiments.shared.study_schema import PoseDataConfig
 
 SECTIONS = {
     PoseSensorConfig: {"kind": "pose"},

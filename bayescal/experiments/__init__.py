@@ -2,7 +2,6 @@
 
 KINDS = {
     "audit": "bayescal.experiments.audit.kind:Audit",
-    "calibration": "bayescal.experiments.calibration.kind:Calibration",
     "calibration_audit": "bayescal.experiments.calibration.audit.kind:CalibrationAudit",
     "check": "bayescal.experiments.check.kind:Check",
     "next_pose": "bayescal.experiments.next_pose.kind:NextPose",
@@ -15,11 +14,12 @@ KINDS = {
 }
 
 GONE = {
+    "calibration": "study",
     "calibration_simulation": "simulation",
     "lookup_table": "table",
     "pose_selection": "selection",
     "reading_simulation": "simulation",
-    "self_calibration": "calibration",
+    "self_calibration": "study",
     "sensor_placement": "calibration_audit",
 }
 """Kinds that are no more, and what does the same."""

@@ -15,7 +15,7 @@ from bayescal.errors import InputError
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.frame.load import load_experiment, load_kind
 from bayescal.experiments.simulation.schema import SimulationConfig
-from bayescal.experiments.study.schema import StudyConfig
+from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad
 from bayescal.machines.read import load_mechanism, read_reading_model, read_sliding_platform
 

@@ -38,7 +38,7 @@ def plan_poses(config: CalibrationAuditConfig, folder: Path, model: ReadingModel
 
 def _expect(config: CalibrationAuditConfig, model: ReadingModel) -> Array:
     """Return the machine as expected with everything free, (D,)."""
-    priors, fixed, _ = choose_priors(config, FreeConfig(), model)
+    priors, fixed, _ = choose_priors(config, FreeConfig(), model.layout)
     known = fixed | {name: one.mean for name, one in priors.items()}
     layout = model.layout
     return np.array([known.get(name, value) for name, value in zip(layout.names, layout.nominal, strict=True)])
