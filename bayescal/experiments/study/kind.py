@@ -76,15 +76,15 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
 
     def page(self, results: Results) -> Page:
         """Return the page."""
-        return route_of(results.config["data"]).page(results)
+        return route_of(results.config.get("data")).page(results)
 
     def show(self, results: Results, page: Page, console: Console) -> None:
         """Print what to use, the ranking, and what contradicts the stated noise and tolerances."""
-        route_of(results.config["data"]).show(results, page, console)
+        route_of(results.config.get("data")).show(results, page, console)
 
     def list_failures(self, results: Results) -> list[str]:
         """Return that a posterior did not converge."""
-        return [] if route_of(results.config["data"]).has_converged(results) else ["not everything converged"]
+        return [] if route_of(results.config.get("data")).has_converged(results) else ["not everything converged"]
 
     def measure(
         self, config: StudyConfig, path: Path, names: Sequence[str], with_model_error: bool
@@ -112,7 +112,7 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
                 fits = one.summary["variants"]
                 rows += [
                     _describe_variant(name, variant, fits[variant])
-                    for variant in route_of(one.config["data"]).list_comparable(one)
+                    for variant in route_of(one.config.get("data")).list_comparable(one)
                 ]
             except (KeyError, TypeError, AttributeError) as error:
                 raise InputError(f"{name}: is no study's results directory, {error} is missing") from error
