@@ -136,7 +136,7 @@ def _write_questions(
     folder: Path, variant: str, next_pose: str, drift: str, files: Mapping[str, Sequence[str]]
 ) -> None:
     """Write what is asked of a study: the next pose, two sessions of every second of its rows each, a table."""
-    _write(folder / "next.toml", "next_pose", next_pose)
+    (folder / "next.toml").write_text(f'name = "next_pose"\ntitle = "Tiny"\nseed = 1\n{next_pose}')
     text = SESSIONS.format(variant=variant, drift=drift)
     for half in (0, 1):
         text += f'\n[[sessions]]\nlabel = "{half + 1}"\nday = {30.0 * half}\n'

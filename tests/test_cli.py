@@ -88,7 +88,7 @@ def finished(tmp_path_factory) -> Path:
 
 def start(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
     """Start the command line as a process of its own, in pipes."""
-    command = [sys.executable, "-m", "bayescal.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "bayescal", *map(str, arguments)]
     return subprocess.Popen(
         command,
         cwd=cwd,

@@ -2,9 +2,7 @@
 
 KINDS = {
     "audit": "bayescal.experiments.audit.kind:Audit",
-    "calibration_audit": "bayescal.experiments.calibration.audit.kind:CalibrationAudit",
     "check": "bayescal.experiments.check.kind:Check",
-    "next_pose": "bayescal.experiments.next_pose.kind:NextPose",
     "selection": "bayescal.experiments.selection.kind:Selection",
     "sessions": "bayescal.experiments.sessions.kind:Sessions",
     "simulation": "bayescal.experiments.simulation.kind:Simulation",
@@ -13,13 +11,18 @@ KINDS = {
     "table": "bayescal.experiments.table.kind:LookUpTable",
 }
 
+USES = {"next": "bayescal.experiments.next.kind:NextPose"}
+"""What is asked of a study: it has results of its own, but no kind in its file, which names the study."""
+
 GONE = {
     "calibration": "study",
+    "calibration_audit": "audit",
+    "next_pose": "no kind in a file that names a study, which `bayescal next` takes",
     "calibration_simulation": "simulation",
     "lookup_table": "table",
     "pose_selection": "selection",
     "reading_simulation": "simulation",
     "self_calibration": "study",
-    "sensor_placement": "calibration_audit",
+    "sensor_placement": "audit",
 }
-"""Kinds that are no more, and what does the same."""
+"""Kinds that are no more, and what does the same: another kind, or what to write."""

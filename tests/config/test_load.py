@@ -14,8 +14,8 @@ from bayescal.config.registry import list_references
 from bayescal.errors import InputError
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.frame.load import load_experiment, load_kind
-from bayescal.experiments.simulation.schema import SimulationConfig
 from bayescal.experiments.shared.study_schema import StudyConfig
+from bayescal.experiments.simulation.schema import SimulationConfig
 from bayescal.machines.mechanism import ExternalLoad
 from bayescal.machines.read import load_mechanism, read_reading_model, read_sliding_platform
 
@@ -52,7 +52,7 @@ def fail(loader, path: Path) -> str:
 def test_every_shipped_config_loads(path):
     text = path.read_text()
     found = re.search(r'^kind = "([\w.:]+)"', text, flags=re.MULTILINE)
-    default = load_experiment if text.startswith("extends") or "\nextends" in text else load_mechanism
+    default = load_experiment if re.search(r"(?m)^(extends|study) = ", text) else load_mechanism
     config = (LOADERS.get(found[1], load_experiment) if found else default)(path)
     assert config.name
 
@@ -428,7 +428,12 @@ def data_study(tmp_path) -> Path:
     ("name", "old", "new", "expected"),
     [
         ("study.toml", "b_z = {", "bz = {", "parameters: found 'bz', did you mean 'b_z'?"),
-        ("study.toml", 'free = ["l"]', 'free = ["l", "kappa"]', "'six_pus/none': free: found 'kappa', expected some of"),
+        (
+            "study.toml",
+            'free = ["l"]',
+            'free = ["l", "kappa"]',
+            "'six_pus/none': free: found 'kappa', expected some of",
+        ),
         ("study.toml", 'model = "six_pus"', 'model = "six_puss"', "model: found 'six_puss', did you mean 'six_pus'?"),
         ("study.toml", 'deformation = "none"', 'deformation = "non"', "found 'non', did you mean 'none'?"),
         ("study.toml", "sd = 2.0", "sd = [1.0, 2.0]", "parameters.l: found 2 values, expected 1 or 6"),

@@ -73,22 +73,21 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredVariant:
     assert config.data is not None
     where = folder / config.data.study
     experiment, study = load(where)
-    choice = VariantChoice(
-        label_class(config.variant.model), label_class(config.variant.deformation), config.data.variant
-    )
+    variant = config.variants[0]
+    assert variant.model is not None
+    choice = VariantChoice(label_class(variant.model), label_class(variant.deformation), config.data.variant)
     found = measure_legs(experiment, study, where, choice, config.data.with_model_error)
     if found.posterior.likelihood.structured is not None:
         refuse_independent(config)
-    free = config.variant.free
+    free = variant.free
     if free is not None and set(free) != set(found.free):
         raise InputError(
-            f"variant.free: found {', '.join(free)}, expected none or those of the study's {found.name}: "
+            f"variants.free: found {', '.join(free)}, expected none or those of the study's {found.name}: "
             f"{', '.join(found.free)}"
         )
-    if config.mechanism is not None and (folder / config.mechanism).resolve() != found.mechanism.resolve():
+    if config.machine is not None and (folder / config.machine).resolve() != found.mechanism.resolve():
         raise InputError(
-            f"mechanism: found {folder / config.mechanism} beside [data], expected none or the study's "
-            f"{found.mechanism}"
+            f"machine: found {folder / config.machine} beside [data], expected none or the study's {found.mechanism}"
         )
     return found
 

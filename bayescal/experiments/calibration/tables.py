@@ -96,7 +96,7 @@ def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dic
         "variant": variant.name,
         "title": variant.config.title,
         "data": name_data(variant),
-        "robust": variant.config.robust is not None,
+        "robust": variant.config.outliers.expected,
         "n_parameters": len(fit.names),
         "n_poses": len(left.square),
         "n_equations": int(left.freedom.sum()),
@@ -175,7 +175,7 @@ def _list_poses(variant: Variant, one: Findings) -> pd.DataFrame:
             "elpd_loo": one.fit.left_out.elpd,
             "pareto_k": one.fit.left_out.pareto_k,
             "refitted": one.fit.left_out.was_refitted,
-            "doubtful": (left.trust < DISTRUSTED) | ((variant.config.robust is None) & (chance < DOUBTFUL)),
+            "doubtful": (left.trust < DISTRUSTED) | ((not variant.config.outliers.expected) & (chance < DOUBTFUL)),
         }
     )
 

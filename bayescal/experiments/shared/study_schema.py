@@ -25,6 +25,8 @@ from bayescal.config.sections import (
     Section,
     check_once,
 )
+from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
+from bayescal.density.priors import SharePrior
 from bayescal.density.schema import BlundersConfig, FixedConfig, KernelChoiceConfig, ModelErrorConfig, PriorConfig
 from bayescal.experiments.shared.readings.schema import (
     BesideConfig,
@@ -214,10 +216,21 @@ class VariantConfig(KernelChoiceConfig, FreeConfig):
     """Sections of [errors] that it has; all whose channels it takes in where nothing is said."""
     robust: Annotated[float, Field(ge=1.0, le=100.0)] | None = None
     """Degrees of freedom of a density that lets single poses be wrong; fewer forgive more [1]."""
+    outlier_share: Annotated[float, Field(gt=0.0, lt=0.5)] | None = Field(
+        default=None, exclude_if=lambda value: value is None
+    )
+    """Share of poses that are expected to be outliers, whose posterior is inferred; in place of `robust` [1]."""
     poses_with: Names = Field(default=[])
     """Keep to poses for which these columns are known."""
     published: InputFile | None = None
     """CSV file of printed values to compare with."""
+
+    @property
+    def outliers(self) -> Outliers:
+        """What poses are like that are wrong as a whole."""
+        if self.outlier_share is not None:
+            return Contaminated(SharePrior(self.outlier_share))
+        return NORMAL if self.robust is None else StudentT(self.robust)
 
     @property
     def seen(self) -> tuple[str, str]:
@@ -231,9 +244,11 @@ class VariantConfig(KernelChoiceConfig, FreeConfig):
         return self.name != name_variant(self.model, self.deformation)
 
     @model_validator(mode="after")
-    def _check_own_name(self) -> Self:
+    def _check_name_and_outliers(self) -> Self:
         if "/" in self.name and self.has_own_name:
             raise ValueError(f"name: found {self.name!r}, expected a name without a slash")
+        if self.robust is not None and self.outlier_share is not None:
+            raise ValueError("found robust and outlier_share, expected one of them")
         return self
 
 
@@ -281,7 +296,7 @@ BY_INSTRUMENT = {"claims", "deformation", "frames", "blunders"}
 """Sections that mean something of an instrument's poses alone; a mechanism's deformation does of tables, too."""
 BY_TABLES = {"instruments", "sensors", "units", "unknown_noise", "errors", "workspace", "validation", "beside", "next"}
 VARIANTS_BY_INSTRUMENT = {"model_error", "kernel_length", "kernel_length_spread", "published"}
-VARIANTS_BY_TABLES = {"common", "sensors", "machine", "noise", "errors", "robust", "poses_with"}
+VARIANTS_BY_TABLES = {"common", "sensors", "machine", "noise", "errors", "robust", "outlier_share", "poses_with"}
 
 
 class StudyConfig(ExperimentConfig):

@@ -139,5 +139,5 @@ def _measure(inputs: StudyInputs, variant: VariantConfig, path: Path, with_model
 
 def _check_noise(posterior: LegPosterior, path: Path) -> None:
     """Raise InputError for poses that may be blunders, which audits and checks do not have."""
-    if posterior.errors.outliers is not None:
+    if posterior.errors.outliers.expected:
         raise InputError(f"{path}: found blunders, expected none: audits and checks have no poses that may be spoilt")

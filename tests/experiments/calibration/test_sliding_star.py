@@ -9,8 +9,8 @@ import studies
 import tiny_experiments
 
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.audit.inputs import read_audit
-from bayescal.experiments.calibration.audit.set_tables import find_front
+from bayescal.experiments.audit.reading_inputs import read_audit
+from bayescal.experiments.audit.set_tables import find_front
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment

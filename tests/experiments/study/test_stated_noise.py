@@ -11,9 +11,9 @@ import pytest
 import studies
 from rich.console import Console
 
-from bayescal.api import run_study
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.run import run_experiment
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.soundness import find_misfit, measure_pulls
 from bayescal.experiments.simulation.twin import build_twin, format_survey, simulate_survey
@@ -92,7 +92,7 @@ def test_a_study_says_first_which_noise_is_wrong(folder, noise, cause, monkeypat
     monkeypatch.setattr(frame, "write_page", lambda page, folder, *more: folder)
     inputs = read(folder, noise)
     only = [one for one in inputs.config.variants if one.name == VARIANT]
-    finished = run_study(inputs.config.model_copy(update={"variants": only}), folder, folder / "out")
+    finished = run_experiment(inputs.config.model_copy(update={"variants": only}), folder, folder / "out")
     said = [statement for statement in finished.page.verdict if statement.lead == "Noise"]
     console = Console(file=io.StringIO(), width=120)
     finished.show(console)

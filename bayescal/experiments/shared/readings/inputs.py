@@ -11,7 +11,6 @@ import numpy as np
 from bayescal.calibrated.kept import keep_machines
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.elimination import project_out
 from bayescal.density.posterior import Posterior
@@ -194,7 +193,6 @@ def _build(
         *build_noise(config, section, whole, chosen),
         *build_terms(config, section, whole, chosen, data, workspace, folder),
     )
-    outliers = Outliers(np.inf if section.robust is None else section.robust)
     unplaced = Variant(
         section,
         whole,
@@ -202,7 +200,7 @@ def _build(
         priors,
         fixed,
         common,
-        Errors(terms, outliers),
+        Errors(terms, section.outliers),
         data,
         readings.verification[rows],
         np.zeros((data.n_poses, len(model.coordinates))),

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from bayescal.config.classes import choose, name_failures
-from bayescal.experiments.shared.readings.schema import CalibrationAuditConfig, InstrumentConfig
+from bayescal.experiments.shared.readings.schema import InstrumentConfig
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import Instrument, ReadingModel, place
@@ -32,7 +32,7 @@ def read_instruments(config: Instrumented, folder: Path) -> dict[str, Instrument
     return instruments
 
 
-def read_machine(config: StudyConfig | CalibrationAuditConfig, folder: Path, name: str = "") -> ReadingModel:
+def read_machine(config: StudyConfig, folder: Path, name: str = "") -> ReadingModel:
     """Return the machine of a file, by default the config's, before the config's instruments.
 
     Raises
