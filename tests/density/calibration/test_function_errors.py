@@ -234,7 +234,7 @@ def test_what_the_geometry_imitates_of_scales_that_are_off(n, of_one, of_an_enco
     _, slope, rows = posterior.likelihood.rows(*posterior.around(y), white, at.pose)
     geometry = (project_out(slope) @ rows).reshape(-1, posterior.n_geometry)
     model = sensors.model
-    travel = posterior.likelihood.data.values - model.read(model.layout.nominal, np.array(model.home))
+    travel = posterior.likelihood.data.values - model.read(model.layout.nominal, model.home_pose)
 
     def left_of(some) -> float:
         seen = np.einsum("pij,pj->pi", project_out(slope), np.where(some, travel, 0.0) / sensors.noise).ravel()
