@@ -174,15 +174,6 @@ def test_one_model_error_for_all_equals_one_each(n_legs, rng):
     assert np.all(np.abs(difference[1]) > 1e-9)
 
 
-def test_batches_do_not_mix(rng):
-    likelihood, theta = build("matrix", 5e-3, rng, batch=4)
-    tau = rng.uniform(0, 8, (4, 6)) * MICROMETRE
-    together = likelihood(theta, tau)
-    one_by_one = [likelihood(theta[k : k + 1], tau[k : k + 1])[0] for k in range(4)]
-    np.testing.assert_allclose(together, one_by_one, rtol=1e-11)
-    np.testing.assert_allclose(together, likelihood.pointwise(theta, tau).sum(axis=1), rtol=1e-13)
-
-
 def test_more_vectors_than_a_batch(rng):
     n = 2 * BATCH + 5
     likelihood, theta = build("matrix", 5e-3, rng, batch=n)
