@@ -48,7 +48,7 @@ def stack_density(likelihood, theta, *parts):
     errors, maps, inputs, constant = [], [], [], 0.0
     mean = likelihood.base.legs_known.mean(axis=0)
     for part in parts:
-        errors.append(part.leg_errors(theta[None])[0].ravel())
+        errors.append(part.errors(theta[None])[0].ravel())
         maps += list(map_covariance(mean, part.legs_known))
         inputs.append((part.poses.actuators - machines.INITIAL_POSITION) / machines.ACTUATOR_RANGE)
         constant += part.log_constant.sum()
@@ -139,7 +139,7 @@ def test_structured_error_is_found_and_interpolated(poses):
     prediction, error = predict_structured(
         likelihood, held, np.tile(theta, (20, 1)), np.tile(model_error, (20, 1)), np.random.default_rng(0)
     )
-    before = np.abs(held.leg_errors(theta[None])[0])
+    before = np.abs(held.errors(theta[None])[0])
     assert (
         prediction.summarise().position_error.mean()
         < 0.1 * np.linalg.norm(held.pose_errors(theta[None])[0, :, :3], axis=1).mean()
@@ -173,10 +173,10 @@ def test_lengths_follow_the_joints(poses):
     likelihood = posterior.likelihood.base
     y[:, [k for k, name in enumerate(posterior.names[:n]) if name.startswith("l[")]] = 0.0
     y = np.vstack([np.zeros(n), y])
-    moved = likelihood.leg_errors(coordinates.theta_from_y(y)).mean(axis=1)
+    moved = likelihood.errors(coordinates.theta_from_y(y)).mean(axis=1)
     plain = build_leg_posterior(likelihood, posterior.priors).sampling.theta_from_y(y)
     assert np.abs(moved - moved[0]).max() < 5e-3
-    assert np.abs(likelihood.leg_errors(plain).mean(axis=1) - moved[0]).max() > 0.1
+    assert np.abs(likelihood.errors(plain).mean(axis=1) - moved[0]).max() > 0.1
 
 
 def test_a_switch_jumps_to_its_other_place():
