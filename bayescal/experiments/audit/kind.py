@@ -15,7 +15,6 @@ from bayescal.experiments.audit.inputs import AuditDesign, read_design
 from bayescal.experiments.audit.page.build import build_page
 from bayescal.experiments.audit.page.reading_build import build_page as build_reading_page
 from bayescal.experiments.audit.page.reading_build import list_variants
-from bayescal.experiments.audit.reading_compute import compute_readings
 from bayescal.experiments.audit.reading_inputs import ReadingAudit, read_audit
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.audit.terminal import show_audit
@@ -90,7 +89,7 @@ class Audit(MachineExperiment[AuditConfig, AuditDesign | ReadingAudit]):
 
     def compute(self, inputs: AuditDesign | ReadingAudit, run: Run) -> Results:
         """Return everything the audit says."""
-        return compute_readings(inputs, run) if isinstance(inputs, ReadingAudit) else compute_audit(inputs, run)
+        return compute_audit(inputs, run)
 
     def page(self, results: Results) -> Page:
         """Return the audit's page."""

@@ -225,6 +225,8 @@ class WhatIfConfig(Section):
     """Other sensors."""
     poses: PosesConfig | None = None
     """Another plan."""
+    structured_error: bool = Field(default=True, exclude_if=lambda value: value)
+    """Whether legs err by a function of the pose as they do in the plan."""
 
 
 class SweepConfig(Section):
@@ -296,6 +298,8 @@ class AuditConfig(ExperimentConfig):
     """Where it is planned to measure."""
     requirements: dict[str, Positive] = Field(default={})
     """By coordinate of the tool: largest error [units]."""
+    required_of: Literal["every_pose", "rms"] = "every_pose"
+    """Whether errors keep these limits at every pose of the workspace (`every_pose`), or their `rms` over it."""
     aligned: bool = Field(default=False, exclude_if=lambda value: not value)
     """Accuracy of variants, requirements and sets is the error that remains after base and tool were aligned anew."""
     variants: Annotated[list[VariantConfig], Field(min_length=1)] = Field(default=[VariantConfig()])
