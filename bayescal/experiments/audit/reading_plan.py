@@ -304,9 +304,7 @@ class ReadingPlan(Planned):
                     break
                 y[k], redrawn = rng.standard_normal(len(self.names)), redrawn + 1
             else:
-                raise InputError(
-                    "tolerances: found machines that do not reach planned poses, expected smaller ones"
-                )
+                raise InputError("tolerances: found machines that do not reach planned poses, expected smaller ones")
         return y, values + data.sd * rng.standard_normal(values.shape), redrawn
 
     def _count_kept(self, errors: Array, rng: np.random.Generator) -> np.ndarray:
