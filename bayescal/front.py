@@ -506,6 +506,7 @@ def next_pose(
         "study": CONFIG,
         "variants": [study.best.name],
         "requirements": _plain(requirements or {}),
+        "required_of": "rms",
         "candidates": {"count": candidates},
         **_plain(sections),
     }
@@ -614,6 +615,7 @@ def audit(
         "parameters": _describe_widths(tolerances),
         "poses": {"count": poses},
         "requirements": _plain(requirements or {}),
+        "required_of": "rms",
         "variants": _describe_variants(variants),
         **_plain(sections),
     }

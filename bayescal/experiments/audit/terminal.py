@@ -40,12 +40,8 @@ def show_audit(results: Results, console: Console) -> None:
     width = min(MOST_WIDTH if console.is_terminal else FILE_WIDTH, console.width)
     for one in _list_lines(audit):
         console.print(one, width=width, markup=False, highlight=False)
-    for columns, rows in (
-        *_tabulate_variants(audit),
-        _tabulate_symbols(audit),
-        *_tabulate_sets(audit),
-        *_tabulate_requirements(audit),
-    ):
+    tables = [*_tabulate_variants(audit), _tabulate_symbols(audit)]
+    for columns, rows in [*tables, *_tabulate_sets(audit), *_tabulate_requirements(audit)]:
         print_table(console, columns, rows, width)
 
 

@@ -73,7 +73,7 @@ def state_selected(tables: dict[str, pd.DataFrame], summary: dict[str, Any], bes
     ]
     return [
         Statement(
-            f"{len(mine)} poses chosen out of {summary['candidates']} would determine {join_words(words)}; in brackets what "
+            f"{len(mine)} poses chosen out of {summary['candidates']} determine {join_words(words)}; in brackets what "
             f"the {summary['plan']['n_poses']} planned ones do.",
             "plain",
             "Poses",

@@ -132,7 +132,7 @@ def _state_readings(results: AuditResults) -> list[Statement]:
     found += [*state_selected(tables, summary, results.best), *state_counts(tables, results.best)]
     if summary.get("aligned"):
         text = (
-            "All accuracies are after alignment: one motion each of base and tool, the same at all poses, is no error."
+            "Accuracies are after alignment: one motion each of base and tool, the same at all poses, is no error."
         )
         found.append(Statement(text, "plain", "Frames"))
     return found
@@ -257,7 +257,7 @@ def _state_requirements(results: AuditResults) -> list[Statement]:
     ]
     text = (
         f"The calibrated machine does not reliably meet {join_words(words)}; {uncalibrated}. {_blame(worst)}"
-        f"{' The other requirements are met with more than 90 % probability.' if len(failing) < len(requirements) else ''}"
+        f"{' The others are met with more than 90 % probability.' if len(failing) < len(requirements) else ''}"
     )
     return [Statement(text, "bad", "Requirements")]
 
