@@ -15,12 +15,12 @@ from bayescal.experiments.audit.audit import analyse, run_audit
 from bayescal.experiments.audit.changes import evaluate_change
 from bayescal.experiments.audit.inputs import close_legs, read_inputs
 from bayescal.experiments.audit.load import load_audit
-from bayescal.experiments.audit.results import summarise, tabulate
+from bayescal.experiments.audit.results import summarise, tabulate, tabulate_variants
 from bayescal.experiments.audit.schema import WhatIfConfig
 from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.pose_volume import PoseVolume, find_workspace_actuators
-from bayescal.identifiability.requirements import Requirement
+from bayescal.identifiability.requirements import Forecast, Requirement
 from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity
 from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
@@ -101,6 +101,35 @@ def test_what_fixing_the_rest_costs(telescope):
     found = np.einsum("wji,bi->bwj", forecast.slope, errors).std(axis=0)
     predicted = np.sqrt(np.diagonal(forecast.covariance(expected), axis1=1, axis2=2))
     assert found / predicted == pytest.approx(np.ones((5, 6)), abs=0.03)
+
+
+def test_a_limit_on_the_rms_is_kept_where_single_poses_exceed_it():
+    """Noise alone: closed forms of 40 poses; what own sensors do not determine has no probability."""
+    noise = np.broadcast_to(0.01 * np.eye(2), (40, 2, 2))
+    wanted = [Requirement("a", 0.2, ("a", "b"), of) for of in ("rms", "every_pose")]
+    nothing = Information(np.zeros((1, 3)))
+    forecast = Forecast(np.zeros((40, 2, 3)), noise)
+    (rms, every), together = forecast.judge(wanted, nothing, np.random.default_rng(2), ())
+    share = (2.0 * norm.cdf(2.0) - 1.0) ** 40
+    assert (rms.probability, rms.everywhere) == (1.0, every.probability)
+    assert abs(every.probability - share) < 4.0 * np.sqrt(share * (1.0 - share) / 2000)
+    assert together == every.probability
+    assert rms.predicted_sd == pytest.approx(0.1)
+    (lost, _), none = replace(forecast, slope=np.full((40, 2, 3), np.nan)).judge(
+        wanted, nothing, np.random.default_rng(2), ()
+    )
+    assert (lost.probability, none) == (0.0, 0.0)
+    assert np.isnan(lost.predicted_sd)
+
+
+def test_the_worst_pose_is_where_the_tool_errs_most():
+    slope = np.linspace(0.1, 0.3, 7)[:, None, None] * [[[1.0, 0.0], [0.0, -1.0]]]
+    wanted = [Requirement(name, 1.0, ("a", "b")) for name in "ab"]
+    outlooks, _ = Forecast(slope, np.zeros((7, 2, 2))).judge(
+        wanted, Information(np.zeros((1, 2))), np.random.default_rng(3), ()
+    )
+    assert [one.worst for one in outlooks] == [6, 6]
+    assert [one.worst_sd for one in outlooks] == pytest.approx([0.3, 0.3])
 
 
 def test_norms_are_stricter_than_their_parts(telescope):
@@ -197,7 +226,7 @@ def test_other_poses_replace_the_planned_ones(telescope):
 
 def test_tables_and_summary_agree(audited):
     audit, summary = audited
-    tables = tabulate(summary, audit)
+    tables = tabulate(summary, audit) | tabulate_variants({"all": audit})
     assert list(tables["parameters"]["parameter"]) == list(summary["parameters"])
     assert tables["directions"]["direction"].max() == summary["n_parameters"] == len(summary["directions"])
     assert summary["n_structural"] + summary["structural_rank"] == summary["n_parameters"]

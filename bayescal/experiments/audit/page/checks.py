@@ -148,7 +148,10 @@ def _check_change(change: dict[str, Any], summary: dict[str, Any], path: Path, w
         check_keys(change, {"total_nats": NUMBER, "n_identifiable": int}, path, f"{where}.")
         check_keys(change["ridges"], dict.fromkeys(change["ridges"], NUMBER), path, f"{where}.ridges.")
         check_keys(
-            change["requirements"], dict.fromkeys(summary["requirements"], ANY_NUMBER), path, f"{where}.requirements."
+            change["requirements"],
+            {k: ANY_NUMBER if k in change["requirements"] else NUMBER for k in summary["requirements"]},
+            path,
+            f"{where}.requirements.",
         )
 
 

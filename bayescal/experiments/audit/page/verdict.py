@@ -16,6 +16,7 @@ from bayescal.experiments.audit.page.wording import (
     format_probability,
     format_range,
     format_share,
+    list_names,
     name_requirement,
     say,
     say_most,
@@ -30,6 +31,7 @@ from bayescal.report.units import format_amount
 UNLIKELY = 0.5
 WORTH_NATS = 2.0  # a change that tells less more is not worth a name
 WORTH_SHARE = 0.9  # of the worst predicted sd; a change that leaves more is not worth a name
+MANY = 12  # parameters that are named
 FIXING_COSTS = 1.25  # growth of a predicted sd from which on fixing the rest is not cheap
 
 
@@ -131,9 +133,7 @@ def _state_readings(results: AuditResults) -> list[Statement]:
     found = [*state_sets(tables, summary), *state_next(tables, results.best, asked)]
     found += [*state_selected(tables, summary, results.best), *state_counts(tables, results.best)]
     if summary.get("aligned"):
-        text = (
-            "Accuracies are after alignment: one motion each of base and tool, the same at all poses, is no error."
-        )
+        text = "Accuracies are after alignment: one motion each of base and tool, the same at all poses, is no error."
         found.append(Statement(text, "plain", "Frames"))
     return found
 
@@ -155,7 +155,14 @@ def _state_freedom(results: AuditResults) -> list[Statement]:
     text = (
         f"Everything: all {count(n, 'parameter')}, each with its tolerance as prior, which holds what the poses do not"
     )
-    return [Statement(f"{text} tell.", "good", lead)]
+    found = [Statement(f"{text} determine.", "good", lead)]
+    words = []
+    for verdict, said in (("not", "not determined"), ("weak", "uncertainty not halved")):
+        names = list(results.parameters.index[results.parameters["verdict"] == verdict])
+        words += [f"{list_names(names, results.member)} ({said})"] if 0 < len(names) <= MANY else []
+    if words:
+        found.append(Statement(f"{join_words(words)}.", "warning", "Poorly determined"))
+    return found
 
 
 def _state_reduced(results: AuditResults) -> list[Statement]:
