@@ -123,9 +123,9 @@ def show_sweeps(results: AuditResults) -> Figure:
     sweeps = results.tables.get("sweeps")
     caption = (
         f"What is left of the tolerances on the {results.member} that is known least, a line per symbol, with all "
-        "parameters unknown (dashed red: contraction 0.75 and 0.1), and below it the predicted standard deviations in per cent of their "
-        "limits. The grey line is the plan; open marks need more than the actuators' range. Lines that stay level wait "
-        "for another kind of measurement."
+        "parameters unknown (dashed red: contraction 0.75 and 0.1), and below it the predicted standard deviations in "
+        "per cent of their limits. The grey line is the plan; open marks need more than the actuators' range. Lines "
+        "that stay level wait for another kind of measurement."
     )
     if sweeps is None or not set(sweeps["sweep"]) & set(SWEEPS):
         return Figure("sweeps", caption, None, "nothing was swept")

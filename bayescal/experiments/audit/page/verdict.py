@@ -289,6 +289,8 @@ def _share(requirement: Requirement) -> float:
 def _blame(worst: Requirement) -> str:
     """Say how tight the worst one is, and whether the geometry or the actuators cause it."""
     share = (worst.geometry_sd / worst.predicted_sd) ** 2 if worst.predicted_sd else 0.0
+    if worst.predicted_sd * math.sqrt(max(0.0, 1.0 - share)) > worst.limit:
+        return f"{name_requirement(worst.name)}: the noise in use alone exceeds the limit, no calibration helps."
     text = (
         f"Tightest: {name_requirement(worst.name)}, predicted standard deviation {format_share(_share(worst))} of the "
         f"limit; {format_share(share)} of that variance is geometry"

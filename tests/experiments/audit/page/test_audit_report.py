@@ -281,7 +281,7 @@ def test_a_requirement_at_risk_is_bad_news_and_names_its_cause(tmp_path, no_pict
     assert level == "bad"
     assert "does not reliably meet x (probability 40 %)" in text
     assert "Tightest: x, predicted standard deviation 80 % of the limit; 6.2 % of that variance is geometry" in text
-    assert text.endswith("no calibration removes. The other requirements are kept.")
+    assert text.endswith("no calibration removes. The others are met with more than 90 % probability.")
     page = write_audit_report(write_audit_results(tmp_path, fail_x)).read_text(encoding="utf-8")
     assert 'class="verdict failed"' in page
 
