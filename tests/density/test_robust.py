@@ -67,23 +67,6 @@ def suspect(posterior, rng):
 # --- density ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("expected", [0.005, 0.05, 0.4])
-def test_share_is_beta_distributed(expected):
-    prior, zeta = SharePrior(expected), np.linspace(-6, 6, 41)
-    beta = stats.beta(1.0, 1.0 / expected - 1.0)
-    share = prior.value(zeta)
-    np.testing.assert_allclose(beta.cdf(share), stats.norm.cdf(zeta), rtol=1e-9)
-    np.testing.assert_allclose(prior.log_density(share[:-5]), beta.logpdf(share[:-5]), rtol=1e-9)
-    np.testing.assert_allclose(prior.standardise(share), zeta, rtol=1e-6, atol=1e-9)
-    assert prior.draw(20000, np.random.default_rng(1)).mean() == pytest.approx(expected, rel=0.05)
-    assert prior.mean == pytest.approx(beta.mean())
-    assert prior.sd == pytest.approx(beta.std())
-    assert prior.log_density(np.array([-0.1, 1.0])).tolist() == [-np.inf, -np.inf]
-    step = 1e-5
-    slope = (prior.value(zeta + step) - prior.value(zeta - step)) / (2 * step)
-    np.testing.assert_allclose(prior.slope(zeta), slope, rtol=1e-5)
-
-
 def test_blunders_are_t_distributed(rng):
     spread = rng.standard_normal((6, 6))
     covariance = spread @ spread.T + np.eye(6)
@@ -126,19 +109,6 @@ def test_without_blunders_nothing_but_the_share_is_lost(twin, rng):
     zero = np.zeros((4, 1))
     found = robust.log_density(np.concatenate([y, zero], axis=1)) - stats.norm.logpdf(0.0)
     np.testing.assert_allclose(found, plain.log_density(y), atol=1e-5)
-
-
-@pytest.mark.parametrize("outliers", [Contaminated(PRIOR), StudentT(3.0)], ids=["contaminated", "t"])
-@pytest.mark.parametrize("model_error", ERRORS.values(), ids=ERRORS.keys())
-def test_gradient_near_the_mode(twin, model_error, outliers, rng):
-    posterior = build(spoil(twin, rng)[0], model_error)
-    posterior = replace(posterior, errors=replace(posterior.errors, outliers=outliers))
-    y = posterior.approach() + 1e-3 * rng.standard_normal(posterior.n_parameters)
-    found, hessian = posterior.gradient(y)
-    expected = machines.central_difference(lambda x: posterior.log_density(x[None])[0], y, np.full(len(y), 1e-5))
-    # left out are terms of second order in the errors, of blunders too
-    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-3 * np.abs(found).max())
-    assert np.linalg.eigvalsh(hessian).max() < 0
 
 
 # --- what it is for --------------------------------------------------------------------------------------------------

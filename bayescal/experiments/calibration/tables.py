@@ -10,11 +10,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from bayescal.experiments.calibration.validation import Held
 from bayescal.experiments.shared.function_errors import tabulate_functions
 from bayescal.experiments.shared.headline import Candidate, choose_candidate
 from bayescal.experiments.shared.reading_fit import ReadingFit
-from bayescal.experiments.shared.readings.inputs import CalibrationInputs, Variant
+from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.readings.knowledge import Knowledge
 from bayescal.experiments.shared.readings.knowledge_tables import (
     list_next,
@@ -24,6 +23,7 @@ from bayescal.experiments.shared.readings.knowledge_tables import (
     tabulate_accuracy,
 )
 from bayescal.experiments.shared.stacking import tabulate_comparison
+from bayescal.experiments.study.validation import Held
 from bayescal.numerics.geometry import Array
 
 DOUBTFUL = 0.01  # probability under the stated noise below which what a pose leaves is doubtful
@@ -66,7 +66,7 @@ class Findings:
     held: list[Held]
 
 
-def tabulate(inputs: CalibrationInputs, found: Mapping[str, Findings]) -> dict[str, pd.DataFrame]:
+def tabulate(inputs: ReadingInputs, found: Mapping[str, Findings]) -> dict[str, pd.DataFrame]:
     """Return all tables by the names of their files."""
     every = [(inputs.variants[name], one) for name, one in found.items()]
     predictions = pd.DataFrame([row for one in every for row in _list_predictions(*one)])
@@ -96,7 +96,7 @@ def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dic
         "variant": variant.name,
         "title": variant.config.title,
         "data": name_data(variant),
-        "robust": variant.config.robust is not None,
+        "robust": variant.config.outliers.expected,
         "n_parameters": len(fit.names),
         "n_poses": len(left.square),
         "n_equations": int(left.freedom.sum()),
@@ -175,7 +175,7 @@ def _list_poses(variant: Variant, one: Findings) -> pd.DataFrame:
             "elpd_loo": one.fit.left_out.elpd,
             "pareto_k": one.fit.left_out.pareto_k,
             "refitted": one.fit.left_out.was_refitted,
-            "doubtful": (left.trust < DISTRUSTED) | ((variant.config.robust is None) & (chance < DOUBTFUL)),
+            "doubtful": (left.trust < DISTRUSTED) | ((not variant.config.outliers.expected) & (chance < DOUBTFUL)),
         }
     )
 
@@ -199,7 +199,7 @@ def _list_predictions(variant: Variant, one: Findings) -> Iterator[dict[str, Any
             }
 
 
-def _list_beside(inputs: CalibrationInputs, variant: Variant, one: Findings) -> Iterator[dict[str, Any]]:
+def _list_beside(inputs: ReadingInputs, variant: Variant, one: Findings) -> Iterator[dict[str, Any]]:
     for source, values in zip(inputs.beside, one.beside, strict=True):
         mean, sd = values.mean(axis=0), values.std(axis=0)
         for k, name in enumerate(source.quantities):
@@ -218,7 +218,7 @@ def _list_beside(inputs: CalibrationInputs, variant: Variant, one: Findings) -> 
             }
 
 
-def summarise(inputs: CalibrationInputs, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
+def summarise(inputs: ReadingInputs, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
     """Return the results as JSON-ready numbers."""
     config, variants = inputs.config, tables["variants"]
     return {
