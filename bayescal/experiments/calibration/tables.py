@@ -228,7 +228,7 @@ def summarise(inputs: ReadingInputs, tables: Mapping[str, pd.DataFrame]) -> dict
         "machine": inputs.machine,
         "origin": config.origin.model_dump(),
         "member": next(iter(inputs.variants.values())).model.member,
-        "machine_files": inputs.machine_files,
+        "machine_folder": inputs.machine_folder,
         "states_tool": all(one.model.states_tool for one in inputs.variants.values()),
         **({"unused": inputs.unused} if inputs.unused else {}),
         "converged": bool(variants["converged"].all()),
