@@ -143,7 +143,7 @@ def try_poses(machine: str, twins: int, first: int, planted: bool) -> Iterator[d
     """Yield what is found of twins of a study."""
     path, name = ROOT / STUDIES[machine][0], STUDIES[machine][1]
     experiment, study = load(path)
-    measured = experiment.measure(study, path, experiment.list_variants(study)[name], True)
+    measured = experiment.measure(study, path, [name], True)[name].legs
     plants = list_plants(measured.machine.mechanism.initial_actuator_positions)
     for k in range(first, first + twins):
         labels, n, share, error, rng = draw_setting(machine, k)
