@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from bayescal.calibrated.machine import CalibratedMachine
 
 SHOWN: dict[str, tuple[str, ...]] = {
-    "study": ("ranking",),
+    "study": ("variants",),
     "calibration": ("variants",),
     "audit": ("parameters", "requirements"),
 }
@@ -146,7 +146,7 @@ class StudyResult(LoadedResults):
     @property
     def ranking(self) -> pd.DataFrame:
         """The variants, the largest log-evidence first, indexed by their names."""
-        table = self.tables["ranking"] if "ranking" in self.tables else self.tables["variants"]
+        table = self.tables["variants"]
         return table.sort_values("log_evidence", ascending=False, ignore_index=True).set_index("variant")
 
     @property
@@ -195,8 +195,7 @@ class StudyResult(LoadedResults):
         In prior standard deviations: 0 is nominal, an interval as long as ±1.6 has learnt nothing.
         """
         table = self.parameters[self.parameters["variant"] == self._check(variant)]
-        if "model_error" in table:
-            table = table[table["model_error"] == "free"]
+        table = table[table["model_error"] == "free"]
         table = table[np.isfinite(table["prior_sd"])]
         middle = (table["mean"] - table["nominal"]) / table["prior_sd"]
         ends = [((table[end] - table["mean"]) / table["prior_sd"]).abs() for end in ("q05", "q95")]

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_fixed, format_odds, format_percent, format_significant, join_words
@@ -76,6 +77,35 @@ def choose_candidate(candidates: Sequence[Candidate]) -> Candidate:
     """Return the one to use: the simplest that fits as well as the best, of those that converged where any did."""
     sound = [one for one in candidates if one.converged]
     return min(group_candidates(sound or candidates)[0], key=lambda one: one.size)
+
+
+def list_candidates(summary: Mapping[str, Any], setting: str = "free") -> list[Candidate]:
+    """Return the variants of the most data of a study's summary, of which one is to be used, in the study's order.
+
+    Parameters
+    ----------
+    summary : mapping
+        As ``summary.json`` has it.
+    setting : str
+        ``zero`` for the same variants without model error.
+    """
+    rows = summary["variants"]
+    ranking = max(summary["rankings"], key=lambda names: (rows[names[0]].get("n_equations", 0), len(names)))
+    chosen = [(name, row if setting == "free" else row["without_model_error"]) for name, row in rows.items()]
+    return [_describe_candidate(name, row) for name, row in chosen if name in ranking]
+
+
+def _describe_candidate(name: str, row: Mapping[str, Any]) -> Candidate:
+    title, evidence = str(row["title"]), (float(row["log_evidence"]), float(row["log_evidence_se"]))
+    errors = (row.get(f"{use}_position_error_max_mm") for use in ("verification", "calibration"))
+    error = next((float(one) for one in errors if one is not None), math.nan)
+    label = f"“{title}”" if " " in title else title
+    return Candidate(name, label, *evidence, bool(row["converged"]), (int(row["n_parameters"]),), error)
+
+
+def choose_best(summary: Mapping[str, Any]) -> str:
+    """Return the name of the variant to use."""
+    return choose_candidate(list_candidates(summary)).name
 
 
 def say_choice(candidates: Sequence[Candidate], label: str = "", careful: bool = False) -> str:

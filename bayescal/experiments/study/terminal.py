@@ -10,6 +10,7 @@ import pandas as pd
 from rich.console import Console
 
 from bayescal.experiments.frame.terminal import Shown, print_table, print_text
+from bayescal.experiments.shared.origin import name_origin
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import MICROMETRES, format_estimate, format_fixed
 
@@ -40,10 +41,11 @@ COMPARED = (
 
 def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
     """Print the ranking of a study, and what did not converge."""
-    console.print(f"{summary['title']} ({summary['data_origin']})")
-    best = summary["variants"][summary["ranking"][0]]["log_evidence"]
+    console.print(f"{summary['title']} ({name_origin(summary['origin'])})")
+    (ranking,) = summary["rankings"]
+    best = summary["variants"][ranking[0]]["log_evidence"]
     rows = []
-    for rank, name in enumerate(summary["ranking"], start=1):
+    for rank, name in enumerate(ranking, start=1):
         fit = summary["variants"][name]
         held = fit["verification"]
         error = (held or fit["calibration"])["position_error_mm"]
@@ -54,7 +56,7 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
                 format_estimate(fit["log_evidence"], fit["log_evidence_se"], 2),
                 format_fixed(fit["log_evidence"] - best, 1),
                 format_estimate(fit["elpd_loo"], fit["elpd_loo_se"], 1),
-                format_fixed(held["elpd"] if held else None, 1),
+                format_fixed(fit["elpd"], 1),
                 " / ".join(_format_size(error[which]) for which in ("mean", "max")) + " µm",
                 "yes" if fit["converged"] else "NO",
             )
@@ -62,20 +64,20 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
     print_table(console, RANKING, rows)
     use = "verification" if summary["n_poses"]["verification"] else "calibration"
     print_text(console, f"position error: mean / largest on the {use} poses; log-evidence in nats")
-    for name in summary["ranking"]:
+    for name in ranking:
         fit = summary["variants"][name]
         for setting, one in (("", fit), (" without model error", fit["without_model_error"])):
-            if "log_evidence_check" in one:
+            if one.get("log_evidence_tempered") is not None:
                 print_text(console, _describe_check(f"{name}{setting}", one))
-            for problem in one["problems"]:
-                print_text(console, f"NOT CONVERGED {name}{setting}: {problem}")
+            if one["problems"]:
+                print_text(console, f"NOT CONVERGED {name}{setting}: {one['problems']}")
 
 
 def _describe_check(name: str, fit: Mapping[str, Any]) -> str:
     """Return both log-evidences of a posterior that was checked by tempering."""
     own = format_estimate(fit["log_evidence"], fit["log_evidence_se"], 3)
-    check = fit["log_evidence_check"]
-    return f"checked {name}: log-evidence {own}, by tempering {format_estimate(check['log_evidence'], check['se'], 3)}"
+    check = format_estimate(fit["log_evidence_tempered"], fit["log_evidence_tempered_se"], 3)
+    return f"checked {name}: log-evidence {own}, by tempering {check}"
 
 
 def show_doubts(verdict: Sequence[Statement], console: Console) -> None:

@@ -8,9 +8,9 @@ import pandas as pd
 
 from bayescal.experiments.calibration.page import figures
 from bayescal.experiments.calibration.page.verdict import state_headline, state_verdict
-from bayescal.experiments.calibration.tables import choose_best
 from bayescal.experiments.shared.diagnostics_table import tabulate_diagnostics
 from bayescal.experiments.shared.function_page import judge_functions, show_functions
+from bayescal.experiments.shared.headline import choose_best
 from bayescal.experiments.shared.joints import MOST_POSES
 from bayescal.experiments.shared.judgement_page import tabulate_power_scaling, tabulate_widths
 from bayescal.experiments.shared.knowledge_page import VERDICT_LEVELS, show_accuracy, show_next, show_ridges

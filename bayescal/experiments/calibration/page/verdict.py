@@ -7,9 +7,8 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.experiments.calibration.tables import choose_best, list_candidates
 from bayescal.experiments.shared.chi_square import ChiSquare
-from bayescal.experiments.shared.headline import say_accuracy, say_choice, write_headline
+from bayescal.experiments.shared.headline import choose_best, list_candidates, say_accuracy, say_choice, write_headline
 from bayescal.experiments.shared.judgement_page import state_misfit, state_pulls
 from bayescal.experiments.shared.knowledge_page import state_next
 from bayescal.experiments.shared.slips import state_slip
