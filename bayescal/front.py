@@ -16,29 +16,32 @@ from dataclasses import dataclass
 from functools import cached_property
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from bayescal.calibrated.kept import keep_machines
 from bayescal.config.local_imports import find_local_imports
-from bayescal.config.sections import Section
-from bayescal.errors import InputError
+from bayescal.config.sections import ExperimentConfig, Section
+from bayescal.errors import InputError, name_faults
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.run import run_experiment
+from bayescal.files.csv_tables import read_table
 from bayescal.files.toml import write_toml
 from bayescal.identifiability.units import units_like
-from bayescal.loaded import LoadedResults, StudyResult, load_results
+from bayescal.loaded import LoadedResults, StudyResult, Table, load_results, name_rows
 from bayescal.machines.read import read_reading_model
-from bayescal.machines.readings import Channel, ReadingMachine, ReadingModel
+from bayescal.machines.readings import ReadingMachine, ReadingModel
 
-MACHINE, CONFIG, READINGS = "machine.toml", "study.toml", "data/readings.csv"
+if TYPE_CHECKING:
+    import pandas as pd  # tables need it, naming things does not
+
+MACHINE, CONFIG, READINGS = "machine.toml", "study.toml", "readings.csv"
 UNSTATED = {"status": "unstated", "text": "a table given in Python"}
 EVERYTHING = {"everything": {"title": "Everything free"}}
 
 type Widths = Mapping[str, float | Sequence[float] | Mapping[str, Any]]
 """By symbol: a standard deviation, one per leg, or a section as in a config."""
+type AnyMachine = Path | str | ReadingMachine | type[ReadingMachine] | MachineFiles
 
 
 # --- machines --------------------------------------------------------------------------------------------------------
@@ -69,6 +72,8 @@ class MachineFiles:
     @property
     def parameters(self) -> pd.DataFrame:
         """Nominal values of its parameters, with their units."""
+        import pandas as pd
+
         layout = self.model.layout
         return pd.DataFrame({"parameter": layout.names, "nominal": layout.nominal, "unit": layout.units})
 
@@ -77,6 +82,8 @@ class MachineFiles:
 
         What a class's `given` names is stated by keywords, a number or one for each pose.
         """
+        import pandas as pd
+
         pose = np.atleast_2d(np.asarray(pose, dtype=np.float64))
         theta = self.model.layout.nominal if parameters is None else np.asarray(parameters, dtype=np.float64)
         known = {name: np.broadcast_to(np.asarray(value, np.float64), len(pose)) for name, value in given.items()}
@@ -100,13 +107,24 @@ class MachineFiles:
         )
 
 
-def load_machine(machine: Path | str | ReadingMachine | type[ReadingMachine] | MachineFiles) -> MachineFiles:
+def load_machine(machine: AnyMachine) -> MachineFiles:
     """Return a machine: of its TOML file, or of a class of one's own, or an instance of it.
 
     Raises
     ------
     InputError
         For anything wrong with the file or the class.
+
+    Examples
+    --------
+    >>> import bayescal as bc
+    >>> machine = bc.load_machine("examples/own_machine/machine.toml")
+    >>> machine
+    machine 'delta': 14 parameters (x, y, l, s0, t_x, t_y), channels s[1], s[2], s[3], cam_x, cam_y, height,
+    coordinates x, y, z, tool x, y, z
+    >>> machine.read([0.0, 0.0, 30.0]).round(3)
+       s_1_mm  s_2_mm  s_3_mm  cam_x_mm  cam_y_mm  height_mm
+    ...
     """
     if isinstance(machine, MachineFiles):
         return machine
@@ -177,7 +195,7 @@ class Data:
 
     Parameters
     ----------
-    table : DataFrame, or the CSV file of one
+    table : DataFrame or mapping of its columns, or the CSV file of one
         A row a pose; columns by channel and unit such as ``s_1_mm``, what is given of each row, and optionally ``pose``
         (names; else the index) and ``use`` (``calibration`` or ``verification``). Empty cells were not read.
     noise : mapping
@@ -189,68 +207,73 @@ class Data:
         Where they come from: a sentence, or a section [origin] as in a config.
     truth : DataFrame, optional
         The true parameters, of simulated readings.
+
+    Examples
+    --------
+    >>> bc.Data(data.table, noise, hold_back=["C001", "C002"])
+    data: 12 rows of s, cam_x, cam_y, height; a table given in Python
     """
 
     def __init__(
         self,
-        table: pd.DataFrame | Path | str,
+        table: Table,
         noise: Mapping[str, Any],
         commanded: Sequence[str] = (),
         hold_back: Sequence[str] = (),
         origin: str | Mapping[str, Any] = UNSTATED["text"],
         truth: pd.DataFrame | None = None,
     ) -> None:
-        self.table = table if isinstance(table, pd.DataFrame) else _read_file(Path(table))
+        self.source = Path(table) if isinstance(table, str | Path) else name_rows(table)
         self.noise, self.commanded, self.hold_back, self.truth = noise, commanded, hold_back, truth
         self.origin = {**UNSTATED, "text": origin} if isinstance(origin, str) else _plain(origin)
 
-    def write(self, path: Path) -> None:
-        """Write the table as CSV."""
-        table = self.table
-        if "pose" not in table.columns:
-            plain = isinstance(table.index, pd.RangeIndex)
-            names = [f"P{k}" for k in range(1, len(table) + 1)] if plain else [str(one) for one in table.index]
-            table = table.reset_index(drop=True)
-            table.insert(0, "pose", names)
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """The readings, a row a pose."""
+        import pandas as pd
+
+        return pd.read_csv(self.source, comment="#") if isinstance(self.source, Path) else self.source
+
+    def write(self, folder: Path, model: ReadingModel) -> dict[str, Any]:
+        """Write the table into a folder; return the sections of a config that tell of it, for a machine."""
+        if isinstance(self.source, Path):
+            columns: Sequence[str] = read_table(self.source, None).columns
+            path = folder / "data" / self.source.name
+        else:
+            columns, path = list(self.source.columns), folder / "data" / READINGS
         path.parent.mkdir(parents=True, exist_ok=True)
-        table.to_csv(path, index=False)
+        if isinstance(self.source, Path):
+            shutil.copyfile(self.source, path)
+        else:
+            self.source.to_csv(path, index=False)
+        read = [name for name in self.noise if any(name in (one.name, one.kind) for one in model.channels)]
+        told = {"channels": read, "commanded": self.commanded, "hold_back": self.hold_back}
+        section = {"file": f"data/{path.name}", **{key: list(one) for key, one in told.items() if len(one)}}
+        return {"origin": self.origin, "data": [section], "sensors": describe_noise(self.noise, model, columns)}
 
-    def describe_sensors(self, model: ReadingModel) -> dict[str, dict[str, Any]]:
-        """Return the sections [sensors] of a config; InputError for a channel or a column that is not there."""
-        if not len(self.table):
-            raise InputError("data: found no rows, expected some")
-        return describe_noise(self.noise, model, list(self.table.columns))
-
-
-def _read_file(path: Path) -> pd.DataFrame:
-    if not path.is_file():
-        raise InputError(f"{path}: no such file, expected a CSV table of readings")
-    return pd.read_csv(path, comment="#", skipinitialspace=True)
+    def __repr__(self) -> str:
+        return f"data: {len(self.table)} rows of {', '.join(self.noise)}; {self.origin['text']}"
 
 
 def describe_noise(noise: Mapping[str, Any], model: ReadingModel, columns: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Return the sections [sensors] of noises by channel or kind, in the units of their columns where there are any."""
+    """Return the sections [sensors] of noises by channel or kind, in the units of their columns where there are any.
+
+    What is wrong with names, columns and numbers says who reads the config.
+    """
     found: dict[str, dict[str, Any]] = {}
     for name, value in noise.items():
-        channels = [model.channels[k] for k in model.select([name])]
-        if isinstance(value, Mapping):
-            found[name] = _plain(value)
+        channel = next((one for one in model.channels if name in (one.name, one.kind)), None)
+        if isinstance(value, Mapping) or channel is None:
+            found[name] = _plain(value) if isinstance(value, Mapping) else {"noise": _plain(value)}
             continue
-        (unit, factor), *_ = [_find_unit(one, columns) for one in channels]
-        scaled = [factor * one for one in np.atleast_1d(np.asarray(value, dtype=np.float64)).tolist()]
-        key = f"noise_{unit}" if unit in ("mm", "rad") else "noise"
-        found[name] = {key: scaled[0] if np.ndim(value) == 0 else scaled}
+        units = units_like(channel.unit)
+        factor = next((units[unit] for unit in units if f"{channel.stem}_{unit}" in columns), 1.0)
+        key = f"noise_{channel.unit}" if channel.unit in ("mm", "rad") else "noise"
+        try:
+            found[name] = {key: (factor * np.asarray(value, dtype=np.float64)).tolist()}
+        except (TypeError, ValueError):
+            found[name] = {key: value}
     return found
-
-
-def _find_unit(channel: Channel, columns: Sequence[str]) -> tuple[str, float]:
-    """Return a channel's own unit and how many of it are one of its column's."""
-    units = units_like(channel.unit)
-    there = [unit for unit in units if f"{channel.stem}_{unit}" in columns]
-    if columns and not there:
-        expected = " or ".join(f"{channel.stem}_{unit}" for unit in units)
-        raise InputError(f"data: found no column of channel {channel.name!r}, expected {expected}")
-    return channel.unit, units[there[0]] if there else 1.0
 
 
 def _plain(value: Any) -> Any:
@@ -269,62 +292,65 @@ def _describe_widths(tolerances: Widths) -> dict[str, dict[str, Any]]:
     }
 
 
-def next_pose(
-    study: StudyResult,
-    requirements: Mapping[str, float] | None = None,
-    candidates: int = 300,
-    *,
-    seed: int = 1,
+def _describe_variants(variants: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    return [{"name": key, "title": key, **_plain(one)} for key, one in variants.items()]
+
+
+# --- experiments -----------------------------------------------------------------------------------------------------
+
+
+def run_experiment(
+    experiment: Path | str | ExperimentConfig,
     out: Path | str | None = None,
+    *,
+    folder: Path | str = ".",
+    workers: int = 1,
+    resume: bool = False,
     quiet: bool = False,
-    **sections: Any,
+    scheduler: str | None = None,
 ) -> LoadedResults:
-    """Return which pose to measure next, what it will bring, and whether to stop.
+    """Run an experiment of any kind as ``bayescal run`` does, and return its results.
 
     Parameters
     ----------
-    study : StudyResult
-        Of `calibrate`.
-    requirements : mapping of str to float, optional
-        By the tool's numbers: the largest error allowed anywhere in the workspace.
-    candidates : int
-        How many random poses are tried.
-    seed, out, quiet
-        As for `calibrate`.
-    **sections
-        Further sections of a config of kind ``next_pose``.
+    experiment : Path, str or ExperimentConfig
+        The config's file, or what `load_experiment` made of it, changed or not.
+    out : Path or str, optional
+        Folder for the results, replaced as a whole when everything is done; default ``results/NAME``.
+    folder : Path or str
+        Where the file names of a config start that was not read from a file here.
+    workers : int
+        Processes side by side; the numbers do not depend on it.
+    resume : bool
+        Take up an interrupted run of the same config.
+    quiet : bool
+        Say nothing of the progress.
+    scheduler : str, optional
+        Of dask, whose workers compute in place of processes: an address, a scheduler's JSON file, or ``local:N``.
 
     Raises
     ------
     InputError
-        Of results that were loaded: ``bayescal next`` takes their config.
+        For anything at fault, with the line that the shell prints; nothing is written then.
+    NumericalError
+        Where a computation fails; the finished tasks are kept for ``resume``.
+
+    Examples
+    --------
+    >>> bc.run_experiment(config, "out", folder="examples/own_machine", quiet=True).folder.name
+    'out'
     """
-    if not isinstance(study.project, _Project):
-        raise InputError(f"{study.folder}: found loaded results, expected those of calibrate; or bayescal next")
-    content = {
-        "kind": "next_pose",
-        "name": "next",
-        "title": f"{study.summary['title']}: the pose to measure next",
-        "seed": seed,
-        "study": CONFIG,
-        "variants": [study.best.name],
-        "requirements": _plain(requirements or {}),
-        "candidates": {"count": candidates},
-        **_plain(sections),
-    }
-    return study.project.run({key: one for key, one in content.items() if one != {}}, out, 1, quiet, "next.toml")
+    from bayescal.experiments.frame.run import run_experiment as run
 
-
-@contextmanager
-def _leave_out(folder: Path) -> Iterator[None]:
-    """Leave a folder that nobody knows out of messages about what is in it."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(str(error).replace(f"{folder.resolve()}/", "").replace(f"{folder}/", "")) from None
-
-
-# --- experiments -----------------------------------------------------------------------------------------------------
+    if isinstance(experiment, ExperimentConfig):
+        config, path = experiment, Path(folder)
+    else:
+        config, path = load(Path(experiment))[1], Path(experiment)
+        folder = path.parent
+    where = Path("results") / config.name if out is None else Path(out)
+    with name_faults(path):
+        run(config, Path(folder), where, workers, resume, quiet, scheduler)
+    return load_results(where, trust=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -341,10 +367,10 @@ class _Project:
         return Path(found)
 
     def write(self, content: Mapping[str, Any], name: str = CONFIG) -> Path:
-        """Write machine and config; return the config's file."""
+        """Write machine and config, without empty sections; return the config's file."""
         self.machine.write(self.folder)
         path = self.folder / name
-        path.write_text(write_toml(content), encoding="utf-8")
+        path.write_text(write_toml({key: one for key, one in content.items() if one != {}}), encoding="utf-8")
         return path
 
     def run(
@@ -352,14 +378,22 @@ class _Project:
     ) -> LoadedResults:
         """Run an experiment; its results."""
         path = self.write(content, name)
-        where = self.folder / "results" / path.stem if out is None else Path(out)
         with _leave_out(self.folder):
-            run_experiment(load(path)[1], self.folder, where, workers, quiet=quiet)
-        return load_results(where, trust=True).keep(self)
+            where = self.folder / "results" / path.stem if out is None else out
+            return run_experiment(path, where, workers=workers, quiet=quiet).keep(self)
+
+
+@contextmanager
+def _leave_out(folder: Path) -> Iterator[None]:
+    """Leave a folder that nobody knows out of messages about what is in it."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(str(error).replace(f"{folder.resolve()}/", "").replace(f"{folder}/", "")) from None
 
 
 def calibrate(
-    machine: Path | str | ReadingMachine | type[ReadingMachine] | MachineFiles,
+    machine: AnyMachine,
     data: Data,
     tolerances: Widths,
     *,
@@ -401,31 +435,85 @@ def calibrate(
     ------
     InputError
         For anything at fault, with the line that the shell prints; nothing is written then.
+
+    Examples
+    --------
+    >>> study = bc.calibrate(machine, data, tolerances, quiet=True)
+    >>> print(study.summary["headline"])
+    Use “Everything free”...
+    >>> study.best.parameters[["parameter", "unit", "mean", "sd"]].head(2)
+      parameter unit ...
     """
     found = load_machine(machine)
-    table = {"file": READINGS, "commanded": list(data.commanded), "hold_back": list(data.hold_back)}
+    project = _Project(found)
     content = {
         "kind": "calibration",
         "name": name,
         "title": title or f"{found.name}: calibration",
         "seed": seed,
         "machine": found.entry,
-        "origin": data.origin,
-        "data": [{key: value for key, value in table.items() if value}],
-        "sensors": data.describe_sensors(found.model),
+        **data.write(project.folder, found.model),
         "parameters": _describe_widths(tolerances),
-        "variants": [{"name": key, "title": key, **_plain(one)} for key, one in variants.items()],
+        "variants": _describe_variants(variants),
         **_plain(sections),
     }
-    project = _Project(found)
-    data.write(project.folder / READINGS)
     result = project.run(content, out, workers, quiet)
     assert isinstance(result, StudyResult)
     return result
 
 
+def next_pose(
+    study: StudyResult,
+    requirements: Mapping[str, float] | None = None,
+    candidates: int = 300,
+    *,
+    seed: int = 1,
+    out: Path | str | None = None,
+    quiet: bool = False,
+    **sections: Any,
+) -> LoadedResults:
+    """Return which pose to measure next, what it will bring, and whether to stop.
+
+    Parameters
+    ----------
+    study : StudyResult
+        Of `calibrate`.
+    requirements : mapping of str to float, optional
+        By the tool's numbers: the largest error allowed anywhere in the workspace.
+    candidates : int
+        How many random poses are tried.
+    seed, out, quiet
+        As for `calibrate`.
+    **sections
+        Further sections of a question: ``workspace``, ``aim`` ...
+
+    Raises
+    ------
+    InputError
+        Of results that were loaded: ``bayescal next`` takes their config.
+
+    Examples
+    --------
+    >>> print(bc.next_pose(study, {"x": 0.1, "z": 0.1}, candidates=20, quiet=True).summary["headline"])
+    Stop: after 12 poses the requirements hold...
+    """
+    if not isinstance(study.project, _Project):
+        raise InputError(f"{study.folder}: found loaded results, expected those of calibrate; or bayescal next")
+    content = {
+        "name": "next",
+        "title": f"{study.summary['title']}: the pose to measure next",
+        "seed": seed,
+        "study": CONFIG,
+        "variants": [study.best.name],
+        "requirements": _plain(requirements or {}),
+        "candidates": {"count": candidates},
+        **_plain(sections),
+    }
+    return study.project.run(content, out, 1, quiet, "next.toml")
+
+
 def simulate(
-    machine: Path | str | ReadingMachine | type[ReadingMachine] | MachineFiles,
+    machine: AnyMachine,
     noise: Mapping[str, Any],
     tolerances: Widths,
     n_poses: int = 25,
@@ -445,14 +533,24 @@ def simulate(
         Poses of the workspace.
     seed : int
     **sections
-        Further sections of a config of kind ``calibration_simulation``: ``workspace``, ``given`` ...
+        Further sections of a config of kind ``simulation``: ``workspace``, ``given`` ...
+
+    Examples
+    --------
+    >>> data = bc.simulate(machine, noise, tolerances, n_poses=12)
+    >>> data.table.shape, len(data.truth)
+    ((12, 8), 9)
     """
+    import pandas as pd
+
+    from bayescal.experiments.frame.run import compute_experiment
+
     found = load_machine(machine)
     content = {
-        "kind": "calibration_simulation",
+        "kind": "simulation",
         "name": "simulated",
         "title": f"{found.name}: simulated readings",
-        "origin": "Simulated: one machine drawn within its tolerances, never measured",
+        "origin": {"status": "simulated", "text": "Simulated: one machine drawn within its tolerances, never measured"},
         "seed": seed,
         "machine": found.entry,
         "n_poses": n_poses,
@@ -462,17 +560,14 @@ def simulate(
     }
     project = _Project(found)
     path = project.write(content)
-    with _leave_out(project.folder):
-        experiment, config = load(path)
-        kind: Any = experiment
-        simulated = kind.simulate(kind.read(config, project.folder), np.random.default_rng(seed))
-    table = pd.read_csv(StringIO(simulated.files["readings.csv"]), comment="#")
-    origin = {"status": "simulated", "text": str(content["origin"])}
-    return Data(table, content["sensors"], origin=origin, truth=simulated.truth)
+    with _leave_out(project.folder), name_faults(path):
+        simulated = compute_experiment(load(path)[1], project.folder)
+    table = pd.read_csv(StringIO(str(simulated.files["readings.csv"])), comment="#")
+    return Data(table, content["sensors"], origin=content["origin"], truth=simulated.tables["truth"])
 
 
 def audit(
-    machine: Path | str | ReadingMachine | type[ReadingMachine] | MachineFiles,
+    machine: AnyMachine,
     noise: Mapping[str, Any],
     tolerances: Widths,
     poses: int = 40,
@@ -499,6 +594,14 @@ def audit(
         Sets of sensors to judge, as in a config of kind ``calibration_audit``.
     seed, out, workers, quiet, **sections
         As for `calibrate`.
+
+    Examples
+    --------
+    >>> noise = {"s": 0.005, "cam_x": 0.02, "cam_y": 0.02, "height": 0.01}  # mm, each of them
+    >>> tolerances = {"x": 0.5, "y": 0.5, "l": 0.3}
+    >>> plan = bc.audit(machine, noise, tolerances, poses=12, requirements={"x": 0.05}, quiet=True)
+    >>> plan.folder.joinpath("report.html").is_file()
+    True
     """
     found = load_machine(machine)
     content = {
@@ -511,10 +614,7 @@ def audit(
         "parameters": _describe_widths(tolerances),
         "poses": {"count": poses},
         "requirements": _plain(requirements or {}),
-        "variants": [{"name": key, "title": key, **_plain(one)} for key, one in variants.items()],
+        "variants": _describe_variants(variants),
         **_plain(sections),
     }
-    return _Project(found).run({key: one for key, one in content.items() if one != {}}, out, workers, quiet)
-
-
-__all__ = ["Data", "MachineFiles", "audit", "calibrate", "load_machine", "next_pose", "simulate"]
+    return _Project(found).run(content, out, workers, quiet)

@@ -31,7 +31,7 @@ from telescope_problem import MODEL_ERROR_SCALE, simulate, time_interleaved  # f
 import numpy as np
 
 from bayescal.data.photogrammetry.poses import extract_poses
-from bayescal.data.simulation import Twin, build_twin, simulate_survey
+from bayescal.experiments.simulation.twin import Twin, build_twin, simulate_survey
 from bayescal.density.batches import BATCH
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.errors import KernelScale
@@ -43,7 +43,6 @@ from bayescal.density.schema import BlundersConfig, NormalConfig
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_prediction import predict_structured
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import TargetMeasurement
 from bayescal.experiments.study.schema import StudyConfig, VariantConfig
@@ -188,7 +187,7 @@ def main() -> None:
         time_density(40)
         return
     twin, config = (
-        build_twin(load_simulation(TELESCOPE / "simulate.toml"), TELESCOPE),
+        build_twin(load_experiment(TELESCOPE / "simulate.toml"), TELESCOPE),
         load_experiment(TELESCOPE / "study.toml"),
     )
     prior = {"kernel_scale_um": arguments.scale, "kernel_spread": arguments.spread}

@@ -13,11 +13,18 @@ from bayescal.density.calibration.functions import FunctionErrors, Travel
 from bayescal.density.calibration.joint_fit import JointFit
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.outliers import NORMAL, Outliers
 from bayescal.density.calibration.terms import Errors, ErrorTerm, ModelErrorTerm, NoiseFactor
+from bayescal.density.outliers import NORMAL, Outliers, StudentT
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import LogNormalPrior, NormalPrior, Prior, UniformPrior
 from bayescal.machines.readings import ReadingModel
+
+
+def rows_of(nu: float | Outliers) -> Outliers:
+    """Return the density of rows with so many degrees of freedom, normal for infinitely many; another as it is."""
+    if isinstance(nu, Outliers):
+        return nu
+    return StudentT(nu) if np.isfinite(nu) else NORMAL
 
 
 def measurements(values: np.ndarray, sd: np.ndarray | float, correlation: np.ndarray | None = None) -> Measurements:
@@ -38,7 +45,7 @@ def density(
 def pointwise(likelihood: CalibrationLikelihood, theta: np.ndarray, tau: float = 0.0, nu: float = np.inf) -> np.ndarray:
     """Return the log-densities (C, P) with the noise as stated, a model error τ beside it."""
     own = np.broadcast_to(likelihood.sd, (len(theta), *likelihood.sd.shape))
-    return evaluate_rows(likelihood, theta, own, np.full((len(theta), 1, own.shape[-1]), tau), Outliers(nu))
+    return evaluate_rows(likelihood, theta, own, np.full((len(theta), 1, own.shape[-1]), tau), rows_of(nu))
 
 
 def evaluate_rows(
@@ -93,7 +100,7 @@ def lines_posterior(
     rng: np.random.Generator,
     n_poses: int = 20,
     terms: tuple[ErrorTerm, ...] = (),
-    nu: float = np.inf,
+    nu: float | Outliers = np.inf,
     correlation: np.ndarray | None = None,
     uniform: bool = False,
     common: bool = False,
@@ -115,7 +122,7 @@ def lines_posterior(
         priors[name] = NormalPrior(0.0, LINE_WIDTH)
     pose = rng.uniform(-150.0, 150.0, (n_poses, 2))
     empty = measurements(np.zeros((n_poses, k)), sd, correlation)
-    blank = Posterior(density(model, empty, pose, 9e4), priors, Errors(terms, Outliers(nu)), {}, shared)
+    blank = Posterior(density(model, empty, pose, 9e4), priors, Errors(terms, rows_of(nu)), {}, shared)
     y = rng.standard_normal(blank.n_parameters)
     values = simulate(blank, y, pose, rng)
     lack = rng.random(n_poses) < missing  # one reading each: three lines left still tell where the point is
@@ -128,13 +135,12 @@ def lines_posterior(
 
 def simulate(posterior: CalibrationPosterior, y: np.ndarray, pose: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return readings (P, K) of the machine y (n,) at poses, as its density says."""
-    likelihood, freedom = posterior.likelihood, posterior.errors.outliers.freedom
+    likelihood, outliers = posterior.likelihood, posterior.errors.tails(posterior.zeta(y[None]))
     own, tau = posterior.likelihood.noise(posterior.errors, posterior.zeta(y[None]))
     covariance = own[0][:, :, None] * likelihood.correlation * own[0][:, None]
     covariance = covariance + np.einsum("pk,kl->pkl", np.broadcast_to(tau[0] ** 2, own[0].shape), np.eye(own.shape[-1]))
     noise = (np.linalg.cholesky(covariance) @ rng.standard_normal((*own[0].shape, 1)))[..., 0]
-    if np.isfinite(freedom):
-        noise /= np.sqrt(rng.gamma(0.5 * freedom, 2.0 / freedom, (len(noise), 1)))
+    noise *= np.sqrt(outliers.draw_wide((1, len(noise), 1), rng)[0])
     return likelihood.model.read(posterior.theta(y[None])[0], pose) + noise
 
 

@@ -7,15 +7,14 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-
-from bayescal.experiments.frame.load import load
-from bayescal.experiments.simulation.readings import read_simulation, simulate
+import studies
 
 SHIPPED = Path(__file__).parents[1] / "experiments" / "m2_hexapod_table"
 LITTLE = {"walkers": "24", "burn_in": "4", "steps": "10", "ensembles": "4", "draws": "1000", "max_draws": "1000"}
 RAIL = """from typing import Any
 
 import numpy as np
+import studies
 
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings import Channel, Coordinate, ReadingMachine
@@ -100,10 +99,7 @@ def write_rail(folder: Path) -> Path:
 
 def write_data(folder: Path) -> None:
     """Simulate the data of a folder."""
-    (folder / "data").mkdir()
-    inputs = read_simulation(load(folder / "simulate.toml")[1], folder)
-    for name, text in simulate(inputs, np.random.default_rng(5)).files.items():
-        (folder / "data" / name).write_text(text)
+    studies.write_texts(folder / "data", studies.simulate(folder / "simulate.toml", seed=5).files)
 
 
 def change(path: Path, old: str, new: str) -> Path:

@@ -19,11 +19,10 @@ import pytest
 import studies
 
 from bayescal.config.registry import list_references
-from bayescal.data.simulation import build_twin
 from bayescal.errors import NumericalError
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.simulation.twin import build_twin
 from bayescal.experiments.study import compute
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -89,7 +88,7 @@ def finished(tmp_path_factory) -> Path:
 
 def start(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
     """Start the command line as a process of its own, in pipes."""
-    command = [sys.executable, "-m", "bayescal.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "bayescal", *map(str, arguments)]
     return subprocess.Popen(
         command,
         cwd=cwd,
@@ -190,7 +189,7 @@ def test_missing_config(refuse, study):
 
 
 def test_kind_of_another_command(refuse, study):
-    assert "kind: found 'study', expected a kind that simulates data" in refuse("simulate", study, "--out", "x")
+    assert "kind: found 'study', expected 'simulation'" in refuse("simulate", study, "--out", "x")
     for path, kind in ((study, "study"), ("simulate.toml", "simulation")):
         assert f"kind: found {kind!r}, expected 'audit'" in refuse("audit", path)
     studies.edit(Path(study), 'kind = "study"', 'kind = "mechanism"')
@@ -424,7 +423,7 @@ def test_poses_match_the_true_ones(call, study, to_file):
         Path("new/poses.csv").write_text(out)
     table = read_table(Path("new/poses.csv"), None)
     position = table.numbers(("x_mm", "y_mm", "z_mm"))
-    config = load_simulation(Path("simulate.toml"))
+    config = load_experiment(Path("simulate.toml"))
     twin = build_twin(config, Path())
     travel = np.concatenate([twin.calibration, twin.verification])
     truth = solve_forward_kinematics(twin.machine, twin.theta, twin.mechanism.initial_actuator_positions + travel)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bayescal.data.schema import PoseInstrumentConfig
 from bayescal.experiments.shared.schema import PoseSensorConfig
+from bayescal.experiments.simulation.schema import PoseInstrumentConfig
 from bayescal.experiments.study.schema import PoseDataConfig
 
 SECTIONS = {

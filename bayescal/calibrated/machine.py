@@ -185,6 +185,11 @@ class CalibratedMachine:
         That file and the code of a class of its own, by their names.
     noise : ndarray, shape (K,), or None
         Of each channel as the calibration found it; NaN where that is not known. None where nothing is.
+
+    Examples
+    --------
+    >>> isinstance(study.best.machine, bc.CalibratedMachine), study.best.machine.names[:2]
+    (True, ('x[1]', 'x[2]'))
     """
 
     model: ReadingModel

@@ -215,6 +215,13 @@ def predict_poses(calibrated: CalibratedMachine, commands: Array, given: Given =
     ------
     InputError
         For another shape, something missing of what is given, and a machine whose commands do not tell its pose.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> found = bc.predict_poses(calibrated, np.array([[250.0, 250.0, 250.0]]))
+    >>> found.tool.shape, found.covariance.shape
+    ((1, 3), (1, 3, 3))
     """
     check_determined(calibrated)
     check_shape(commands, [one.name for one in _list_commanded(calibrated)], "commands")
@@ -295,6 +302,11 @@ def command_poses(
     ------
     InputError
         For another shape, and a tool that does not tell the machine's coordinates.
+
+    Examples
+    --------
+    >>> bc.command_poses(calibrated, found.tool).commands.round(6)
+    array([[250., 250., 250.]])
     """
     model = calibrated.model
     coordinates = coordinates or is_pose(calibrated)

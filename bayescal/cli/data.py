@@ -22,14 +22,11 @@ def simulate(
 ) -> None:
     """Simulate photogrammetry, an instrument's or a machine's own readings; the config states the truth."""
     del no_plugins
-    from bayescal.experiments.frame.load import load
+    from bayescal.experiments.frame.load import load_kind
     from bayescal.experiments.frame.run import compute_experiment
-    from bayescal.experiments.shared.simulated_data import SimulatedData
     from bayescal.files.atomic import check_writable, make_directory, write_atomically
 
-    experiment, loaded = load(config)
-    if not isinstance(experiment, SimulatedData):
-        raise InputError(f"{config}: kind: found {loaded.kind!r}, expected a kind that simulates data")
+    loaded = load_kind(config, "simulation")
     check_writable(out)
     if seed is not None:
         loaded = loaded.model_copy(update={"seed": seed})

@@ -57,6 +57,14 @@ class Section(BaseModel):
     ----------
     gone : mapping of str to str
         Keys that are no more, and what replaces each, as the message says it.
+
+    Examples
+    --------
+    >>> class RodConfig(bc.Section):
+    ...     length_mm: float
+    ...     '''Between the centres of its joints.'''
+    >>> RodConfig(length_mm=120.0)
+    RodConfig(length_mm=120.0)
     """
 
     gone: ClassVar[Mapping[str, str]] = {}

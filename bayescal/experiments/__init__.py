@@ -3,10 +3,8 @@
 KINDS = {
     "audit": "bayescal.experiments.audit.kind:Audit",
     "calibration": "bayescal.experiments.calibration.kind:Calibration",
-    "calibration_audit": "bayescal.experiments.calibration.audit.kind:CalibrationAudit",
-    "calibration_simulation": "bayescal.experiments.simulation.readings_kind:CalibrationSimulation",
+    "calibration_audit": "bayescal.experiments.audit.reading_kind:CalibrationAudit",
     "check": "bayescal.experiments.check.kind:Check",
-    "next_pose": "bayescal.experiments.next_pose.kind:NextPose",
     "selection": "bayescal.experiments.selection.kind:Selection",
     "sessions": "bayescal.experiments.sessions.kind:Sessions",
     "simulation": "bayescal.experiments.simulation.kind:Simulation",
@@ -15,11 +13,16 @@ KINDS = {
     "table": "bayescal.experiments.table.kind:LookUpTable",
 }
 
+USES = {"next": "bayescal.experiments.next.kind:NextPose"}
+"""What is asked of a study: it has results of its own, but no kind in its file, which names the study."""
+
 GONE = {
+    "next_pose": "no kind in a file that names a study, which `bayescal next` takes",
+    "calibration_simulation": "simulation",
     "lookup_table": "table",
     "pose_selection": "selection",
-    "reading_simulation": "calibration_simulation",
+    "reading_simulation": "simulation",
     "self_calibration": "calibration",
     "sensor_placement": "calibration_audit",
 }
-"""Kinds that are no more, and what does the same."""
+"""Kinds that are no more, and what does the same: another kind, or what to write."""

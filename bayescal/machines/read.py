@@ -24,11 +24,19 @@ from bayescal.machines.parameters import HomeStart
 from bayescal.machines.readings import FunctionModel, Legs, ReadingMachine, ReadingModel, SlidingPlatform
 from bayescal.machines.readings.schema import LegsMachineConfig, MachineFileConfig, SlidingPlatformConfig
 from bayescal.machines.readings.sliding_platform import matrix_of_angle
-from bayescal.machines.schema import BeamSectionConfig, HomeConfig, LoadConfig, MechanismConfig, PointsConfig
+from bayescal.machines.schema import (
+    BeamSectionConfig,
+    HomeConfig,
+    LoadConfig,
+    MechanismConfig,
+    PointsConfig,
+    TargetRingConfig,
+)
 from bayescal.numerics.geometry import Array
 
 MPA_PER_GPA = 1e3
 UPWARDS = [0.0, 0.0, 1.0]
+RING_DECIMALS = 6
 SHORTEST = 1e-6  # mm; what rounding leaves of no length is less
 
 
@@ -161,14 +169,22 @@ def _load(config: LoadConfig) -> ExternalLoad:
     return ExternalLoad((fx, fy, fz), (mx, my, mz), (gx, gy, gz), (cx, cy, cz))
 
 
-def points_of(config: PointsConfig) -> Array:
-    """Return points, shape (n, 3), mm."""
+def points_of(config: PointsConfig | list[TargetRingConfig]) -> Array:
+    """Return points of a body, shape (n, 3), mm, those of rings with the digits that are written of them."""
+    if isinstance(config, list):
+        return np.round(np.concatenate([_points_on(ring) for ring in config]), RING_DECIMALS)
     if config.points_mm is not None:
         return np.array(config.points_mm, dtype=np.float64)
     azimuth = np.radians(config.azimuth_deg or [])
     radius = config.radius_mm or 0.0
     height = np.full_like(azimuth, config.height_mm)
     return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), height], axis=1)
+
+
+def _points_on(ring: TargetRingConfig) -> Array:
+    azimuth = np.radians(ring.azimuth_deg) + 2 * np.pi * np.arange(ring.count) / ring.count
+    height = np.full(ring.count, ring.height_mm)
+    return np.stack([ring.radius_mm * np.cos(azimuth), ring.radius_mm * np.sin(azimuth), height], axis=1)
 
 
 def build_named_machine(

@@ -11,11 +11,10 @@ import studies
 from papers import pose_methods
 
 from bayescal.config.registry import list_references
-from bayescal.data.schema import SimulationConfig
 from bayescal.errors import InputError
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.frame.load import load_experiment, load_kind
-from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.simulation.schema import SimulationConfig
 from bayescal.experiments.study.schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad
 from bayescal.machines.read import load_mechanism, read_reading_model, read_sliding_platform
@@ -23,7 +22,7 @@ from bayescal.machines.read import load_mechanism, read_reading_model, read_slid
 LOADERS = {
     "legs": read_reading_model,
     "sliding_platform": read_sliding_platform,
-    "simulation": load_simulation,
+    "simulation": load_experiment,
     "audit": load_audit,
     "line_machine": read_reading_model,
     "strut_machine": read_reading_model,
@@ -53,7 +52,7 @@ def fail(loader, path: Path) -> str:
 def test_every_shipped_config_loads(path):
     text = path.read_text()
     found = re.search(r'^kind = "([\w.:]+)"', text, flags=re.MULTILINE)
-    default = load_experiment if text.startswith("extends") or "\nextends" in text else load_mechanism
+    default = load_experiment if re.search(r"(?m)^(extends|study) = ", text) else load_mechanism
     config = (LOADERS.get(found[1], load_experiment) if found else default)(path)
     assert config.name
 
@@ -113,7 +112,7 @@ def test_misspelt_key_suggests_the_nearest(study, old, new, field, suggestion):
 def test_misspelt_key_of_a_simulation(study, old, new, field):
     path = study.with_name("simulate.toml")
     studies.edit(path, old, new)
-    message = fail(load_simulation, path)
+    message = fail(load_experiment, path)
     assert f"{field}: unknown key, did you mean" in message
 
 
@@ -222,7 +221,7 @@ def test_missing_kind(study):
 
 
 def test_study_is_no_simulation_and_the_reverse(study):
-    assert "kind: found 'study', expected 'simulation'" in fail(load_simulation, study)
+    assert "kind: found 'study', expected 'simulation'" in fail(lambda path: load_kind(path, "simulation"), study)
     simulation = study.with_name("simulate.toml")
     assert "kind: found 'simulation', expected 'study'" in fail(lambda path: load_kind(path, "study"), simulation)
     assert isinstance(load_experiment(simulation), SimulationConfig)

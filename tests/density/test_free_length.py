@@ -6,12 +6,11 @@ import telescope_machines as machines
 
 from bayescal.density.errors import KernelLength, KernelScale, ModelError
 from bayescal.density.exact import ExactDensity
-from bayescal.density.free_length import REACH, FreeLengthLikelihood, count_nodes
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.model_error import LENGTH, QuadraticKernel, SmoothKernel, build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import LogNormalPrior, NormalPrior
-from bayescal.density.structured import StructuredLikelihood
+from bayescal.density.structured import REACH, StructuredLikelihood, count_nodes
 from bayescal.density.structured_prediction import pointwise_given
 from bayescal.inference.mode import Mode
 from bayescal.inference.straightening import straighten
@@ -34,7 +33,9 @@ def poses():
 
 @pytest.fixture(scope="module", params=KERNELS)
 def free(request, poses):
-    return request.param, FreeLengthLikelihood(poses[0], request.param, LENGTHS, machines.ACTUATOR_RANGE)
+    return request.param, StructuredLikelihood(
+        poses[0], build_kernel(request.param, LENGTHS.median), machines.ACTUATOR_RANGE, LENGTHS
+    )
 
 
 def fix(poses, name, length):
@@ -111,7 +112,7 @@ def build_posterior(poses, likelihood, shared=True):
     nominal = dict(zip(layout.names, layout.nominal, strict=True))
     priors = {n: NormalPrior(nominal[n], machines.PRIOR_SD.get(n.split("[")[0], 2.0)) for n in names}
     scale, error = KernelScale(0.02, 0.3, shared), ModelError(0.01)
-    if isinstance(likelihood, FreeLengthLikelihood):
+    if likelihood.is_free:
         return build_leg_posterior(likelihood, priors, error, terms=(scale, KernelLength(LENGTHS)))
     return build_leg_posterior(likelihood, priors, error, terms=(scale,))
 

@@ -9,7 +9,8 @@ import pytest
 import telescope_machines as machines
 from scipy import stats
 
-from bayescal.density.errors import FREEDOM, SHARE, WIDER, ModelError, Outliers, compare_outlier
+from bayescal.density.errors import ModelError
+from bayescal.density.outliers import FREEDOM, NORMAL, SHARE, WIDER, Contaminated, StudentT
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import SharePrior
 from bayescal.inference.mode import find_modes
@@ -47,7 +48,7 @@ def spoil(poses, rng):
 
 def build(poses, model_error=ERRORS["per leg"], share=PRIOR):
     plain = machines.build_posterior("matrix", poses, model_error)
-    return replace(plain, errors=replace(plain.errors, outliers=Outliers(share)))
+    return replace(plain, errors=replace(plain.errors, outliers=Contaminated(share)))
 
 
 def draw(posterior, mode, n, rng):
@@ -90,14 +91,19 @@ def test_blunders_are_t_distributed(rng):
     square = np.einsum("bi,ij,bj->b", errors, np.linalg.inv(covariance), errors)
     blunder = stats.multivariate_t(np.zeros(6), WIDER**2 * covariance, FREEDOM).logpdf(errors)
     normal = stats.multivariate_normal(np.zeros(6), covariance).logpdf(errors)
-    np.testing.assert_allclose(compare_outlier(square, 6), blunder - normal, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        StudentT(FREEDOM).weigh(square / WIDER**2, 6) - 6 * np.log(WIDER) - NORMAL.weigh(square, 6),
+        blunder - normal,
+        rtol=1e-9,
+        atol=1e-9,
+    )
 
 
 @pytest.mark.parametrize("model_error", ERRORS.values(), ids=ERRORS.keys())
 def test_density_is_the_mixture(twin, model_error, rng):
     posterior = build(spoil(twin, rng)[0], model_error)
     y = 0.3 * rng.standard_normal((3, posterior.n_parameters))
-    theta, tau, share = posterior.theta(y), posterior.errors.tau(posterior.zeta(y)), posterior.errors.shares(y)
+    theta, tau, share = posterior.theta(y), posterior.errors.tau(posterior.zeta(y)), posterior.natural(y)[:, -1]
     errors = posterior.likelihood.pose_errors(theta)
     expected = posterior.log_prior(y)
     for b in range(3):
@@ -122,9 +128,11 @@ def test_without_blunders_nothing_but_the_share_is_lost(twin, rng):
     np.testing.assert_allclose(found, plain.log_density(y), atol=1e-5)
 
 
+@pytest.mark.parametrize("outliers", [Contaminated(PRIOR), StudentT(3.0)], ids=["contaminated", "t"])
 @pytest.mark.parametrize("model_error", ERRORS.values(), ids=ERRORS.keys())
-def test_gradient_near_the_mode(twin, model_error, rng):
+def test_gradient_near_the_mode(twin, model_error, outliers, rng):
     posterior = build(spoil(twin, rng)[0], model_error)
+    posterior = replace(posterior, errors=replace(posterior.errors, outliers=outliers))
     y = posterior.approach() + 1e-3 * rng.standard_normal(posterior.n_parameters)
     found, hessian = posterior.gradient(y)
     expected = machines.central_difference(lambda x: posterior.log_density(x[None])[0], y, np.full(len(y), 1e-5))

@@ -211,7 +211,7 @@ def test_lengths_follow_the_joints(poses):
 
 
 def test_switch_has_the_probability_of_its_prior():
-    errors = LegErrors(6, (NO_MODEL_ERROR, KernelScale(0.02, 0.3)))
+    errors = LegErrors.of_legs(6, (NO_MODEL_ERROR, KernelScale(0.02, 0.3)))
     (prior,) = errors.priors
     c = np.concatenate([np.random.default_rng(5).standard_normal(100_000) + place for place in (0.0, OFF)])
     values = prior.value(c)

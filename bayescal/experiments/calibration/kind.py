@@ -11,8 +11,6 @@ from rich.console import Console
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.errors import InputError
 from bayescal.experiments.calibration.compute import compute_calibration
-from bayescal.experiments.calibration.page.build import build_page, list_variants
-from bayescal.experiments.calibration.page.verdict import NO_TOOL
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
@@ -24,6 +22,9 @@ from bayescal.experiments.shared.readings.inputs import CalibrationInputs, list_
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
 from bayescal.experiments.shared.readings.memory import estimate_calibration
 from bayescal.experiments.shared.readings.schema import CalibrationConfig
+from bayescal.experiments.study.page.build import build_page
+from bayescal.experiments.study.page.readings import NO_TOOL
+from bayescal.experiments.study.terminal import show_ranking
 from bayescal.report.blocks import Page
 
 
@@ -78,7 +79,7 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs], Calib
 
     def page(self, results: Results) -> Page:
         """Return the page."""
-        return build_page(results.tables, results.summary)
+        return build_page(results)
 
     def calibrate(
         self, results: Results, variant: str | None, experiment: Path | None, trust: bool
@@ -99,8 +100,7 @@ class Calibration(MachineExperiment[CalibrationConfig, CalibrationInputs], Calib
     def show(self, results: Results, page: Page, console: Console) -> None:
         """Print the verdict, then the variants."""
         super().show(results, page, console)
-        for line in list_variants(results.tables):
-            console.print(line, soft_wrap=True)
+        show_ranking(results.summary, console)
 
     def list_failures(self, results: Results) -> list[str]:
         """Return that a posterior did not converge."""

@@ -78,9 +78,6 @@ class Finished:
         """Whether nothing forbids to rely on the results."""
         return not self.failures
 
-    def _repr_html_(self) -> str:
-        return self.results._repr_html_()
-
     def show(self, console: Console) -> None:
         """Print the results on a terminal, and where the page is."""
         self.experiment.show(self.results, self.page, console)

@@ -114,7 +114,7 @@ class Legs(Subject):
         legs, clean = cast("LegPosterior", posterior), None
         if legs.likelihood.structured is not None:
             return find_misfit(legs, mode, legs.likelihood).chi_square
-        if legs.errors.outliers is not None:
+        if legs.errors.outliers.expected:
             at = legs.theta(mode[None]), legs.errors, legs.zeta(mode[None])
             clean = legs.likelihood.outlier_probabilities(*at)[0] < BLUNDER
         return find_misfit(legs, mode, *self.inputs.without_shared_errors(self.task.variant), clean).chi_square

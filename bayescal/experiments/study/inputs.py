@@ -10,11 +10,12 @@ import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import JointDeflection, KappaEstimate, MatrixEstimate
-from bayescal.density.errors import LegTerm, ModelError, Outliers
+from bayescal.density.errors import LegTerm, ModelError
 from bayescal.density.exact import CommonErrors, ExactDensity
 from bayescal.density.legs import LegPosterior, build_leg_posterior
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.model_error import INDEPENDENT
+from bayescal.density.outliers import NORMAL, Contaminated
 from bayescal.density.priors import NormalPrior, Prior, SharePrior, UniformPrior
 from bayescal.density.schema import FixedConfig, NormalConfig
 from bayescal.errors import InputError
@@ -152,7 +153,7 @@ class StudyInputs:
         None where these are not measured, and where they may be blunders: to these it hardly matters.
         """
         poses, structured = posterior.likelihood.of_poses, posterior.likelihood.structured
-        if poses is None or posterior.errors.outliers is not None:
+        if poses is None or posterior.errors.outliers.expected:
             return None
         noise = self.config.data.actuator_noise_um * MICROMETRE
         return ExactDensity(poses, noise, self.matrix_errors(variant, verification=False), structured=structured)
@@ -201,7 +202,7 @@ class StudyInputs:
         if with_model_error and name_kernel(self.config, variant) != INDEPENDENT:
             likelihood, terms = give_kernel(likelihood, self.config, variant, self.mechanism.actuator_range)
         blunders = self.config.blunders
-        outliers = None if blunders is None else Outliers(SharePrior(blunders.expected_share))
+        outliers = NORMAL if blunders is None else Contaminated(SharePrior(blunders.expected_share))
         return build_leg_posterior(likelihood, priors, error, fixed, terms, outliers)
 
     def priors(self, variant: VariantConfig, factor: float = 1.0) -> tuple[dict[str, Prior], dict[str, float]]:

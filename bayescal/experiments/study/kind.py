@@ -224,5 +224,5 @@ def _describe_variant(results: str, name: str, fit: Mapping[str, Any]) -> dict[s
 
 def _check_noise(posterior: LegPosterior, path: Path) -> None:
     """Raise InputError for poses that may be blunders, which audits and checks do not have."""
-    if posterior.errors.outliers is not None:
+    if posterior.errors.outliers.expected:
         raise InputError(f"{path}: found blunders, expected none: audits and checks have no poses that may be spoilt")

@@ -23,7 +23,7 @@ RANKING = (
     Shown("log-evidence", 2),
     Shown("difference"),
     Shown("elpd LOO", 3),
-    Shown("elpd verif.", 4),
+    Shown("elpd held back", 4),
     Shown("position error"),
     Shown("converged"),
 )
@@ -40,36 +40,35 @@ COMPARED = (
 
 
 def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
-    """Print the ranking of a study, and what did not converge."""
+    """Print the variants of a study, those of one set of data together, and what did not converge."""
     console.print(f"{summary['title']} ({name_origin(summary['origin'])})")
-    (ranking,) = summary["rankings"]
-    best = summary["variants"][ranking[0]]["log_evidence"]
+    use = "verification" if summary["n_poses"]["verification"] else "calibration"
+    of_poses = any(use in fit for fit in summary["variants"].values())
+    shown = [one for one in RANKING if of_poses or one.title != "position error"]
     rows = []
-    for rank, name in enumerate(ranking, start=1):
-        fit = summary["variants"][name]
-        held = fit["verification"]
-        error = (held or fit["calibration"])["position_error_mm"]
-        rows.append(
-            (
+    for ranking in summary["rankings"]:
+        fits = {name: summary["variants"][name] for name in ranking}
+        for rank, (name, fit) in enumerate(fits.items(), start=1):
+            row = [
                 str(rank) if fit["converged"] else "not ranked",
                 name,
                 format_estimate(fit["log_evidence"], fit["log_evidence_se"], 2),
-                format_fixed(fit["log_evidence"] - best, 1),
+                format_fixed(fit["log_evidence"] - fits[ranking[0]]["log_evidence"], 1),
                 format_estimate(fit["elpd_loo"], fit["elpd_loo_se"], 1),
                 format_fixed(fit["elpd"], 1),
-                " / ".join(_format_size(error[which]) for which in ("mean", "max")) + " µm",
-                "yes" if fit["converged"] else "NO",
-            )
-        )
-    print_table(console, RANKING, rows)
-    use = "verification" if summary["n_poses"]["verification"] else "calibration"
-    print_text(console, f"position error: mean / largest on the {use} poses; log-evidence in nats")
-    for name in ranking:
-        fit = summary["variants"][name]
-        for setting, one in (("", fit), (" without model error", fit["without_model_error"])):
-            if one.get("log_evidence_tempered") is not None:
+            ]
+            if of_poses:
+                error = fit[use]["position_error_mm"]
+                row.append(" / ".join(_format_size(error[which]) for which in ("mean", "max")) + " µm")
+            rows.append((*row, "yes" if fit["converged"] else "NO"))
+    print_table(console, tuple(shown), rows)
+    errors = f"position error: mean / largest on the {use} poses; " if of_poses else ""
+    print_text(console, f"{errors}log-evidence in nats")
+    for name, fit in summary["variants"].items():
+        for setting, one in (("", fit), (" without model error", fit.get("without_model_error"))):
+            if one is not None and one.get("log_evidence_tempered") is not None:
                 print_text(console, _describe_check(f"{name}{setting}", one))
-            if one["problems"]:
+            if one is not None and one["problems"]:
                 print_text(console, f"NOT CONVERGED {name}{setting}: {one['problems']}")
 
 

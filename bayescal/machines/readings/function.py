@@ -44,6 +44,21 @@ class ReadingMachine(ABC):
         What one of many is called in texts: leg, line, joint, belt.
     tool_channels : sequence of Channel
         Names and units of what has to be accurate: what `tool` returns, or the coordinates themselves.
+
+    Examples
+    --------
+    A carriage on a scale whose zero is not known; a laser reads its position for the calibration:
+
+    >>> class Slide(bc.ReadingMachine):
+    ...     parameters = [bc.ParameterBlock("zero", (0.0,), per_leg=False)]
+    ...     coordinates = [bc.Coordinate("x", "mm", home=0.0, reach=50.0)]
+    ...     channels = [bc.Channel("scale", "mm"), bc.Channel("laser", "mm", external=True)]
+    ...
+    ...     def read(self, parameters, v, given):
+    ...         x = v[..., 0]
+    ...         return np.stack(np.broadcast_arrays(x - parameters["zero"], x), axis=-1)
+    >>> Slide().read({"zero": 0.5}, np.array([10.0]), {})
+    array([ 9.5, 10. ])
     """
 
     Config: ClassVar[type[Section]] = Section

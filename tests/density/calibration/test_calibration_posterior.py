@@ -22,8 +22,9 @@ from scipy.stats import halfnorm, lognorm, norm, uniform
 
 from bayescal.density.calibration.terms import NO_ERRORS, Errors, ModelErrorTerm
 from bayescal.density.elimination import project_out
+from bayescal.density.outliers import Contaminated
 from bayescal.density.posterior import Posterior
-from bayescal.density.priors import NormalPrior, UniformPrior
+from bayescal.density.priors import NormalPrior, SharePrior, UniformPrior
 from bayescal.errors import InputError, NumericalError
 
 MIXED = np.array([[1.0, 0.6, 0.1, 0.0], [0.6, 1.0, 0.2, -0.3], [0.1, 0.2, 1.0, 0.5], [0.0, -0.3, 0.5, 1.0]])
@@ -52,6 +53,12 @@ CASES = {
         "correlation": MIXED,
         "missing": 0.3,
     },
+    "contaminated": {"nu": Contaminated(SharePrior(0.1)), "terms": unknown_noise(4)},
+    "functions, contaminated": {
+        "nu": Contaminated(SharePrior(0.02)),
+        "terms": (line_functions("quadratic"),),
+        "n_poses": 30,
+    },
     "everything": {
         "terms": unknown_noise(4, True, True, 0.1),
         "nu": 5.0,
@@ -71,7 +78,7 @@ def test_the_gradient_is_that_of_central_differences(case, anchored, rng):
         posterior = posterior.anchored()
     y = y + 0.05 * rng.standard_normal(len(y))
     gradient, hessian = posterior.gradient(y)
-    step = 1e-3
+    step = 1e-4
     moves = step * np.eye(len(y))
     # four points: what bends the density most, its fourth power, does not show
     values = [posterior.log_density(y + times * moves) for times in (-2.0, -1.0, 1.0, 2.0)]
@@ -125,15 +132,15 @@ def test_fit_is_least_squares_over_parameters_and_poses_together(case, rng):
     columns = errors.columns(np.zeros((1, errors.n_parameters)), likelihood.data)
     poses = n + 24
     white = likelihood.whiten(*posterior.likelihood.noise(posterior.errors, posterior.zeta(np.zeros((1, n)))))
-    freedom, spare = posterior.errors.outliers.freedom, likelihood.n_readings - 2
+    outliers, spare = posterior.errors.outliers, likelihood.n_readings - 2
 
     def residual(x):
         y, at, common = x[:n], x[n:poses].reshape(1, -1, 2), columns @ x[poses:]
         read = likelihood.model.read(posterior.theta(y[None])[:, None], at)
         rest = white.vector(np.where(likelihood.data.present, likelihood.data.values - read - common, 0.0))[0]
-        if np.isfinite(freedom):  # a residual whose square is what the density has in its place
+        if outliers.expected:  # a residual whose square is what the density has in its place
             square = (rest**2).sum(axis=1)
-            rest = np.sqrt((freedom + spare) * np.log1p(square / freedom) / square)[:, None] * rest
+            rest = np.sqrt(outliers.penalise(square, spare) / square)[:, None] * rest
         return np.concatenate([rest.ravel(), y, x[poses:]])
 
     start = np.concatenate([np.zeros(n), pose.ravel(), np.zeros(columns.shape[-1])])

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayescal.experiments.calibration.audit.inputs import read_audit
+from bayescal.experiments.audit.reading_inputs import read_audit
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.experiments.shared.readings.inputs import read_inputs

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bayescal.experiments.calibration.audit.outlook import foresee
+from bayescal.experiments.audit.outlook import foresee
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.identifiability.reading_rows import View

@@ -115,11 +115,11 @@ draws = 4000
 max_draws = 4000
 """
 SIMULATION = f"""
-kind = "calibration_simulation"
+kind = "simulation"
 name = "arm_data"
 title = "Readings of an arm"
 seed = 4
-origin = "drawn within its tolerances"
+origin = {{ status = "simulated", text = "drawn within its tolerances" }}
 machine = "machine.toml"
 n_poses = 20
 verification_poses = 3
@@ -140,14 +140,8 @@ def write_arm(folder):
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
     """Return the config of the arm's calibration, its readings simulated before the same instruments."""
-    from bayescal.experiments.simulation.readings import read_simulation, simulate
-
     path = write_arm(tmp_path_factory.mktemp("arm"))
-    config = load(path.parent / "simulate.toml")[1]
-    found = simulate(read_simulation(config, path.parent), np.random.default_rng(4))
-    (path.parent / "data").mkdir()
-    for name, text in found.files.items():
-        (path.parent / "data" / name).write_text(text)
+    studies.write_texts(path.parent / "data", studies.simulate(path.parent / "simulate.toml").files)
     return path
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.audit.compute import _search_sets
-from bayescal.experiments.calibration.audit.inputs import read_audit
-from bayescal.experiments.calibration.audit.selection import select_poses
-from bayescal.experiments.calibration.audit.set_search import find_hopeless
+from bayescal.experiments.audit.reading_compute import _search_sets
+from bayescal.experiments.audit.reading_inputs import read_audit
+from bayescal.experiments.audit.selection import select_poses
+from bayescal.experiments.audit.set_search import find_hopeless
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
 

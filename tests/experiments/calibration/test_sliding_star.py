@@ -9,14 +9,13 @@ import studies
 import tiny_experiments
 
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.audit.inputs import read_audit
-from bayescal.experiments.calibration.audit.set_tables import find_front
+from bayescal.experiments.audit.reading_inputs import read_audit
+from bayescal.experiments.audit.set_tables import find_front
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.experiments.shared.readings.knowledge import look_around
-from bayescal.experiments.simulation.readings import read_simulation, simulate
 from bayescal.identifiability.information import information_of_rows
 from bayescal.identifiability.reading_rows import rms, see
 
@@ -57,30 +56,6 @@ def test_what_is_fixed_is_at_its_nominal_value_in_every_machine(variants, rng):
 def test_what_cannot_be_fixed_is_named():
     with pytest.raises(InputError, match=r"variant 's4': fixed: found 'x_Q', expected some of x_P"):
         read_star(fixed=["x_Q"])
-
-
-def test_simulated_readings_are_of_the_machine_that_the_data_are_of():
-    inputs = read_simulation(load(STAR / "simulate.toml")[1], STAR)
-    made = simulate(inputs, np.random.default_rng(1))
-    written, given = (
-        [line for line in text.splitlines() if line[:1] != "#"]
-        for text in (made.files["true_parameters.csv"], (STAR / "data" / "true_parameters.csv").read_text())
-    )
-    assert written == given
-    readings = (STAR / "data" / "readings.csv").read_text().splitlines()
-    assert made.files["readings.csv"].splitlines()[2].split(",") == readings[2].split(",")
-
-
-def test_simulated_frames_are_not_drawn():
-    config = load(STAR / "simulate.toml")[1]
-    prior = load(STAR / "study.toml")[1].parameters
-    config = config.model_copy(update={"truth": None, "parameters": prior, "fixed": [*FRAMES], "common": ["l"]})
-    inputs = read_simulation(config, STAR)
-    truth = simulate(inputs, np.random.default_rng(1)).truth.set_index("parameter")
-    assert set(inputs.model.layout.names) - set(truth.index) == set(
-        FRAMES
-    )  # the table has what is off its nominal value
-    assert truth["true"][["l[1]", "l[2]", "l[3]", "l[4]"]].nunique() == 1
 
 
 @pytest.fixture(scope="module")

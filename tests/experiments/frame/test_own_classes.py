@@ -279,7 +279,7 @@ def test_an_installed_package_offers_its_classes_by_name(tmp_path):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")])}
 
     def run(*options):
-        command = [sys.executable, "-m", "bayescal.cli", "run", str(path), "--out", str(tmp_path / "out"), *options]
+        command = [sys.executable, "-m", "bayescal", "run", str(path), "--out", str(tmp_path / "out"), *options]
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
     done = run("--workers", "2", "--quiet")

@@ -22,7 +22,7 @@ SLOW = "count = 6\npause = 0.3\n"
 
 def start(path: Path, *options: object) -> subprocess.Popen:
     """Start a run in a process and a group of its own, as a shell does."""
-    command = [sys.executable, "-m", "bayescal.cli", "run", str(path), *map(str, options)]
+    command = [sys.executable, "-m", "bayescal", "run", str(path), *map(str, options)]
     return subprocess.Popen(
         command,
         stdout=subprocess.PIPE,
@@ -132,7 +132,7 @@ def test_an_installed_package_offers_its_kind_by_name(tmp_path):
     path.write_text(path.read_text().replace("toy_kind.py:Toy", "toy"))
     environment = {**os.environ, "PYTHONPATH": str(site)}
     for command in (["run", path, "--out", tmp_path / "out", "--workers", 2, "--quiet"], ["report", tmp_path / "out"]):
-        called = [sys.executable, "-m", "bayescal.cli", *map(str, command)]
+        called = [sys.executable, "-m", "bayescal", *map(str, command)]
         done = subprocess.run(called, env=environment, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "out" / "report.html").is_file()

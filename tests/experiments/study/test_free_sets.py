@@ -10,10 +10,9 @@ import pandas as pd
 import pytest
 import studies
 
-from bayescal.api import run_study
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.run import Finished
+from bayescal.experiments.frame.run import Finished, run_experiment
 from bayescal.experiments.study.fit import Task, run_task
 
 pytestmark = pytest.mark.runs
@@ -51,7 +50,7 @@ def path(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def result(path) -> Finished:
     """Return the finished study of four variants, three of them of one model and deformation."""
-    return run_study(load_experiment(path), path.parent, path.parent / "results", 1)
+    return run_experiment(load_experiment(path), path.parent, path.parent / "results", 1)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +107,7 @@ def test_compare_ranks_named_variants_too(call, result, tmp_path):
 def test_claims_take_the_variants_without_names(result, tmp_path, no_pictures):
     path = studies.write_tiny_study(tmp_path)
     studies.edit(path, "seed = 11", f'seed = 11\nclaims = "{studies.CLAIMS}"')
-    other = run_study(load_experiment(path), tmp_path, tmp_path / "out", 1)
+    other = run_experiment(load_experiment(path), tmp_path, tmp_path / "out", 1)
     claims = [pd.read_csv(one.out / "tables" / "claims.csv") for one in (result, other)]
     pd.testing.assert_frame_equal(*claims)
 

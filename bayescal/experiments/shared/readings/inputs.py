@@ -11,9 +11,9 @@ import numpy as np
 from bayescal.calibrated.kept import keep_machines
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.elimination import project_out
+from bayescal.density.outliers import NORMAL, StudentT
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, name_faults
@@ -194,7 +194,7 @@ def _build(
         *build_noise(config, section, whole, chosen),
         *build_terms(config, section, whole, chosen, data, workspace, folder),
     )
-    outliers = Outliers(np.inf if section.robust is None else section.robust)
+    outliers = NORMAL if section.robust is None else StudentT(section.robust)
     unplaced = Variant(
         section,
         whole,

@@ -2,22 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Protocol
 
 from bayescal.config.classes import choose, name_failures
 from bayescal.experiments.shared.readings.schema import (
     CalibrationAuditConfig,
     CalibrationConfig,
-    CalibrationSimulationConfig,
     CalibrationVariantConfig,
+    InstrumentConfig,
 )
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import Instrument, ReadingModel, place
 
 
-def read_machine(
-    config: CalibrationConfig | CalibrationAuditConfig | CalibrationSimulationConfig, folder: Path, name: str = ""
-) -> ReadingModel:
+class Instrumented(Protocol):
+    """A config that names instruments."""
+
+    @property
+    def instruments(self) -> Mapping[str, InstrumentConfig]:
+        """By name: instruments beside the machine."""
+
+
+def read_instruments(config: Instrumented, folder: Path) -> dict[str, Instrument]:
+    """Return a config's instruments by their names; InputError for faults of an instrument's section or class."""
+    instruments = {}
+    for one, section in config.instruments.items():
+        field = f"instruments.{one}"
+        choice = choose("INSTRUMENTS", section.kind, Instrument, f"{field}.kind", folder, section.options)  # type: ignore[type-abstract]
+        with name_failures(choice.found, field, folder):
+            instruments[one] = choice.found(choice.options)
+    return instruments
+
+
+def read_machine(config: CalibrationConfig | CalibrationAuditConfig, folder: Path, name: str = "") -> ReadingModel:
     """Return the machine of a file, by default the config's, before the config's instruments.
 
     Raises
@@ -25,13 +44,7 @@ def read_machine(
     InputError
         For faults of the machine's file, of an instrument's section or class, and where one does not fit the other.
     """
-    instruments = {}
-    for one, section in config.instruments.items():
-        field = f"instruments.{one}"
-        choice = choose("INSTRUMENTS", section.kind, Instrument, f"{field}.kind", folder, section.options)  # type: ignore[type-abstract]
-        with name_failures(choice.found, field, folder):
-            instruments[one] = choice.found(choice.options)
-    return place(read_reading_model(folder / (name or config.machine)), instruments)
+    return place(read_reading_model(folder / (name or config.machine)), read_instruments(config, folder))
 
 
 def leave_instruments(

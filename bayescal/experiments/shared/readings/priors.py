@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.schema import FixedConfig, NormalConfig, PriorConfig
 from bayescal.errors import InputError
 from bayescal.experiments.shared.per_leg import spread_over_legs, spread_widths
-from bayescal.experiments.shared.readings.schema import (
-    CalibrationAuditConfig,
-    CalibrationConfig,
-    CalibrationSimulationConfig,
-    FreeConfig,
-)
+from bayescal.experiments.shared.readings.schema import FreeConfig
+from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.identifiability.units import Units
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings import ReadingModel
@@ -21,8 +18,20 @@ from bayescal.machines.readings import ReadingModel
 type Chosen = tuple[dict[str, Prior], dict[str, float], dict[str, tuple[str, ...]]]
 
 
+class Tolerated(Protocol):
+    """A config that states tolerances."""
+
+    @property
+    def parameters(self) -> Mapping[str, PriorConfig]:
+        """Tolerance of each symbol."""
+
+    @property
+    def units(self) -> UnitsConfig:
+        """Their units."""
+
+
 def choose_priors(
-    config: CalibrationConfig | CalibrationSimulationConfig | CalibrationAuditConfig,
+    config: Tolerated,
     choice: FreeConfig,
     model: ReadingModel,
 ) -> Chosen:
@@ -30,7 +39,7 @@ def choose_priors(
 
     Parameters
     ----------
-    config : CalibrationConfig, CalibrationSimulationConfig or CalibrationAuditConfig
+    config : Tolerated
     choice : FreeConfig
         What of it is free, and what deviates alike.
     model : ReadingModel

@@ -270,46 +270,6 @@ def _check_bounds(workspace: dict[str, list[float]]) -> None:
             raise ValueError(f"workspace.{name}: found {low:g} to {high:g}, expected the smaller number first")
 
 
-class TrueParametersConfig(Section):
-    """A CSV file of true parameters, as simulations write it."""
-
-    parameters: InputFile
-    """CSV file of true parameters, as a simulation writes it."""
-
-
-class CalibrationSimulationConfig(FreeConfig, ExperimentConfig):
-    """Readings of any machine drawn within the priors of what is free.
-
-    ``given`` are the smallest and the largest value of what the machine has to know of each row. A truth from a file
-    stands in for what is drawn.
-    """
-
-    kind: Literal["calibration_simulation"]
-    """`"calibration_simulation"`."""
-    origin: str
-    """What is written into all files about where they come from."""
-    machine: InputFile
-    """The machine's TOML file."""
-    instruments: dict[Name, InstrumentConfig] = Field(default={}, exclude_if=lambda value: not value)
-    """By name: instruments beside the machine."""
-    sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
-    """Noise of each channel, or of all of a kind."""
-    units: UnitsConfig = UnitsConfig()
-    """Units of tolerances, requirements and results."""
-    parameters: dict[str, PriorConfig] = Field(default={})
-    """Tolerance of each symbol, within which the true machine is drawn."""
-    truth: TrueParametersConfig | None = None
-    """A given true machine in place of a drawn one."""
-    workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
-    """By coordinate: smallest and largest value of the poses [unit of the coordinate]."""
-    given: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
-    """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""
-    n_poses: Annotated[int, Field(ge=1, le=100_000)]
-    """Number of poses to calibrate with."""
-    verification_poses: Annotated[int, Field(ge=0, le=100_000)] = 0
-    """Number of poses that are held back."""
-
-
 class PlannedPosesConfig(Section):
     """Where it is planned to measure: that many random poses of the workspace, or those of a CSV file.
 

@@ -9,7 +9,7 @@ from math import comb
 
 import numpy as np
 
-from bayescal.experiments.calibration.audit.sensor_sets import SensorSets, SetAccuracy, judge_set
+from bayescal.experiments.audit.sensor_sets import SensorSets, SetAccuracy, judge_set
 
 MOST_ROUNDS = 20  # of exchanges
 

@@ -17,7 +17,6 @@ from bayescal.experiments.frame.run import compute_experiment
 pytestmark = pytest.mark.runs
 
 NEXT = """
-kind = "next_pose"
 name = "tiny_next"
 title = "Tiny: the next pose"
 seed = 3
@@ -127,10 +126,28 @@ def test_faults_are_one_line_and_nothing_is_written(question, call, old):
     assert studies.snapshot(question.parent) == before
 
 
-def test_a_study_is_told_what_is_missing(question, call):
-    code, _, complaint = call("next", question.with_name("study.toml"))
-    assert code == 2
-    assert "found 'study', expected 'next_pose', a file of its own with study = \"study.toml\"" in complaint
+def test_a_study_is_asked_between_its_variants(question, call, no_pictures):
+    out = question.parent / "out"
+    code, said, complaint = call("next", question.with_name("study.toml"), "--out", out)
+    assert (code, complaint) == (0, "")
+    summary = json.loads((out / "summary.json").read_text())
+    assert (summary["name"], summary["aim"], summary["requirements"]) == ("tiny_next", "variants", None)
+    assert "is right with" in said
+
+
+def test_options_of_a_study_that_cannot_be_are_one_line(question, call):
+    study, before = question.with_name("study.toml"), studies.snapshot(question.parent)
+    for path, options, fault in (
+        (study, ["--variant", "six_pus/none"], "found one variant and no requirements, expected --require NAME=VALUE"),
+        (study, ["--require", "z"], "--require: found 'z', expected NAME=VALUE such as x=0.05"),
+        (study, ["--require", "z=0.02"], "workspace: found [requirements] without [workspace], expected both"),
+        (question, ["--require", "z=0.02"], "which asks a question itself, expected a study"),
+        (question.with_name("simulate.toml"), [], "kind: found 'simulation', expected 'study'"),
+    ):
+        code, said, complaint = call("next", path, *options, "--out", question.parent / "out")
+        assert (code, said, complaint.count("\n")) == (2, "", 1)
+        assert fault in complaint
+    assert studies.snapshot(question.parent) == before
 
 
 def test_the_shipped_question_is_of_the_shipped_study():

@@ -13,8 +13,8 @@ from scipy.special import softmax
 from threadpoolctl import threadpool_limits
 
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.next_pose.inputs import NextInputs
-from bayescal.experiments.next_pose.state import State, Subject, find_state
+from bayescal.experiments.next.inputs import NextInputs
+from bayescal.experiments.next.state import State, Subject, find_state
 from bayescal.identifiability.remaining import Standing
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array

@@ -15,8 +15,8 @@ from scipy.optimize import least_squares
 
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.next_pose.inputs import read_next
-from bayescal.experiments.next_pose.state import Poses, State, Subject, find_state
+from bayescal.experiments.next.inputs import read_next
+from bayescal.experiments.next.state import Poses, State, Subject, find_state
 from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.identifiability.requirements import Requirement
 from bayescal.pose_selection.next_pose import look_ahead
@@ -157,6 +157,16 @@ def test_it_says_where_to_go_and_what_to_expect(question, call, no_pictures):
     page = (out / "report.html").read_text()
     assert "Own sensors, expected" in page
     assert "the noise of the machine's own sensors stays" not in page  # measuring is what helps here
+
+
+@pytest.mark.runs
+def test_a_study_is_asked_for_requirements_in_its_command(question, call, no_pictures):
+    """The same question as of a file: what is stated is what is computed with."""
+    study, out = question.with_name("study.toml"), question.parent / "out"
+    code, said, complaint = call("next", study, "--variant", "all", "--require", "z=5.0", "--seed", 5, "--out", out)
+    assert (code, complaint) == (0, "")
+    assert said.startswith("Stop: after 25 poses")
+    assert json.loads((out / "summary.json").read_text())["name"] == f"{load(study)[1].name}_next"
 
 
 @pytest.mark.runs

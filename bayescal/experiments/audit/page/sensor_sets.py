@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.experiments.calibration.page import audit_figures as figures
+from bayescal.experiments.audit.page import reading_figures as figures
 from bayescal.report.blocks import Cell, Column, Figure, Section, Statement, make_section, make_table
 from bayescal.report.numbers import (
     format_count,

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.calibration.audit.inputs import AuditInputs
-from bayescal.experiments.calibration.audit.outlook import Outlook
-from bayescal.experiments.calibration.audit.selection import Selection
+from bayescal.experiments.audit.outlook import Outlook
+from bayescal.experiments.audit.reading_inputs import AuditInputs
+from bayescal.experiments.audit.selection import Selection
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import Knowledge
 from bayescal.experiments.shared.readings.knowledge_tables import (

@@ -1,31 +1,38 @@
-"""The twin: files and back recover the true poses and K; the shipped data are what the shipped config gives."""
+"""Simulations: the twin's files and back recover poses and K; shipped data are what the shipped config gives."""
 
 from __future__ import annotations
 
+from io import StringIO
 from pathlib import Path
 
+import calibrations
 import numpy as np
+import pandas as pd
 import pytest
 import studies
 from scipy import stats
 
 from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.data.photogrammetry.survey import read_survey
-from bayescal.data.simulation import Twin, build_twin, format_survey, format_truth, simulate_survey, survey_twin
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.simulation.kind import Simulation
-from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.simulation.machine import read_model
+from bayescal.experiments.simulation.twin import Twin, build_twin, format_survey, simulate_survey
 from bayescal.files.csv_tables import read_matrix, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.machines.read import read_reading_model
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
 FILES = ("targets.csv", "actuators.csv", "target_reference.csv")
 POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
+INSTRUMENT = '[instrument]\nkind = "poses"\nposition_um = 1.0\n'
 RARE = 1e-4
+STAR = studies.EXPERIMENTS / "sliding_star"
+FRAMES = ("x_P[1]", "y_P[1]", "beta[1]", "xi_B[1]", "eta_B[1]", "eta_B[2]")
 
 
 def load_twin(path: Path) -> Twin:
-    return build_twin(load_simulation(path), path.parent)
+    return build_twin(load_experiment(path), path.parent)
 
 
 @pytest.fixture(scope="module")
@@ -98,13 +105,10 @@ def test_measurement_frame_differs_from_pose_to_pose(config):
     assert np.ptp(first, axis=0).min() > 500
 
 
-@pytest.mark.parametrize("folder", ["telescope", "m2_hexapod", "hexaglide"])
+@pytest.mark.parametrize("folder", ["telescope", "m2_hexapod", "m2_hexapod_table", "hexaglide", "camera_hexapod"])
 def test_shipped_data_are_those_of_the_shipped_config(folder):
     path = studies.EXPERIMENTS / folder / "simulate.toml"
-    config = load_simulation(path)
-    twin = build_twin(config, path.parent)
-    survey, poses = survey_twin(twin, np.random.default_rng(config.seed))
-    texts = format_survey(survey, config.origin) | format_truth(twin, survey.poses, poses)
+    texts = studies.simulate(path).files
     assert set(texts) == {file.name for file in (path.parent / "data").iterdir()}
     for name, text in texts.items():
         studies.assert_same_text(text, (path.parent / "data" / name).read_text(), name)
@@ -155,10 +159,7 @@ def test_true_poses_are_those_that_the_targets_show(shipped):
 
 def test_truth_fed_back_gives_the_same_bytes(config, tmp_path):
     def simulate(seed: int) -> dict[str, str]:
-        simulation = load_simulation(config).model_copy(update={"seed": seed})
-        task = Simulation()
-        inputs = task.read(simulation, config.parent)
-        return task.simulate(inputs, np.random.default_rng(task.seed(inputs))).files
+        return studies.simulate(config, seed=seed).files
 
     first = simulate(4)
     (tmp_path / "true_parameters.csv").write_text(first["true_parameters.csv"])
@@ -225,6 +226,56 @@ def test_offset_of_kappa_leaves_the_ring_alone(config):
         np.testing.assert_allclose(lift, np.repeat(expected, 2, axis=1), atol=2e-5)
 
 
+# --- readings of any machine -----------------------------------------------------------------------------------------
+
+
+def test_simulated_readings_are_of_the_machine_that_the_data_are_of():
+    files, data = studies.simulate(STAR / "simulate.toml", seed=1).files, STAR / "data"
+    written, given = (
+        [line for line in text.splitlines() if line[:1] != "#"]
+        for text in (files["true_parameters.csv"], (data / "true_parameters.csv").read_text())
+    )
+    assert written == given
+    readings = (data / "readings.csv").read_text().splitlines()
+    assert files["readings.csv"].splitlines()[2].split(",") == readings[2].split(",")
+
+
+def test_simulated_frames_are_not_drawn():
+    prior = load_experiment(STAR / "study.toml").parameters
+    changed = {"truth": None, "parameters": prior, "fixed": [*FRAMES], "common": ["l"]}
+    truth = studies.simulate(STAR / "simulate.toml", seed=1, **changed).tables["truth"].set_index("parameter")
+    names = read_reading_model(STAR / "machine.toml").layout.names
+    assert set(names) - set(truth.index) == set(FRAMES)  # the table has what is off its nominal value
+    assert truth["true"][["l[1]", "l[2]", "l[3]", "l[4]"]].nunique() == 1
+
+
+def test_offsets_state_the_truth_of_any_machine_in_the_configs_units(tmp_path):
+    path = calibrations.write_simulation(tmp_path)
+    studies.edit(path, "[sensors]", "[truth.offsets]\nt_x = 0.5\nl = [1.0, 0.0, -2.0]\n\n[sensors]")
+    truth = studies.simulate(path).tables["truth"].set_index("parameter")
+    assert set(truth.index) == {"t_x", "l[1]", "l[3]"}
+    off = truth["true"] - truth["nominal"]
+    assert off[["l[1]", "l[3]", "t_x"]].to_list() == pytest.approx([1.0, -2.0, np.radians(0.5)], abs=1e-11)
+
+
+def test_a_mechanism_has_readings_as_every_machine(config):
+    """Its actuators' and its pose's, of the machine of the same truth as the survey is of."""
+    text = config.read_text()
+    truth = text[text.index("[truth]") : text.index("[poses]")]
+    head = text[: text.index("[origin]")] + "n_poses = 4\n\n" + text[text.index("[origin]") : text.index("[truth]")]
+    config.write_text(head + truth + "[sensors]\nrho = { noise_um = 0.0 }\nx = { noise_um = 0.0 }\n")
+    made = studies.simulate(config)
+    assert made.tables["truth"].equals(studies.simulate(config, seed=9).tables["truth"])
+    read = pd.read_csv(StringIO(made.files["readings.csv"]), comment="#")
+    actuators = read[[f"rho_{leg}_mm" for leg in range(1, 7)]].to_numpy()
+    machine = read_model(load_experiment(config), config.parent)
+    theta = machine.layout.nominal.copy()
+    for _, row in made.tables["truth"].iterrows():
+        theta[machine.layout.names.index(row["parameter"])] = row["true"]
+    found = solve_forward_kinematics(machine.machine, theta, actuators)
+    np.testing.assert_allclose(found.position[:, 0], read["x_mm"], atol=2e-5)
+
+
 # --- faults ----------------------------------------------------------------------------------------------------------
 
 
@@ -238,6 +289,12 @@ def test_offset_of_kappa_leaves_the_ring_alone(config):
         ('calibration = "calibration_conf', 'calibration = "deformation_conf', "no such file"),
         ("[truth.offsets]", 'parameters = "t.csv"\n[truth.offsets]', "truth: expected either offsets or parameters"),
         ("pad_radius_mm = 12.0", "", "found per_pad 2 without pad_radius_mm, expected both"),
+        ('model = "six_pus"', "", "model: found none, expected the kinematic model of the mechanism"),
+        ('status = "reconstructed"', 'status = "measured"', "origin.status: found 'measured', expected"),
+        ("[poses]", "[sensors]\nrho = { noise_um = 1.0 }\n[poses]", "sensors: found beside targets, expected either"),
+        ("target_um = 3.0", "", "noise.target_um: found none beside targets, expected it"),
+        ("[poses]", INSTRUMENT + "[poses]", "measurement_frame: found beside instrument, expected either"),
+        ('machine = "mechanism.toml"', 'mechanism = "mechanism.toml"', "mechanism: key is gone, expected machine"),
     ],
 )
 def test_faulty_simulation(config, old, new, expected):
@@ -246,6 +303,36 @@ def test_faulty_simulation(config, old, new, expected):
         load_twin(config)
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("n_poses = 6", "", "n_poses: found none, expected it, or [targets] or [instrument] of a machine on legs"),
+        ("[sensors]", "[noise]\nactuator_um = 1.0\n[sensors]", "noise: found beside sensors, expected either"),
+        ("[sensors]", 'model = "six_ups"\n[sensors]', "origin.model: unknown key"),
+        (
+            "n_poses = 6",
+            'n_poses = 6\nmodel = "six_ups"',
+            "model: found 'six_ups' beside a machine whose",
+        ),
+        ("[sensors]", "[truth.offsets]\nt_x = [0.5, 1.0]\n[sensors]", "truth.offsets.t_x: found 2 values, expected 1"),
+    ],
+)
+def test_faulty_simulation_of_readings(tmp_path, old, new, expected):
+    path = calibrations.write_simulation(tmp_path)
+    studies.edit(path, old, new)
+    with pytest.raises(InputError) as caught:
+        studies.simulate(path)
+    assert expected in str(caught.value)
+
+
+def test_only_legs_are_seen_by_an_instrument_of_their_platform(config):
+    path = calibrations.copy_delta(config.parent) / "machine.toml"
+    studies.edit(config, 'machine = "mechanism.toml"\nmodel = "six_pus"', f'machine = "{path}"')
+    studies.edit(config, 'deformation_matrix = "deformation_matrix.csv"', "")
+    with pytest.raises(InputError, match="which has no legs, expected a mechanism"):
+        load_twin(config)
 
 
 def test_table_of_another_machine(config):

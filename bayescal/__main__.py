@@ -1,4 +1,4 @@
-"""`python -m bayescal.cli`."""
+"""`python -m bayescal`."""
 
 from bayescal.cli import main
 

@@ -1,7 +1,9 @@
-"""Simulated readings of an instrument: a twin of a machine whose true parameters and frames are known."""
+"""What an instrument sees of a platform on legs: a twin of a machine whose true parameters and frames are known."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -16,18 +18,104 @@ from bayescal.data.instruments.read_points import (
     spread_polar,
 )
 from bayescal.data.instruments.read_poses import VALUES
-from bayescal.data.schema import FrameTruthConfig, InstrumentConfig, PointInstrumentConfig, PoseInstrumentConfig
-from bayescal.data.simulation import Twin, format_actuators, move, name_poses, stack_poses
 from bayescal.errors import InputError
+from bayescal.experiments.simulation.schema import (
+    FrameTruthConfig,
+    PlatformInstrumentConfig,
+    PointInstrumentConfig,
+    PoseInstrumentConfig,
+    SimulationConfig,
+)
+from bayescal.experiments.simulation.twin import (
+    Twin,
+    build_twin,
+    format_actuators,
+    format_survey,
+    format_truth,
+    move,
+    name_poses,
+    stack_poses,
+    survey_twin,
+)
 from bayescal.files.csv_tables import format_table
-from bayescal.machines.frames import move_frames
-from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
+from bayescal.machines.frames import frame_blocks, move_frames
+from bayescal.machines.parameters import ParameterLayout
+from bayescal.numerics.geometry import (
+    DEGREES_OF_FREEDOM,
+    Array,
+    matrix_from_rotation_vector,
+    rotation_vector_from_matrix,
+)
 from bayescal.numerics.units import ARCSECOND, MICROMETRE, MICRORADIAN
 
 type Poses = tuple[Array, Array]
 
 
-def true_frames(config: InstrumentConfig, n_stations: int) -> Array:
+@dataclass(frozen=True, eq=False)
+class InstrumentPlan:
+    """A twin, and the folder where its config's file names start."""
+
+    twin: Twin
+    folder: Path
+
+    @property
+    def config(self) -> SimulationConfig:
+        """The twin's."""
+        return self.twin.config
+
+    @cached_property
+    def layout(self) -> ParameterLayout:
+        """The true parameters', those of the instrument's frames among them."""
+        if self.config.instrument is None:
+            return self.twin.machine.layout
+        return self.twin.machine.layout.extend(frame_blocks(count_stations(self.config.instrument, self.folder)))
+
+    @cached_property
+    def theta(self) -> Array:
+        """The true parameters, shape (D,)."""
+        found = self.config.instrument
+        if found is None:
+            return self.twin.theta
+        return np.concatenate([self.twin.theta, true_frames(found, count_stations(found, self.folder))])
+
+    @property
+    def n_held_back(self) -> int:
+        """How many poses are held back."""
+        return len(self.twin.verification)
+
+    @property
+    def n_poses(self) -> int:
+        """Number of poses, those held back among them."""
+        return len(self.twin.calibration) + self.n_held_back
+
+    @property
+    def width(self) -> int:
+        """How many coordinates of targets or of the platform, and actuators, are seen at each."""
+        targets, n_legs = self.config.targets, self.twin.mechanism.n_legs
+        if targets is None:
+            return n_legs + DEGREES_OF_FREEDOM
+        n_targets = sum(ring.count for ring in (*targets.base, *targets.platform)) + n_legs * targets.per_pad
+        return n_legs + 3 * n_targets
+
+    def simulate(self, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
+        """Return the texts of all files by their names, and the true parameters (D,)."""
+        twin, instrument = self.twin, self.config.instrument
+        if instrument is None:
+            survey, poses = survey_twin(twin, rng)
+            files = format_survey(survey, self.config.origin.text)
+        else:
+            files, poses = simulate_readings(twin, instrument, self.folder, rng)
+        return files | format_truth(twin, name_poses(twin)[0], poses), self.theta
+
+
+def plan_instrument(config: SimulationConfig, folder: Path) -> InstrumentPlan:
+    """Return what is simulated; InputError for every fault of the config or its files."""
+    plan = InstrumentPlan(build_twin(config, folder), folder)
+    assert plan.theta.shape == (plan.layout.size,)
+    return plan
+
+
+def true_frames(config: PlatformInstrumentConfig, n_stations: int) -> Array:
     """Return the true frames as parameters, each station's and the tool's, shape (6 S + 6,), mm and rad."""
     bases = config.frames.base or [FrameTruthConfig()] * n_stations
     if len(bases) != n_stations:
@@ -35,7 +123,7 @@ def true_frames(config: InstrumentConfig, n_stations: int) -> Array:
     return np.concatenate([[*one.position_mm, *np.radians(one.rotation_deg)] for one in (*bases, config.frames.tool)])
 
 
-def count_stations(config: InstrumentConfig, folder: Path) -> int:
+def count_stations(config: PlatformInstrumentConfig, folder: Path) -> int:
     """Return how many stations an instrument has."""
     if isinstance(config, PoseInstrumentConfig) or config.stations is None:
         return 1
@@ -43,7 +131,7 @@ def count_stations(config: InstrumentConfig, folder: Path) -> int:
 
 
 def simulate_readings(
-    twin: Twin, config: InstrumentConfig, folder: Path, rng: np.random.Generator
+    twin: Twin, config: PlatformInstrumentConfig, folder: Path, rng: np.random.Generator
 ) -> tuple[dict[str, str], Array]:
     """Return the texts of the tables that an instrument leaves of a twin, by their names, and the true poses (P, 6)."""
     commanded, _, found = move(twin, rng, twin.theta)
@@ -51,7 +139,7 @@ def simulate_readings(
     pairs = np.concatenate([frames[:-1], np.broadcast_to(frames[-1:], frames[:-1].shape)], axis=1)
     seen = move_frames(pairs, found.position[None], found.rotation[None])
     names, held = name_poses(twin)
-    origin = twin.config.origin
+    origin = twin.config.origin.text
     files = {"actuators.csv": format_actuators(names, held, commanded, origin)}
     if isinstance(config, PoseInstrumentConfig):
         files["poses.csv"] = _format_poses(names, (seen[0][0], seen[1][0]), config, origin, rng)

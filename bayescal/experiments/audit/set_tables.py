@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.calibration.audit.inputs import AuditInputs
-from bayescal.experiments.calibration.audit.set_search import FoundSets, find_hopeless
+from bayescal.experiments.audit.reading_inputs import AuditInputs
+from bayescal.experiments.audit.set_search import FoundSets, find_hopeless
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.identifiability.reading_rows import name_tool
 

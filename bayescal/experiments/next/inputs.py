@@ -13,8 +13,8 @@ from bayescal.data.actuators import read_moves
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import check_arrays
-from bayescal.experiments.next_pose.schema import CandidatesConfig, NextConfig
-from bayescal.experiments.next_pose.state import Poses, Subject
+from bayescal.experiments.next.schema import CandidatesConfig, NextConfig
+from bayescal.experiments.next.state import Poses, Subject
 from bayescal.experiments.shared.design import REQUIRED, find_actuators, read_workspace
 from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
 from bayescal.experiments.shared.reading_slips import find_measured_slip
@@ -87,7 +87,10 @@ def read_next(config: NextConfig, folder: Path) -> NextInputs:
     path = folder / config.study
     found = measure_variants(*load(path), path, config.variants, config.with_model_error)
     if config.aim == "variants" and len(found) < 2:
-        raise InputError(f"{path}: found one variant with aim 'variants', expected two or more to be told apart")
+        raise InputError(
+            f"{path}: found one variant and no requirements, expected --require NAME=VALUE or [requirements], "
+            "or two variants to distinguish"
+        )
     first = next(iter(found.values()))
     there = first.posterior.likelihood.data.n_poses
     n = _take_first(config.first, there, config.study)

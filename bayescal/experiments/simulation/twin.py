@@ -14,25 +14,23 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.config.classes import name_failures
-from bayescal.config.load import look_up
 from bayescal.data.actuators import name_actuators, read_moves
 from bayescal.data.photogrammetry.survey import BODIES, REFERENCE_COLUMNS, TARGET_COLUMNS, BodyTargets, Survey
-from bayescal.data.schema import SimulationConfig, TargetRingConfig, TruthConfig
 from bayescal.data.truth import (
     PARAMETERS_FILE,
     POSES_FILE,
     format_true_parameters,
     format_true_poses,
-    read_true_parameters,
-    round_as_written,
 )
 from bayescal.errors import InputError, NumericalError
-from bayescal.files.csv_tables import format_table, read_matrix
+from bayescal.experiments.simulation.machine import read_model, read_truth
+from bayescal.experiments.simulation.schema import SimulationConfig
+from bayescal.files.csv_tables import format_table
 from bayescal.machines.deformations import MatrixDeformation
 from bayescal.machines.kinematics import ForwardKinematics, Machine, check_home_pose, solve_forward_kinematics
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.read import build_chosen_machine, choose_model, load_mechanism
+from bayescal.machines.read import points_of
+from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
 from bayescal.numerics.units import MICROMETRE
 
@@ -73,35 +71,28 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     Raises
     ------
     InputError
-        For unknown models or parameters, lists without one entry per leg, or tables of another width.
+        For another machine than one on legs, unknown models or parameters, lists without one entry per leg, or tables
+        of another width.
     """
-    mechanism = load_mechanism(folder / config.mechanism)
-    n_legs = mechanism.n_legs
-    name = config.truth.deformation_matrix
-    matrix = np.zeros((n_legs, n_legs)) if name is None else 1e-3 * read_matrix(folder / name, n_legs)
-    chosen = choose_model(config.model, "model", folder)
-    with name_failures(chosen.found, "model", folder):
-        machine = build_chosen_machine(chosen, mechanism, MatrixDeformation(matrix))
+    model = read_model(config, folder)
+    if not isinstance(model, Legs):
+        raise InputError(
+            f"machine: found {config.machine!r}, which has no legs, expected a mechanism, whose platform "
+            "[targets] and [instrument] see; any machine has [sensors] and [instruments]"
+        )
+    machine, poses, targets = model.machine, config.poses, config.targets
+    assert poses is not None
     check_home_pose(machine)
-    calibration, verification = (
-        read_moves(folder / name, config.poses.unit_mm, n_legs)
-        for name in (config.poses.calibration, config.poses.verification)
-    )
-    return Twin(machine, _read_truth(machine, config.truth, folder), config, calibration, verification)
-
-
-def _read_truth(machine: Machine, truth: TruthConfig, folder: Path) -> Array:
-    """Return the true parameters, shape (D,), with the digits that are written of them."""
-    if truth.parameters is not None:
-        return round_as_written(read_true_parameters(folder / truth.parameters, machine.layout))
-    theta = machine.layout.nominal.copy()
-    for symbol, offset in (truth.offsets or {}).items():
-        index = look_up(machine.layout.index, symbol, "truth.offsets", folder)
-        values = np.atleast_1d(np.array(offset, dtype=np.float64))
-        if len(values) not in (1, len(index)):
-            raise InputError(f"truth.offsets.{symbol}: found {len(values)} values, expected 1 or {len(index)}")
-        theta[index] += values
-    return round_as_written(theta)
+    if targets is not None and targets.per_pad and not isinstance(machine.deformation, MatrixDeformation):
+        raise InputError(
+            f"targets.per_pad: found {targets.per_pad} on a machine with a deformation of its own, expected a "
+            "mechanism's file and truth.deformation_matrix, which pads follow"
+        )
+    tables = (poses.calibration, poses.verification)
+    calibration, verification = (read_moves(folder / name, poses.unit_mm, model.n_legs) for name in tables)
+    theta = read_truth(config, machine.layout, folder)
+    assert theta is not None
+    return Twin(machine, theta, config, calibration, verification)
 
 
 def simulate_survey(twin: Twin, rng: np.random.Generator, theta: Array | None = None) -> Survey:
@@ -130,6 +121,7 @@ def survey_twin(twin: Twin, rng: np.random.Generator, theta: Array | None = None
     """
     config, mechanism = twin.config, twin.mechanism
     assert config.measurement_frame is not None
+    assert config.noise is not None
     assert config.noise.target_um is not None
     commanded, actual, pose = move(twin, rng, twin.theta if theta is None else theta)
     base, platform = make_targets(twin.config, mechanism)
@@ -157,6 +149,7 @@ def survey_twin(twin: Twin, rng: np.random.Generator, theta: Array | None = None
 
 def move(twin: Twin, rng: np.random.Generator, theta: Array) -> tuple[Array, Array, ForwardKinematics]:
     """Return commanded and actual actuator positions (P, N), mm, and the poses of a machine θ (D,) there."""
+    assert twin.config.noise is not None
     displacement = np.concatenate([twin.calibration, twin.verification])
     commanded = twin.mechanism.initial_actuator_positions + displacement
     actual = commanded + rng.normal(0.0, twin.config.noise.actuator_um * MICROMETRE, commanded.shape)
@@ -169,6 +162,7 @@ def move(twin: Twin, rng: np.random.Generator, theta: Array) -> tuple[Array, Arr
 def _name_unreached(twin: Twin, index: int) -> str:
     """Return which row of which table asks for a pose that the machine has not, and what to do about it."""
     poses, n_calibration = twin.config.poses, len(twin.calibration)
+    assert poses is not None
     later = index >= n_calibration
     file, row = (poses.verification, index - n_calibration) if later else (poses.calibration, index)
     moves = (twin.verification if later else twin.calibration)[row]
@@ -194,17 +188,16 @@ def name_poses(twin: Twin) -> tuple[tuple[str, ...], np.ndarray]:
 
 def _ring_matrix(twin: Twin) -> Array:
     """Return K, which the pads follow; offsets of κ are not in it."""
-    deformation = twin.machine.deformation
-    assert isinstance(deformation, MatrixDeformation)
-    return deformation.matrix
+    deformation, n = twin.machine.deformation, twin.mechanism.n_legs
+    return deformation.matrix if isinstance(deformation, MatrixDeformation) else np.zeros((n, n))
 
 
 def make_targets(config: SimulationConfig, mechanism: Mechanism) -> tuple[BodyTargets, BodyTargets]:
     """Return the targets of base and platform in their body frames, not yet measured."""
     assert config.targets is not None
     nothing = np.empty((0, 0, 3))
-    base = make_rings(config.targets.base)
-    rigid = make_rings(config.targets.platform)
+    base = points_of(config.targets.base)
+    rigid = points_of(config.targets.platform)
     pads = []
     for joint in mechanism.platform_points:
         azimuth = 2 * np.pi * np.arange(config.targets.per_pad) / config.targets.per_pad
@@ -222,16 +215,6 @@ def make_targets(config: SimulationConfig, mechanism: Mechanism) -> tuple[BodyTa
     )
 
 
-def make_rings(rings: list[TargetRingConfig]) -> Array:
-    """Return the targets of rings, shape (n, 3), mm, body frame."""
-    points = []
-    for ring in rings:
-        azimuth = np.radians(ring.azimuth_deg) + 2 * np.pi * np.arange(ring.count) / ring.count
-        height = np.full(ring.count, ring.height_mm)
-        points.append(np.stack([ring.radius_mm * np.cos(azimuth), ring.radius_mm * np.sin(azimuth), height], axis=1))
-    return np.round(np.concatenate(points), DECIMALS)
-
-
 def format_actuators(names: tuple[str, ...], verification: np.ndarray, actuators: Array, origin: str) -> str:
     """Return the text of a table of actuator positions (P, N), mm."""
     rows = [
@@ -244,7 +227,7 @@ def format_actuators(names: tuple[str, ...], verification: np.ndarray, actuators
 
 def format_truth(twin: Twin, names: Sequence[str], poses: Array) -> dict[str, str]:
     """Return the texts of two CSV files by their names: the twin's true parameters, and true poses (P, 6)."""
-    origin = twin.config.origin
+    origin = twin.config.origin.text
     about_parameters = "True parameters of the machine that the survey is of."
     about_poses = "True poses of the platform frame in the base frame at the survey: position, rotation vector."
     return {

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from bayescal.experiments.calibration.audit.compute import compute_audit
-from bayescal.experiments.calibration.audit.inputs import AuditInputs, read_audit
-from bayescal.experiments.calibration.page.audit import build_page, list_variants
+from bayescal.experiments.audit.page.reading_build import build_page, list_variants
+from bayescal.experiments.audit.reading_compute import compute_audit
+from bayescal.experiments.audit.reading_inputs import AuditInputs, read_audit
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results

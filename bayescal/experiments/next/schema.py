@@ -63,8 +63,8 @@ def _tag_workspace(section: Any) -> str:
 class NextConfig(OfAnotherConfig):
     """Which pose to measure next, and whether to stop."""
 
-    kind: Literal["next_pose"]
-    """`"next_pose"`."""
+    kind: Literal["next"] = "next"
+    """Nothing has to be said: a file that names a study asks for the next pose."""
     first: Annotated[int, Field(ge=1, le=100_000)] | None = None
     """Only the first so many of these poses, to see what would have been said then; all where nothing is said."""
     variants: Names = Field(default=[])
@@ -103,6 +103,4 @@ class NextConfig(OfAnotherConfig):
     def _check_aim(self) -> Self:
         if self.aim == "requirements" and not self.requirements:
             raise ValueError("found no [requirements], expected the largest errors allowed, or aim = 'variants'")
-        if self.aim == "variants" and len(self.variants) == 1:
-            raise ValueError("found one of the variants with aim 'variants', expected two or more, or none for all")
         return self

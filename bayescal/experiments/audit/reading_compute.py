@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayescal.experiments.calibration.audit.inputs import AuditInputs
-from bayescal.experiments.calibration.audit.outlook import Outlook, foresee
-from bayescal.experiments.calibration.audit.selection import Selection, select_poses
-from bayescal.experiments.calibration.audit.sensor_sets import build_sensor_sets
-from bayescal.experiments.calibration.audit.set_search import FoundSets, search_sets
-from bayescal.experiments.calibration.audit.set_tables import tabulate_sets
-from bayescal.experiments.calibration.audit.tables import Prospect, summarise, tabulate
+from bayescal.experiments.audit.outlook import Outlook, foresee
+from bayescal.experiments.audit.reading_inputs import AuditInputs
+from bayescal.experiments.audit.reading_tables import Prospect, summarise, tabulate
+from bayescal.experiments.audit.selection import Selection, select_poses
+from bayescal.experiments.audit.sensor_sets import build_sensor_sets
+from bayescal.experiments.audit.set_search import FoundSets, search_sets
+from bayescal.experiments.audit.set_tables import tabulate_sets
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.readings.knowledge import Knowledge, assess, look_around

@@ -15,8 +15,8 @@ from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError, name_faults
-from bayescal.experiments.calibration.audit.planned_poses import PlannedPoses, plan_poses
-from bayescal.experiments.calibration.audit.sensor_sets import Choice, list_choices
+from bayescal.experiments.audit.planned_poses import PlannedPoses, plan_poses
+from bayescal.experiments.audit.sensor_sets import Choice, list_choices
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.instruments import read_machine
 from bayescal.experiments.shared.readings.noise import noise_of_channels

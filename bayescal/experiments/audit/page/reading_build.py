@@ -6,9 +6,9 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.experiments.calibration.page import audit_figures as figures
-from bayescal.experiments.calibration.page.audit_sets import show_counts, show_sets
-from bayescal.experiments.calibration.page.audit_verdict import choose_best, state_headline, state_verdict
+from bayescal.experiments.audit.page import reading_figures as figures
+from bayescal.experiments.audit.page.reading_verdict import choose_best, state_headline, state_verdict
+from bayescal.experiments.audit.page.sensor_sets import show_counts, show_sets
 from bayescal.experiments.shared.knowledge_page import VERDICT_LEVELS, show_accuracy, show_next, show_ridges
 from bayescal.files.plain_text import add_article
 from bayescal.report.blocks import Cell, Column, Figure, Page, Section, make_section, make_table

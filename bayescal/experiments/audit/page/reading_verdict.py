@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.experiments.calibration.page.audit_sets import state_counts, state_sets
+from bayescal.experiments.audit.page.sensor_sets import state_counts, state_sets
 from bayescal.experiments.shared.knowledge_page import state_next
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_percent, join_words

@@ -1,8 +1,9 @@
-"""The schema of simulated measurements: photogrammetry, poses that an instrument hands out, tracked points."""
+"""The schema of simulated measurements: readings of channels, photogrammetry, poses, tracked points."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -10,6 +11,7 @@ from bayescal.config.classes import ClassMark
 from bayescal.config.sections import (
     ExperimentConfig,
     InputFile,
+    Name,
     NotNegative,
     Number,
     PerLeg,
@@ -17,19 +19,20 @@ from bayescal.config.sections import (
     Section,
     Vector,
 )
+from bayescal.density.schema import PriorConfig
+from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, OriginConfig
+from bayescal.experiments.shared.schema import UnitsConfig
+from bayescal.machines.schema import TargetRingConfig
 from bayescal.numerics.units import choose_arcseconds
 
 
 class TruthConfig(Section):
-    """The machine behind the simulated data, and a deformation matrix; rigid without one.
-
-    Its parameters are nominal plus offsets, or those of a file as a simulation writes it.
-    """
+    """A given true machine, in place of one drawn within [parameters]: nominal plus offsets, or of a file."""
 
     deformation_matrix: InputFile | None = None
-    """CSV file of the true deformation matrix K; rigid without one."""
+    """CSV file of the true deformation matrix K of a machine on legs; rigid without one."""
     offsets: dict[str, PerLeg] | None = None
-    """True minus nominal value by symbol, one for all legs or one per leg [units of the parameters]."""
+    """True minus nominal value by symbol, one for all or one each [as tolerances]."""
     parameters: InputFile | None = None
     """CSV file of the true parameters, as a simulation writes it; in place of offsets."""
 
@@ -58,19 +61,6 @@ class NoiseConfig(Section):
     """Standard deviation of a target's coordinates."""
     actuator_um: NotNegative
     """Standard deviation of an actuator's position about what it reads."""
-
-
-class TargetRingConfig(Section):
-    """Targets evenly on a circle of a body."""
-
-    count: Annotated[int, Field(ge=1, le=1000)]
-    """Number of targets, evenly on the circle."""
-    radius_mm: Positive
-    """Radius of the circle."""
-    height_mm: Number
-    """Height of the circle above the body's origin."""
-    azimuth_deg: Number = 0.0
-    """Where the first target lies."""
 
 
 class TargetsConfig(Section):
@@ -167,43 +157,93 @@ class PointInstrumentConfig(Section):
     """True frames of stations and probe."""
 
 
-type InstrumentConfig = Annotated[PoseInstrumentConfig | PointInstrumentConfig, Field(discriminator="kind")]
+type PlatformInstrumentConfig = Annotated[PoseInstrumentConfig | PointInstrumentConfig, Field(discriminator="kind")]
 
 
-class SimulationConfig(ExperimentConfig):
-    """Simulated measurements of a machine: targets in a frame that wanders, or readings of an instrument."""
+class SimulatedOriginConfig(OriginConfig):
+    """What the files say of where the data come from: not measured."""
+
+    status: Literal["simulated", "reconstructed"]
+    """`simulated`, or `reconstructed` from what somebody printed."""
+
+
+OF_CHANNELS = ("sensors", "n_poses", "verification_poses", "instruments", "parameters", "workspace", "given")
+OF_PLATFORM = ("truth", "poses", "noise", "measurement_frame")
+"""Sections of readings, the first two needed, and of what an instrument sees, the first three needed."""
+
+
+class SimulationConfig(FreeConfig, ExperimentConfig):
+    """Simulated measurements of any machine: readings of its channels, or a platform on legs that an instrument sees.
+
+    [sensors] make readings at random poses of the workspace, of a machine drawn within [parameters] or of [truth].
+    [targets] or [instrument] make a survey of the platform, at actuator positions of tables.
+    """
+
+    gone: ClassVar[Mapping[str, str]] = {"mechanism": "machine"}
 
     kind: Literal["simulation"]
     """`"simulation"`."""
-    origin: str
+    origin: SimulatedOriginConfig
     """What is written into all files about where they come from."""
-    mechanism: InputFile
-    """The machine's TOML file, as nominal."""
-    model: Annotated[str, ClassMark("MODELS")]
-    """Kinematic model of the true machine."""
-    truth: TruthConfig
-    """How the true machine differs from the nominal one."""
-    poses: PosesConfig
-    """At which actuator positions it is measured."""
-    noise: NoiseConfig
+    machine: InputFile
+    """The machine's TOML file, as nominal; a mechanism's is one."""
+    model: Annotated[str, ClassMark("MODELS")] | None = None
+    """Kinematic model that a mechanism is seen through; needed of a mechanism alone."""
+    units: UnitsConfig = UnitsConfig()
+    """Units of tolerances, of the truth's offsets and of the workspace."""
+    truth: TruthConfig | None = None
+    """A given true machine in place of a drawn one."""
+    instruments: dict[Name, InstrumentConfig] = Field(default={})
+    """By name: instruments beside the machine."""
+    sensors: dict[str, ChannelConfig] = Field(default={})
+    """Noise of each channel that is read, or of all of a kind."""
+    parameters: dict[str, PriorConfig] = Field(default={})
+    """Tolerance of each symbol, within which the true machine is drawn."""
+    workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    """By coordinate: smallest and largest value of the poses [unit of the coordinate]."""
+    given: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""
+    n_poses: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    """Number of random poses to calibrate with."""
+    verification_poses: Annotated[int, Field(ge=0, le=100_000)] = 0
+    """Number of random poses that are held back."""
+    poses: PosesConfig | None = None
+    """At which actuator positions an instrument sees the platform."""
+    noise: NoiseConfig | None = None
     """Noise of targets and actuators."""
-    targets: TargetsConfig | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Targets on the bodies, for photogrammetry."""
-    measurement_frame: MeasurementFrameConfig | None = Field(default=None, exclude_if=lambda value: value is None)
+    targets: TargetsConfig | None = None
+    """Targets on the bodies of a machine on legs, for photogrammetry."""
+    measurement_frame: MeasurementFrameConfig | None = None
     """How far the frame of photogrammetry wanders from pose to pose."""
-    instrument: InstrumentConfig | None = Field(default=None, exclude_if=lambda value: value is None)
-    """An instrument in place of photogrammetry."""
+    instrument: PlatformInstrumentConfig | None = None
+    """An instrument that sees the platform of a machine on legs, in place of photogrammetry."""
+
+    @property
+    def sees_platform(self) -> bool:
+        """Whether an instrument sees the platform of a machine on legs."""
+        return self.targets is not None or self.instrument is not None
 
     @model_validator(mode="after")
-    def _check_measurement(self) -> Self:
-        photogrammetry = {
-            "targets": self.targets,
-            "measurement_frame": self.measurement_frame,
-            "noise.target_um": self.noise.target_um,
-        }
-        for name, value in photogrammetry.items():
-            if self.instrument is None and value is None:
-                raise ValueError(f"found no {name}, expected it, or [instrument]")
+    def _check_route(self) -> Self:
+        seen = "targets" if self.targets is not None else "instrument" if self.instrument is not None else ""
+        needed, strange = (OF_PLATFORM[:3], OF_CHANNELS) if seen else (OF_CHANNELS[:2], OF_PLATFORM[1:])
+        for name in needed:
+            if not getattr(self, name):
+                expected = "it" if seen else "it, or [targets] or [instrument] of a machine on legs"
+                raise ValueError(f"{name}: found none, expected {expected}")
+        for name in strange:
+            if name in self.model_fields_set:
+                raise ValueError(f"{name}: found beside {seen or 'sensors'}, expected either")
+        return self
+
+    @model_validator(mode="after")
+    def _check_photogrammetry(self) -> Self:
+        parts = {"measurement_frame": self.measurement_frame, "noise.target_um": self.noise and self.noise.target_um}
+        for name, value in parts.items():
+            if self.targets is not None and value is None:
+                raise ValueError(f"{name}: found none beside targets, expected it")
             if self.instrument is not None and value is not None:
-                raise ValueError(f"found {name} beside [instrument], expected either")
+                raise ValueError(f"{name}: found beside instrument, expected either")
+        if self.targets is not None and self.instrument is not None:
+            raise ValueError("instrument: found beside targets, expected either")
         return self
