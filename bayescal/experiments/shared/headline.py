@@ -121,16 +121,20 @@ def say_choice(candidates: Sequence[Candidate], label: str = "", careful: bool =
         Whether warnings speak against assumptions.
     """
     chosen = choose_candidate(candidates)
-    words = f"Use {label or chosen.label}"
+    words, failed = f"Use {label or chosen.label}", [one for one in candidates if not one.converged]
     if not chosen.converged:
         return f"Use none yet: not converged (best so far: {label or chosen.label})"
+    rivals = [one for one in failed if one.log_evidence > chosen.log_evidence or not one.is_distinguishable(chosen)]
+    if rivals:
+        names = join_words([one.label for one in rivals])
+        return f"Use none yet: {names} did not converge and may be better (best so far: {label or chosen.label})"
     alike = group_candidates([one for one in candidates if one.converged])[0]
     if len(candidates) == 1:
         words += ", the only variant"
     elif len(alike) > 1:
         words += f", the simplest of {say_count(len(alike))} that fit equally well"
-    if (failed := sum(not one.converged for one in candidates)) > 0:
-        words += f" ({say_count(failed)} of {len(candidates)} did not converge)"
+    if failed:
+        words += f" ({say_count(len(failed))} of {len(candidates)} did not converge)"
     return f"{words}, with care (see the warnings)" if careful else words
 
 

@@ -115,9 +115,7 @@ def _judge(task: tuple[Claims, StudyInputs, dict[str, Any], dict[str, LeastSquar
     return claims.tabulate(inputs, summary, identified)
 
 
-def _summarise(
-    inputs: StudyInputs, posteriors: dict[Task, Fit], variants: dict[str, dict[str, Any]]
-) -> dict[str, Any]:
+def _summarise(inputs: StudyInputs, posteriors: dict[Task, Fit], variants: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """Return the results as JSON-ready numbers."""
     config, held = inputs.config, inputs.verification
     models = {label_class(variant.model): inputs.machine(variant).model.title for variant in config.variants}

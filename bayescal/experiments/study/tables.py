@@ -31,7 +31,6 @@ BENDING, N_BENDINGS = 1.0, 51  # deg
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 
 
-
 def tabulate_tau_scale(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> pd.DataFrame:
     """Return the log-evidence of every variant for other scales of the model error's half-normal prior.
 
@@ -62,7 +61,6 @@ def tabulate_tau_scale(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> pd.D
             )
     table = pd.DataFrame(rows)
     return table.sort_values(["tau_scale_um", "log_evidence"], ascending=[True, False], ignore_index=True)
-
 
 
 def tabulate_all_parameters(inputs: StudyInputs, fits: dict[Task, Fit]) -> pd.DataFrame:
@@ -102,7 +100,6 @@ def tabulate_pose_errors(inputs: StudyInputs, fits: dict[Task, Fit]) -> pd.DataF
             frame[f"{component}_high_{unit}"] = high[:, k]
         frames.append(frame)
     return pd.concat(frames, ignore_index=True)
-
 
 
 def identify_variants(inputs: StudyInputs) -> dict[str, LeastSquaresFit]:

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import pandas as pd
 
-from bayescal.experiments.study.page.results import StudyResults
+from bayescal.experiments.study.page.results import VERDICTS, StudyResults
 from bayescal.report.blocks import Cell, Column, Counts, Level, Section, Statement, Table, make_table
 from bayescal.report.numbers import NOTHING, format_significant, join_words
 
-LEVELS: dict[str, Level] = {"holds": "good", "does not hold": "bad", "not testable": "plain"}
+LEVELS: dict[str, Level] = dict(zip(VERDICTS, ("good", "bad", "plain"), strict=True))
 PLURAL = {"holds": "hold", "does not hold": "do not hold", "not testable": "are not testable"}
 OWN = "own"  # section of findings that the publication does not state
 EXPLANATION = (

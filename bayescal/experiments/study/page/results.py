@@ -32,6 +32,7 @@ NOISE = "noise"
 """Verdict on parameters that are none of the machine's."""
 FRAME = re.compile(r"(base[1-9]?|tool)_r?[xyz]")
 STRUT = "strut"
+VERDICTS = ("holds", "does not hold", "not testable")
 
 SUMMARY_KEYS: dict[str, Kinds] = {
     **dict.fromkeys(("experiment", "title"), str),
@@ -320,8 +321,9 @@ def _count_chains(chains: Mapping[str, Mapping[str, Array]]) -> int:
     return next((len(x) for own in chains.values() for x in own.values()), 1)
 
 
-def _check_tables(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
+def _check_tables(tables: Mapping[str, pd.DataFrame], results: Path) -> None:
     """Raise InputError where a table lacks a column or holds text in one of numbers."""
+    folder = results / "tables" if (results / "tables").is_dir() else results
     for name in REQUIRED:
         if name not in tables:
             raise InputError(f"{folder / name}.csv: found no rows, expected a study's table")
@@ -335,6 +337,10 @@ def _check_tables(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
         for column in columns["numbers"]:
             if not pd.api.types.is_numeric_dtype(tables[name][column]):  # flags are numeric too
                 raise InputError(f"{folder / name}.csv: column {column!r}: found text, expected numbers")
+    for row in list_rows(tables["claims"]) if "claims" in tables else ():
+        if row["verdict"] not in VERDICTS:
+            wanted = f"found {row['verdict']!r}, expected one of {', '.join(VERDICTS)}"
+            raise InputError(f"{folder / 'claims.csv'}: claim {row['claim']}: verdict: {wanted}")
 
 
 def _check_summary(summary: dict[str, Any], path: Path) -> None:

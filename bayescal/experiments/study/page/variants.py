@@ -75,6 +75,8 @@ def list_best(results: StudyResults, deformation: str) -> list[str]:
 
 def find_free_sets(results: StudyResults) -> dict[tuple[str, str], list[str]]:
     """Return the variants of each model and deformation that has several, in the order of the study."""
+    if "models" not in results.summary:
+        return {}
     pairs = dict.fromkeys(split_variant(results, name) for name in results.summary["variants"])
     alike = {pair: find_variants(results, *pair) for pair in pairs}
     return {pair: names for pair, names in alike.items() if len(names) > 1}

@@ -57,9 +57,6 @@ BEYOND_BELIEF = 15.0  # nats from which odds rest on the assumptions, no longer 
 
 def state_headline(results: StudyResults) -> str:
     """Return which variant to use and how accurate it is."""
-    if not checks.passes_with_model_error(results):
-        name = label_variant(results, results.best_name)
-        return f"Use none yet: not everything converged (best so far: {name})."
     model, deformation = split_variant(results, results.chosen)
     named = model and results.chosen not in results.own_names
     label = f"{label_model(results, model)} {describe_deformation(deformation)}" if named else ""

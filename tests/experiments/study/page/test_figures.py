@@ -34,7 +34,7 @@ def folder(tmp_path_factory):
         table.loc[chosen, "position_error_mm"] = [0.010, 0.020, 0.030, 0.080]
         table.loc[chosen, "orientation_error_deg"] = [0.010, 0.020, 0.030, 0.040]
 
-    edit_table(folder, "predictions", change)
+    edit_table(folder, "pose_errors", change)
     return folder
 
 

@@ -145,14 +145,14 @@ def set_pits(table, value):
 
 def test_all_errors_beyond_their_bounds_are_said(make_results):
     folder = make_results()
-    edit_table(folder, "left_out", partial(set_pits, value=0.99))
+    edit_table(folder, "poses", partial(set_pits, value=0.99))
     assert "12 of 12 position and orientation errors" in say(folder)["Bounds bad"]
     assert "where 0.6 are expected" in say(folder)["Bounds bad"]
 
 
 def test_none_of_a_few_beyond_their_bounds_is_no_fault_but_counted(make_results):
     folder = make_results()
-    edit_table(folder, "left_out", partial(set_pits, value=0.5))
+    edit_table(folder, "poses", partial(set_pits, value=0.5))
     assert say(folder) == {}
     coverage = [s.text for s in state_verdict(read_study(folder)) if s.lead == "Coverage"]
     assert any("0 of 12 position and orientation errors" in text for text in coverage)
